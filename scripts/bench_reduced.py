@@ -32,12 +32,11 @@ from sphrom.case.models import Case
 from sphrom.case.sections import ReducedModelSection
 from sphrom.kernels.jit import set_threads
 from sphrom.online.fast_model import FastModel
-from sphrom.online.particle_runs import build_model, closed
+from sphrom.online.particle_runs import build_model, close
 from sphrom.reduction.polynomial_model import OutputTimes
 from sphrom.reduction.reference_model import automatic
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
-from sphrom.sph.functional import FullModel
 from sphrom.sph.time_loop import Clock, Model, TimeSteps, march
 from sphrom.store.starts import start
 from sphrom.store.workspace import Workspace
@@ -129,7 +128,7 @@ def full_row(workspace: Workspace, n_steps: int) -> Row:
     """Time the full model, and return what a run would take at several steps [s]."""
     case = workspace.case
     (point,) = case.plan.train_points
-    model = FullModel(particles.functional(case, point))
+    model = particles.functional(case, point)
     automatic = case.plan.steps.time_step
     seconds = step_seconds(model, start(workspace, point).state, case, automatic, n_steps)
     own = CASE_STEP * case.plan.particle_spacing
@@ -158,13 +157,13 @@ def fast_row(workspace: Workspace, n_modes: int, repeats: int, full: Row) -> Row
         started = time.perf_counter()
         runs = integrator.run()
         seconds.append(time.perf_counter() - started)
-    if not np.isnan(runs.diverged_at[0]):
+    if not np.isnan(runs.diverged_at):
         raise SystemExit(f"M = {n_modes} at {full['resolution']}: the run diverged")
     median = float(np.median(seconds[1:]))
     return {
         "resolution": full["resolution"],
         "n_modes": n_modes,
-        "n_steps": integrator.n_steps,
+        "n_steps": integrator.steps.n_steps,
         "limit": reduced.step_limit,
         "loop": median,
         **{f"speed_up_{at}": full[f"run_{at}"] / median for at in ("case", "auto", "largest")},
@@ -187,7 +186,7 @@ def faithful_row(workspace: Workspace, projection: str, n_steps: int, full: Row)
     (point,) = case.plan.train_points
     (section,) = [m for m in case.rom if m.on_particles and m.projection == projection]
     reduced, state = build_model(workspace, section, point)
-    reduced = closed(case, section, reduced, state, 0.0)
+    close(case, section, reduced, state, 0.0)
     time_step = case.plan.steps.time_step
     seconds = step_seconds(reduced, state, case, time_step, n_steps)
     with workspace.open(workspace.splines()) as splines:

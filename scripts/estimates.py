@@ -27,7 +27,6 @@ from sphrom.metrics.histories import effectivity
 from sphrom.online.fast_model import FastModel
 from sphrom.reduction.error_calibration import LEFT_OUT
 from sphrom.setup.context import StageContext
-from sphrom.setup.measured_fields import sampler
 from sphrom.sph.time_loop import TimeSteps
 from sphrom.store.sampling import probes_of, sample_run
 from sphrom.store.workspace import Workspace
@@ -94,7 +93,7 @@ def run_beyond(
         return None
     estimates, samples = run.estimate.velocity_and_pressure, run.sampled(probes)
     with truth.open(truth.full_run(point)) as trajectory:
-        full = sample_run(case, trajectory, sampler(case, probes.all), lambda done: None)
+        full = sample_run(case, trajectory, probes.all)
     trained_until = workspace.case.plan.steps.end_time
     return effectivity(estimates, samples, full, probes, from_time=trained_until, left_out=LEFT_OUT)
 

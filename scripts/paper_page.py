@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.figures import FOLDER
-from sphrom.compare.results import StoredComparison
+from sphrom.compare.stored_comparison import StoredComparison
 from sphrom.console import Reporter
 from sphrom.machine import physical_ram
 from sphrom.metrics.discrepancy import compression_factor

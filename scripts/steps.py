@@ -29,12 +29,12 @@ from sphrom.metrics.samples import Samples
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
-from sphrom.setup.measured_fields import sampler
+from sphrom.setup.particles import sampler
 from sphrom.sph import state_equation
-from sphrom.sph.functional import FullModel
 from sphrom.sph.time_loop import Clock, TimeSteps, march
-from sphrom.store.sampling import probes_of, sample_snapshot
+from sphrom.store.sampling import probes_of
 from sphrom.store.starts import start
+from sphrom.store.trajectory import snapshot_fields
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -112,17 +112,20 @@ def _both(
     """Return the run with other steps, and the stored one, at the probes."""
     case, clock = workspace.case, Clock()
     begin = start(workspace, point)
-    model = FullModel(particles.functional(case, point))
+    model = particles.functional(case, point)
     found: list[tuple[Array, Array]] = []
     known: list[tuple[Array, Array]] = []
     run = march(model, begin.state, steps, case.fluid.reference_density, clock, lambda _: None)
     with workspace.open(workspace.full_run(point)) as stored:
         for snapshot, (step, state) in enumerate(run):
-            density, velocity = sample(state[:2].T, state[2], state[3:].T)
-            found.append((velocity, state_equation.pressure(density, case.plan.sound_speed)))
-            known.append(sample_snapshot(case, stored, sample, snapshot))
+            for fields, own in (
+                (found, (state[:2].T, state[2], state[3:].T)),
+                (known, snapshot_fields(stored, snapshot)),
+            ):
+                density, velocity = sample(*own)
+                fields.append((velocity, state_equation.pressure(density, case.plan.sound_speed)))
             if snapshot and snapshot % ceil(steps.n_snapshots / LINES) == 0:
-                off = relative_l2(velocity, known[-1][0], field_axes=2)
+                off = relative_l2(found[-1][0], known[-1][0], field_axes=2)
                 print(f"t = {steps.time(step):.6g} s: velocity is off by {off:.3g} %, after "
                       f"{clock.seconds:.0f} s of computing", flush=True)  # fmt: skip
     times = np.array([steps.time(k * steps.every) for k in range(steps.n_snapshots)])

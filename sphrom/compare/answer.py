@@ -5,17 +5,16 @@ It comes from the tables of a comparison, and from what artifacts say of their m
 
 from __future__ import annotations
 
+import math
 import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
 from sphrom.compare.costs import break_even, offline_seconds
+from sphrom.compare.mode_figures import bases_used
 from sphrom.compare.rows import best_name
 from sphrom.compare.tables import Tables
 from sphrom.plots.tables import format_figure
-from sphrom.store.trained_operators import sized
 from sphrom.store.workspace import Workspace
 from sphrom.text import counted, duration
 
@@ -145,9 +144,9 @@ def _both(errors: Pair) -> str:
 
 def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
     """Return the answer of a comparison, None where no model ran to its end."""
-    case = workspace.case
-    for model in case.plan.models_by_speed:
-        points = {point.label: point for point in case.plan.rom_points(model)}
+    plan = workspace.case.plan
+    for model in plan.models_by_speed:
+        points = {point.label: point for point in plan.rom_points(model)}
         found = [
             (error, row)
             for row in tables.errors
@@ -155,60 +154,52 @@ def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
             and row.parameters in points
             and (error := row.in_field) is not None
         ]
-        if found:
-            unseen = [pair for pair in found if pair[1].role != "trained"] or found
-            error, worst = max(unseen, key=lambda pair: pair[0][0])
-            point = points[worst.parameters]
-            return _answer(workspace, tables, model, point, worst.role, error, len(unseen))
+        if not found:
+            continue
+        unseen = [pair for pair in found if pair[1].role != "trained"] or found
+        error, worst = max(unseen, key=lambda pair: pair[0][0])
+        point = points[worst.parameters]
+        ((basis, n_modes),) = bases_used(workspace, [model], point)
+        best = best_name(basis, n_modes)
+        nearest = [r for r in tables.errors if (r.compared, r.parameters) == (best, point.label)]
+        own = (model.name, point.label)
+        estimates = [r.figures for r in tables.estimates if (r.compared, r.parameters) == own]
+        timings = [r for r in tables.timings if (r.model, r.parameters) == own]
+        forces = _force_errors(tables, point.label)
+        offline, training = offline_seconds(workspace, model, [point])
+        return Answer(
+            model=model.name,
+            n_modes=n_modes,
+            point=point.label,
+            role=worst.role,
+            n_points=len(unseen),
+            error=error,
+            best=nearest[0].in_field if nearest else None,
+            estimate=(estimates[0]["velocity_estimate"], estimates[0]["pressure_estimate"])
+            if estimates
+            else None,
+            seconds=timings[0].reduced_seconds if timings else None,
+            full_seconds=timings[0].full_seconds if timings else None,
+            offline_seconds=offline,
+            training_seconds=training,
+            n_training=len(plan.bases[basis]),
+            forces=tuple(
+                (name, force, forces.get((best, name)))
+                for (compared, name), force in forces.items()
+                if compared == model.name
+            ),
+        )
     return None
 
 
-def _answer(
-    workspace: Workspace,
-    tables: Tables,
-    model: ReducedModelSection,
-    point: ParameterPoint,
-    role: str,
-    error: Pair,
-    n_points: int,
-) -> Answer:
-    here = {
-        (row.compared, row.against): row for row in tables.errors if row.parameters == point.label
-    }
-    basis = workspace.case.plan.basis_for(model, point)
-    n_modes = sized(workspace, model, point).size
-    best = best_name(basis, n_modes)
-    own = (model.name, point.label)
-    estimates = [row.figures for row in tables.estimates if (row.compared, row.parameters) == own]
-    timings = [row for row in tables.timings if (row.model, row.parameters) == own]
-    forces = {
-        (row.compared, row.measured): force
-        for row in tables.forces
-        if row.parameters == point.label and (force := row.errors["force_relative_l2"]) is not None
-    }
-    offline, training = offline_seconds(workspace, model, [point])
-    return Answer(
-        model=model.name,
-        n_modes=n_modes,
-        point=point.label,
-        role=role,
-        n_points=n_points,
-        error=error,
-        best=here[best, "full"].in_field if (best, "full") in here else None,
-        estimate=(estimates[0]["velocity_estimate"], estimates[0]["pressure_estimate"])
-        if estimates
-        else None,
-        seconds=timings[0].reduced_seconds if timings else None,
-        full_seconds=timings[0].full_seconds if timings else None,
-        offline_seconds=offline,
-        training_seconds=training,
-        n_training=len(workspace.case.plan.bases[basis]),
-        forces=tuple(
-            (name, force, forces.get((best, name)))
-            for (compared, name), force in forces.items()
-            if compared == model.name
-        ),
-    )
+def _force_errors(tables: Tables, point: str) -> dict[tuple[str, str], float]:
+    """Return the errors of whole forces [%], by run and measurement."""
+    found: dict[tuple[str, str], float] = {}
+    for row in tables.measures:
+        if row.parameters == point and row.quantity in ("force_x", "force_y") and row.relative_l2:
+            key = (row.compared, row.measured)
+            found[key] = math.hypot(found.get(key, 0.0), row.relative_l2)
+    return found
 
 
 def tell_answer(workspace: Workspace, tables: Tables) -> None:

@@ -3,59 +3,41 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sphrom.artifacts import Artifact
-from sphrom.artifacts.records.comparison import Ranges
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
+from sphrom.case.study_sections import FULL
 from sphrom.compare.answer import tell_answer
-from sphrom.compare.costs import reduced_timing, undisturbed_seconds
-from sphrom.compare.default_figures import draw_all
-from sphrom.compare.measured import FULL, FullMeasured, Measured
-from sphrom.compare.references import compare_with_references, profiles_of
-from sphrom.compare.results import Comparison, Excerpt, PointResults, write_results
-from sphrom.compare.rows import best_name, error_row, estimate_row
+from sphrom.compare.comparison_figures import draw_comparison
+from sphrom.compare.costs import reduced_timing, stage_timings, undisturbed_seconds
+from sphrom.compare.measured import (
+    Measured,
+    MeasureRow,
+    measure_rows,
+    measured_of_best,
+    measured_of_map,
+)
+from sphrom.compare.mode_figures import bases_used, spectrum_rows
+from sphrom.compare.references import compare_with_references
+from sphrom.compare.rows import best_name, error_row, estimate_row, wall_row
 from sphrom.compare.show import show
-from sphrom.compare.tables import FILE, MADE_BY, Tables
+from sphrom.compare.stored_comparison import ComparisonWriter
+from sphrom.compare.tables import FILE, MADE_BY, DecayRow, Tables
 from sphrom.errors import ArtifactError, CaseError
-from sphrom.metrics.discrepancy import instantaneous_range
 from sphrom.metrics.histories import compare
 from sphrom.metrics.samples import Probes, Samples
-from sphrom.metrics.series import FieldSeries, flow_row
-from sphrom.online.rebuilt_run import RebuiltRun, read_probes
+from sphrom.metrics.series import exponential_rate, flow_row, kinetic_energy
+from sphrom.online.stored_run import StoredRun
+from sphrom.scenes.scene import ExactFlow
 from sphrom.setup.assembly import role_of
 from sphrom.setup.context import StageContext
-from sphrom.setup.measured_fields import sampler
+from sphrom.setup.particles import sampler
 from sphrom.store.bases import read_modes
-from sphrom.store.sampling import (
-    expand,
-    probes_of,
-    sample_best,
-    sample_exact,
-    sample_mapped,
-    sample_run,
-)
-from sphrom.store.trained_operators import sized
+from sphrom.store.measured_quantities import measured_of
+from sphrom.store.sampling import probes_of, sample_best, sample_exact, sample_mapped
 from sphrom.store.trajectory import require_complete
 from sphrom.store.workspace import Workspace
-
-Array = NDArray[np.float64]
-
-
-class StoredRun:
-    """The fields of a trajectory."""
-
-    def __init__(self, trajectory: Artifact) -> None:
-        self.time = trajectory.read("time")
-        self.mass = trajectory.number("mass")
-        self._velocities = trajectory.dataset("velocity")
-        self._pressures = trajectory.dataset("pressure")
-
-    def fields(self, snapshot: int) -> tuple[Array, Array]:
-        """Return velocity (n, 2) [m/s] and pressure (n,) [Pa] of one snapshot."""
-        return np.asarray(self._velocities[snapshot]), np.asarray(self._pressures[snapshot])
 
 
 def bulk_velocity(case: Case, samples: Samples, probes: Probes) -> float | None:
@@ -84,27 +66,25 @@ def make(context: StageContext) -> Tables | None:
     Returns the tables, empty where there is nothing to compare; None where the artifact was made
     before but its tables are damaged.
     """
-    workspace = Workspace(context)
-    if not _anything_to_compare(context.case):
+    workspace, case = Workspace(context), context.case
+    if not (case.rom or case.scene.domain.has_walls or _exact_flows(case)):
         context.report.info(
             "nothing to compare: no reduced models, and no solution to compare with"
         )
         return Tables()
     _tell_unseen(workspace)
     target = workspace.comparison()
-    if workspace.must_make(target):
-        probes = probes_of(context.case)
+    is_new = workspace.must_make(target)
+    if is_new:
+        tables, probes = Tables(), probes_of(case)
         with workspace.create(target) as artifact:
-            results = [
-                _PointComparison(workspace, point, probes).compare()
-                for point in context.case.plan.points
-            ]
-            for result in results:
-                write_results(artifact, result, probes)
-            tables = Tables.of(workspace, results)
+            for point in case.plan.points:
+                writer = ComparisonWriter(artifact, point, probes)
+                _PointComparison(workspace, point, probes, writer, tables).compare()
+            tables.decay.extend(_decay(workspace, *pair) for pair in _exact_flows(case))
+            tables.singular_values.extend(spectrum_rows(workspace))
+            tables.stages.extend(stage_timings(workspace))
             tables.write(workspace)
-            if context.case.compare.plots:
-                draw_all(workspace, results, probes)
     else:
         try:
             tables, _ = Tables.read(workspace)
@@ -114,8 +94,25 @@ def make(context: StageContext) -> Tables | None:
                 f"{workspace.out / FILE} is missing or damaged; `{MADE_BY} --force` writes it again"
             )
             return None
-    show(context.report, tables, context.report.details)
+    if case.compare.plots:
+        draw_comparison(workspace, tables, again=is_new)
+    show(context.report, tables)
     return tables
+
+
+def _exact_flows(case: Case) -> list[tuple[ParameterPoint, ExactFlow]]:
+    """Return the exact solutions that full runs are compared with, and their points."""
+    flows = ((point, case.plan.flow(point).exact) for point in case.plan.points)
+    return [(point, flow) for point, flow in flows if flow is not None and case.compare.exact]
+
+
+def _decay(workspace: Workspace, point: ParameterPoint, flow: ExactFlow) -> DecayRow:
+    exact = flow.energy_decay_rate
+    with workspace.open(workspace.full_run(point)) as trajectory:
+        velocities, mass = trajectory.dataset("velocity"), trajectory.number("mass")
+        energies = [float(kinetic_energy(velocity, mass)) for velocity in velocities]
+        fitted = exponential_rate(trajectory.read("time"), np.array(energies))
+    return DecayRow(point.label, fitted, exact, fitted / exact)
 
 
 def _tell_unseen(workspace: Workspace) -> None:
@@ -135,156 +132,136 @@ def _tell_unseen(workspace: Workspace) -> None:
             )
 
 
-def _anything_to_compare(case: Case) -> bool:
-    """Whether there are reduced models, solutions to compare with, or walls."""
-    exact = case.compare.exact and case.scene.has_exact_solution
-    return bool(case.rom) or exact or case.scene.domain.has_walls
-
-
 class _PointComparison:
     """The comparisons at one parameter point, in the order in which tables show them."""
 
-    def __init__(self, workspace: Workspace, point: ParameterPoint, probes: Probes) -> None:
-        self.workspace = workspace
-        self.case = workspace.case
-        self.point = point
-        self.probes = probes
-        self.sample = sampler(self.case, probes.all)
-        self.describe_flow = self.case.scene.domain.has_walls
+    def __init__(
+        self,
+        workspace: Workspace,
+        point: ParameterPoint,
+        probes: Probes,
+        writer: ComparisonWriter,
+        tables: Tables,
+    ) -> None:
+        self.workspace, self.case, self.point = workspace, workspace.case, point
+        self.probes, self.writer, self.tables = probes, writer, tables
+        plan = self.case.plan
         self.models = [
             model
             for model in self.case.rom
-            if point in self.case.plan.rom_points(model) and self.case.plan.ends_with_case(model)
+            if point in plan.rom_points(model) and plan.ends_with_case(model)
         ]
         with workspace.open(workspace.full_run(point)) as trajectory:
             require_complete(trajectory)
-            self.full = self._sampled("the full run", trajectory)
-            self.middle = len(self.full.time) // 2
-            flow = self.case.plan.flow(point).exact if self.case.compare.exact else None
-            self.exact = None if flow is None else sample_exact(flow, probes, self.full.time)
-            self.found = PointResults(
-                point=point,
-                models=[model.name for model in self.models],
-                full=self._excerpt(self.full),
-                exact=None if self.exact is None else self._excerpt(self.exact),
-                ranges=Ranges(
-                    time=self.full.time,
-                    speed=instantaneous_range(self.full.speed),
-                    pressure=instantaneous_range(self.full.pressure),
-                ),
-            )
-            self.full_seconds = undisturbed_seconds(trajectory, self.case.plan.steps.n_steps)
-            self._compare_with_references(trajectory)
-            self._describe_flow("full", StoredRun(trajectory), self.full)
-            self.measured = FullMeasured.of(self.case, point, trajectory)
-            self.found.measured += self.measured.compared(FULL, self.measured.full)
+            run = StoredRun(workspace, trajectory, point)
+            self.full = self._sampled("the full run", run)
+            writer.full_run(self.full)
+            self.full_seconds = undisturbed_seconds(trajectory, plan.steps.n_steps)
+            for row, profile in compare_with_references(self.case, point, trajectory, probes):
+                tables.reference.append(row)
+                writer.profile(row, profile)
+            self._describe_flow(FULL, run, self.full)
+            self.measured = measured_of(self.case, trajectory)
+        flow = plan.flow(point).exact if self.case.compare.exact else None
+        self.exact = None if flow is None else sample_exact(flow, probes, self.full.time)
+        self.measures: list[MeasureRow] = []
 
-    def compare(self) -> PointResults:
-        """Return all comparisons at this point."""
+    def compare(self) -> None:
+        """Add all comparisons at this point to the artifact and the tables."""
+        self._measure(FULL, self.measured)
         if self.exact is not None:
-            self._add(self.full, "full", against="exact")
+            self._add(self.full, FULL, against="exact")
         if self.models:
             self._compare_limits()
         for model in self.models:
             self._compare_model(model)
-        return self.found
+        # Rows of one quantity adjoin.
+        order = list(dict.fromkeys((row.measured, row.quantity) for row in self.measures))
+        self.tables.measures.extend(
+            sorted(self.measures, key=lambda row: order.index((row.measured, row.quantity)))
+        )
 
     def _compare_limits(self) -> None:
         """Compare the mapped snapshots, and the best state in each basis."""
-        with self.workspace.open(self.workspace.mapped(self.point)) as mapped:
-            self._add(sample_mapped(self.case, mapped, self.sample), "map")
-            of_map = Measured.mapped(self.case, mapped)
-            self.found.measured += self.measured.compared("map", of_map)
-            used = {(self.case.plan.basis_for(m, self.point), self._size(m)) for m in self.models}
-            for name, size in sorted(used):
-                modes = read_modes(self.workspace, name, size)
-                best = sample_best(self.case, mapped, *modes, self.probes)
-                self._add(best, best_name(name, size), basis=name, n_modes=size)
-                self.found.measured += self.measured.best(self.workspace, mapped, name, size)
-
-    def _size(self, model: ReducedModelSection) -> int:
-        return sized(self.workspace, model, self.point).size
+        workspace, case = self.workspace, self.case
+        with workspace.open(workspace.mapped(self.point)) as mapped:
+            self._add(sample_mapped(case, mapped, sampler(case, self.probes.all)), "map")
+            self._measure("map", measured_of_map(case, mapped))
+            for name, size in bases_used(workspace, self.models, self.point):
+                best, modes = best_name(name, size), read_modes(workspace, name, size)
+                samples = sample_best(case, mapped, *modes, self.probes)
+                self._add(samples, best, basis=name, n_modes=size)
+                found = measured_of_best(workspace, self.point, mapped, name, size)
+                self._measure(best, found, name, size)
 
     def _compare_model(self, model: ReducedModelSection) -> None:
-        target = self.workspace.reduced_run(model, self.point)
-        basis, size = self.case.plan.basis_for(model, self.point), self._size(model)
-        with self.workspace.open(target) as trajectory:
+        workspace, case, point = self.workspace, self.case, self.point
+        target = workspace.reduced_run(model, point)
+        ((basis, size),) = bases_used(workspace, [model], point)
+        with workspace.open(target) as trajectory:
             status = trajectory.text("status")
-            if model.on_particles:
-                reduced = self._sampled(model.name, trajectory)
-                self._describe_flow(model.name, StoredRun(trajectory), reduced)
-            else:
-                reduced = self._expanded(model, trajectory)
-                fields = RebuiltRun.of(self.workspace, trajectory, model, self.point)
-                self._describe_flow(model.name, fields, reduced)
+            run = StoredRun(workspace, trajectory, point, model)
+            reduced = self._sampled(model.name, run)
+            self._describe_flow(model.name, run, reduced)
             if status == "complete":  # a run that stopped early has no estimates, and no speed-up
                 estimate = estimate_row(
                     trajectory,
                     reduced,
                     self.full,
                     self.probes,
-                    from_time=self.case.compare.from_time,
+                    from_time=case.compare.from_time,
                     compared=model.name,
-                    parameters=self.point.label,
-                    role=role_of(self.case, basis, self.point),
+                    parameters=point.label,
+                    role=role_of(case, basis, point),
                 )
                 if estimate is not None:
-                    self.found.estimates.append(estimate)
-                own = Measured.of(self.case, trajectory)
-                self.found.measured += self.measured.compared(model.name, own, basis, size)
-                self.found.timings.append(
-                    reduced_timing(self.case, model, self.point, trajectory, self.full_seconds)
+                    self.tables.estimates.append(estimate)
+                self._measure(model.name, measured_of(case, trajectory), basis, size)
+                self.tables.timings.append(
+                    reduced_timing(case, model, point, trajectory, self.full_seconds)
                 )
-        for against in ("full", "exact") if self.exact is not None else ("full",):
+        for against in (FULL, "exact") if self.exact is not None else (FULL,):
             self._add(reduced, model.name, against, basis, size, status)
 
-    def _sampled(self, name: str, trajectory: Artifact) -> Samples:
+    def _sampled(self, name: str, run: StoredRun) -> Samples:
         text = f"sample {name}, {self.point.label}"
-        total = len(trajectory.dataset("time"))
-        with self.workspace.context.report.details.progress(text, total) as advance:
-            return sample_run(self.case, trajectory, self.sample, advance)
+        with self.workspace.context.report.details.progress(text, len(run.time)) as advance:
+            return run.sampled(self.probes.all, advance=advance)
 
-    def _compare_with_references(self, trajectory: Artifact) -> None:
-        text = f"reference profiles, {self.point.label}"
-        if total := len(profiles_of(self.case, self.point)):
-            with self.workspace.context.report.details.progress(text, total) as advance:
-                self.found.references += compare_with_references(
-                    self.case, self.point, trajectory, self.probes, advance
-                )
-
-    def _expanded(self, model: ReducedModelSection, run: Artifact) -> Samples:
-        """Sample a run on the reference points by its modes' splines, unless it did so itself."""
-        run.require(probe=len(self.probes.all))
-        if (kept := read_probes(run)) is not None:
-            return kept
-        name = self.case.plan.basis_for(model, self.point)
-        basis, splines = read_modes(self.workspace, name, self._size(model))
-        run.require(mode=basis.n_modes)
-        times = run.read("time")
-        mean = np.full(len(times), run.number("mean_density_fluctuation"))
-        coordinates = run.read("generalized_coordinates")
-        return expand(self.case, basis, splines, self.probes, times, coordinates, mean)
-
-    def _describe_flow(self, name: str, run: FieldSeries, samples: Samples) -> None:
+    def _describe_flow(self, name: str, run: StoredRun, samples: Samples) -> None:
         """Describe the flow of a run in a scene with walls; one that failed at once has none."""
-        if self.describe_flow and len(samples.time):
+        if self.case.scene.domain.has_walls and len(samples.time):
             bulk = bulk_velocity(self.case, samples, self.probes)
-            self.found.flows.append(
-                flow_row(name, self.point.label, run, samples, self.probes, bulk)
-            )
+            row = flow_row(name, self.point.label, run, samples, self.probes, bulk)
+            self.tables.flow.append(row)
+
+    def _measure(
+        self, name: str, measured: Measured, basis: str | None = None, n_modes: int | None = None
+    ) -> None:
+        self.measures += measure_rows(
+            measured,
+            self.measured,
+            self.full.time >= self.case.compare.from_time,
+            compared=name,
+            parameters=self.point.label,
+            n_modes=n_modes,
+            role=self._role(basis),
+        )
+
+    def _role(self, basis: str | None) -> str:
+        return "" if basis is None else role_of(self.case, basis, self.point)
 
     def _add(
         self,
         samples: Samples,
         compared: str,
-        against: str = "full",
+        against: str = FULL,
         basis: str | None = None,
         n_modes: int | None = None,
         status: str = "complete",
     ) -> None:
         reference = self.exact if against == "exact" else self.full
-        if reference is None:
-            raise ValueError(f"there is no {against} solution to compare with")
+        assert reference is not None
         history = compare(
             samples,
             reference,
@@ -297,16 +274,16 @@ class _PointComparison:
                 "compare.line_points, compare.grid, compare.from_time: there is no snapshot in "
                 f"which the {against} solution varies over the probes"
             )
-        described = error_row(
+        row = error_row(
             history,
             compared=compared,
             against=against,
             parameters=self.point.label,
-            role=role_of(self.case, basis, self.point) if basis is not None else "",
+            role=self._role(basis),
             n_modes=n_modes,
             status=status,
         )
-        self.found.comparisons.append(Comparison(self._excerpt(samples), history, described))
-
-    def _excerpt(self, samples: Samples) -> Excerpt:
-        return Excerpt.of(samples, self.probes, self.middle)
+        self.tables.errors.append(row)
+        if against == FULL and (near := wall_row(row, history)) is not None:
+            self.tables.walls.append(near)
+        self.writer.run(row, history, samples)

@@ -7,20 +7,18 @@ over a window of time; the scatter of its snapshots stands beside the errors.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact
+from sphrom.artifacts.records.comparison import ReferenceProfile as Profile
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.metrics.samples import Probes, Samples, spread
+from sphrom.metrics.samples import Probes
 from sphrom.scenes.reference_profiles import ReferenceProfile
-from sphrom.setup.measured_fields import sampler
-from sphrom.store.sampling import ON_WALL, ROUNDING, sample_snapshot
+from sphrom.store.sampling import ON_WALL, ROUNDING, sample_run
 
 Array = NDArray[np.float64]
 
@@ -64,26 +62,6 @@ class ReferenceRow:
     source: str
 
 
-@dataclass(frozen=True)
-class ProfileComparison:
-    """A run's profile beside that of a reference, both dimensionless."""
-
-    row: ReferenceRow
-    reference: ReferenceProfile
-    coordinate: Array
-    """(n_points,) where they are compared: the reference's coordinates that are off the walls."""
-    reference_value: Array
-    """(n_points,)"""
-    value: Array
-    """(n_points,) of the run, its mean over the window."""
-    scatter: Array
-    """(n_points,) the standard deviation of the window's snapshots; 0 where there is one."""
-    line_coordinate: Array
-    """(n_line,) along the whole line."""
-    line_value: Array
-    """(n_line,) of the run, its mean over the window."""
-
-
 def window_of(case: Case, reference: ReferenceProfile, times: Array) -> range:
     """Return the snapshots whose mean is compared with a reference; none for one out of reach.
 
@@ -115,87 +93,6 @@ def time_scale(case: Case) -> float:
     return case.scene.length_scale / case.fluid.reference_speed
 
 
-class Line:
-    """The points of one reference's line, and a run's profile there."""
-
-    def __init__(
-        self, case: Case, reference: ReferenceProfile, probes: Probes, window: range
-    ) -> None:
-        self.case = case
-        self.reference = reference
-        self.window = window
-        domain, length = case.scene.domain, case.scene.length_scale
-        on_line = self._points(reference.coordinate * length)
-        inside = domain.wall_distance(on_line) > ON_WALL * case.plan.particle_spacing
-        # On the walls themselves a run has its boundary conditions, not a solution.
-        self.compared = inside & domain.contains(on_line)
-        along = self._whole_line(len(probes.line))
-        self.coordinate = along / length
-        datum = self._datum(probes)
-        self.n_compared, self.n_line = int(self.compared.sum()), len(along)
-        self.points = np.concatenate((on_line[self.compared], self._points(along), datum))
-
-    def profiles(self, samples: Samples) -> tuple[Array, Array]:
-        """Return samples at the reference's points and on the line (n_snapshots, n_points)."""
-        scaled = self._scaled(samples)
-        return scaled[:, : self.n_compared], scaled[:, self.n_compared :][:, : self.n_line]
-
-    def _scaled(self, samples: Samples) -> Array:
-        """Return the dimensionless quantity (n_snapshots, n_points)."""
-        speed = self.case.fluid.reference_speed
-        if self.reference.quantity != "p":
-            component = "uv".index(self.reference.quantity)
-            return samples.velocity[..., component] / speed
-        zero = samples.pressure[:, self.n_compared + self.n_line :].mean(axis=1, keepdims=True)
-        return (samples.pressure - zero) / (self.case.fluid.reference_density * speed**2)
-
-    def _points(self, along: Array) -> Array:
-        """Return points (n_points, 2) [m] at distances along the reference's line."""
-        across = np.full_like(along, self.reference.offset * self.case.scene.length_scale)
-        columns = (along, across) if self.reference.axis == "x" else (across, along)
-        return np.stack(columns, axis=1)
-
-    def _whole_line(self, n_points: int) -> Array:
-        domain = self.case.scene.domain
-        if self.reference.axis == "y":
-            across = self.reference.offset * self.case.scene.length_scale
-            return spread(domain.sections(across), n_points)
-        return spread([(domain.lower[0], domain.upper[0])], n_points)
-
-    def _datum(self, probes: Probes) -> Array:
-        """Return where the mean of the pressure is zero."""
-        if self.reference.quantity != "p":
-            return np.empty((0, 2))
-        if self.reference.datum == "mean":
-            return probes.grid
-        domain = self.case.scene.domain
-        return 0.5 * np.add(domain.lower, domain.upper)[None]
-
-
-class Snapshots:
-    """A run's snapshots at the points of several lines, each sampled once."""
-
-    def __init__(self, case: Case, trajectory: Artifact, lines: Sequence[Line]) -> None:
-        self._case, self._trajectory = case, trajectory
-        ends = np.cumsum([0, *(len(line.points) for line in lines)])
-        self._where = {
-            id(line): slice(*pair) for line, pair in zip(lines, pairwise(ends), strict=True)
-        }
-        self._sample = sampler(case, np.concatenate([line.points for line in lines]))
-        self._sampled: dict[int, tuple[Array, Array]] = {}
-
-    def of(self, line: Line, snapshots: range) -> tuple[Array, Array]:
-        """Return a line's profiles at snapshots, as `Line.profiles` does."""
-        for i in snapshots:
-            if i not in self._sampled:
-                self._sampled[i] = sample_snapshot(self._case, self._trajectory, self._sample, i)
-        where = self._where[id(line)]
-        velocities = [self._sampled[i][0][where] for i in snapshots]
-        pressures = [self._sampled[i][1][where] for i in snapshots]
-        times = np.array(snapshots, dtype=float)
-        return line.profiles(Samples(times, np.array(velocities), np.array(pressures)))
-
-
 def profiles_of(case: Case, point: ParameterPoint) -> tuple[ReferenceProfile, ...]:
     """Return the known profiles of the flow at a parameter point: with the scene's own drive."""
     if any(value != case.plan.own_values[name] for name, value in point.others):
@@ -203,110 +100,121 @@ def profiles_of(case: Case, point: ParameterPoint) -> tuple[ReferenceProfile, ..
     return case.scene.reference_profiles(point.reynolds, case.fluid.reference_speed)
 
 
+@dataclass(frozen=True)
+class _Line:
+    """A reference, where a run is compared with it, and the snapshots whose mean is."""
+
+    reference: ReferenceProfile
+    compared: NDArray[np.bool_]
+    """(n_points,) which of the reference's points are off the walls."""
+    points: Array
+    """(n_compared + n_datum, 2) [m] where they are; then where the mean of the pressure is zero."""
+    window: range
+    before: range
+    """As many snapshots a tenth of the run before, of a flow that should be steady; else none."""
+
+    @classmethod
+    def of(
+        cls, case: Case, reference: ReferenceProfile, probes: Probes, times: Array
+    ) -> _Line | None:
+        """Return the line of a reference, None for an instant that the run does not have."""
+        window, before = window_of(case, reference, times), range(0)
+        if not window:
+            return None
+        if reference.time is None and not reference.averaged:
+            earlier = times[-1] - SETTLING_SHARE * (times[-1] - times[0])
+            last = min(int(np.searchsorted(times, earlier)), len(times) - 2)
+            before = range(max(0, last + 1 - len(window)), max(0, last) + 1)
+        domain, length = case.scene.domain, case.scene.length_scale
+        across = np.full_like(reference.coordinate, reference.offset)
+        columns = (reference.coordinate, across)
+        points = length * np.stack(columns if reference.axis == "x" else columns[::-1], axis=1)
+        # On the walls themselves a run has its boundary conditions, not a solution.
+        off_walls = domain.wall_distance(points) > ON_WALL * case.plan.particle_spacing
+        compared = off_walls & domain.contains(points)
+        datum = np.empty((0, 2))
+        if reference.quantity == "p":
+            centre = 0.5 * np.add(domain.lower, domain.upper)[None]
+            datum = probes.grid if reference.datum == "mean" else centre
+        points = np.concatenate((points[compared], datum))
+        return cls(reference, compared, points, window, before)
+
+    def values(self, case: Case, velocity: Array, pressure: Array) -> Array:
+        """Return the dimensionless profiles (n_snapshots, n_compared) of fields at the points."""
+        speed, number = case.fluid.reference_speed, int(self.compared.sum())
+        if self.reference.quantity != "p":
+            return velocity[..., "uv".index(self.reference.quantity)] / speed
+        zero = pressure[:, number:].mean(axis=1, keepdims=True)
+        return (pressure[:, :number] - zero) / (case.fluid.reference_density * speed**2)
+
+
 def compare_with_references(
-    case: Case,
-    point: ParameterPoint,
-    trajectory: Artifact,
-    probes: Probes,
-    advance: Callable[[int], None],
-) -> list[ProfileComparison]:
+    case: Case, point: ParameterPoint, trajectory: Artifact, probes: Probes
+) -> list[tuple[ReferenceRow, Profile]]:
     """Compare a full run with every profile that is known of its flow.
 
-    A profile of an instant that the run did not reach or record is left out.
+    A profile of an instant that the run did not reach or record is left out. All steady profiles
+    are marked as unsettled, if a velocity shows that the flow still changed: pressure has noise
+    that never settles.
     """
     times = trajectory.read("time")
-    known = profiles_of(case, point)
-    windows = [window_of(case, reference, times) for reference in known]
-    lines = [
-        Line(case, reference, probes, chosen)
-        for reference, chosen in zip(known, windows, strict=True)
-        if len(chosen)
-    ]
-    advance(len(known) - len(lines))
+    each = (_Line.of(case, reference, probes, times) for reference in profiles_of(case, point))
+    lines = [line for line in each if line is not None]
     if not lines:
         return []
-    snapshots = Snapshots(case, trajectory, lines)
-    comparisons = []
+    chosen = sorted({i for line in lines for i in (*line.window, *line.before)})
+    samples = sample_run(
+        case, trajectory, np.concatenate([line.points for line in lines]), snapshots=chosen
+    )
+    found, changes, first = [], [0.0], 0
     for line in lines:
-        comparisons.append(_comparison(case, point, line, times, snapshots))
-        advance(1)
-    return _judged(comparisons)
-
-
-def _judged(comparisons: list[ProfileComparison]) -> list[ProfileComparison]:
-    """Mark all steady profiles as unsettled, if a velocity shows that the flow still changed.
-
-    Pressure has noise that never settles.
-    """
-    changes = [
-        c.row.last_change
-        for c in comparisons
-        if c.row.last_change is not None and c.reference.quantity != "p"
-    ]
-    if max(changes, default=0.0) <= SETTLED:
-        return comparisons
-    return [
-        c if c.row.last_change is None else replace(c, row=replace(c.row, settled=False))
-        for c in comparisons
-    ]
+        where = slice(first, first + len(line.points))
+        first = where.stop
+        values = line.values(case, samples.velocity[:, where], samples.pressure[:, where])
+        now, then = (values[np.isin(chosen, part)] for part in (line.window, line.before))
+        row, profile = _comparison(case, point, line, times, now, then)
+        found.append((row, profile))
+        if row.last_change is not None and line.reference.quantity != "p":
+            changes.append(row.last_change)
+    if max(changes) <= SETTLED:
+        return found
+    return [(replace(row, settled=row.last_change is None), profile) for row, profile in found]
 
 
 def _comparison(
-    case: Case, point: ParameterPoint, line: Line, times: Array, snapshots: Snapshots
-) -> ProfileComparison:
-    reference, chosen = line.reference, line.window
-    values, line_values = snapshots.of(line, chosen)
-    value, scatter = values.mean(axis=0), values.std(axis=0)
+    case: Case, point: ParameterPoint, line: _Line, times: Array, now: Array, then: Array
+) -> tuple[ReferenceRow, Profile]:
+    """Compare the profiles of the window (n_snapshots, n_compared), and of the one before."""
+    reference, several = line.reference, len(now) > 1
+    value, scatter = now.mean(axis=0), now.std(axis=0)
     expected = reference.value[line.compared]
     error = value - expected
-    steady = reference.time is None and not reference.averaged
-    transient = None if reference.time is None else reference.time * time_scale(case)
+    state, transient = "time average" if reference.averaged else "steady", None
+    if reference.time is not None:
+        state, transient = "transient", reference.time * time_scale(case)
     row = ReferenceRow(
         parameters=point.label,
         profile=reference.name,
-        state=_state(reference),
-        from_time=float(times[chosen[0]]),
-        time=float(times[chosen[-1]]),
-        n_snapshots=len(chosen),
+        state=state,
+        from_time=float(times[line.window[0]]),
+        time=float(times[line.window[-1]]),
+        n_snapshots=len(now),
         reference_time=transient,
         largest_error=float(np.abs(error).max()),
-        largest_scatter=float(scatter.max()) if len(chosen) > 1 else None,
+        largest_scatter=float(scatter.max()) if several else None,
         rms_error=_rms(error),
-        rms_scatter=_rms(scatter) if len(chosen) > 1 else None,
-        last_change=_last_change(line, times, snapshots) if steady else None,
+        rms_scatter=_rms(scatter) if several else None,
+        last_change=float(np.abs(value - then.mean(axis=0)).max()) if len(then) else None,
         settled=True,
         source=reference.source,
     )
-    return ProfileComparison(
-        row=row,
-        reference=reference,
+    return row, Profile(
         coordinate=reference.coordinate[line.compared],
         reference_value=expected,
         value=value,
         scatter=scatter,
-        line_coordinate=line.coordinate,
-        line_value=line_values.mean(axis=0),
     )
-
-
-def _last_change(line: Line, times: Array, snapshots: Snapshots) -> float:
-    """Return how much the mean over a window changed, at most, since one a tenth of a run before.
-
-    A window that reaches beyond the start is cut there.
-    """
-    earlier = times[-1] - SETTLING_SHARE * (times[-1] - times[0])
-    last = min(int(np.searchsorted(times, earlier)), len(times) - 2)
-    before = range(max(0, last + 1 - len(line.window)), max(0, last) + 1)
-    now, then = (snapshots.of(line, window)[0].mean(axis=0) for window in (line.window, before))
-    change = now - then
-    return float(np.abs(change).max())
 
 
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-def _state(reference: ReferenceProfile) -> str:
-    if reference.averaged:
-        return "time average"
-    return "steady" if reference.time is None else "transient"

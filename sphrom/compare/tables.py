@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
-import numpy as np
-
-from sphrom.case.points import ParameterPoint
-from sphrom.compare.costs import RunTiming, StageTiming, stage_timings
-from sphrom.compare.default_figures import spectra
-from sphrom.compare.measured import ForceRow, MeasureRow
+from sphrom.compare.costs import RunTiming, StageTiming
+from sphrom.compare.measured import MeasureRow
 from sphrom.compare.references import ReferenceRow
-from sphrom.compare.results import PointResults
-from sphrom.compare.rows import ErrorRow, EstimateRow, WallRow, wall_row
-from sphrom.metrics.discrepancy import cumulative_singular_value_share, energy
-from sphrom.metrics.series import FlowRow, exponential_rate, kinetic_energy
+from sphrom.compare.rows import ErrorRow, EstimateRow, WallRow
+from sphrom.metrics.series import FlowRow
 from sphrom.plots.tables import about, read_json, write_csv, write_json
-from sphrom.scenes.scene import ExactFlow
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:
@@ -57,34 +50,16 @@ class DecayRow:
 class Tables:
     """The rows of each table: each is `tables/NAME.csv`, and all are in `compare.json`."""
 
-    errors: Sequence[ErrorRow] = ()
-    walls: Sequence[WallRow] = ()
-    reference: Sequence[ReferenceRow] = ()
-    flow: Sequence[FlowRow] = ()
-    estimates: Sequence[EstimateRow] = ()
-    forces: Sequence[ForceRow] = ()
-    measures: Sequence[MeasureRow] = ()
-    timings: Sequence[RunTiming] = ()
-    decay: Sequence[DecayRow] = ()
-    singular_values: Sequence[SpectrumRow] = ()
-    stages: Sequence[StageTiming] = ()
-
-    @classmethod
-    def of(cls, workspace: Workspace, results: Sequence[PointResults]) -> Tables:
-        """Return the rows of all results."""
-        return cls(
-            errors=[c.row for result in results for c in result.comparisons],
-            walls=_wall_rows(results),
-            reference=[compared.row for result in results for compared in result.references],
-            flow=[flow for result in results for flow in result.flows],
-            estimates=[estimate for result in results for estimate in result.estimates],
-            forces=[row for result in results for row in result.force_rows()],
-            measures=[row for result in results for row in result.measure_rows()],
-            timings=[timing for result in results for timing in result.timings],
-            decay=_decays(workspace),
-            singular_values=_spectra(workspace),
-            stages=stage_timings(workspace),
-        )
+    errors: list[ErrorRow] = field(default_factory=list)
+    walls: list[WallRow] = field(default_factory=list)
+    reference: list[ReferenceRow] = field(default_factory=list)
+    flow: list[FlowRow] = field(default_factory=list)
+    estimates: list[EstimateRow] = field(default_factory=list)
+    measures: list[MeasureRow] = field(default_factory=list)
+    timings: list[RunTiming] = field(default_factory=list)
+    decay: list[DecayRow] = field(default_factory=list)
+    singular_values: list[SpectrumRow] = field(default_factory=list)
+    stages: list[StageTiming] = field(default_factory=list)
 
     @classmethod
     def read(cls, workspace: Workspace) -> tuple[Tables, Mapping[str, Any]]:
@@ -108,38 +83,3 @@ RECORDS: Mapping[str, type[DataclassInstance]] = {
     name: get_args(rows)[0] for name, rows in get_type_hints(Tables).items()
 }
 """The record of the rows of each table."""
-
-
-def _wall_rows(results: Sequence[PointResults]) -> list[WallRow]:
-    """Return the errors near walls of the map, the bases and the reduced models."""
-    compared = [c for result in results for c in result.comparisons if c.row.against == "full"]
-    rows = (wall_row(c.row, c.history) for c in compared)
-    return [row for row in rows if row is not None]
-
-
-def _decays(workspace: Workspace) -> list[DecayRow]:
-    if not workspace.case.compare.exact:
-        return []
-    flows = ((point, workspace.case.plan.flow(point).exact) for point in workspace.case.plan.points)
-    return [_decay(workspace, point, flow) for point, flow in flows if flow is not None]
-
-
-def _decay(workspace: Workspace, point: ParameterPoint, flow: ExactFlow) -> DecayRow:
-    exact = flow.energy_decay_rate
-    with workspace.open(workspace.full_run(point)) as trajectory:
-        velocities, mass = trajectory.dataset("velocity"), trajectory.number("mass")
-        energies = [float(kinetic_energy(velocity, mass)) for velocity in velocities]
-        fitted = exponential_rate(trajectory.read("time"), np.array(energies))
-    return DecayRow(point.label, fitted, exact, fitted / exact)
-
-
-def _spectra(workspace: Workspace) -> list[SpectrumRow]:
-    if not workspace.case.rom:
-        return []
-    return [
-        SpectrumRow(space, basis, part, m, float(values[m - 1]), float(share), float(content))
-        for space, basis, part, values in spectra(workspace)
-        for m, (share, content) in enumerate(
-            zip(cumulative_singular_value_share(values), energy(values), strict=True), start=1
-        )
-    ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.trial_basis import TrialBasis, mean_density_fluctuation, project
 from sphrom.scenes.scene import ExactFlow
+from sphrom.setup.particles import sampler
 from sphrom.sph import state_equation
 from sphrom.sph.domain import Domain
 from sphrom.store.trajectory import snapshot_fields
@@ -64,32 +65,31 @@ def _grid_shape(domain: Domain, n_points: int) -> tuple[int, int]:
 
 
 def sample_run(
-    case: Case, trajectory: Artifact, sample: ReferenceMap, advance: Callable[[int], None]
+    case: Case,
+    trajectory: Artifact,
+    points: Array,
+    advance: Callable[[int], None] = lambda done: None,
+    snapshots: Sequence[int] | None = None,
 ) -> Samples:
-    """Sample a trajectory, full or reduced; one that became unstable as far as that can be done."""
-    times = trajectory.read("time")
-    velocities = np.empty((len(times), sample.n_points, 2))
-    pressures = np.empty((len(times), sample.n_points))
-    for snapshot in range(len(times)):
+    """Sample the particles of a run at points (n_points, 2) [m], at some or all snapshots.
+
+    A run that became unstable is sampled as far as particles are left near all points.
+    """
+    times, sample = trajectory.read("time"), sampler(case, points)
+    chosen = range(len(times)) if snapshots is None else snapshots
+    velocities = np.empty((len(chosen), len(points), 2))
+    pressures = np.empty((len(chosen), len(points)))
+    for i, snapshot in enumerate(chosen):
         try:
-            velocities[snapshot], pressures[snapshot] = sample_snapshot(
-                case, trajectory, sample, snapshot
-            )
+            density, velocities[i] = sample(*snapshot_fields(trajectory, snapshot))
         except ValueError:
             if trajectory.text("status") == "complete":
                 with trajectory.refused_where_it_does_not_fit():
                     raise
-            return Samples(times[:snapshot], velocities[:snapshot], pressures[:snapshot])
+            return Samples(times[chosen[:i]], velocities[:i], pressures[:i])
+        pressures[i] = state_equation.pressure(density, case.plan.sound_speed)
         advance(1)
-    return Samples(times, velocities, pressures)
-
-
-def sample_snapshot(
-    case: Case, trajectory: Artifact, sample: ReferenceMap, snapshot: int
-) -> tuple[Array, Array]:
-    """Return velocity (n_points, 2) [m/s] and pressure (n_points,) [Pa] of one snapshot."""
-    density, velocity = sample(*snapshot_fields(trajectory, snapshot))
-    return velocity, state_equation.pressure(density, case.plan.sound_speed)
+    return Samples(times[chosen], velocities, pressures)
 
 
 def sample_exact(flow: ExactFlow, probes: Probes, times: Array) -> Samples:
@@ -123,23 +123,23 @@ def sample_best(
         coordinates.append(project(basis, densities[snapshot], velocities[snapshot]))
         means.append(mean_density_fluctuation(basis, densities[snapshot]))
     times = mapped.read("time")
-    return expand(case, basis, splines, probes, times, np.array(coordinates), np.array(means))
+    return expand(case, basis, splines, probes.all, times, np.array(coordinates), np.array(means))
 
 
 def expand(
     case: Case,
     basis: TrialBasis,
     splines: ModeSplines,
-    probes: Probes,
+    points: Array,
     times: Array,
     coordinates: Array,
     mean_density: Array,
 ) -> Samples:
-    """Sample the states of coordinates (n_snapshots, n_modes) by the modes' splines.
+    """Sample the states of coordinates (n_snapshots, n_modes) at points by the modes' splines.
 
     `mean_density` (n_snapshots,) [kg/m3] is what the basis has carried apart, else zero.
     """
-    values = splines.values(probes.all).reshape(len(probes.all), -1, 3)
+    values = splines.values(points).reshape(len(points), -1, 3)
     fields = np.einsum("pmf,sm->spf", values, coordinates, optimize=True)
     density = basis.inner_product.density_fluctuation(fields[..., 0]) + mean_density[:, None]
     return Samples(times, fields[..., 1:], state_equation.pressure(density, case.plan.sound_speed))

@@ -32,7 +32,6 @@ from sphrom.online import rom
 from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.online.sensitivities import tangents
 from sphrom.reduction.trial_basis import KineticEnergy, SpeedBounds
-from sphrom.setup.measured_fields import sampler
 from sphrom.store.checkpoints import remove_checkpoints
 from sphrom.store.measured_quantities import measured_of
 from sphrom.store.sampling import sample_run
@@ -143,8 +142,7 @@ class SweptModel:
             if self._model is not None:
                 values["generalized_coordinates"] = trajectory.read("generalized_coordinates")
             if len(self._probes.all):
-                sample = sampler(case, self._probes.all)
-                values |= _at_probes(sample_run(case, trajectory, sample, lambda done: None))
+                values |= _at_probes(sample_run(case, trajectory, self._probes.all))
             values |= _kept(measured_of(case, trajectory))
         remove_checkpoints(self.workspace, target)
         return RunRecord(point, COMPLETE, values=values)
@@ -218,7 +216,7 @@ def _derivatives(run: FastRun) -> dict[str, float]:
     return {
         f"{column}_by_{parameter}": float(value)
         for column, values in columns.items()
-        for parameter, value in zip(found.names, values, strict=True)
+        for parameter, value in zip(found.parameters, values, strict=True)
     }
 
 

@@ -24,7 +24,6 @@ from sphrom.metrics.samples import Probes, Samples
 from sphrom.offline import fom, operators
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
-from sphrom.setup.measured_fields import sampler
 from sphrom.sph.time_loop import Clock, TimeSteps, march
 from sphrom.store.measured_quantities import read_quantities
 from sphrom.store.sampling import sample_run
@@ -249,7 +248,7 @@ def seconds_of_run(workspace: Workspace, point: ParameterPoint, repeats: int) ->
     state = fom.start(workspace, point).state
     n_steps = min(N_TIMED_STEPS, plan.n_steps)
     steps = TimeSteps(plan.time_step, n_steps, n_steps, plan.start_time, check_every=n_steps)
-    model, density = fom.FullModel(particles.functional(case, point)), case.fluid.reference_density
+    model, density = particles.functional(case, point), case.fluid.reference_density
     each = []
     for _ in range(repeats):
         clock = Clock()
@@ -268,7 +267,7 @@ def sampled(
         workspace.open(workspace.full_run(point)) as trajectory,
         report.progress(text, len(trajectory.dataset("time"))) as advance,
     ):
-        found = sample_run(case, trajectory, sampler(case, probes.all), advance)
+        found = sample_run(case, trajectory, probes.all, advance)
         if measured is None:
             return found
         return replace(found, measured=read_quantities(trajectory, measured))

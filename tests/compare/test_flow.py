@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from sphrom.compare.compare import StoredRun, bulk_velocity
+from sphrom.case.points import ParameterPoint
+from sphrom.compare.compare import bulk_velocity
 from sphrom.metrics.series import flow_row
-from sphrom.setup.measured_fields import sampler
+from sphrom.online.stored_run import StoredRun
 from sphrom.store.sampling import probes_of, sample_run
 
 
 def _row(case, trajectory):
     probes = probes_of(case)
-    samples = sample_run(case, trajectory, sampler(case, probes.all), lambda _: None)
+    samples = sample_run(case, trajectory, probes.all)
+    run = StoredRun(SimpleNamespace(case=case), trajectory, ParameterPoint(1.0))
     bulk = bulk_velocity(case, samples, probes)
-    return flow_row("full", "reynolds=1", StoredRun(trajectory), samples, probes, bulk)
+    return flow_row("full", "reynolds=1", run, samples, probes, bulk)
 
 
 def test_open_cavity_with_a_wave(case_of, made_up):

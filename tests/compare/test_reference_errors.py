@@ -40,11 +40,8 @@ def _flow(profiles, pressure_offset=0.0, error=0.0):
 
 
 def _compared(case, trajectory, point=RE100):
-    done = []
-    probes = probes_of(case)
-    result = compare_with_references(case, point, trajectory, probes, done.append)
-    assert sum(done) == len(profiles_of(case, point))
-    return {(c.row.profile, c.row.state, c.row.reference_time): c for c in result}
+    found = compare_with_references(case, point, trajectory, probes_of(case))
+    return {(row.profile, row.state, row.reference_time): (row, profile) for row, profile in found}
 
 
 def test_a_run_that_has_the_reference_profiles(case_of, made_up):
@@ -53,7 +50,7 @@ def test_a_run_that_has_the_reference_profiles(case_of, made_up):
     run = made_up(case, _flow(_lines(None), pressure_offset=70.0), np.array([0.0, 9.0, 10.0]))
     compared = _compared(case, run)
     for name in ("u along y", "v along x", "p along y"):
-        row = compared[name, "steady", None].row
+        row = compared[name, "steady", None][0]
         # Interpolated from particles 1/40 apart; u is steep at the lid.
         assert row.largest_error < 0.015
         assert row.rms_error < 0.003
@@ -71,21 +68,9 @@ def test_the_change_is_that_over_the_last_tenth_of_the_run(case_of, made_up):
         return velocity + np.array([0.004 * SPEED * time, 0.0]), pressure
 
     compared = _compared(case, made_up(case, flow, np.linspace(0.0, 20.0, 21)))
-    row = compared["u along y", "steady", None].row
+    row = compared["u along y", "steady", None][0]
     assert (row.from_time, row.n_snapshots) == (18.0, 3)
     assert row.last_change == pytest.approx(0.008, rel=1e-3)
-
-
-def test_a_profile_is_known_along_the_whole_line(case_of, made_up):
-    case = case_of("lid-driven-cavity", **SCALED)
-    found = _compared(case, made_up(case, _flow(_lines(None)), np.array([0.0, 10.0])))
-    profile = found["u along y", "steady", None]
-    known = profile.reference
-    expected = np.interp(profile.line_coordinate, known.coordinate, known.value)
-    assert profile.line_coordinate[0] == pytest.approx(1.0 - profile.line_coordinate[-1])
-    assert profile.line_coordinate[0] < 0.01
-    within = (profile.line_coordinate > 0.05) & (profile.line_coordinate < 0.9)
-    assert profile.line_value[within] == pytest.approx(expected[within], abs=0.01)
 
 
 def test_profiles_are_taken_on_the_reference_s_own_line(case_of, made_up):
@@ -99,25 +84,23 @@ def test_profiles_are_taken_on_the_reference_s_own_line(case_of, made_up):
 
     compared = _compared(case, made_up(case, flow, np.array([0.0, 10.0])))
     for name in ("u along y", "v along x"):
-        assert compared[name, "steady", None].row.rms_error < 0.006
+        assert compared[name, "steady", None][0].rms_error < 0.006
 
 
 def test_an_error_is_seen_in_units_of_the_speed(case_of, made_up):
     case = case_of("lid-driven-cavity", **SCALED)
     run = made_up(case, _flow(_lines(None), error=0.1), np.array([0.0, 10.0]))
     compared = _compared(case, run)
-    assert compared["u along y", "steady", None].row.largest_error == pytest.approx(0.1, abs=0.015)
-    assert compared["u along y", "steady", None].row.rms_error == pytest.approx(0.1, abs=0.003)
-    assert compared["v along x", "steady", None].row.largest_error < 0.015
+    assert compared["u along y", "steady", None][0].largest_error == pytest.approx(0.1, abs=0.015)
+    assert compared["u along y", "steady", None][0].rms_error == pytest.approx(0.1, abs=0.003)
+    assert compared["v along x", "steady", None][0].largest_error < 0.015
 
 
 def test_points_on_the_walls_are_not_compared(case_of, made_up):
     case = case_of("lid-driven-cavity", **SCALED)
     run = made_up(case, _flow(_lines(None)), np.array([0.0, 10.0]))
-    for compared in _compared(case, run).values():
-        assert 0.0 < compared.coordinate[0] < compared.coordinate[-1] < 1.0
-        assert len(compared.coordinate) == len(compared.reference.coordinate) - 2
-        assert compared.line_coordinate[[0, -1]] == pytest.approx([0.5 / 101, 1 - 0.5 / 101])
+    for _, profile in _compared(case, run).values():
+        assert 0.0 < profile.coordinate[0] < profile.coordinate[-1] < 1.0
 
 
 def _noisy(profiles, amplitude, time_scale):
@@ -139,7 +122,7 @@ def test_noise_of_an_instant_is_no_error(case_of, made_up, n_snapshots):
     times = np.linspace(0.0, 10.0, n_snapshots)
     compared = _compared(case, made_up(case, flow, times))
     for name in ("u along y", "v along x"):
-        row = compared[name, "steady", None].row
+        row = compared[name, "steady", None][0]
         assert row.largest_error < 0.03
         assert (row.from_time, row.time) == (9.0, 10.0)
         assert row.n_snapshots == n_snapshots // 10 + 1
@@ -154,20 +137,20 @@ def test_a_window_about_an_instant_is_short_and_symmetric(case_of, made_up):
     flow = _flow(_lines(1.0))
     row = _compared(case, made_up(case, flow, np.linspace(0.0, 0.5, 101)))[
         "u along y", "transient", 0.25
-    ].row
+    ][0]
     assert (row.from_time, row.time, row.n_snapshots) == pytest.approx((0.225, 0.275, 11))
     ending = _compared(case, made_up(case, flow, np.linspace(0.0, 0.26, 53)))
-    row = ending["u along y", "transient", 0.25].row
+    row = ending["u along y", "transient", 0.25][0]
     assert (row.from_time, row.time, row.n_snapshots) == pytest.approx((0.24, 0.26, 5))
     last = _compared(case, made_up(case, flow, np.linspace(0.0, 0.25, 51)))
-    row = last["u along y", "transient", 0.25].row
+    row = last["u along y", "transient", 0.25][0]
     assert (row.from_time, row.time, row.n_snapshots) == (0.25, 0.25, 1)
 
 
 def test_noise_does_not_look_like_a_flow_that_changes(case_of, made_up):
     case = case_of("lid-driven-cavity", **SCALED)
     run = made_up(case, _noisy(_lines(None), 0.1, 0.35), np.linspace(0.0, 10.0, 201))
-    row = _compared(case, run)["u along y", "steady", None].row
+    row = _compared(case, run)["u along y", "steady", None][0]
     assert row.last_change < 0.01
     assert row.settled
 
@@ -178,7 +161,7 @@ def test_instants_of_the_start(case_of, made_up):
     times = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
     compared = _compared(case, made_up(case, _flow(_lines(1.0)), times))
     assert {key[1:] for key in compared} == {("steady", None), ("transient", 0.25)}
-    row = compared["u along y", "transient", 0.25].row
+    row = compared["u along y", "transient", 0.25][0]
     assert row.time in (0.2, 0.3)
     assert row.largest_error < 0.015
     assert row.last_change is None
@@ -192,7 +175,7 @@ def test_pressure_of_the_start_has_no_mean(case_of, made_up):
     case = case_of("lid-driven-cavity", **SCALED)
     start = _lines(5.0)
     run = made_up(case, _flow(start, pressure_offset=-40.0), np.array([0.0, 1.25]))
-    compared = _compared(case, run)["p along y", "transient", 1.25]
+    _, compared = _compared(case, run)["p along y", "transient", 1.25]
     middles = (np.arange(50) + 0.5) / 50
     mean = np.interp(middles, start["p"].coordinate, start["p"].value).mean()
     np.testing.assert_allclose(compared.value, compared.reference_value - mean, atol=2e-3)
@@ -206,13 +189,13 @@ def test_a_steady_flow_that_still_changes_says_so(case_of, made_up):
         return velocity + SPEED * 0.02 * time, pressure
 
     compared = _compared(case, made_up(case, flow, np.linspace(0.0, 10.0, 11)))
-    row = compared["u along y", "steady", None].row
+    row = compared["u along y", "steady", None][0]
     # Between means over the last two snapshots, and over two a tenth of the run before.
     assert row.last_change == pytest.approx(0.02)
     # The pressure does not change, but no part of such a flow is steady.
-    assert compared["p along y", "steady", None].row.last_change < 1e-9
-    for (_, state, _), c in compared.items():
-        assert c.row.settled == (state != "steady")
+    assert compared["p along y", "steady", None][0].last_change < 1e-9
+    for row, _ in compared.values():
+        assert row.settled == (row.state != "steady")
 
 
 def test_mean_of_the_open_cavity_is_over_all_snapshots(case_of, made_up):
@@ -226,11 +209,11 @@ def test_mean_of_the_open_cavity_is_over_all_snapshots(case_of, made_up):
 
     times = 5.0 + np.arange(10) / 50.0
     point = ParameterPoint(2400.0)
-    (compared,) = _compared(case, made_up(case, flow, times), point).values()
-    assert compared.row.state == "time average"
-    assert (compared.row.from_time, compared.row.time) == (5.0, 5.18)
-    assert len(compared.coordinate) == len(reference.coordinate)
-    assert compared.row.largest_error < 0.05
+    ((row, profile),) = _compared(case, made_up(case, flow, times), point).values()
+    assert row.state == "time average"
+    assert (row.from_time, row.time) == (5.0, 5.18)
+    assert len(profile.coordinate) == len(reference.coordinate)
+    assert row.largest_error < 0.05
 
 
 def test_of_a_lid_with_a_ramp_the_steady_flow_alone_is_known(case_of):
@@ -249,7 +232,6 @@ def test_of_a_lid_with_a_ramp_the_steady_flow_alone_is_known(case_of):
         ("lid-driven-cavity", {}, 75.0),
         ("open-cavity", {}, 1200.0),
         ("open-cavity", {"fluid": {"reference_speed": 1.0}}, 2400.0),
-        ("open-cavity", {"scene": {"channel_height": 0.2}}, 2400.0),
         ("open-cavity", {"scene": {"body_force": {"sustained_share": 0.001}}}, 2400.0),
     ],
 )

@@ -20,7 +20,7 @@ from sphrom.compare.measured import MeasureRow
 from sphrom.online.basis_model import forces_of
 from sphrom.plots.tables import read_csv
 from sphrom.setup import particles
-from sphrom.setup.measured_fields import MeasuredFields
+from sphrom.setup.particles import MeasuredFields
 from sphrom.sph import time_loop
 from sphrom.store.measured_quantities import read_forces, read_quantities
 from sphrom.store.trained_operators import read_wall_force
@@ -237,7 +237,7 @@ def test_reduced_measurements_follow_the_full_run_s(opened) -> None:
 def test_tables_show_what_is_measured(made: Path) -> None:
     headings, rows = read_csv(made / "runs" / "tables" / "measures.csv", "", MeasureRow)
     found = [dict(zip(headings, row, strict=True)) for row in rows]
-    assert {row["measured"] for row in found} == {"flux", "gap", "under", "wake", "profile"}
+    assert {row["measured"] for row in found} == set(CASE["scene"]["measure"])
     runs = {row["compared"] for row in found if row["parameters"] == "reynolds=20"}
     assert runs == {"full", "map", "best possible, all M=4", "fast", "faithful"}
     error = {
@@ -255,7 +255,7 @@ def test_figures_and_a_report_show_what_is_measured(made: Path, sphrom) -> None:
     for command in (("compare", "--force"), ("report",)):
         result = sphrom(*command[:1], *place, *command[1:], "--threads", 1)
         assert result.exit_code == 0, result.output
-    assert "Measured in the fluid" in (made / "runs" / "report.html").read_text()
+    assert "Measured over time" in (made / "runs" / "report.html").read_text()
     plots = {path.name for path in (made / "runs" / "plots").iterdir()}
     for name in ("force-drag", "measure-flux", "measure-wake", "measure-profile"):
         assert f"{name}-{RATE}.png" in plots

@@ -20,7 +20,7 @@ from sphrom.artifacts import open_artifact
 from sphrom.case.points import ParameterPoint
 from sphrom.console import SilentReporter
 from sphrom.plots.tables import format_figure
-from sphrom.sph.functional import FullModel
+from sphrom.sph.functional import Functional
 from sphrom.sweep import sweep as stage
 from sphrom.sweep.runs import SweptModel, make_runs
 from sphrom.sweep.workers import Task, Workers
@@ -287,7 +287,7 @@ def test_a_sweep_never_writes_over_runs_of_the_case(sphrom, ready):
 
 
 def test_a_full_run_goes_on_from_its_checkpoint(ready, sphrom, monkeypatch):
-    wrapped, steps = FullModel.wrapped, []
+    wrapped, steps = Functional.wrapped, []
 
     def stop(self, state):
         steps.append(state)
@@ -295,7 +295,7 @@ def test_a_full_run_goes_on_from_its_checkpoint(ready, sphrom, monkeypatch):
             raise KeyboardInterrupt
         return wrapped(self, state)
 
-    monkeypatch.setattr(FullModel, "wrapped", stop)
+    monkeypatch.setattr(Functional, "wrapped", stop)
     settings = ("--set", "sweep={model: full, reynolds: [120]}", "--workers", "1")
     assert sphrom("sweep", "tiny.yaml", *settings).exit_code == 130
     left = [path for path in ready.rglob("*") if "120" in path.name and path.is_file()]

@@ -20,7 +20,7 @@ def test_an_unstable_full_run(empty, sphrom):
     assert "beyond the acoustic limit" in warning
     assert re.match(
         r"error: reynolds=100: unstable at step 3, t = 0.12 s: particle \d+ at "
-        r"\(0\.\d+, 0\.\d+\) m has \(rho - rho0\)/rho0 = -?0\.\d+ and velocity ",
+        r"\(0\.\d+, 0\.\d+\) m.* has \(rho - rho0\)/rho0 = -?0\.\d+ and velocity ",
         error,
     )
     with open_artifact(empty / "fom-reynolds100.h5", "sphrom/trajectory", made_by="") as run:
@@ -59,7 +59,7 @@ def test_an_unstable_reduced_run_does_not_keep_the_others(place, sphrom, peaks, 
     for row in rows:
         assert row["status"] == "unstable"
         assert not any(row[name] for name in row if name.endswith(("_mean", "_peak", "_end")))
-    assert re.search(r"^apg +full +reynolds=100 +trained +unstable$", result.stdout, re.MULTILINE)
+    assert re.search(r"^apg +full +reynolds=100 +unstable( +–){5}$", result.stdout, re.MULTILINE)
     with (place / "tables" / "timings.csv").open(newline="") as file:
         assert {row["model"] for row in csv.DictReader(file)} == {"galerkin"}
     with open_artifact(place / "rom-apg-reynolds100.h5", "sphrom/trajectory", made_by="") as run:

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from sphrom.errors import CaseError
-from sphrom.setup.measured_fields import sampler
 from sphrom.sph.box_domain import BoxDomain, Rectangle
 from sphrom.store.sampling import probes_of, sample_run
 
@@ -78,7 +77,7 @@ def test_sampling_is_second_order_up_to_the_walls(case_of, made_up, kind):
 
     probes = probes_of(case)
     trajectory = made_up(case, flow, np.array([1.0, 2.0]))
-    samples = sample_run(case, trajectory, sampler(case, probes.all), lambda _: None)
+    samples = sample_run(case, trajectory, probes.all)
     for time, velocity, pressure in zip(
         samples.time, samples.velocity, samples.pressure, strict=True
     ):

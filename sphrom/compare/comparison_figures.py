@@ -1,0 +1,322 @@
+"""The figures that `compare` draws of every case, from what runs and comparison have stored.
+
+At each parameter point they are fields, lines, errors, reference profiles and measurements; of each
+basis singular values and modes. Figures that a case asks for by name share their parts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cached_property, partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.artifacts.records.comparison import Series
+from sphrom.case.models import Case
+from sphrom.case.points import ParameterPoint
+from sphrom.case.studies import Row
+from sphrom.case.study_sections import FULL
+from sphrom.compare.measured import named_components
+from sphrom.compare.mode_figures import draw_modes, draw_spectrum, frame_of, model_sizes
+from sphrom.compare.rows import BEST
+from sphrom.compare.stored_comparison import StoredComparison
+from sphrom.compare.tables import Tables
+from sphrom.metrics.discrepancy import without_mean
+from sphrom.metrics.measures import UNITS
+from sphrom.metrics.samples import Probes, Samples
+from sphrom.online.stored_run import StoredRun
+from sphrom.plots.canvas import save
+from sphrom.plots.panels import Curve, Field, Panel, Role, draw_grid
+from sphrom.setup.assembly import field_measures
+from sphrom.store.sampling import probes_of
+from sphrom.store.workspace import Workspace
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+LABELS = {
+    "speed": "speed [m/s]",
+    "pressure": "pressure [Pa]",
+    "pressure less its mean": "pressure less its mean [Pa]",
+}
+QUANTITIES = ("speed", "pressure")
+ERRORS = (
+    {
+        "velocity_field_relative_l2": "velocity, field: relative L2 [%]",
+        "velocity_line_relative_l2": "velocity, line: relative L2 [%]",
+        "velocity_line_eq41_by_line_range": "speed, line: Eq. 4.1 by the line's range [%]",
+    },
+    {
+        "pressure_field_relative_l2": "pressure less its mean, field: relative L2 [%]",
+        "pressure_line_relative_l2": "pressure less its mean, line: relative L2 [%]",
+        "pressure_line_eq41_by_line_range": "pressure, line: Eq. 4.1 by the line's range [%]",
+    },
+)
+"""The errors that are drawn, a row of velocities and one of pressures, and their labels."""
+OVERVIEW = "velocity, field, at all instants: relative L2 [%]"
+
+
+def draw_comparison(workspace: Workspace, tables: Tables, *, again: bool) -> None:
+    """Draw the figures of a comparison into the folder `plots`: all `again`, or those not there."""
+    folder = workspace.folder("plots")
+    with StoredComparison.of(workspace) as comparison:
+        for name, draw in _figures(workspace, tables, comparison):
+            path = folder / f"{name}.png"
+            if again or not path.exists():
+                save(draw(), path)
+
+
+def _figures(
+    workspace: Workspace, tables: Tables, comparison: StoredComparison
+) -> Iterator[tuple[str, Callable[[], Figure]]]:
+    """Yield the names of all figures, and the functions that draw them."""
+    case, probes = workspace.case, probes_of(workspace.case)
+    for point in case.plan.points:
+        figures = _PointFigures(workspace, tables, comparison, probes, point)
+        for name, draw in figures.all():
+            yield f"{name}-{point.file_label}", draw
+    for basis in case.plan.bases if case.rom else ():
+        sizes = model_sizes(workspace, basis)
+        yield f"singular-values-{basis}", partial(draw_spectrum, workspace, basis, sizes)
+        yield f"modes-{basis}", partial(draw_modes, workspace, basis)
+
+
+class _PointFigures:
+    """The figures of one parameter point, and how the names of their files begin."""
+
+    def __init__(
+        self,
+        workspace: Workspace,
+        tables: Tables,
+        comparison: StoredComparison,
+        probes: Probes,
+        point: ParameterPoint,
+    ) -> None:
+        self.workspace, self.case, self.point = workspace, workspace.case, point
+        self.comparison, self.probes = comparison, probes
+        rows = [r for r in tables.errors if (r.parameters, r.against) == (point.label, FULL)]
+        status = {row.compared: row.status for row in rows}
+        self.models = [model for model in self.case.rom if model.name in status]
+        self.complete = [m for m in self.models if status[m.name] == "complete"]
+        best = [row for row in rows if row.compared.startswith(BEST)]
+        self.best = max(best, key=lambda row: row.n_modes or 0).compared if best else None
+        settled = (r for r in tables.reference if r.parameters == point.label and r.settled)
+        self.references = list(settled)
+        self.time = comparison.line(None, point)[1].time
+        self.middle = len(self.time) // 2
+        self.when = f"{point.label}, t = {self.time[self.middle]:.3g} s"
+
+    def all(self) -> Iterator[tuple[str, Callable[[], Figure]]]:
+        """Yield names and the functions that draw."""
+        if self.complete:
+            yield "fields", self._fields
+            yield "overview", self._overview
+        rows: list[Row] = [(tuple(self.complete), (self.point,))]
+        middle = self.time[self.middle]
+        yield (
+            "centrelines",
+            partial(draw_lines, self.case, self.comparison, rows, middle, tuple(LABELS)),
+        )
+        if self._errors:
+            yield "errors", self._draw_errors
+        if self.references:
+            yield "profiles", self._profiles
+        for name, measured in self.case.scene.measure.items():
+            kind = "measure" if measured.force_on is None else "force"
+            yield f"{kind}-{name}", partial(self._measured, name)
+        if len(self.probes.stations):
+            yield "history", self._history
+
+    @cached_property
+    def _pictures(self) -> dict[str, dict[str, Array]]:
+        """Pictures of the full run and of all reduced ones half-way through, by quantity."""
+        found = {}
+        for model in (None, *self.complete):
+            with StoredRun.opened(self.workspace, self.point, model) as run:
+                samples = run.sampled(self.probes.grid, [self.middle])
+            values = {q: self.probes.picture(getattr(samples, q)[0]) for q in QUANTITIES}
+            found[FULL if model is None else model.name] = values
+        return found
+
+    @property
+    def _scales(self) -> dict[str, tuple[float, float]]:
+        full = self._pictures[FULL].items()
+        return {LABELS[q]: (float(np.nanmin(f)), float(np.nanmax(f))) for q, f in full}
+
+    def _beside(self, name: str, quantity: str) -> Iterator[Field]:
+        """Yield a quantity of the full run, of a reduced one, and their difference."""
+        full, reduced = (self._pictures[run][quantity] for run in (FULL, name))
+        label, unit = LABELS[quantity], LABELS[quantity].partition("[")[2]
+        yield Field(f"{quantity}, full", label, full)
+        yield Field(f"{quantity}, {name}", label, reduced)
+        yield Field("difference", f"difference [{unit}", reduced - full, difference=True)
+
+    def _fields(self) -> Figure:
+        rows = [
+            [field for quantity in QUANTITIES for field in self._beside(model.name, quantity)]
+            for model in self.complete
+        ]
+        return draw_grid(rows, frame_of(self.case), scales=self._scales, title=self.when)
+
+    def _overview(self) -> Figure:
+        """Return the fields and the errors of the fastest model."""
+        fastest = next(m for m in self.case.plan.models_by_speed if m in self.complete)
+        complete = {m.name: self._errors[m.name] for m in self.complete}
+        errors = _error_panel("velocity_field_relative_l2", OVERVIEW, complete)
+        row: list[Field | Panel] = [*self._beside(fastest.name, "speed"), errors]
+        return draw_grid([row], frame_of(self.case), scales=self._scales, title=self.when)
+
+    @cached_property
+    def _errors(self) -> dict[str, Series]:
+        """Errors over time of all models that have some."""
+        each = {m.name: self.comparison.errors(m.name, self.point) for m in self.models}
+        return {name: series for name, series in each.items() if series is not None}
+
+    def _draw_errors(self) -> Figure:
+        others: list[tuple[str, Role, Series | None]] = [
+            ("full against exact", "level", self.comparison.errors(FULL, self.point, "exact")),
+        ]
+        if self.best is not None:
+            best = self.comparison.errors(self.best, self.point)
+            others.append(("best possible (projection)", "best", best))
+        rows = [
+            [_error_panel(name, label, self._errors, others) for name, label in row.items()]
+            for row in ERRORS
+        ]
+        return draw_grid(rows, title=self.point.label)
+
+    def _profiles(self) -> Figure:
+        """Return the full run beside every reference that it can match, by quantity."""
+        panels: dict[tuple[str, str], dict[str, Curve]] = {}
+        for row in self.references:
+            profile = self.comparison.profile(row, self.point)
+            state = row.state if row.reference_time is None else f"t = {row.reference_time:.3g} s"
+            when = f"t = {row.time:.3g} s"
+            if row.n_snapshots > 1:
+                when = f"mean over {row.from_time:.3g} s to {row.time:.3g} s"
+            quantity, _, axis = row.profile.split()
+            labels = f"{axis} / L [–]", f"{quantity} / {'ρ U²' if quantity == 'p' else 'U'} [–]"
+            curves = [
+                Curve(f"full, {when}", profile.coordinate, profile.value, "full"),
+                Curve(
+                    f"{row.source}, {state}",
+                    profile.coordinate,
+                    profile.reference_value,
+                    "reference",
+                ),
+            ]
+            # Several references at one time share the full run's line.
+            panels.setdefault(labels, {}).update({curve.label: curve for curve in curves})
+        row_of_panels = [Panel("", *names, list(some.values())) for names, some in panels.items()]
+        return draw_grid([row_of_panels], title=self.point.label)
+
+    def _measured(self, name: str) -> Figure:
+        """Return a measurement over time, or at the end along a line, a panel per component."""
+        title, x_label, x = f"{name}, {self.point.label}", "time [s]", self.time
+        measure = field_measures(self.case).get(name)
+        is_line = measure is not None and measure.normal is None and len(measure.position) > 1
+        if measure is not None and is_line:
+            title, x_label = f"{title}, t = {x[-1]:.4g} s", "along the line [m]"
+            x = np.hypot(*(measure.position - measure.position[0]).T)
+        panels: dict[str, list[Curve]] = {}
+        for model in (None, *self.complete):
+            with StoredRun.opened(self.workspace, self.point, model) as run:
+                quantities = run.measured(name)
+            for quantity, values in quantities.items():
+                for component, one in named_components(quantity, values).items():
+                    label = f"{component.replace('_', ' ')} [{UNITS[quantity]}]"
+                    # A flow rate is over time alone, a probe's fields are at one place.
+                    shown = one[-1] if is_line else one.reshape(len(x))
+                    curve = _curve(None if model is None else model.name, x, shown)
+                    panels.setdefault(label, []).append(curve)
+        return draw_grid([[Panel("", x_label, *panel) for panel in panels.items()]], title=title)
+
+    def _history(self) -> Figure:
+        x, y = self.probes.stations[0]
+        curves = []
+        for name in (None, *(model.name for model in self.complete)):
+            if (run := self.comparison.station(name, self.point)) is not None:
+                curves.append(_curve(name, run.time, run.velocity[:, 0, 1]))
+        title = f"{self.point.label}, at x = {x:.4g} m, y = {y:.4g} m"
+        return draw_grid([[Panel("", "time [s]", "v [m/s]", curves)]], title=title)
+
+
+def _curve(name: str | None, x: Array, y: Array) -> Curve:
+    """Return the curve of a reduced run, or of the full one."""
+    return Curve(FULL, x, y, "full") if name is None else Curve(name, x, y)
+
+
+def _error_panel(
+    name: str,
+    label: str,
+    models: Mapping[str, Series],
+    others: Sequence[tuple[str, Role, Series | None]] = (),
+) -> Panel:
+    """Return one error of reduced models over time, from zero; beside others logarithmic."""
+    drawn = [*others, *((model, "run", series) for model, series in models.items())]
+    curves = [
+        Curve(told, series.time, {**series.relative_l2, **series.eq41}[name], role)
+        for told, role, series in drawn
+        if series is not None
+    ]
+    return Panel("", "time [s]", label, curves, "logarithmic" if others else "from zero")
+
+
+def draw_lines(
+    case: Case,
+    comparison: StoredComparison,
+    rows: Sequence[Row],
+    time: float,
+    quantities: Sequence[str],
+) -> Figure:
+    """Return profiles on the line at the snapshot nearest to an instant [s]: a row for each point.
+
+    Full, exact and reduced runs are drawn together; `quantities` are keys of LABELS.
+    """
+    panels, where = [], np.empty((0, 2))
+    for models, points in rows:
+        for point in points:
+            where, full = comparison.line(None, point)
+            index = int(np.argmin(np.abs(full.time - time)))
+            time, exact = float(full.time[index]), None
+            if (flow := case.plan.flow(point).exact) is not None:
+                fields = flow.velocity(where, time), flow.pressure(where, time)
+                exact = Samples(np.array([time]), fields[0][None], fields[1][None])
+            lines = {m.name: comparison.line(m.name, point)[1] for m in models if m is not None}
+            panels.append(
+                [
+                    Panel(
+                        point.label,
+                        "y [m]",
+                        LABELS[quantity],
+                        list(_profiles(where[:, 1], {FULL: full, **lines}, index, quantity, exact)),
+                    )
+                    for quantity in quantities
+                ]
+            )
+    return draw_grid(panels, title=f"x = {where[0, 0]:.4g} m, t = {time:.4g} s")
+
+
+def _profiles(
+    y: Array, lines: Mapping[str, Samples], snapshot: int, quantity: str, exact: Samples | None
+) -> Iterator[Curve]:
+    """Yield a quantity along a line at a snapshot; of a run that ended before, its name alone."""
+    if exact is not None:
+        yield Curve("exact", y, _along(exact, quantity)[0], "exact")
+    for name, line in lines.items():
+        if snapshot < len(line.time):
+            yield _curve(None if name == FULL else name, y, _along(line, quantity)[snapshot])
+        else:
+            before = f"after {line.time[-1]:.3g} s" if len(line.time) else "at the start"
+            yield Curve(f"{name} (unstable {before})", np.empty(0), np.empty(0))
+
+
+def _along(line: Samples, quantity: str) -> Array:
+    """Return a key of LABELS (n_snapshots, n_points)."""
+    if quantity == "pressure less its mean":
+        return without_mean(line.pressure)
+    return line.speed if quantity == "speed" else line.pressure

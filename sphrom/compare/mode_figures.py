@@ -1,0 +1,162 @@
+"""Figures and tables of the modes of bases, in the reference and the Lagrangian space."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.case.models import Case
+from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
+from sphrom.compare.tables import SpectrumRow
+from sphrom.errors import ArtifactError
+from sphrom.metrics.discrepancy import cumulative_singular_value_share, energy
+from sphrom.plots.panels import Curve, Field, Panel, draw_grid
+from sphrom.plots.pictures import Frame
+from sphrom.setup.draw import solids_within
+from sphrom.store.trained_operators import sized
+from sphrom.store.workspace import Workspace
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+SPACES = {
+    "reference": ("bases", "reference_position"),
+    "Lagrangian": ("lagrangian", "lagrangian_position"),
+}
+"""Spaces of modes, and where the artifact of the bases has their modes and points."""
+COMPONENTS = {"x-velocity": 0, "y-velocity": 1}
+MOST_MODES = 10
+"""Pictures of modes beside each other."""
+SMALLEST_RATIO, SMALLEST_SHARE = 1e-12, 1e-10
+"""Singular values over the first, and shares left out [%]: below these they are rounding."""
+SPECTRUM = ("singular value, relative to the first [–]", "share left out, 100 − Eq. 4.3 [%]")
+
+
+def frame_of(case: Case) -> Frame:
+    """Return what of the plane the pictures of a case show."""
+    box = case.scene.domain
+    extent = (box.lower[0], box.upper[0], box.lower[1], box.upper[1])
+    return Frame(extent, None if box.fills_box else solids_within(box, extent))
+
+
+def bases_used(
+    workspace: Workspace, models: Sequence[ReducedModelSection], point: ParameterPoint
+) -> list[tuple[str, int]]:
+    """Return the bases that models use at a point, and how many modes of each, in order."""
+    basis_for = workspace.case.plan.basis_for
+    return sorted({(basis_for(m, point), sized(workspace, m, point).size) for m in models})
+
+
+def model_sizes(workspace: Workspace, basis: str) -> list[int]:
+    """Return how many modes of a basis models use."""
+    case = workspace.case
+    used = (
+        pair
+        for model in case.rom
+        for point in case.plan.rom_points(model)
+        for pair in bases_used(workspace, [model], point)
+    )
+    return sorted({size for name, size in used if name == basis})
+
+
+def _spectra(workspace: Workspace) -> Iterator[tuple[str, str, str, Array]]:
+    """Yield space, basis, part and singular values of everything that was decomposed."""
+    with workspace.open(workspace.basis()) as artifact:
+        for space, (parent, _) in SPACES.items():
+            for name in artifact.datasets:
+                match name.split("/"):
+                    case [folder, basis, "singular_values", part] if folder == parent:
+                        yield space, basis, part, artifact.read(name)
+
+
+def spectrum_rows(workspace: Workspace) -> Iterator[SpectrumRow]:
+    """Yield the rows of the table of singular values, if the case has reduced models."""
+    for space, basis, part, values in _spectra(workspace) if workspace.case.rom else ():
+        each = zip(values, cumulative_singular_value_share(values), energy(values), strict=True)
+        for m, figures in enumerate(each, start=1):
+            yield SpectrumRow(space, basis, part, m, *map(float, figures))
+
+
+def draw_spectrum(
+    workspace: Workspace, basis: str, marked: Sequence[int], *, with_shares: bool = False
+) -> Figure:
+    """Return singular values, and the share that so many modes leave out (Eq. 4.3).
+
+    Marked numbers of modes have a line, and the legend has their shares on request.
+    """
+    values_of, left_out_of = [], []
+    for space, _, part, values in (each for each in _spectra(workspace) if each[1] == basis):
+        name = f"{space} space" + ("" if part == "joint" else f", {part}")
+        shares = cumulative_singular_value_share(values)
+        if with_shares:
+            known = (f"{_share(shares[m - 1])} % (M = {m})" for m in marked if m <= len(shares))
+            name = f"{name}: {', '.join(known)}"
+        number = np.arange(1.0, len(values) + 1.0)
+        ratio, left_out = values / values[0], 100.0 - shares
+        values_of.append(Curve(name, number, np.where(ratio > SMALLEST_RATIO, ratio, 0.0)))
+        left_out = np.where(left_out > SMALLEST_SHARE, left_out, 0.0)
+        left_out_of.append(Curve(name, number, left_out))
+    panels = [
+        Panel("", "mode number M [–]", label, curves, "both logarithmic", marked)
+        for label, curves in zip(SPECTRUM, (values_of, left_out_of), strict=True)
+    ]
+    return draw_grid([panels])
+
+
+def _share(share: float) -> str:
+    """Return a share [%] with two digits of what it leaves out."""
+    for digits in range(1, 12):
+        if round(100.0 - share, digits) >= 10.0 ** (1 - digits):
+            return f"{share:.{digits}f}"
+    return f"{share:.12g}"
+
+
+def mode_fields(
+    workspace: Workspace, basis: str, field: str, numbers: Sequence[int]
+) -> dict[str, list[Field]]:
+    """Return one field of modes (from 1) by space; Lagrangian ones are kept where a case asks.
+
+    Raises ArtifactError for a mode that the basis doesn't have.
+    """
+    fields: dict[str, list[Field]] = {}
+    unit = "1/m" if workspace.case.basis.inner_product == "acoustic" else "–"
+    with workspace.open(workspace.basis()) as artifact:
+        for space, (parent, position) in SPACES.items():
+            name = f"{parent}/{basis}/modes/{'velocity' if field in COMPONENTS else field}"
+            if name not in artifact:
+                continue
+            if max(numbers) > artifact.length(name):
+                raise ArtifactError(f"{artifact.path} has no mode {max(numbers)} of {basis}")
+            raster = frame_of(workspace.case).raster(artifact.read(position))
+            for number in numbers:
+                values = np.asarray(artifact.dataset(name)[number - 1])
+                if field in COMPONENTS:
+                    values = values[:, COMPONENTS[field]]
+                title, label = f"{space} space\nmode {number}", f"{field} [{unit}]"
+                fields.setdefault(space, []).append(Field(title, label, raster.picture(values)))
+    return fields
+
+
+def draw_modes(workspace: Workspace, basis: str) -> Figure:
+    """Return density and velocity of the first modes that models use, spaces side by side."""
+    with workspace.open(workspace.basis()) as artifact:
+        lengths = [
+            artifact.length(name)
+            for parent, _ in SPACES.values()
+            if (name := f"{parent}/{basis}/modes/density") in artifact
+        ]
+    number = min([lengths[0], *model_sizes(workspace, basis)[-1:]])
+    numbers, most = list(range(1, number + 1)), MOST_MODES // len(lengths)
+    if number > most:  # the first ones, and some of the others
+        numbers = sorted({round(m) for m in np.geomspace(1, number, most)})
+    rows = []
+    for field in ("density", *COMPONENTS):
+        spaces = mode_fields(workspace, basis, field, numbers)
+        rows.append([each for fields in spaces.values() for each in fields])
+    return draw_grid(rows, frame_of(workspace.case))

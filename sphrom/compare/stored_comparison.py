@@ -1,0 +1,165 @@
+"""What `compare` stores of each run, and reads again to draw it: samples and errors over time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.artifacts import Artifact, ArtifactWriter, read_record, write_record
+from sphrom.artifacts.records.comparison import Ranges, ReferenceProfile, Series
+from sphrom.artifacts.records.comparison import Samples as StoredSamples
+from sphrom.case.points import ParameterPoint
+from sphrom.case.study_sections import FULL
+from sphrom.compare.references import ReferenceRow
+from sphrom.compare.rows import ErrorRow
+from sphrom.metrics.discrepancy import instantaneous_range, relative_discrepancy
+from sphrom.metrics.histories import EQ41, History
+from sphrom.metrics.samples import Probes, Samples
+from sphrom.plots.tables import flat
+from sphrom.store.workspace import Workspace
+from sphrom.text import exact
+
+Array = NDArray[np.float64]
+
+
+class ComparisonWriter:
+    """Writes the comparison at one parameter point."""
+
+    def __init__(self, artifact: ArtifactWriter, point: ParameterPoint, probes: Probes) -> None:
+        self._artifact, self._place, self._probes = artifact, point.file_label, probes
+
+    def full_run(self, samples: Samples) -> None:
+        """Write the full run on the line and at the stations, and its ranges."""
+        speed, pressure = map(instantaneous_range, (samples.speed, samples.pressure))
+        ranges = Ranges(time=samples.time, speed=speed, pressure=pressure)
+        write_record(self._artifact, ranges, f"ranges/{self._place}")
+        self._samples(FULL, samples)
+
+    def run(self, row: ErrorRow, history: History, samples: Samples) -> None:
+        """Write errors over time and samples of a run; nothing where it has no errors."""
+        if not len(history.time):
+            return
+        group, places = group_of(row.compared, row.against), history.places.items()
+        series = Series(
+            time=history.time,
+            relative_l2={f"{place}_relative_l2": errors.relative_l2 for place, errors in places},
+            eq41={
+                f"{place}_{name}": getattr(errors, name)
+                for place, errors in places
+                for name in EQ41
+            },
+            walls=dict(history.walls),
+            status=row.status,
+            figures={name: v for name, v in flat(row).items() if isinstance(v, float)},
+        )
+        write_record(self._artifact, series, f"series/{group}/{self._place}")
+        if row.against == FULL:
+            self._samples(group, samples)
+
+    def profile(self, row: ReferenceRow, profile: ReferenceProfile) -> None:
+        """Write the profile of a reference, and the full run's."""
+        write_record(self._artifact, profile, f"reference/{_reference_name(row)}/{self._place}")
+
+    def _samples(self, name: str, samples: Samples) -> None:
+        parts = (("centreline", self._probes.line, self._probes.on_line),
+                 ("stations", self._probes.stations, self._probes.at_stations))  # fmt: skip
+        for kind, position, where in parts:
+            if len(position):
+                stored = StoredSamples(
+                    position=position,
+                    time=samples.time,
+                    velocity=samples.velocity[:, where],
+                    pressure=samples.pressure[:, where],
+                )
+                write_record(self._artifact, stored, f"{kind}/{name}/{self._place}")
+
+
+def _reference_name(row: ReferenceRow) -> str:
+    """Return an HDF5 group's name for a reference profile."""
+    instant = "" if row.reference_time is None else f"-t{exact(row.reference_time)}"
+    return f"{row.profile} {row.state}{instant} {row.source}".replace(" ", "-")
+
+
+def group_of(compared: str, against: str = FULL) -> str:
+    """Return an HDF5 group's name for a comparison."""
+    name = compared.replace(", ", "-").replace(" ", "-").replace("=", "")
+    return f"{name}-against-{against}"
+
+
+class StoredComparison:
+    """What `compare` found of a case, opened. Runs have their names, and None is the full one."""
+
+    def __init__(self, artifact: Artifact) -> None:
+        self._artifact = artifact
+
+    @classmethod
+    @contextmanager
+    def of(cls, workspace: Workspace) -> Iterator[StoredComparison]:
+        """Open the comparison of a case. Raises ArtifactError when it isn't there or valid."""
+        with workspace.open(workspace.comparison()) as artifact:
+            yield cls(artifact)
+
+    def line(self, run: str | None, point: ParameterPoint) -> tuple[Array, Samples]:
+        """Return where the line is (n_points, 2) [m], and a run there.
+
+        A run that became unstable has so many instants as it has. One that did at once has none.
+        """
+        found = self._samples("centreline", run, point)
+        empty = np.empty((0, 2)), Samples(np.empty(0), np.empty((0, 0, 2)), np.empty((0, 0)))
+        return empty if found is None else found
+
+    def station(self, run: str | None, point: ParameterPoint) -> Samples | None:
+        """Return a run at the scene's stations, None where it has none."""
+        found = self._samples("stations", run, point)
+        return None if found is None else found[1]
+
+    def _samples(
+        self, kind: str, run: str | None, point: ParameterPoint
+    ) -> tuple[Array, Samples] | None:
+        group = f"{kind}/{FULL if run is None else group_of(run)}/{point.file_label}"
+        if f"{group}/time" not in self._artifact:
+            return None
+        stored = read_record(self._artifact, StoredSamples, group)
+        return stored.position, Samples(stored.time, stored.velocity, stored.pressure)
+
+    def errors(self, run: str, point: ParameterPoint, against: str = FULL) -> Series | None:
+        """Return the errors of a run over time, None where it has none."""
+        group = f"series/{group_of(run, against)}/{point.file_label}"
+        if f"{group}/time" not in self._artifact:
+            return None
+        return read_record(self._artifact, Series, group)
+
+    def profile(self, row: ReferenceRow, point: ParameterPoint) -> ReferenceProfile:
+        """Return the profile of a reference, and the full run's."""
+        group = f"reference/{_reference_name(row)}/{point.file_label}"
+        return read_record(self._artifact, ReferenceProfile, group)
+
+    def is_complete(self, run: str, point: ParameterPoint) -> bool:
+        """Return whether a run ran to the end."""
+        found = self.errors(run, point)
+        return found is not None and found.status == "complete"
+
+    def discrepancy(
+        self, run: str, point: ParameterPoint, quantity: str, over: str
+    ) -> tuple[Array, Array]:
+        """Return times [s] and Eq. 4.1 [%] of a run's `speed` or `pressure` on the line.
+
+        `over` says whose range divides: that of the `line`, or of the whole `field`. Instants at
+        which the full run has no range are left out.
+        """
+        full, reduced = self.line(None, point)[1], self.line(run, point)[1]
+        n_common = len(reduced.time)
+        if not n_common:
+            return np.empty(0), np.empty(0)
+        expected, found = (getattr(s.until(n_common), quantity) for s in (full, reduced))
+        ranges = instantaneous_range(expected)
+        if over == "field":
+            stored = read_record(self._artifact, Ranges, f"ranges/{point.file_label}")
+            ranges = getattr(stored, quantity)[:n_common]
+        known = ranges > 0.0
+        span = np.stack((np.zeros(int(known.sum())), ranges[known]), axis=1)
+        errors = relative_discrepancy(found[known], expected[known], range_over=span)
+        return full.time[:n_common][known], errors

@@ -1,0 +1,132 @@
+"""The fields of stored runs, full and reduced: on their own points, and at any places.
+
+This is the one way from the artifact of a run to a field at a place. Particles are sampled by
+moving least squares, coordinates by the splines of their modes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.artifacts import Artifact
+from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
+from sphrom.metrics.measures import Quantities
+from sphrom.reduction.trial_basis import TrialBasis, reconstruct, truncate
+from sphrom.sph import state_equation
+from sphrom.store.bases import read_basis, read_modes, read_points
+from sphrom.store.measured_quantities import read_quantities
+from sphrom.store.sampling import Samples, expand, sample_run
+from sphrom.store.trained_operators import sized
+from sphrom.store.workspace import Workspace
+
+Array = NDArray[np.float64]
+
+
+class StoredRun:
+    """A run of the full model, or of a reduced `model`, at a parameter point, in an open artifact.
+
+    A model on the reference points stores coordinates, and its fields are rebuilt from them.
+    """
+
+    def __init__(
+        self,
+        workspace: Workspace,
+        run: Artifact,
+        point: ParameterPoint,
+        model: ReducedModelSection | None = None,
+    ) -> None:
+        self._workspace, self._run, self._point = workspace, run, point
+        self._rebuilt = None if model is None or model.on_particles else model
+        self.time = run.read("time")
+        self.mass = run.number("mass")
+
+    @classmethod
+    @contextmanager
+    def opened(
+        cls,
+        workspace: Workspace,
+        point: ParameterPoint,
+        model: ReducedModelSection | None = None,
+    ) -> Iterator[StoredRun]:
+        """Open a run of the case. Raises ArtifactError when it isn't there or valid."""
+        target = workspace.full_run(point) if model is None else workspace.reduced_run(model, point)
+        with workspace.open(target) as run:
+            yield cls(workspace, run, point, model)
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the run ran to its end."""
+        return self._run.text("status") == "complete"
+
+    def measured(self, name: str) -> Quantities:
+        """Return a measurement of the case over time, by quantity (n_snapshots, ...)."""
+        return read_quantities(self._run, name)
+
+    @cached_property
+    def _basis(self) -> TrialBasis:
+        basis = truncate(read_basis(self._workspace, self._basis_name), self._n_modes)
+        self._run.require(mode=basis.n_modes)
+        return basis
+
+    @property
+    def _basis_name(self) -> str:
+        assert self._rebuilt is not None
+        return self._workspace.case.plan.basis_for(self._rebuilt, self._point)
+
+    @property
+    def _n_modes(self) -> int:
+        assert self._rebuilt is not None
+        return sized(self._workspace, self._rebuilt, self._point).size
+
+    @cached_property
+    def _coordinates(self) -> Array:
+        return self._run.read("generalized_coordinates")
+
+    def position(self, snapshot: int) -> Array:
+        """Return the run's own points (n, 2) [m]."""
+        if self._rebuilt is not None:
+            return read_points(self._workspace)
+        return np.asarray(self._run.dataset("position")[snapshot])
+
+    def rebuilt(self, snapshot: int) -> tuple[Array, Array]:
+        """Return density fluctuations (n,) [kg/m3] and velocity (n, 2) [m/s] from coordinates."""
+        mean = self._run.number("mean_density_fluctuation")
+        return reconstruct(self._basis, self._coordinates[snapshot], mean)
+
+    def fields(self, snapshot: int) -> tuple[Array, Array]:
+        """Return velocity (n, 2) [m/s] and pressure (n,) [Pa] on the run's own points."""
+        if self._rebuilt is None:
+            stored = (self._run.dataset(name)[snapshot] for name in ("velocity", "pressure"))
+            velocity, pressure = map(np.asarray, stored)
+            return velocity, pressure
+        density, velocity = self.rebuilt(snapshot)
+        return velocity, state_equation.pressure(density, self._workspace.case.plan.sound_speed)
+
+    def sampled(
+        self,
+        points: Array,
+        snapshots: Sequence[int] | None = None,
+        advance: Callable[[int], None] = lambda done: None,
+    ) -> Samples:
+        """Return velocity and pressure at points (n_points, 2) [m], at some or all snapshots.
+
+        A run that became unstable is sampled as far as particles are left near all points.
+        """
+        case, run = self._workspace.case, self._run
+        chosen = range(len(self.time)) if snapshots is None else snapshots
+        if self._rebuilt is None:
+            return sample_run(case, run, points, advance, chosen)
+        if "probes/position" in run and np.array_equal(run.read("probes/position"), points):
+            velocity, pressure = run.read("probes/velocity"), run.read("probes/pressure")
+            return Samples(self.time[chosen], velocity[chosen], pressure[chosen])
+        basis, splines = read_modes(self._workspace, self._basis_name, self._n_modes)
+        run.require(mode=basis.n_modes)
+        means = np.full(len(chosen), run.number("mean_density_fluctuation"))
+        coordinates = self._coordinates[chosen]
+        return expand(case, basis, splines, points, self.time[chosen], coordinates, means)
