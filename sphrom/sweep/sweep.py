@@ -28,8 +28,7 @@ from sphrom.offline.fom import ensure_packed
 from sphrom.plots.tables import format_figure, rows_of_columns, write_csv
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import full_seconds, require_room, runs_that_fit
-from sphrom.store.targets import Target
-from sphrom.store.workspace import Workspace
+from sphrom.store.workspace import Target, Workspace
 from sphrom.sweep import statistics
 from sphrom.sweep.runs import (
     COMPLETE,

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sphrom.artifacts import create_artifact, open_artifact
+from sphrom.artifacts import Origin, create_artifact, open_artifact
 from sphrom.case.points import ParameterPoint
 from sphrom.sweep.runs import (
     COMPLETE,
@@ -63,8 +63,8 @@ MIXED = [
 
 def written(path: Path, records: list[RunRecord]) -> Path:
     """Write records to a sweep's artifact."""
-    digests = {"case_digest": "case", "inputs_digest": "inputs", "case_text": "name: x\n"}
-    with create_artifact(path, "sphrom/sweep", stage="sweep", **digests) as artifact:
+    origin = Origin("inputs", "name: x\n")
+    with create_artifact(path, "sphrom/sweep", stage="sweep", origin=origin) as artifact:
         write_records(artifact, "fast", records, PLACES)
     return path
 
