@@ -25,12 +25,8 @@ def open(path: str | os.PathLike[str], group: str = "") -> xarray.Dataset:
     one is verified, block by block, when values of it are first used. Values are read when they
     are used, so the file stays open until the dataset is closed; use `with`, or `load`.
 
-    Raises
-    ------
-    ArtifactError
-        When the file is missing, damaged or no artifact of sphrom.
-    CaseError
-        When the artifact has no such group.
+    Raises ArtifactError when the file is missing, damaged or no artifact, CaseError when it has no
+    such group.
     """
     from sphrom.artifacts.labelled import open_labelled
 
@@ -44,10 +40,7 @@ def open_tree(path: str | os.PathLike[str]) -> xarray.DataTree:
     Each node is a dataset as `open` gives it, without what belongs to all groups: that is at the
     root.
 
-    Raises
-    ------
-    ArtifactError
-        When the file is missing, damaged or no artifact of sphrom.
+    Raises ArtifactError when the file is missing, damaged or no artifact.
     """
     from sphrom.artifacts.labelled import open_labelled_tree
 

@@ -37,8 +37,14 @@ class Study:
     Raises
     ------
     CaseError
-        With a line for each problem of the case; of a key that is unknown or ambiguous, with the
-        keys that may be meant.
+        With a line for each problem of the case or of arguments; of a key or a name that is unknown
+        or ambiguous, with those that may be meant.
+    ArtifactError
+        When an artifact is missing, damaged, or of another case and may not be written over.
+    UnstableError
+        When a run became unstable.
+    ResourceError
+        When the case would not fit this machine.
     """
 
     @guarded()
@@ -97,17 +103,6 @@ class Study:
         until : the last stage to run: fom, map, pod, fit-psi, operators, rom or compare, the
             default.
         checkpoint_every : seconds from one checkpoint of a run to the next.
-
-        Raises
-        ------
-        CaseError
-            When there is no such stage.
-        ArtifactError
-            When an artifact is damaged, or of another case and may not be written over.
-        UnstableError
-            When a run became unstable.
-        ResourceError
-            When the case would not fit this machine.
         """
         context = self._with(resume, checkpoint_every)
         stages.run_stage("pipeline", context, until=until)
@@ -134,8 +129,6 @@ class Study:
             `scheduler` of sweep and train; `shard` and `collect` of sweep; `budget` and
             `write_case` of train; `measurements`, `noise` and `name` of fit; `to`, `into` and `at`
             of export.
-
-        Raises what `run` raises.
         """
         known = [name for name in stages.STAGES if name not in ("import_", "pipeline")]
         name = stage.replace("-", "_")
@@ -155,13 +148,6 @@ class Study:
         name : of a model in the case's section `rom`.
         parameters : the value of each parameter, such as `reynolds=137`; one that isn't given has
             the scene's own value.
-
-        Raises
-        ------
-        CaseError
-            When there is no such model or parameter, or none of its bases is for the values.
-        ArtifactError
-            When artifacts that it needs are missing, damaged, or of another case.
         """
         sections = {section.name: section for section in self.case.rom}
         if name not in sections:
