@@ -59,6 +59,7 @@ def test_models_are_weighed(weigh, place):
     }
     assert (place / "trade" / "operators.h5").exists()
     assert not (place / "operators.h5").exists()
+    assert {"APG, M = 2", "Galerkin, calibrated, M = 3"} <= {row["model"] for row in reduced}
     assert {row["resolution"] for row in full} == {"12", "16"}
     assert len({(row["resolution"], row["time_step"]) for row in full}) == len(full)
     assert (own["model"], own["velocity_line_relative_l2_peak"]) == ("full, as in the case", "0.0")
