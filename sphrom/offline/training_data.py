@@ -40,8 +40,7 @@ from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.trial_basis import TrialBasis, kept_modes, project, truncate
 from sphrom.setup.assembly import amplitude_of, output_times_of, places_of
 from sphrom.sph.fixed_points import FixedPoints
-from sphrom.store.bases import mapped_runs
-from sphrom.store.trained_operators import calibrated
+from sphrom.store.reduced_models import calibrated, mapped_runs
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]

@@ -39,17 +39,17 @@ from sphrom.reduction.trial_basis import (
     truncate,
 )
 from sphrom.setup.assembly import amplitude_of, drives, memory_length_of, output_times_of, places_of
-from sphrom.store.bases import read_basis
-from sphrom.store.measured_quantities import totals
-from sphrom.store.starts import Fields
-from sphrom.store.trained_operators import (
+from sphrom.store.reduced_models import (
     calibrated,
+    read_basis,
     read_force_records,
     read_measure,
     read_operators,
     read_wall_force,
     sized_in,
 )
+from sphrom.store.starts import Fields
+from sphrom.store.trajectory import totals
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]

@@ -103,12 +103,12 @@ class FastModel:
     def splines(self, point: ParameterPoint) -> ModeSplines:
         """Return the splines of the modes at a parameter point."""
         # They load their kernels.
-        from sphrom.store.bases import read_model_splines
+        from sphrom.store.reduced_models import read_modes
 
         name = self.basis_at(point)
         if name not in self._splines:
             size = self.on_basis(name).section.size
-            self._splines[name] = read_model_splines(self.workspace, name, size)
+            self._splines[name] = read_modes(self.workspace, name, size)[1]
         return self._splines[name]
 
     def sampled(

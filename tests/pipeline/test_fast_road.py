@@ -21,9 +21,8 @@ from sphrom.reduction.memory_operators import project_memory
 from sphrom.reduction.reduced_operators import MemoryOperators
 from sphrom.setup import cost, particles
 from sphrom.sph import state_equation
-from sphrom.store.bases import read_basis, read_points, read_splines
+from sphrom.store.reduced_models import read_basis, read_operators, read_points, read_splines
 from sphrom.store.sampling import probes_of
-from sphrom.store.trained_operators import read_operators
 
 FAST: dict[str, Any] = {
     "evaluation": "operators",
