@@ -118,10 +118,8 @@ def calibrated(
     """
     times, known = snapshot_times(case), []
     for point, coordinates in zip(points, runs, strict=True):
-        viscosity, amplitude = (
-            case.plan.kinematic_viscosity(point),
-            assembly.amplitude_of(case, point),
-        )
+        viscosity = case.plan.kinematic_viscosity(point)
+        amplitude = assembly.amplitude_of(case, point)
         rates = operators.at(viscosity, factors=point.factors)
         driven = None if amplitude is None else amplitude(times)
         known.append(TrainingRun(rates, coordinates, viscosity, driven, point.factors))
@@ -170,12 +168,12 @@ def read_force_records(
     coordinates = artifact.read(f"bases/{basis}/training_runs")[:, :, modes]
     times, records = snapshot_times(case), []
     for run, point in enumerate(case.plan.bases[basis]):
-        around = (
+        viscosity, drives = (
             case.plan.kinematic_viscosity(point),
-            *assembly.drives(case, point, times),
-            point.factors,
+            assembly.drives(case, point, times),
         )
-        records.append(ForceRecord(loads[run], coordinates[run], means[run], *around))
+        known = loads[run], coordinates[run], means[run]
+        records.append(ForceRecord(*known, viscosity, *drives, point.factors))
     return records
 
 
