@@ -59,18 +59,9 @@ class _States:
 
     def only(self, k: int) -> _States:
         """Return one of the states."""
-        one = slice(k, k + 1)
-        terms = self.terms
-        return _States(
-            self.scaled_density[:, one],
-            self.velocity[..., one],
-            self.slopes[..., one],
-            Terms(
-                terms.divergence[:, one],
-                terms.pressure_gradient[..., one],
-                terms.laplacian[..., one],
-            ),
-        )
+        one, t = (..., slice(k, k + 1)), self.terms
+        terms = Terms(t.divergence[one], t.pressure_gradient[one], t.laplacian[one])
+        return _States(self.scaled_density[one], self.velocity[one], self.slopes[one], terms)
 
 
 class _Rates:
