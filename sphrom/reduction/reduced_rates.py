@@ -207,10 +207,8 @@ def largest_steps(jacobians: Array) -> Array:
 def spectrum(jacobian: Array) -> Spectrum:
     """Return the spectrum of a Jacobian (n_modes, n_modes) [1/s]."""
     eigenvalues = np.linalg.eigvals(jacobian).astype(np.complex128)
-    radius = float(np.max(np.abs(eigenvalues)))
-    moving = eigenvalues[np.abs(eigenvalues) > 0.0]
-    limit = float(np.min(stability_limits(moving))) if moving.size else math.inf
-    return Spectrum(eigenvalues, float(np.max(eigenvalues.real)), radius, limit)
+    radius, limit = float(np.abs(eigenvalues).max()), float(stability_limits(eigenvalues).min())
+    return Spectrum(eigenvalues, float(eigenvalues.real.max()), radius, limit)
 
 
 def stability_limits(eigenvalues: NDArray[np.complex128]) -> Array:
