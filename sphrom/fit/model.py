@@ -31,7 +31,7 @@ from sphrom.reduction.exponential_steps import ExponentialModel
 from sphrom.reduction.reduced_measures import ReducedMeasure, project_measures
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
 from sphrom.setup.assembly import places_of
-from sphrom.setup.measured_fields import MeasuredFields, sampler
+from sphrom.setup.particles import MeasuredFields, sampler
 from sphrom.store.bases import read_points
 from sphrom.store.measured_quantities import read_quantities
 from sphrom.store.trajectory import snapshot_fields

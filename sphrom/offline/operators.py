@@ -52,7 +52,7 @@ from sphrom.setup import particles
 from sphrom.setup.assembly import amplitude_of, output_times_of, places_of
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import require_room
-from sphrom.setup.measured_fields import MeasuredFields
+from sphrom.setup.particles import MeasuredFields
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.store.bases import mapped_runs, read_basis, read_points, read_splines
 from sphrom.store.measured_quantities import read_forces

@@ -17,7 +17,7 @@ from sphrom.reduction.particle_model import (
 from sphrom.reduction.trial_basis import mean_density_fluctuation, project
 from sphrom.setup import assembly, particles
 from sphrom.setup.assembly import memory_length_of
-from sphrom.setup.measured_fields import MeasuredFields
+from sphrom.setup.particles import MeasuredFields
 from sphrom.sph.time_loop import TimeSteps, integrate
 from sphrom.store.bases import read_modes, read_points
 from sphrom.store.checkpoints import Checkpoints
