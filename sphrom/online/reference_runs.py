@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import ArtifactWriter, write_record
-from sphrom.artifacts.records.coordinates import Converged, Probes, Steady, SteadyMeasured
+from sphrom.artifacts.records.coordinates import Converged, Steady, SteadyMeasured
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.console import Reporter
@@ -221,8 +221,6 @@ def _write(run: FastRun, artifact: ArtifactWriter) -> None:
         artifact.write(path, values)
     if section.output == "snapshots":
         _write_fields(done, artifact)
-    elif section.output == "probes":
-        _write_probes(done, artifact)
 
 
 def _write_fields(run: FastRun, artifact: ArtifactWriter) -> None:
@@ -238,15 +236,3 @@ def _write_fields(run: FastRun, artifact: ArtifactWriter) -> None:
         densities.append(density)
         velocities.append(velocity)
         pressures.append(state_equation.pressure(density, workspace.case.plan.sound_speed))
-
-
-def _write_probes(run: FastRun, artifact: ArtifactWriter) -> None:
-    """Write velocity and pressure where runs are compared."""
-    from sphrom.store.sampling import probes_of
-
-    began = time.perf_counter()
-    probes = probes_of(run.model.workspace.case)
-    samples = run.sampled(probes)
-    stored = Probes(position=probes.all, velocity=samples.velocity, pressure=samples.pressure)
-    write_record(artifact, stored, "probes")
-    artifact.annotate("timing/probes", time.perf_counter() - began)
