@@ -23,7 +23,7 @@ from sphrom.compare.mode_figures import draw_modes, draw_spectrum, frame_of, mod
 from sphrom.compare.rows import BEST
 from sphrom.compare.stored_comparison import StoredComparison
 from sphrom.compare.tables import Tables
-from sphrom.metrics.discrepancy import without_mean
+from sphrom.metrics.histories import without_mean
 from sphrom.metrics.measures import UNITS
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.online.stored_run import StoredRun
