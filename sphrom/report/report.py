@@ -6,17 +6,18 @@ figures that `compare` and other commands wrote, and an animation of a reduced b
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import AUTO
 from sphrom.compare.answer import DIGITS, Answer, find_answer, percent
-from sphrom.compare.tables import MADE_BY, RECORDS, SpectrumRow, Tables
+from sphrom.compare.tables import RECORDS, SpectrumRow, Tables
 from sphrom.plots.page import Html, element, headline, listing, picture, render, table
-from sphrom.plots.tables import format_figure, read_csv
+from sphrom.plots.tables import flat, format_figure, headings, read_csv
 from sphrom.report.animation import animations
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
@@ -64,11 +65,11 @@ TABLES = {
 }
 EQ41 = "_eq41_"
 """What the names of figures by Eq. 4.1 hold."""
-EQ41_CAPTIONS = {
-    "errors": "The same errors by Eq. 4.1, mean and peak over time: the mean error over the range "
-    "on the line, or over that of the whole field, which makes the same error look smaller.",
-}
-"""Captions of second tables with figures by Eq. 4.1, which all others leave out."""
+EQ41_CAPTION = (
+    "The same errors by Eq. 4.1, mean and peak over time: the mean error over the range on the "
+    "line, or over that of the whole field, which makes the same error look smaller."
+)
+"""Caption of the table with figures by Eq. 4.1, which all others leave out."""
 
 
 @dataclass(frozen=True)
@@ -140,11 +141,11 @@ def run(context: StageContext) -> None:
         shown[first].append(element("p", "No figures were drawn: compare.plots is off."))
     sections = [
         *shown.items(),
-        ("Errors", list(_tables(workspace.out / "tables", TABLES))),
-        ("Modes", [*_figures_by_basis(workspace, tables), *_spectrum(workspace)]),
+        ("Errors", list(_compared(tables, TABLES))),
+        ("Modes", [*_figures_by_basis(workspace, tables), *_spectrum(tables)]),
         *((study.title, list(_study(workspace.out, study))) for study in STUDIES),
         ("Uncertainty", list(_uncertainty(workspace))),
-        ("Costs", list(_tables(workspace.out / "tables", COST_TABLES))),
+        ("Costs", list(_compared(tables, COST_TABLES))),
         ("The case", _case_parts(case, workspace.case_text)),
     ]
     footer = (
@@ -266,33 +267,23 @@ def _pictures(
             yield picture(path.read_bytes(), before + caption, before + caption + told)
 
 
-def _tables(folder: Path, captions: Mapping[str, str], made_by: str = MADE_BY) -> Iterator[Html]:
+def _compared(tables: Tables, captions: Mapping[str, str]) -> Iterator[Html]:
+    """Yield tables of the comparison; figures by Eq. 4.1 have tables of their own."""
     for name, caption in captions.items():
-        path = folder / f"{name}.csv"
-        if path.exists():
-            headings, rows = read_csv(path, made_by, RECORDS.get(name))
-            kept = [heading for heading in headings if EQ41 not in heading]
-            yield _table(caption, kept, _columns(headings, rows, kept))
-            if name in EQ41_CAPTIONS:
-                described = headings[: headings.index("status")]
-                kept = described + [heading for heading in headings if EQ41 in heading]
-                yield _table(EQ41_CAPTIONS[name], kept, _columns(headings, rows, kept))
+        if rows := [[*flat(row).values()] for row in getattr(tables, name)]:
+            names = headings(RECORDS[name])
+            eq41 = [heading for heading in names if EQ41 in heading]
+            yield _table(caption, names, rows, set(names).difference(eq41))
+            if eq41:
+                described = names[: names.index("status")]
+                yield _table(EQ41_CAPTION, names, rows, {*described, *eq41})
 
 
-def _columns(headings: list[str], rows: list[list[str]], kept: Sequence[str]) -> list[list[str]]:
-    """Return the columns of some headings."""
-    indices = [headings.index(heading) for heading in kept]
-    return [[row[i] for i in indices] for row in rows]
-
-
-def _spectrum(workspace: Workspace) -> Iterator[Html]:
-    path = workspace.out / "tables" / "singular_values.csv"
-    if path.exists():
-        headings, rows = read_csv(path, MADE_BY, SpectrumRow)
-        number = headings.index("n_modes")
-        shown = [row for row in rows if row[number] in map(str, SHOWN_VALUES)]
+def _spectrum(tables: Tables) -> Iterator[Html]:
+    shown = [[*flat(row).values()] for row in tables.singular_values if row.n_modes in SHOWN_VALUES]
+    if shown:
         caption = "Singular values, and the share of the first modes."
-        yield _table(caption, headings, shown, SHARE_DIGITS)
+        yield _table(caption, headings(SpectrumRow), shown, digits=SHARE_DIGITS)
 
 
 def _study(out: Path, study: Study) -> Iterator[Html]:
@@ -301,7 +292,9 @@ def _study(out: Path, study: Study) -> Iterator[Html]:
     for name, caption in study.figures.items():
         if (folder / name).is_file():
             yield picture((folder / name).read_bytes(), caption)
-    yield from _tables(folder, study.tables, study.made_by)
+    for name, caption in study.tables.items():
+        if (path := folder / f"{name}.csv").exists():
+            yield _table(caption, *read_csv(path, study.made_by))
 
 
 def _uncertainty(workspace: Workspace) -> Iterator[Html]:
@@ -314,10 +307,18 @@ def _uncertainty(workspace: Workspace) -> Iterator[Html]:
 
 
 def _table(
-    caption: str, headings: Sequence[str], rows: Sequence[Sequence[str]], digits: int = 3
+    caption: str,
+    headings: Sequence[str],
+    rows: Sequence[Sequence[Any]],
+    shown: Container[str] | None = None,
+    digits: int = 3,
 ) -> Html:
-    """Return a table with figures of few digits, without columns that hold nothing."""
-    kept = [i for i in range(len(headings)) if any(row[i] for row in rows)]
+    """Return some columns with figures of few digits, without those that hold nothing."""
+    kept = [
+        i
+        for i, heading in enumerate(headings)
+        if (shown is None or heading in shown) and any(row[i] not in (None, "") for row in rows)
+    ]
     return table(
         caption,
         [headings[i].replace("_", " ") for i in kept],
@@ -325,11 +326,13 @@ def _table(
     )
 
 
-def _cell(text: str, digits: int) -> str:
-    """Return a CSV's cell as a page shows it."""
+def _cell(value: Any, digits: int) -> str:
+    """Return a figure, or the text of a file that may be one, as a page shows it."""
+    if not isinstance(value, str):
+        return format_figure(value, digits)
     for kind in (int, float):
         try:
-            return format_figure(kind(text), digits)
+            return format_figure(kind(value), digits)
         except ValueError:
             continue
-    return text or format_figure(None)
+    return value or format_figure(None)

@@ -16,7 +16,6 @@ from sphrom.api.study import Study
 from sphrom.artifacts import Artifact, open_artifact
 from sphrom.case.loader import load_case
 from sphrom.case.points import ParameterPoint
-from sphrom.compare.measured import MeasureRow
 from sphrom.online.basis_model import forces_of
 from sphrom.plots.tables import read_csv
 from sphrom.setup import particles
@@ -235,7 +234,7 @@ def test_reduced_measurements_follow_the_full_run_s(opened) -> None:
 
 
 def test_tables_show_what_is_measured(made: Path) -> None:
-    headings, rows = read_csv(made / "runs" / "tables" / "measures.csv", "", MeasureRow)
+    headings, rows = read_csv(made / "runs" / "tables" / "measures.csv", "")
     found = [dict(zip(headings, row, strict=True)) for row in rows]
     assert {row["measured"] for row in found} == set(CASE["scene"]["measure"])
     runs = {row["compared"] for row in found if row["parameters"] == "reynolds=20"}
