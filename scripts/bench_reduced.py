@@ -37,7 +37,6 @@ from sphrom.reduction.polynomial_model import OutputTimes
 from sphrom.reduction.reference_model import automatic
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
-from sphrom.sph.functional import FullModel
 from sphrom.sph.time_loop import Clock, Model, TimeSteps, march
 from sphrom.store.starts import start
 from sphrom.store.workspace import Workspace
@@ -129,7 +128,7 @@ def full_row(workspace: Workspace, n_steps: int) -> Row:
     """Time the full model, and return what a run would take at several steps [s]."""
     case = workspace.case
     (point,) = case.plan.train_points
-    model = FullModel(particles.functional(case, point))
+    model = particles.functional(case, point)
     automatic = case.plan.steps.time_step
     seconds = step_seconds(model, start(workspace, point).state, case, automatic, n_steps)
     own = CASE_STEP * case.plan.particle_spacing

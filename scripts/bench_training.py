@@ -25,10 +25,10 @@ import numpy as np
 
 import sphrom
 from sphrom.case.points import ParameterPoint
-from sphrom.case.studies import Region, trained_at, training_model
+from sphrom.case.studies import Region, fast_model, trained_at
 from sphrom.console import SilentReporter
 from sphrom.setup.context import StageContext
-from sphrom.train.model import StageModel
+from sphrom.train.stage_model import StageModel
 from sphrom.train.train import make
 
 VELOCITY = 0
@@ -133,7 +133,7 @@ class Bench:
         if key not in self._known:
             scratch = self.folder / "scratch"
             scratch.mkdir(exist_ok=True)
-            model = training_model(self.case)
+            model = fast_model(self.case, self.case.training.model)
             assert model is not None
             stage = StageModel(self.context, model, points, scratch)
             found = [stage.compared(p).error[VELOCITY] for p in self.dense if p not in key]

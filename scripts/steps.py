@@ -31,7 +31,6 @@ from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.setup.measured_fields import sampler
 from sphrom.sph import state_equation
-from sphrom.sph.functional import FullModel
 from sphrom.sph.time_loop import Clock, TimeSteps, march
 from sphrom.store.sampling import probes_of
 from sphrom.store.starts import start
@@ -113,7 +112,7 @@ def _both(
     """Return the run with other steps, and the stored one, at the probes."""
     case, clock = workspace.case, Clock()
     begin = start(workspace, point)
-    model = FullModel(particles.functional(case, point))
+    model = particles.functional(case, point)
     found: list[tuple[Array, Array]] = []
     known: list[tuple[Array, Array]] = []
     run = march(model, begin.state, steps, case.fluid.reference_density, clock, lambda _: None)

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sphrom.api.result import ErrorEstimate, Result, Sensitivities, labelled_measures
+from sphrom.case.checks import require_basis, steady_problem
 from sphrom.case.hints import beyond_training, extrapolation
 from sphrom.case.loader import parameter_point
 from sphrom.case.messages import nearest, show
-from sphrom.case.model_checks import basis_problem, steady_problem
 from sphrom.case.plan import lengthened
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
@@ -59,8 +59,7 @@ class Model:
         fast: FastModel | None = None,
         errors: TrainingDifferences | None = None,
     ) -> None:
-        if (problem := basis_problem(context.case, section, point)) is not None:
-            raise CaseError(problem)
+        require_basis(context.case, section, point)
         if (warning := extrapolation(context.case, point)) is not None:
             context.report.warn(f"{section.name}: {warning}")
         self._context, self._point = context, point

@@ -1,174 +1,138 @@
-"""What must hold between the sections of a case: the full model's, and all together.
+"""What must hold between the sections of a case; each section checks itself.
 
-Each section checks itself; `sphrom.case.model_checks` has the reduced models and the studies.
+A check yields a key, such as `rom.0.basis`, and what is wrong with it.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.case.messages import Path, Problem, nearest
-from sphrom.case.model_checks import (
-    check_bases,
-    check_figures,
-    check_fit,
-    check_fixed_points,
-    check_modes,
-    check_reduced_models,
-    check_reduced_times,
-    check_splines,
-    check_sweep,
-    check_training,
-)
+from sphrom.case.messages import Problem, nearest
 from sphrom.case.models import Case
 from sphrom.case.plan import MAX_STEPS, ROUNDING, WHOLE_STEPS_TOLERANCE
-from sphrom.case.points import REYNOLDS, GivenPoints, ParameterPoint, impossible
+from sphrom.case.points import REYNOLDS, ParameterPoint, nearest_point
 from sphrom.case.scene_section import KINDS, MeasureSection
-from sphrom.case.studies import at_resolution
+from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection
+from sphrom.case.studies import at_resolution, fast_model, rows_of, sweep_model, sweep_points
+from sphrom.case.study_sections import FULL, ErrorFigure, FieldFigure, ModeFigure, OfModes, OfRuns
+from sphrom.errors import CaseError
 from sphrom.kernels import SUPPORT_RATIO
 from sphrom.text import exact, repeated
 
 Array = NDArray[np.float64]
+Found = Iterator[tuple[str, str]]
 
 WITHIN_WALL = 0.1
 """How far a place may be in the solid, over the particles' spacing: a circle is a polygon."""
 PER_SPACING = 4
 """Places along a segment that are looked at, for each spacing of the particles."""
 MOST_LOOKED_AT = 100_000
+COARSEST = 8
+"""The least resolution."""
 
 
 def case_problems(case: Case, *, force: bool = False) -> list[Problem]:
     """Return what makes a case invalid; `force` insists on an unstable time step."""
-    if problems := list(_check_names(case)):
-        return problems
-    problems = [problem for check in _CHECKS for problem in check(case)]
-    if not force:
-        problems += [
-            Problem(("time", "step"), f"{reason}; --force insists on it")
-            for reason in beyond_limits(case)
-        ]
-    # Snapshots can only be counted once steps and parameters make sense.
-    return problems or [problem for check in _SNAPSHOT_CHECKS for problem in check(case)]
+    limits = () if force else (_check_limits,)
+    # Points can be listed once names are known, snapshots once steps and points make sense.
+    for checks in ((_check_names,), (*_CHECKS, *limits), _SNAPSHOT_CHECKS):
+        if found := [problem for check in checks for problem in check(case)]:
+            return [Problem(_path(key), reason) for key, reason in found]
+    return []
 
 
-def _check_names(case: Case) -> Iterator[Problem]:
-    """Check that what varies is there and can vary, before anything asks for the points.
-
-    Other sections may name the parameters of `parameters.train` and `test` only.
-    """
-    known = case.plan.own_values
-    for group in ("train", "test"):
-        given: GivenPoints = getattr(case.parameters, group)
-        path: Path = ("parameters", group)
-        for name in given.names:
-            if name not in known:
-                reason = f"the case has no such parameter; {nearest(name, known)}"
-                yield Problem((*path, name), reason)
-    if not _has_reynolds(case):
-        yield Problem(
-            ("parameters", "test", REYNOLDS),
-            "is missing, and parameters.train has several: name one or more",
-        )
-    for name, reason in case.scene.parameter_problems(case.plan.parameter_names):
-        yield Problem(("parameters", name), f"can't vary: {reason}")
-    for path, values in _elsewhere(case):
-        for name in values:
-            if name not in case.plan.parameter_names:
-                reason = f"{name} varies in neither parameters.train nor parameters.test"
-                yield Problem(path, f"{reason}; {', '.join(case.plan.parameter_names)} do")
+def _path(key: str) -> tuple[str | int, ...]:
+    return tuple(int(part) if part.isdecimal() else part for part in key.split("."))
 
 
-def _has_reynolds(case: Case) -> bool:
-    """Whether points that name no Reynolds number may have that of the case, as it has one."""
+def _check_names(case: Case) -> Found:
+    """Check that the names that sections refer to are those of something in the case."""
+    for key, kind, names, known in _references(case):
+        for name in names:
+            if name is not None and name not in known:
+                yield key, f"no {kind} has the name {name}; {nearest(name, known)}"
     train, test = case.parameters.train, case.parameters.test
-    named = (train, test) if test.lists.keys() != {REYNOLDS} or test.points or test.sample else ()
-    return len(train.reynolds) == 1 or all(
-        REYNOLDS in point for given in named for point in (*given.points, *_names_of(given))
-    )
+    if len(train.reynolds) > 1 and not all(
+        REYNOLDS in each for each in (*train.named, *test.named)
+    ):
+        yield f"parameters.test.{REYNOLDS}", "is missing, and parameters.train has several: name it"
+    for name, reason in case.scene.parameter_problems(case.plan.parameter_names):
+        yield f"parameters.{name}", f"can't vary: {reason}"
 
 
-def _names_of(given: GivenPoints) -> Sequence[Mapping[str, object]]:
-    """Return the parameters of a sample or a grid, as one point."""
-    if given.sample is not None:
-        return [given.sample.ranges]
-    if given.points:
-        return []
-    return [{name: values for name, values in given.lists.items() if values}]
-
-
-def _elsewhere(case: Case) -> Iterator[tuple[Path, Mapping[str, object]]]:
-    """Yield the values by name that other sections list."""
-    for i, model in enumerate(case.rom):
-        for values in model.parameters if not isinstance(model.parameters, str) else ():
-            if isinstance(values, Mapping):
-                yield ("rom", i, "parameters"), values
+def _references(case: Case) -> Iterator[tuple[str, str, Collection[str | None], Collection[str]]]:
+    """Yield a key, the kind of its names, these names, and those that there are."""
+    models = [model.name for model in case.rom]
+    fast = [model.name for model in case.rom if model.from_operators]
+    bases, parameters, varied = (ALL, *case.basis.subsets), "parameter", "parameter that varies"
+    own, varying = case.plan.own_values, case.plan.parameter_names
+    yield "parameters.train", parameters, case.parameters.train.names, own
+    yield "parameters.test", parameters, case.parameters.test.names, own
     for name, subset in case.basis.subsets.items():
-        yield ("basis", "subsets", name, "box"), subset.box or {}
-    key = "parameters" if case.sweep.sample is None else "sample"
-    yield ("sweep", key), dict.fromkeys(case.sweep.names)
+        yield f"basis.subsets.{name}.box", varied, subset.box or (), varying
+    for i, model in enumerate(case.rom):
+        yield f"rom.{i}.basis", "basis", [model.basis], (*bases, LOCAL)
+        for values in () if isinstance(model.parameters, str) else model.parameters:
+            if isinstance(values, dict):
+                yield f"rom.{i}.parameters", varied, values, varying
+    for i, figure in enumerate(case.compare.figures):
+        if isinstance(figure, OfModes):
+            yield f"compare.figures.{i}.basis", "basis", [figure.basis], bases
+        else:
+            known = [*models, FULL] if isinstance(figure, FieldFigure) else models
+            names = list(dict.fromkeys(name for row in figure.runs for name in row))
+            yield f"compare.figures.{i}.runs", "run", names, known
+    yield "trade.measure", "quantity of scene.measure", [case.trade.measure], case.scene.measure
+    yield "sweep.model", "model", [case.sweep.model], [FULL, *models]
+    yield "sweep", varied, case.sweep.names, varying
+    yield "fit.model", "model with evaluation: operators", [case.fit.model], fast
+    yield "fit.parameters", varied, case.fit.parameters, varying
+    yield "training.model", "model with evaluation: operators", [case.training.model], fast
+    yield "training", "key or parameter", case.training.ranges, own
 
 
-def _check_points(case: Case) -> Iterator[Problem]:
+def _check_points(case: Case) -> Found:
     """Check that full runs are of different values, and that each can be made."""
-    for group in ("train", "test"):
-        points = case.plan.train_points if group == "train" else case.plan.test_points
-        for label in repeated(point.label for point in points):
-            yield Problem(_path(case, group), f"{label} stands more than once")
-        yield from _check_values(case, points, ("parameters", group))
-    trained = {point.label for point in case.plan.train_points}
-    for point in case.plan.test_points:
-        if point.label in trained:
-            yield Problem(_path(case, "test"), f"{point.label} is trained on; test elsewhere")
+    train, test = case.plan.train_points, case.plan.test_points
+    for key, points in (("parameters.train", train), ("parameters.test", test)):
+        yield from _check_repeated(key, points)
+        for others in dict.fromkeys(point.others for point in points):
+            try:
+                case.scene.check_at(dict(others))
+            except ValueError as error:
+                values = ", ".join(f"{name}={exact(value)}" for name, value in others)
+                yield key, f"{values}: {error}"
+                break
+    for point in filter(set(train).__contains__, test):
+        yield "parameters.test", f"{point.label} is trained on; test elsewhere"
 
 
-def _path(case: Case, group: str) -> Path:
-    """Return the key that a group's values stand in."""
-    given: GivenPoints = getattr(case.parameters, group)
-    return ("parameters", group, REYNOLDS) if given.is_list else ("parameters", group)
+def _check_repeated(key: str, points: Iterable[ParameterPoint]) -> Found:
+    for label in repeated(point.label for point in points):
+        yield key, f"{label} stands more than once"
 
 
-def _check_values(case: Case, points: Sequence[ParameterPoint], path: Path) -> Iterator[Problem]:
-    for point in points:
-        if (reason := impossible(REYNOLDS, point.reynolds)) is not None:
-            yield Problem(path, f"{point.label}: reynolds {reason}")
-    for others in dict.fromkeys(point.others for point in points):
-        try:
-            case.scene.check_at(dict(others))
-        except ValueError as error:
-            label = ", ".join(f"{name}={exact(value)}" for name, value in others)
-            yield Problem(path, f"{label}: {error}")
-            return
-
-
-def check_geometry(case: Case) -> Iterator[Problem]:
+def _check_geometry(case: Case) -> Found:
     """Check that walls lie on the lattice of particles, and stand where they are asked for."""
-    domain, length = case.scene.domain, case.scene.resolved_length
+    domain, plan, section = case.scene.domain, case.plan, case.discretization
     if domain.narrowest_gap <= 0.0:
-        yield Problem(("scene",), "its lengths are so far apart that the smallest gets lost")
-    elif not domain.fits_lattice(case.plan.particle_spacing):
-        fitting = nearest_fitting_resolution(case)
-        remedy = f"the nearest that does is {fitting}" if fitting else "nor does any that is near"
-        yield Problem(
-            ("discretization", "resolution"),
-            f"a spacing of {case.plan.particle_spacing:g} m, from {case.discretization.resolution} "
-            f"particles along {length:g} m, doesn't divide all lengths of the scene; {remedy}",
-        )
-    if case.plan.walls_fit_lattice and case.plan.packed:
-        yield Problem(
-            ("discretization", "initial_particles"),
-            f"a scene of kind {case.scene.kind} has walls, which only a lattice fits; "
-            "packing is for periodic boxes and solids of any shape",
-        )
-    if not domain.has_walls:
-        walls = case.discretization.walls
-        for key, field in type(walls).model_fields.items():
-            if getattr(walls, key) != field.default:
-                reason = f"a scene of kind {case.scene.kind} has no walls"
-                yield Problem(("discretization", "walls", key), reason)
+        yield "scene", "its lengths are so far apart that the smallest gets lost"
+    elif not domain.fits_lattice(plan.particle_spacing):
+        reason = f"a spacing of {plan.particle_spacing:g} m doesn't divide all lengths of the scene"
+        nearest_one = nearest_fitting_resolution(case) or "none that is near"
+        yield "discretization.resolution", f"{reason}; {nearest_one} does"
+    if plan.walls_fit_lattice and plan.packed:
+        reason = f"a scene of kind {case.scene.kind} has walls, which only a lattice fits"
+        yield "discretization.initial_particles", reason
+    for key, field in () if domain.has_walls else type(section.walls).model_fields.items():
+        if getattr(section.walls, key) != field.default:
+            reason = f"a scene of kind {case.scene.kind} has no walls"
+            yield f"discretization.walls.{key}", reason
 
 
 def nearest_fitting_resolution(case: Case) -> int | None:
@@ -185,125 +149,104 @@ def nearest_fitting_resolution(case: Case) -> int | None:
     return None
 
 
-def check_support(case: Case) -> Iterator[Problem]:
-    """Check that kernels reach no further than the fluid is wide."""
-    domain = case.scene.domain
-    walls, width, solid = domain.has_walls, domain.narrowest_gap, domain.thinnest_solid
-    if width <= 0.0:
-        return
+def _check_support(case: Case) -> Found:
+    """Check that kernels reach no further than fluid and solids are wide."""
+    domain, spacing = case.scene.domain, case.plan.particle_spacing
+    most = min(0.5 * domain.narrowest_gap, domain.thinnest_solid)
     for section, smoothing_length in (
         ("discretization", case.plan.smoothing_length),
         ("reference", case.plan.reference_smoothing_length),
     ):
         radius = SUPPORT_RATIO * smoothing_length
-        if radius > 0.5 * width * (1.0 + ROUNDING):
-            where = "fluid between walls" if walls else "periodic box"
-            where = f"half of the {where} of {width:g} m"
-            yield _support_problem(case, section, radius, where, 0.5 * width)
-        elif radius > solid * (1.0 + ROUNDING):
-            where = f"the solid between fluid and fluid of {solid:g} m"
-            yield _support_problem(case, section, radius, where, solid)
+        if domain.narrowest_gap > 0.0 and radius > most * (1.0 + ROUNDING):
+            yield (
+                f"{section}.smoothing_length_ratio",
+                f"a support of radius {radius:g} m is larger than half of the narrowest fluid, or "
+                f"the thinnest solid: use at most {most / (SUPPORT_RATIO * spacing):g}, or raise "
+                "the resolution",
+            )
 
 
-def _support_problem(case: Case, section: str, radius: float, where: str, most: float) -> Problem:
-    ratio = most / (SUPPORT_RATIO * case.plan.particle_spacing)
-    least = math.ceil(case.discretization.resolution * radius / most * (1.0 - ROUNDING))
-    return Problem(
-        (section, "smoothing_length_ratio"),
-        f"a support of radius {radius:g} m is larger than {where}; use at most {ratio:g}, or a "
-        f"resolution of at least {least}",
-    )
+def coarser_resolution(case: Case) -> int | None:
+    """Return half the resolution, or None where particles would not fit the scene then."""
+    half = case.discretization.resolution // 2
+    coarser = at_resolution(case, half) if half >= COARSEST else None
+    if coarser is None or any((*_check_geometry(coarser), *_check_support(coarser))):
+        return None
+    return half
 
 
-def _check_steps(case: Case) -> Iterator[Problem]:
+def _check_steps(case: Case) -> Found:
     """Check that runs are whole numbers of steps, and not absurdly many."""
-    time = case.time
-    steps = time.final_time / case.plan.step_target
-    if steps > MAX_STEPS:
-        yield Problem(("time",), f"a run of {steps:.3g} steps; at most {MAX_STEPS:g} are allowed")
+    time, plan = case.time, case.plan
+    if (number := time.final_time / plan.step_target) > MAX_STEPS:
+        yield "time", f"a run of {number:.3g} steps; at most {MAX_STEPS:g} are allowed"
         return
-    recorded = case.plan.recorded_time / case.plan.step_target
-    if time.step != "auto":
-        yield from _check_whole_steps(case, time.step)
-    if case.snapshots.every > max(1.0, recorded) * (1.0 + WHOLE_STEPS_TOLERANCE):
-        yield Problem(
-            ("snapshots", "every"),
-            f"must be at most the number of steps, {max(1, int(recorded))}; "
-            f"got {case.snapshots.every}",
-        )
-    elif time.step == "auto":
-        yield from _check_spin_up(case, recorded)
+    number = max(1.0, plan.recorded_time / plan.step_target)
+    if case.snapshots.every > number * (1.0 + WHOLE_STEPS_TOLERANCE):
+        reason = f"must be at most the number of steps, {int(number)}; got {case.snapshots.every}"
+        yield "snapshots.every", reason
+    elif time.step != "auto":
+        for key, duration in (("step", time.final_time), ("spin_up", time.spin_up)):
+            if (problem := _not_whole(duration, time.step)) is not None:
+                yield f"time.{key}", problem
+                return
+    else:
+        ratio, recorded = plan.spin_up_ratio, plan.recorded_time
+        apart = abs(float(ratio) * recorded - time.spin_up) > WHOLE_STEPS_TOLERANCE * time.spin_up
+        if apart or math.lcm(case.snapshots.every, ratio.denominator) > number * (1.0 + ROUNDING):
+            yield (
+                "time.spin_up",
+                f"no step near {plan.step_target:.4g} s fits both {time.spin_up:g} s and the "
+                f"{recorded:g} s after it; {max(1, round(ratio)) * recorded:.12g} s would do",
+            )
 
 
-def _check_whole_steps(case: Case, step: float) -> Iterator[Problem]:
-    final_time, spin_up = case.time.final_time, case.time.spin_up
-    whole = max(1, round(final_time / step))
-    if not _is_whole(final_time / step):
-        yield Problem(
-            ("time", "step"),
-            f"{final_time:g} s is not a whole number of steps of {step:g} s; "
-            f"the nearest step is {final_time / whole:.12g}, or end at {whole * step:.12g} s",
-        )
-    elif not _is_whole(spin_up / step):
-        yield Problem(
-            ("time", "spin_up"),
-            f"{spin_up:g} s is not a whole number of steps of {step:g} s; "
-            f"the nearest is {round(spin_up / step) * step:.12g} s",
-        )
-
-
-def _is_whole(number: float) -> bool:
-    return abs(number - round(number)) <= WHOLE_STEPS_TOLERANCE * number
-
-
-def _check_spin_up(case: Case, steps: float) -> Iterator[Problem]:
-    """Check that one automatic step fits both the spin-up and what is recorded after it."""
-    ratio, recorded = case.plan.spin_up_ratio, case.plan.recorded_time
-    fitting = float(ratio) * recorded
-    if abs(fitting - case.time.spin_up) > WHOLE_STEPS_TOLERANCE * case.time.spin_up:
-        yield Problem(
-            ("time", "spin_up"),
-            f"no step fits both {case.time.spin_up:g} s and the {recorded:g} s after it; the "
-            f"nearest that has one is {fitting:.12g} s",
-        )
-    elif math.lcm(case.snapshots.every, ratio.denominator) > max(1.0, steps) * (1.0 + ROUNDING):
-        simple = max(1, round(ratio)) * recorded
-        yield Problem(
-            ("time", "spin_up"),
-            f"only much shorter steps than those of {case.plan.step_target:.4g} s fit both "
-            f"{case.time.spin_up:g} s and the {recorded:g} s after it; {simple:.12g} s would do",
-        )
+def _not_whole(duration: float, step: float) -> str | None:
+    """Return that a duration is not a whole number of steps, and which step would fit, or None."""
+    number = duration / step
+    whole = max(1, round(number))
+    if number <= MAX_STEPS and abs(number - round(number)) <= WHOLE_STEPS_TOLERANCE * number:
+        return None
+    return (
+        f"{duration:g} s is not a whole number of steps of {step:g} s; the nearest step is "
+        f"{duration / whole:.12g}"
+    )
 
 
 def beyond_limits(case: Case) -> Iterator[str]:
     """Yield which limits the time step is beyond."""
-    step = case.time.step
+    step, known = case.time.step, case.plan.limits
     limits = {
-        "acoustic": (case.plan.acoustic_limit, "1.5 h / c0, Eq. 2.19"),
-        "viscous": (case.plan.viscous_limit, "0.125 h^2 / nu, beside walls at most 0.22 h dx / nu"),
-        "body-force": (case.plan.force_limit, "0.25 sqrt(h / b)"),
+        "acoustic": (known.acoustic, "1.5 h / c0, Eq. 2.19"),
+        "viscous": (known.viscous, "0.125 h^2 / nu, beside walls at most 0.22 h dx / nu"),
+        "body-force": (known.body_force, "0.25 sqrt(h / b)"),
     }
     for name, (limit, formula) in limits.items():
         if step != "auto" and step > limit * (1.0 + WHOLE_STEPS_TOLERANCE):
             yield f"{step:g} s is beyond the {name} limit of {limit:.4g} s ({formula})"
 
 
-def _check_scene(case: Case) -> Iterator[Problem]:
+def _check_limits(case: Case) -> Found:
+    for reason in beyond_limits(case):
+        yield "time.step", f"{reason}; --force insists on it"
+
+
+def _check_scene(case: Case) -> Found:
     """Check the scene, that its measured walls are there, and that places are in the fluid."""
     for name, reason in case.scene.problems(case.time.final_time):
-        yield Problem(("scene", name), reason)
+        yield f"scene.{name}", reason
     for name, measured in case.scene.measure.items():
         kind = next(kind for kind in KINDS if getattr(measured, kind) is not None)
         if (problem := _measure_problem(case, measured)) is not None:
-            yield Problem(("scene", "measure", name, kind), problem)
+            yield f"scene.measure.{name}.{kind}", problem
 
 
 def _measure_problem(case: Case, measured: MeasureSection) -> str | None:
     if measured.force_on is not None:
         names = case.scene.domain.wall_names
-        if measured.force_on in names:
-            return None
-        return f"there is no such wall; the walls are {', '.join(names) or 'none'}"
+        missing = f"there is no such wall; the walls are {', '.join(names) or 'none'}"
+        return None if measured.force_on in names else missing
     if measured.probe is not None:
         return outside_fluid(case, np.array([measured.probe]))
     assert measured.segment is not None
@@ -312,93 +255,267 @@ def _measure_problem(case: Case, measured: MeasureSection) -> str | None:
     if not length > 0.0:
         return "its ends are one place"
     number = min(2 + math.ceil(PER_SPACING * length / case.plan.particle_spacing), MOST_LOOKED_AT)
-    along = np.linspace(0.0, 1.0, number)[:, None]
-    return outside_fluid(case, start + along * (end - start))
+    return outside_fluid(case, start + np.linspace(0.0, 1.0, number)[:, None] * (end - start))
 
 
 def outside_fluid(case: Case, place: Array) -> str | None:
     """Return which of some places (n_places, 2) is out of the box or in a solid, in words."""
     domain = case.scene.domain
-    slack = WITHIN_WALL * case.plan.particle_spacing
     beyond = (place < np.array(domain.lower)) | (place > np.array(domain.upper))
     for x, y in place[beyond.any(axis=1)][:1]:
         return f"({x:g}, {y:g}) m is outside of the box"
-    in_solid = domain.distance_and_normal(place)[0] < -slack
+    in_solid = domain.distance_and_normal(place)[0] < -WITHIN_WALL * case.plan.particle_spacing
     for x, y in place[in_solid][:1]:
         more = "; give a segment for each part of the fluid" if len(place) > 1 else ""
         return f"({x:g}, {y:g}) m is in a solid{more}"
     return None
 
 
-def _check_compare(case: Case) -> Iterator[Problem]:
-    if case.compare.from_time >= case.time.final_time:
-        yield Problem(
-            ("compare", "from_time"),
-            f"must be before time.final_time, {exact(case.time.final_time)} s; "
-            f"got {exact(case.compare.from_time)}",
+def _check_bases(case: Case) -> Found:
+    """Check names of bases, and that each learns from training values."""
+    for name in repeated(name.casefold() for name in (ALL, LOCAL, *case.basis.subsets)):
+        yield "basis.subsets", f"the name {name} is taken"
+    trained = {point.reynolds for point in case.plan.train_points}
+    for name, subset in case.basis.subsets.items():
+        if not case.plan.bases[name]:
+            yield f"basis.subsets.{name}", "none of the training values is in it"
+        for value in set(subset.reynolds or ()) - trained:
+            yield f"basis.subsets.{name}.reynolds", f"reynolds={exact(value)} is not trained on"
+
+
+def _check_splines(case: Case) -> Found:
+    """Refuse B-splines where points are no lattice that fills a box."""
+    if not case.plan.lattice_splines:
+        return
+    if not case.scene.domain.fills_box:
+        yield "psi.kind", "B-splines are for fluid that fills a box; set psi.kind: polyharmonic"
+    elif not case.plan.reference_lattice:
+        yield "psi.kind", "B-splines are for points of a lattice; set reference.points: lattice"
+    if case.psi.order != type(case.psi).model_fields["order"].default:
+        yield "psi.order", "is only for kind: polyharmonic, which auto is not here"
+
+
+def _check_models(case: Case) -> Found:
+    """Check the names, bases and values of each reduced model."""
+    for name in repeated(model.name.casefold() for model in case.rom):
+        yield "rom", f"two reduced models have the name {name}"
+    for i, model in enumerate(case.rom):
+        yield from ((f"rom.{i}.{key}", reason) for key, reason in _model_problems(case, model))
+
+
+def _model_problems(case: Case, model: ReducedModelSection) -> Found:
+    plan, points = case.plan, case.plan.rom_points(model)
+    try:
+        bases = plan.bases_for(model)
+    except CaseError as error:
+        yield "basis", str(error)
+        return
+    if model.from_operators and model.has_memory and plan.driving:
+        reason = f"{model.projection} has operators for the viscosity alone, and"
+        yield "projection", f"{reason} {plan.driving[0]} varies too; set projection: galerkin"
+    if model.steady and (problem := steady_problem(case)) is not None:
+        yield "steady", problem
+    if not points:
+        yield "parameters", f"there are no {model.parameters} values"
+    if not isinstance(model.parameters, str):
+        yield from _check_repeated("parameters", points)
+        for point in points if model.on_particles else ():
+            if point not in plan.points:
+                known = nearest_point(point, plan.points).label
+                yield "parameters", f"{point.label} has no full run; the nearest is {known}"
+    if not model.from_operators:
+        return
+    alone = [name for name in bases if len(plan.bases[name]) == 1]
+    if model.corrected is True and alone:
+        yield "corrected", f"the basis {alone[0]} learns from one run; two or more are needed"
+    predicts = model.integrated_modes != AUTO and model.integrated_modes < model.size
+    if predicts and not all(plan.is_corrected(model, name) for name in bases):
+        reason = "training runs predict the other modes where a model is corrected: it needs"
+        yield "integrated_modes", f"{reason} corrected: auto and bases of two runs or more"
+
+
+def steady_problem(case: Case) -> str | None:
+    """Return why a case has no steady states, or None."""
+    if case.plan.largest_body_force > 0.0 and case.scene.drive_changes:
+        return "the scene's body force changes with time: there is no steady state"
+    return None
+
+
+def require_basis(case: Case, model: ReducedModelSection, point: ParameterPoint) -> None:
+    """Raise CaseError where a model has no basis at a point, or none with operators."""
+    basis = case.plan.basis_for(model, point)
+    if model.basis == LOCAL and model.from_operators and basis not in case.plan.reference_bases:
+        raise CaseError(
+            f"{point.label} has the local basis {basis}, at none of whose values {model.name} is "
+            "run, so that it has no operators"
         )
-    if case.compare.exact and not case.scene.has_exact_solution:
-        yield Problem(
-            ("compare", "exact"), f"a scene of kind {case.scene.kind} has no exact solution"
-        )
-    left, right = case.scene.domain.lower[0], case.scene.domain.upper[0]
-    line = case.plan.probe_line
+
+
+def _check_fixed_points(case: Case) -> Found:
+    """Refuse readings of the paper that models on the reference points don't have."""
+    section = case.discretization
+    name = next((model.name for model in case.rom if model.from_operators), None)
+    for key, given, needed in (
+        ("viscosity", section.viscosity, "laplacian"),
+        ("walls.continuity", section.walls.continuity, "adjoint"),
+        ("walls.no_slip", section.walls.no_slip, "linear"),
+    ):
+        if name is not None and given != needed:
+            reason = f"must be {needed} for models with evaluation: operators, such as {name}"
+            yield f"discretization.{key}", f"{reason}; got {given}"
+
+
+def with_fitting_model(case: Case) -> Case:
+    """Return a valid case; if it lists no model, the usual one has no more modes than snapshots."""
+    if "rom" in case.model_fields_set:
+        return case
+    (model,) = case.rom
+    most = min(model.size, case.basis.n_modes or model.size, case.plan.n_basis_snapshots(ALL))
+    return case.model_copy(update={"rom": (model.model_copy(update={"n_modes": most}),)})
+
+
+def _check_modes(case: Case) -> Found:
+    """Check numbers of modes against snapshots and the basis."""
+    plan = case.plan
+    # A model that isn't listed is made to fit.
+    listed = case.rom if "rom" in case.model_fields_set else ()
+    asked: list[tuple[str, Any, list[str]]] = [("basis.n_modes", case.basis.n_modes, [ALL])]
+    asked += [(f"rom.{i}.n_modes", m.n_modes, plan.bases_for(m)) for i, m in enumerate(listed)]
+    for key, n_modes, bases in asked:
+        smallest = min(bases, key=plan.n_basis_snapshots)
+        most = plan.n_basis_snapshots(smallest)
+        if n_modes == AUTO:
+            if not all(map(plan.has_error_estimate, bases)):
+                remedy = "set operators.error_estimate: true, or a smaller basis.n_modes"
+                yield key, f"auto needs the errors of training runs: {remedy}"
+        elif (n_modes or 0) > most:
+            reason = f"must be at most the number of snapshots of basis {smallest}, {most}"
+            yield key, f"{reason}; got {n_modes}"
+        elif (n_modes or 0) > plan.n_modes:
+            yield key, f"must be at most basis.n_modes, {plan.n_modes}; got {n_modes}"
+
+
+def _check_reduced_times(case: Case) -> Found:
+    """Check when runs of reduced models end, and that their steps end on snapshots."""
+    for i, model in enumerate(case.rom):
+        try:
+            case.plan.model_steps(model)
+        except CaseError as error:
+            yield f"rom.{i}.until", str(error).removeprefix("final_time: ")
+        if not isinstance(model.time_step, str):
+            reason = _not_whole(case.plan.steps.snapshot_interval, model.time_step)
+            yield from () if reason is None else ((f"rom.{i}.time_step", reason),)
+
+
+def _check_compare(case: Case) -> Found:
+    """Check the comparison, and that what figures show is there."""
+    section, domain, end = case.compare, case.scene.domain, case.time.final_time
+    if section.from_time >= end:
+        reason = f"must be before time.final_time, {exact(end)} s; got {exact(section.from_time)}"
+        yield "compare.from_time", reason
+    if section.exact and not case.scene.has_exact_solution:
+        yield "compare.exact", f"a scene of kind {case.scene.kind} has no exact solution"
+    left, right, line = domain.lower[0], domain.upper[0], case.plan.probe_line
     if not left < line < right:
-        yield Problem(
-            ("compare", "line"),
-            f"must be within the scene, between {left:g} and {right:g} m; got {line:g}",
-        )
+        reason = f"must be within the scene, between {left:g} and {right:g} m; got {line:g}"
+        yield "compare.line", reason
+    for name in repeated(figure.name.casefold() for figure in section.figures):
+        yield "compare.figures", f"two figures have the name {name}"
+    for i, figure in enumerate(section.figures):
+        found = _figure_problems(case, figure)
+        yield from ((f"compare.figures.{i}.{key}", reason) for key, reason in found)
 
 
-def _check_trade(case: Case) -> Iterator[Problem]:
-    """Check that the models to be weighed exist in the case."""
-    section = case.trade
-    if section.measure is not None and section.measure not in case.scene.measure:
-        known = tuple(case.scene.measure)
-        hint = nearest(section.measure, known) if known else "scene.measure is empty"
-        reason = f"nothing measured has the name {section.measure}; {hint}"
-        yield Problem(("trade", "measure"), reason)
-    for size in section.n_modes or ():
-        if size > case.plan.n_modes:
-            reason = (
-                f"the basis keeps {case.plan.n_modes} modes; got {size}; basis.n_modes keeps more"
-            )
-            yield Problem(("trade", "n_modes"), reason)
+def _figure_problems(case: Case, figure: OfModes | OfRuns) -> Found:
+    start, end, most = case.time.spin_up, case.time.final_time, case.plan.n_modes
+    if isinstance(figure, ModeFigure) and max(figure.modes) > most:
+        yield "modes", f"must be at most basis.n_modes, {most}; got {max(figure.modes)}"
+    if isinstance(figure, OfModes):
+        return
+    for names, (_, points) in zip(figure.runs, rows_of(case, figure), strict=True):
+        missing = set(figure.reynolds or ()) - {point.reynolds for point in points}
+        if missing or not points:
+            at = f"at {exact(min(missing))} " if missing else ""
+            yield "runs", f"{' and '.join(names)}: not run {at}beside a full run"
+    if not isinstance(figure, ErrorFigure) and not start <= figure.time <= end:
+        within = f"{exact(start)} s to {exact(end)} s"
+        yield "time", f"must be within what is recorded, {within}; got {exact(figure.time)}"
+
+
+def _check_trade(case: Case) -> Found:
+    """Check that the models to be weighed can be had."""
+    section, plan = case.trade, case.plan
+    if (size := max(section.n_modes or (0,))) > plan.n_modes:
+        reason = f"the basis keeps {plan.n_modes} modes; got {size}; basis.n_modes keeps more"
+        yield "trade.n_modes", reason
     for resolution in section.resolutions or ():
         coarser = at_resolution(case, resolution)
-        for problem in (*check_geometry(coarser), *check_support(coarser)):
-            yield Problem(("trade", "resolutions"), f"{resolution}: {problem.reason}")
+        for _, reason in (*_check_geometry(coarser), *_check_support(coarser)):
+            yield "trade.resolutions", f"{resolution}: {reason}"
 
 
-def coarser_resolution(case: Case) -> int | None:
-    """Return half the resolution, or None where particles would not fit the scene then."""
-    half = case.discretization.resolution // 2
-    if half < 8:
-        return None
-    coarser = at_resolution(case, half)
-    fits = not any((*check_geometry(coarser), *check_support(coarser)))
-    return half if fits else None
+def _check_sweep(case: Case) -> Found:
+    """Check that the model can run at the values."""
+    model, points, steps = sweep_model(case), sweep_points(case), case.plan.steps
+    if case.sweep.sensitivities and (model is None or not model.from_operators):
+        reason = "is for models with evaluation: operators, which have equations to differentiate"
+        yield "sweep.sensitivities", reason
+    for place in case.sweep.probes:
+        if (problem := outside_fluid(case, np.array([place]))) is not None:
+            yield "sweep.probes", problem
+    yield from _check_repeated("sweep", points)
+    if model is None and points:
+        thickest = min(points, key=lambda point: point.reynolds)
+        limit = case.plan.step_limits(thickest).viscous
+        if steps.time_step > limit * (1.0 + WHOLE_STEPS_TOLERANCE):
+            reason = f"is stable with steps below {limit:.4g} s only, and full runs of this case"
+            remedy = "lower time.step, or list it in parameters.test"
+            took = f"take steps of {steps.time_step:.4g} s"
+            yield "sweep.reynolds", f"{thickest.label} {reason} {took}: {remedy}"
+    elif model is not None:
+        try:
+            for point in points:
+                require_basis(case, model, point)
+        except CaseError as error:
+            yield "sweep", str(error)
 
 
-_Check = Callable[[Case], Iterable[Problem]]
-_CHECKS: tuple[_Check, ...] = (
+def _check_training(case: Case) -> Found:
+    """Check the region, where there is one, and its model."""
+    section, plan = case.training, case.plan
+    model = fast_model(case, section.model)
+    if not section.ranges:
+        return
+    for name in plan.parameter_names:
+        several = len({point.as_dict()[name] for point in plan.train_points}) > 1
+        if name not in section.ranges and (several or name != REYNOLDS):
+            yield "training", f"{name} varies in parameters: give its range too, or one value there"
+    if model is None:
+        yield "training", "is for models with evaluation: operators, and rom has none"
+    elif not plan.ends_with_case(model):
+        reason = "has runs that end at another time than full runs: leave out until"
+        yield "training", f"{model.name} {reason}"
+    elif case.operators.error_estimate is False:
+        reason = "false leaves training nothing to go by: leave it out, or set true"
+        yield "operators.error_estimate", reason
+
+
+_CHECKS: tuple[Callable[[Case], Found], ...] = (
     _check_points,
-    check_geometry,
+    _check_geometry,
     _check_scene,
-    check_splines,
-    check_support,
+    _check_splines,
+    _check_support,
     _check_steps,
-    check_bases,
-    check_reduced_models,
-    check_fixed_points,
+    _check_bases,
+    _check_models,
+    _check_fixed_points,
     _check_compare,
-    check_figures,
 )
-_SNAPSHOT_CHECKS: tuple[_Check, ...] = (
-    check_modes,
-    check_reduced_times,
+_SNAPSHOT_CHECKS: tuple[Callable[[Case], Found], ...] = (
+    _check_modes,
+    _check_reduced_times,
     _check_trade,
-    check_sweep,
-    check_fit,
-    check_training,
+    _check_sweep,
+    _check_training,
 )

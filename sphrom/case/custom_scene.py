@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import cached_property, lru_cache
-from typing import Any, ClassVar, Literal, TypeVar
+from typing import ClassVar, Literal
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from pydantic import model_validator
+from pydantic import PrivateAttr, model_validator
 from shapely.geometry.base import BaseGeometry
 
 from sphrom.case.custom_sections import (
@@ -28,11 +28,10 @@ from sphrom.case.shapes import ShapeSection
 from sphrom.expressions import CONSTANTS, FUNCTIONS, Expression
 from sphrom.scenes.flows import CustomFlow
 from sphrom.scenes.scene import Drive, Scales, Scene
-from sphrom.sph.box_domain import SIDES, BoxDomain
-from sphrom.sph.domain import Domain
+from sphrom.sph.box_domain import BoxDomain
+from sphrom.sph.domain import SIDES, Domain
 
 Array = NDArray[np.float64]
-T = TypeVar("T")
 
 N_SAMPLES = 200
 """Points along each edge of the box, or along a wall, at which expressions are looked at."""
@@ -43,7 +42,7 @@ ALONG = 0.02
 TOUCHING = 1e-6
 """How far a wall may be from the edge of the fluid, over its length."""
 MOST_KNOWN = 4000
-"""Results at values of the parameters that a scene keeps."""
+"""Values of the parameters at which a scene is kept."""
 BODY_FORCE = "body_force"
 """What the body force's factor is called as a parameter."""
 OTHER_UNIT = 100.0
@@ -80,6 +79,7 @@ class CustomScene(SceneSection):
         None, "L of the Reynolds number; null is the width of the box", unit="m"
     )
     measure: Measures = measures()
+    _factors: Mapping[str, float] = PrivateAttr(default_factory=dict)
 
     @model_validator(mode="after")
     def _consistent(self) -> CustomScene:
@@ -136,20 +136,14 @@ class CustomScene(SceneSection):
         for name, shape in self._shapes.items():
             ratio = max(np.subtract(shape.bounds[2:], shape.bounds[:2])) / width
             if not 1.0 / OTHER_UNIT < ratio < OTHER_UNIT:
-                yield (
-                    name,
-                    f"is {ratio:.2g} times as wide as the box: is it in another unit? `scale: "
-                    "1.0e-3` makes metres of millimetres",
-                )
+                yield name, f"is {ratio:.2g} times as wide as the box; `scale` changes units"
 
     def warnings(self) -> Iterator[tuple[str, str]]:
         """Warn of solids in another unit, and of fluid that they cut apart."""
         yield from ((f"solids.{name}", hint) for name, hint in self._odd_units())
         if len(areas := self.domain.separate_areas) > 1:
-            *first, last = [f"{area:.4g}" for area in areas[:MOST_AREAS]]
-            more = f", and {len(areas) - MOST_AREAS} smaller" if areas[MOST_AREAS:] else ""
-            sizes = f"{', '.join(first)} and {last} m2{more}"
-            yield "solids", f"they cut the fluid into {len(areas)} parts, of {sizes}"
+            sizes = ", ".join(f"{area:.4g}" for area in areas[:MOST_AREAS])
+            yield "solids", f"they cut the fluid into {len(areas)} parts, of {sizes} m2"
 
     def flow(self, scales: Scales) -> Scene:
         """Return the flow."""
@@ -157,31 +151,27 @@ class CustomScene(SceneSection):
         # What a run starts with is looked at when one starts: it may be any function of constants.
         return CustomFlow(
             here.domain,
-            {name: here._wall_velocity(name, scales.values) for name in here.walls},
-            here._driven(scales.values),
+            {name: here._wall_velocity(name) for name in here.walls},
+            here._drive,
             lambda at: here._start()[0](at),
             lambda at: here._start()[1](at),
         )
 
     @cached_property
-    def _known(self) -> dict[tuple[Any, ...], Any]:
-        """What was found at values of the parameters: cases ask again and again."""
+    def _known(self) -> dict[tuple[tuple[str, float], ...], CustomScene]:
+        """The scene at values of the parameters: cases ask again and again."""
         return {}
 
-    def _kept(self, asked: tuple[Any, ...], find: Callable[[], T]) -> T:
-        """Return what is known, found if it is not."""
+    def _at(self, values: Mapping[str, float]) -> CustomScene:
+        """Return the scene with other constants and rates of rotation, and factors of the rest."""
+        asked = tuple(values.items())
+        if not asked:
+            return self
         if asked not in self._known:
             if len(self._known) >= MOST_KNOWN:
                 self._known.clear()
-            self._known[asked] = find()
-        found: T = self._known[asked]
-        return found
-
-    def _at(self, values: Mapping[str, float]) -> CustomScene:
-        """Return the scene with other constants and rates of rotation."""
-        if not values:
-            return self
-        return self._kept(("scene", *values.items()), lambda: self._changed(values))
+            self._known[asked] = self._changed(values)
+        return self._known[asked]
 
     def _changed(self, values: Mapping[str, float]) -> CustomScene:
         _ = self.domain, self._shapes  # they are the same, and needn't be built again
@@ -193,13 +183,15 @@ class CustomScene(SceneSection):
             for name, wall in self.walls.items()
         }
         other = self.model_copy(update={"constants": constants, "walls": walls})
+        other._factors = values
         for built in ("_force", "_initial", "_known"):
             other.__dict__.pop(built, None)
         return other
 
-    def _driven(self, values: Mapping[str, float]) -> Drive | None:
-        """Return the body force, times the factor that parameters give."""
-        drive, factor = self._force, values.get(BODY_FORCE, 1.0)
+    @property
+    def _drive(self) -> Drive | None:
+        """The body force, times the factor that parameters give."""
+        drive, factor = self._force, self._factors.get(BODY_FORCE, 1.0)
         if drive is None or factor == 1.0:
             return drive
         return Drive(drive.field, lambda time: factor * drive.amplitude(time))
@@ -233,19 +225,16 @@ class CustomScene(SceneSection):
         """Raise ValueError where the scene can't be had with some values of its parameters."""
         here = self._at(values)
         for name in here.walls:
-            here._check_along(name, values)
+            here._check_along(name)
         _ = here._force, here._initial
 
     def largest_wall_speed(self, values: Mapping[str, float]) -> float:
         """Return the largest speed of walls [m/s], at values of the parameters."""
-        return self._kept(("speed", *values.items()), lambda: self._fastest_wall(values))
-
-    def _fastest_wall(self, values: Mapping[str, float]) -> float:
         here = self._at(values)
-        speeds = [
-            np.linalg.norm(here._wall_velocity(name, values)(here._edge(name)), axis=1).max()
+        speeds = (
+            np.linalg.norm(here._wall_velocity(name)(here._edge(name)), axis=1).max()
             for name in here.walls
-        ]
+        )
         return float(max(speeds, default=0.0))
 
     def _start(self) -> tuple[Callable[[Array], Array], Callable[[Array], Array]]:
@@ -303,13 +292,8 @@ class CustomScene(SceneSection):
         )
         return (lambda at: np.stack((u(at), v(at)), axis=1)), p
 
-    def _wall_velocity(
-        self, name: str, values: Mapping[str, float] = NONE
-    ) -> Callable[[Array], Array]:
-        """Return the velocity (n_points, 2) [m/s] of a wall at places on it (n_points, 2) [m].
-
-        `values` are those of the parameters, of which the wall's name is a factor.
-        """
+    def _wall_velocity(self, name: str) -> Callable[[Array], Array]:
+        """Return the velocity (n_points, 2) [m/s] of a wall at places on it (n_points, 2) [m]."""
         wall = self.walls[name]
         if wall.velocity is None:
             rate = wall.rotation or 0.0
@@ -317,7 +301,7 @@ class CustomScene(SceneSection):
             return lambda at: rate * np.stack((centre[1] - at[:, 1], at[:, 0] - centre[0]), axis=1)
         where = f"walls.{name}.velocity"
         parts = [self._expression(where, value, "x", "y") for value in wall.velocity]
-        factor = values.get(name, 1.0)
+        factor = self._factors.get(name, 1.0)
         return lambda at: factor * np.stack([e(x=at[:, 0], y=at[:, 1]) for e in parts], axis=1)
 
     def _edge(self, name: str) -> Array:
@@ -340,12 +324,12 @@ class CustomScene(SceneSection):
             raise ValueError(f"walls.{name}: no fluid touches it")
         return place[touched]
 
-    def _check_along(self, name: str, values: Mapping[str, float] = NONE) -> None:
+    def _check_along(self, name: str) -> None:
         """Raise ValueError unless a wall's velocity is finite and along the wall."""
         if name not in self._shapes and self.walls[name].rotation is not None:
             raise ValueError(f"walls.{name}.rotation: a side of the box can't turn")
         place = self._edge(name)
-        velocity = self._wall_velocity(name, values)(place)
+        velocity = self._wall_velocity(name)(place)
         _require_finite(f"walls.{name}.velocity", velocity, place)
         normal = self.domain.distance_and_normal(place)[1]
         across = np.abs(np.sum(velocity * normal, axis=1))
@@ -392,19 +376,15 @@ class CustomScene(SceneSection):
     @property
     def drive_changes(self) -> bool:
         """Whether the body force changes with time."""
-        expressions = (v for v in self.body_force if "t" in str(v))
         return any(
             "t" in self._expression("body_force", value, "x", "y", "t").depends_on
-            for value in expressions
+            for value in self.body_force
+            if "t" in str(value)
         )
 
     def largest_body_force(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
         """Return what the body force's acceleration doesn't exceed until a time [m/s2]."""
-        asked = ("force", final_time, *values.items())
-        return self._kept(asked, lambda: self._largest_force(final_time, values))
-
-    def _largest_force(self, final_time: float, values: Mapping[str, float]) -> float:
-        drive = self._at(values)._driven(values)
+        drive = self._at(values)._drive
         if drive is None:
             return 0.0
         field = np.linalg.norm(drive.field(self._samples.T), axis=0).max(initial=0.0)

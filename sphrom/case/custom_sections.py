@@ -8,10 +8,7 @@ from __future__ import annotations
 
 import csv
 import hashlib
-import io
-import math
 from collections.abc import Collection, Iterator, Sequence
-from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
@@ -64,38 +61,35 @@ class InitialSection(Section):
     sha256: str | None = key(None, "digest of that file; taken from it unless it is given")
     _fields: Any = PrivateAttr(None)
 
+    _folder: Path = PrivateAttr(Path())
+
     @model_validator(mode="before")
     @classmethod
     def _with_digest(cls, values: Any, info: ValidationInfo) -> Any:
-        """Take the digest of the file, so that the case says what it held."""
+        """Read the file, and take its digest, so that the case says what it held."""
         name = values.get("file") if isinstance(values, dict) else None
+        # A case that an artifact holds is read without its files; it starts no run.
         if not isinstance(name, str) or values.get("sha256") is not None:
             return values
-        return {**values, "sha256": digest_of(_folder(info) / name)}
+        return {**values, "sha256": _read_fields(_folder(info) / name)}
 
     @model_validator(mode="after")
-    def _with_fields(self, info: ValidationInfo) -> InitialSection:
-        if self.file is None:
-            return self
-        if any(value != 0.0 for value in (self.u, self.v, self.p)):
+    def _file_alone(self, info: ValidationInfo) -> InitialSection:
+        if self.file is not None and any(value != 0.0 for value in (self.u, self.v, self.p)):
             raise ValueError("file takes the place of u, v and p; give one or the other")
-        path, digest = _folder(info) / self.file, str(self.sha256)
-        # A case that an artifact holds is read without its files; it starts no run.
-        if digest not in _KNOWN_FIELDS and ("folder" in (info.context or {}) or path.is_file()):
-            fields = read_fields(path)
-            _KNOWN_FIELDS[fields.digest] = fields
-            if fields.digest != digest:
-                raise ValueError(f"{self.file} is not the file of this sha256; leave sha256 out")
-        self._fields = _KNOWN_FIELDS.get(digest)
+        self._folder = _folder(info)
         return self
 
     @property
     def fields(self) -> ScatteredFields:
-        """The fields of the file. Raises CaseError when it was not there."""
-        if self._fields is None:
-            raise CaseError(f"scene.initial.file: there is no {self.file}")
-        fields: ScatteredFields = self._fields
-        return fields
+        """The fields of the file. Raises CaseError when it is gone, or holds something else."""
+        name, digest = str(self.file), str(self.sha256)
+        try:
+            if digest not in _KNOWN_FIELDS and _read_fields(self._folder / name) != digest:
+                raise ValueError(f"{name} has changed since the case was read")
+        except ValueError as error:
+            raise CaseError(f"scene.initial.file: {error}") from error
+        return _KNOWN_FIELDS[digest]
 
 
 _KNOWN_FIELDS: dict[str, ScatteredFields] = {}
@@ -159,19 +153,14 @@ def driving(
 
 MOST_BYTES = 16 * 1024 * 1024
 """The largest file that is read."""
-MOST_POINTS = 200_000
+LEAST_POINTS, MOST_POINTS = 3, 200_000
 """Of one file; to join them takes seconds."""
 COLUMNS = ("x", "y", "u", "v")
 PRESSURE = "p"
 
 
-def digest_of(path: Path) -> str:
-    """Return the SHA-256 of a file. Raises ValueError when it can't be read or is too large."""
-    return hashlib.sha256(content_of(path)).hexdigest()
-
-
-def read_fields(path: Path) -> ScatteredFields:
-    """Read fields at points.
+def _read_fields(path: Path) -> str:
+    """Read fields at points, keep them, and return the SHA-256 of their file.
 
     Raises ValueError when the file can't be read or is too large, lacks a column, or holds too few
     points, a point twice, or anything but numbers.
@@ -180,17 +169,15 @@ def read_fields(path: Path) -> ScatteredFields:
 
     content = content_of(path)
     try:
-        text = content.decode("utf-8-sig")
-        rows = list(islice(_rows(text), MOST_POINTS + 1))
-        if len(rows) > MOST_POINTS:
-            raise ValueError(f"holds more than {MOST_POINTS} points; keep fewer")
-        values = np.array(rows).reshape(-1, 5)
-        _require_different(values[:, :2])
-        return ScatteredFields(values[:, :2], values[:, 2:], hashlib.sha256(content).hexdigest())
+        values = _points(content.decode("utf-8-sig"))
+        fields = ScatteredFields(values[:, :2], values[:, 2:])
     except UnicodeDecodeError as error:
         raise ValueError(f"{path.name}: is not UTF-8 text") from error
     except (csv.Error, ValueError) as error:
-        raise ValueError(f"{path.name}: {error}") from error
+        raise ValueError(f"{visible(path.name)}: {shortened(str(error))}") from error
+    digest = hashlib.sha256(content).hexdigest()
+    _KNOWN_FIELDS[digest] = fields
+    return digest
 
 
 def content_of(path: Path) -> bytes:
@@ -203,37 +190,24 @@ def content_of(path: Path) -> bytes:
         raise ValueError(f"{visible(str(path))}: {error}") from error
 
 
-def _rows(text: str) -> Iterator[list[float]]:
-    """Yield x, y, u, v and p of each point."""
-    reader = csv.reader(io.StringIO(text))
-    names = [name.strip() for name in next(reader, [])]
-    if missing := [name for name in COLUMNS if name not in names]:
+def _points(text: str) -> np.ndarray:
+    """Return x, y, u, v and p of each point (n_points, 5)."""
+    rows = [line for line in text.splitlines() if line.strip()]
+    names = [name.strip() for name in next(csv.reader(rows), [])]
+    if missing := [name for name in COLUMNS if names.count(name) != 1]:
         raise ValueError(
-            f"its first line must name the columns x, y, u, v and perhaps p; it lacks "
+            f"its first line must name the columns x, y, u, v and perhaps p, once each; see "
             f"{', '.join(missing)}"
         )
-    if twice := [name for name in (*COLUMNS, PRESSURE) if names.count(name) > 1]:
-        raise ValueError(f"column {twice[0]} appears twice")
-    at = [names.index(name) for name in (*COLUMNS, PRESSURE) if name in names]
-    for row in reader:
-        if row:
-            values = [_number(row, i, names[i], reader.line_num) for i in at]
-            yield values if len(values) == 5 else [*values, 0.0]
-
-
-def _number(row: list[str], i: int, name: str, line: int) -> float:
-    text = row[i].strip() if i < len(row) else "nothing"
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not abs(value) <= LARGEST:
-        raise ValueError(f"line {line}: {name} must be a number up to {LARGEST:g}; got {text[:40]}")
-    return value
-
-
-def _require_different(position: np.ndarray) -> None:
-    unique, counts = np.unique(position, axis=0, return_counts=True)
+    if not LEAST_POINTS <= len(rows) - 1 <= MOST_POINTS:
+        raise ValueError(f"must hold {LEAST_POINTS} to {MOST_POINTS} points; got {len(rows) - 1}")
+    columns = [names.index(name) for name in (*COLUMNS, PRESSURE) if name in names]
+    values = np.loadtxt(rows, delimiter=",", usecols=columns, ndmin=2, skiprows=1, comments=None)
+    values = np.pad(values, ((0, 0), (0, 5 - len(columns))))
+    if not np.all(np.abs(values) <= LARGEST):  # NaN isn't either
+        raise ValueError(f"values must be numbers up to {LARGEST:g}")
+    unique, counts = np.unique(values[:, :2], axis=0, return_counts=True)
     if (counts > 1).any():
         x, y = unique[counts > 1][0]
         raise ValueError(f"the point ({x:g}, {y:g}) m appears twice")
+    return values

@@ -11,10 +11,9 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from sphrom.case import schema
-from sphrom.case.checks import case_problems
+from sphrom.case.checks import case_problems, with_fitting_model
 from sphrom.case.fields import Coordinate, Positive
 from sphrom.case.messages import MAX_PROBLEMS, Path, Problem, is_unicode, nearest, show, show_path
-from sphrom.case.model_checks import with_fitting_model
 from sphrom.case.models import Case
 from sphrom.case.points import REYNOLDS, ParameterPoint
 from sphrom.case.scenes import kind_of

@@ -32,7 +32,7 @@ from sphrom.case.sections import (
     SplineSection,
 )
 from sphrom.case.study_sections import FitSection, TradeSection, TrainingSection
-from sphrom.case.sweep import SweepSection
+from sphrom.case.sweep_section import SweepSection
 
 MOST_MODELS = 100
 """Reduced models of one case; `trade` weighs others beside them."""

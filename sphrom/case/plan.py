@@ -21,7 +21,7 @@ from sphrom.kernels import SUPPORT_RATIO
 from sphrom.scenes.scene import Scales, Scene
 from sphrom.sph import fluid
 from sphrom.sph.box_domain import BoxDomain
-from sphrom.sph.fluid import Discretization, Fluid
+from sphrom.sph.fluid import Discretization, Fluid, StepLimits
 from sphrom.sph.time_loop import TimeSteps
 
 if TYPE_CHECKING:
@@ -207,26 +207,15 @@ class Plan:
 
     # Time steps, their limits, and snapshots
 
-    @cached_property
-    def acoustic_limit(self) -> float:
-        """The largest acoustically stable time step [s] (Eq. 2.19)."""
-        damping = self._case.discretization.acoustic_damping
-        return fluid.acoustic_limit(self.smoothing_length, self.sound_speed, damping)
+    def step_limits(self, point: ParameterPoint) -> StepLimits:
+        """Return the largest stable time steps at a parameter point."""
+        walls, force = self._case.scene.domain.has_walls, self.largest_body_force
+        return fluid.step_limits(self.fluid(point), self.discretization, force, walls)
 
     @cached_property
-    def viscous_limit(self) -> float:
-        """The largest time step [s] that viscosity allows at every point of the case."""
-        return self.viscous_limit_at(min(self.points, key=lambda point: point.reynolds))
-
-    def viscous_limit_at(self, point: ParameterPoint) -> float:
-        """Return the largest time step [s] that the viscosity of a point allows."""
-        spacing = self.particle_spacing if self._case.scene.domain.has_walls else None
-        return fluid.viscous_limit(self.smoothing_length, self.kinematic_viscosity(point), spacing)
-
-    @cached_property
-    def force_limit(self) -> float:
-        """The largest time step [s] that the body force allows, infinite where there is none."""
-        return fluid.force_limit(self.smoothing_length, self.largest_body_force)
+    def limits(self) -> StepLimits:
+        """The largest time steps that are stable at every point of the case."""
+        return self.step_limits(min(self.points, key=lambda point: point.reynolds))
 
     @cached_property
     def recorded_time(self) -> float:
@@ -243,7 +232,7 @@ class Plan:
         if time.step != "auto":
             return time.step
         share = time.courant_number / fluid.COURANT_LIMIT
-        return share * min(self.acoustic_limit, self.viscous_limit, self.force_limit)
+        return share * self.limits.least
 
     @cached_property
     def spin_up_ratio(self) -> Fraction:
@@ -281,15 +270,6 @@ class Plan:
         """Return whether a model's runs end when full runs do, so that they can be compared."""
         return self.model_steps(model) == self.steps
 
-    def substeps(self, time_step: float | str) -> float:
-        """Return how many steps [s] of a reduced model fit between two snapshots.
-
-        As many as of the full model where the step is not a number.
-        """
-        if isinstance(time_step, str):
-            return float(self.steps.every)
-        return self.steps.snapshot_interval / time_step
-
     # Parameter points
 
     @cached_property
@@ -319,8 +299,6 @@ class Plan:
         return ParameterPoint(reynolds, tuple(zip(names[1:], others, strict=True)))
 
     def _points_of(self, given: GivenPoints) -> tuple[ParameterPoint, ...]:
-        if given.is_list and len(self.parameter_names) == 1:
-            return tuple(map(ParameterPoint, given.reynolds))
         return tuple(map(self.point, given.values(self._case.parameters.train.reynolds)))
 
     @cached_property
@@ -435,7 +413,8 @@ class Plan:
             return model.basis
         found = self.local_bases(point)
         if len(found) != 1:
-            raise CaseError(f"basis.subsets: {local_problem(point, found)}")
+            where = f"the intervals of {' and '.join(found)}" if found else "no subset's interval"
+            raise CaseError(f"{point.label} lies in {where}, so it has no local basis")
         return found[0]
 
     def bases_for(self, model: ReducedModelSection) -> list[str]:
@@ -517,10 +496,3 @@ def lengthened(steps: TimeSteps, final_time: float) -> TimeSteps:
 def _in_box(point: ParameterPoint, bounds: Mapping[str, tuple[float, float]]) -> bool:
     values = point.as_dict()
     return all(low <= values.get(name, low) <= high for name, (low, high) in bounds.items())
-
-
-def local_problem(point: ParameterPoint, found: list[str]) -> str:
-    """Return why there is no local basis at a point in the intervals of the subsets found."""
-    if not found:
-        return f"{point.label} lies in the interval of no subset, so it has no local basis"
-    return f"{point.label} lies in the intervals of {' and '.join(found)}, so it has no local basis"

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from itertools import product
-from typing import Annotated, Literal
+from itertools import pairwise, product
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,13 +35,6 @@ REYNOLDS = "reynolds"
 """The parameter that every point has: it gives the viscosity."""
 Values = float | dict[str, float]
 """The values of a point as a case gives them; a number is a Reynolds number."""
-
-
-def impossible(name: str, value: float) -> str | None:
-    """Return why a parameter can't have a value; None where it can."""
-    if name != REYNOLDS or SMALLEST <= value <= LARGEST:
-        return None
-    return f"must be above zero ({SMALLEST:g} to {LARGEST:g}); got {exact(value)}"
 
 
 @dataclass(frozen=True, order=True)
@@ -67,11 +60,6 @@ class ParameterPoint:
         """The values by name of what varies beside the viscosity."""
         return dict(self.others)
 
-    @property
-    def given(self) -> Values:
-        """The values as lists of a case take them: a number where nothing else varies."""
-        return self.as_dict() if self.others else self.reynolds
-
     def as_dict(self) -> dict[str, float]:
         """Return the values by name."""
         return {REYNOLDS: self.reynolds, **self.factors}
@@ -89,11 +77,6 @@ def nearest_point(point: ParameterPoint, known: Iterable[ParameterPoint]) -> Par
         return math.hypot(*parts)
 
     return points[min(range(len(points)), key=lambda k: distance(rows[k]))]
-
-
-def near(point: ParameterPoint, known: Iterable[ParameterPoint]) -> str:
-    """Return which of the known points is nearest to a point, in words."""
-    return f"the nearest is {nearest_point(point, known).label}"
 
 
 def outside(point: ParameterPoint, trained: Iterable[ParameterPoint]) -> dict[str, str]:
@@ -118,22 +101,35 @@ REYNOLDS_WORDS = (
 OtherValues = Annotated[tuple[Coordinate, ...], Field(min_length=1)]
 
 
-def ordered(values: tuple[float, ...], *, rising: bool = False) -> tuple[float, ...]:
-    """Return two values. Raises ValueError where they fall, or don't rise and have to."""
-    low, high = values
-    if low > high or (rising and low == high):
-        words = f"{exact(low)}, {exact(high)}"
-        raise ValueError(f"must go from the lower to the higher value; got {words}")
+def ordered(values: Sequence[float], *, strict: bool = False) -> Sequence[float]:
+    """Return some values. Raises ValueError where they fall, or don't rise and have to."""
+    if any(low > high or (strict and low == high) for low, high in pairwise(values)):
+        raise ValueError(f"must rise; got {', '.join(map(exact, values))}")
+    return values
+
+
+rising = partial(ordered, strict=True)
+
+
+def viscous(values: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return numbers, or lists of them, by parameter.
+
+    Raises ValueError unless each Reynolds number is positive: the viscosity has to be.
+    """
+    for value in np.ravel(values.get(REYNOLDS, 1.0)):
+        if not SMALLEST <= value <= LARGEST:
+            allowed = f"above zero ({SMALLEST:g} to {LARGEST:g})"
+            raise ValueError(f"{REYNOLDS}: must be {allowed}; got {exact(value)}")
     return values
 
 
 _Two = Annotated[tuple[Coordinate, ...], Field(min_length=2, max_length=2)]
 Interval = Annotated[_Two, AfterValidator(ordered)]
 """The least and the greatest value, which may be one."""
-Range = Annotated[_Two, AfterValidator(partial(ordered, rising=True))]
+Range = Annotated[_Two, AfterValidator(rising)]
 """The least value, and a greater one."""
 
-PointValues = dict[SafeName, Coordinate]
+PointValues = Annotated[dict[SafeName, Coordinate], AfterValidator(viscous)]
 """The values of one point by name; one that isn't named has the scene's own value."""
 Listed = Annotated[tuple[Positive | PointValues, ...], Field(min_length=1, max_length=MAX_RUNS)]
 """Points one by one; a number is a Reynolds number."""
@@ -154,24 +150,21 @@ class SampleSection(Section):
 
     @model_validator(mode="after")
     def _of_a_parameter(self) -> SampleSection:
-        if not self.ranges:
+        if not self.entries:
             raise ValueError("names no parameter: give one, such as reynolds: [50, 200]")
-        if (reason := impossible(REYNOLDS, self.ranges.get(REYNOLDS, (1.0,))[0])) is not None:
-            raise ValueError(f"{REYNOLDS}: {reason}")
+        viscous({name: entry for name, entry in self.entries.items() if isinstance(entry, tuple)})
         return self
 
     @property
-    def ranges(self) -> dict[str, tuple[float, ...]]:
-        """The least and the greatest value of each parameter."""
-        return dict(self.__pydantic_extra__ or {})
+    def entries(self) -> Mapping[str, Any]:
+        """What is given of each parameter, such as its least and greatest value."""
+        return self.__pydantic_extra__ or {}
 
     @property
     def points(self) -> list[dict[str, float]]:
         """The sampled points, to six digits."""
-        names = tuple(self.ranges)
-        bounds = tuple(self.ranges.values())
-        rows = sampled(self.method, self.count, self.seed, bounds)
-        return [dict(zip(names, row, strict=True)) for row in rows]
+        rows = _sampled(self.method, self.count, self.seed, tuple(self.entries.values()))
+        return [dict(zip(self.entries, row, strict=True)) for row in rows]
 
 
 def unit_sample(method: str, count: int, seed: int, n_parameters: int) -> NDArray[np.float64]:
@@ -188,10 +181,9 @@ def unit_sample(method: str, count: int, seed: int, n_parameters: int) -> NDArra
 
 
 @lru_cache(maxsize=64)
-def sampled(
+def _sampled(
     method: str, count: int, seed: int, bounds: tuple[tuple[float, ...], ...]
 ) -> tuple[tuple[float, ...], ...]:
-    """Return points that fill a box with some bounds, to six digits."""
     shares = unit_sample(method, count, seed, len(bounds))
     return tuple(
         tuple(
@@ -224,28 +216,27 @@ class GivenPoints(Section):
         return self
 
     @property
-    def is_list(self) -> bool:
-        """Whether these are Reynolds numbers alone."""
-        return not (self.points or self.sample or self.__pydantic_extra__)
-
-    @property
     def lists(self) -> dict[str, tuple[float, ...]]:
         """The lists of a grid by parameter, the Reynolds numbers first."""
         return {REYNOLDS: self.reynolds, **(self.__pydantic_extra__ or {})}
 
     @property
+    def named(self) -> list[list[str]]:
+        """The parameters that each point, or all of a sample or a grid, name."""
+        if self.sample is not None:
+            return [list(self.sample.entries)]
+        grid = [name for name, values in self.lists.items() if values]
+        return [list(point) for point in self.points] or ([grid] if grid else [])
+
+    @property
     def names(self) -> tuple[str, ...]:
         """The parameters that are named, in order."""
-        if self.sample is not None:
-            return tuple(self.sample.ranges)
-        if self.points:
-            return tuple(dict.fromkeys(name for point in self.points for name in point))
-        return tuple(self.lists)
+        return tuple(dict.fromkeys(name for names in self.named for name in names))
 
     def values(self, reynolds: tuple[float, ...]) -> list[dict[str, float]]:
         """Return the values of all points; a grid without Reynolds numbers has those given."""
         if self.sample is not None:
-            return list(self.sample.points)
+            return self.sample.points
         if self.points:
             return list(self.points)
         lists = self.lists

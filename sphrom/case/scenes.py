@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
+from functools import cached_property
 from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import model_validator
 
 from sphrom.case.custom_scene import CustomScene
 from sphrom.case.fields import Duration, Number, Positive, Section, key
@@ -170,33 +170,14 @@ class OpenCavityScene(SceneSection):
     }
 
     kind: Literal["open-cavity"] = key(..., "which flow")
-    channel_length: Positive = key(OpenCavity.channel_length, "length of the channel", unit="m")
-    channel_height: Positive = key(OpenCavity.channel_height, "height of the channel", unit="m")
-    cavity_length: Positive = key(
-        OpenCavity.cavity_length, "length of the cavity, midway along the channel", unit="m"
-    )
-    cavity_height: Positive = key(
-        OpenCavity.cavity_height, "depth of the cavity below the channel", unit="m"
-    )
     body_force: BodyForceSection = key(
         BodyForceSection(), "what drives the flow, above the cavity (Eq. 4.5)"
     )
     measure: Measures = measures()
 
-    @model_validator(mode="after")
-    def _cavity_in_channel(self) -> OpenCavityScene:
-        if self.cavity_length >= self.channel_length:
-            raise ValueError(
-                f"cavity_length: must be below the channel's {self.channel_length:g} m"
-            )
-        return self
-
-    @property
+    @cached_property
     def _cavity(self) -> OpenCavity:
-        return OpenCavity(
-            **self.model_dump(exclude={"kind", "body_force", "measure"}),
-            force=LogisticForce(**self.body_force.model_dump()),
-        )
+        return OpenCavity(force=LogisticForce(**self.body_force.model_dump()))
 
     def _with_force(self, values: Mapping[str, float]) -> OpenCavity:
         cavity = self._cavity
@@ -211,7 +192,7 @@ class OpenCavityScene(SceneSection):
         """Return the magnitude of the body force, b0 [m/s2]."""
         return {"body_force": self.body_force.magnitude}
 
-    @property
+    @cached_property
     def domain(self) -> Domain:
         """Channel and cavity."""
         return self._cavity.domain
@@ -219,12 +200,12 @@ class OpenCavityScene(SceneSection):
     @property
     def length_scale(self) -> float:
         """L of the Reynolds number, the cavity's length [m]."""
-        return self.cavity_length
+        return self._cavity.cavity_length
 
     @property
     def probe_line(self) -> float:
         """x of the vertical line that runs are compared along [m]."""
-        return PROBE_SHARE * self.channel_length
+        return PROBE_SHARE * self._cavity.channel_length
 
     def largest_body_force(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
         """Return what the body force's acceleration never exceeds [m/s2]."""
@@ -237,7 +218,7 @@ class OpenCavityScene(SceneSection):
 
     def stations(self, line: float) -> Array:
         """Return the place on the line in the shear layer over the cavity (1, 2) [m]."""
-        return np.array([[line, self.cavity_height]])
+        return np.array([[line, self._cavity.cavity_height]])
 
     @property
     def channel(self) -> Channel:
@@ -249,14 +230,13 @@ class OpenCavityScene(SceneSection):
             outside = (x < cavity.lower[0]) | (x > cavity.upper[0])
             return np.asarray((y > cavity.upper[1]) & outside)
 
-        return Channel(self.channel_height, beside)
+        return Channel(self._cavity.channel_height, beside)
 
     def reference_profiles(
         self, reynolds: float, reference_speed: float
     ) -> tuple[ReferenceProfile, ...]:
         """Return the profiles of the flow that the scene's defaults drive."""
-        default = type(self)(kind=self.kind, measure=self.measure)
-        if self != default or reference_speed != OPEN_CAVITY_SPEED:
+        if self.body_force != BodyForceSection() or reference_speed != OPEN_CAVITY_SPEED:
             return ()
         return profiles_for(self.kind, None, reynolds)
 

@@ -6,26 +6,22 @@ it may be scaled about the origin, turned about its centroid and moved, in this 
 
 from __future__ import annotations
 
-import io
 import json
 import math
 from collections.abc import Callable, Iterable, Iterator
-from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import shapely
-from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, ValidationInfo, model_validator
 from shapely import affinity
 from shapely.geometry.base import BaseGeometry
 
 from sphrom.case.fields import LARGEST, Coordinate, Number, Positive, Section, key
+from sphrom.sph.polygons import disc, require_few_crossings
 from sphrom.text import shortened, visible
 from sphrom.whole_files import read_whole
-
-Array = NDArray[np.float64]
 
 MOST_BYTES = 4 * 1024 * 1024
 """The largest file of an outline that is read."""
@@ -33,12 +29,17 @@ MOST_CORNERS = 20_000
 """Corners of an outline; more are finer than any particles."""
 QUADRANT_CORNERS = 64
 """Corners of a rounded corner of a right angle."""
-FLATNESS = 1e-5
-"""How far the corners of a round polyline may be off it, over its size."""
-MOST_ENTITIES, MOST_TAGS = 20_000, 200_000
-"""Of a drawing, with all its tables and blocks; its parser takes seconds for so many."""
 MOST_BRACKETS = 8
 """Brackets within each other in well-known text; several polygons with holes have three."""
+
+KINDS = (
+    "circle", "rectangle", "polygon", "wkt", "union", "intersection", "difference", "buffer",
+)  # fmt: skip
+COMBINATIONS: dict[str, Callable[[list[BaseGeometry]], BaseGeometry]] = {
+    "union": shapely.union_all,
+    "intersection": shapely.intersection_all,
+    "difference": lambda shapes: shapely.difference(shapes[0], shapely.union_all(shapes[1:])),
+}
 
 Point = Annotated[tuple[Coordinate, ...], Field(min_length=2, max_length=2)]
 
@@ -49,6 +50,10 @@ class CircleSection(Section):
     centre: Point = key(..., "its centre", unit="m")
     radius: Positive = key(..., "its radius", unit="m")
 
+    def geometry(self) -> BaseGeometry:
+        """Return the circle's polygon [m]."""
+        return disc((self.centre[0], self.centre[1]), self.radius)
+
 
 class RectangleSection(Section):
     """A rectangle along the axes."""
@@ -56,12 +61,25 @@ class RectangleSection(Section):
     lower: Point = key(..., "its lower left corner", unit="m")
     upper: Point = key(..., "its upper right corner", unit="m")
 
+    def geometry(self) -> BaseGeometry:
+        """Return the rectangle [m]. Raises ValueError where its corners are the wrong way round."""
+        if not all(low < high for low, high in zip(self.lower, self.upper, strict=True)):
+            raise ValueError("upper must be above lower along both axes")
+        return shapely.box(*self.lower, *self.upper)
+
 
 class BufferSection(Section):
     """A shape that is grown, or shrunk by a negative distance; corners are rounded."""
 
     shape: ShapeSection = key(..., "the shape")
     distance: Coordinate = key(..., "how far it grows", unit="m")
+
+    def geometry(self) -> BaseGeometry:
+        """Return the polygon [m]. Raises ValueError where it would have too many corners."""
+        shape = self.shape.geometry()
+        if (corners := _rounding_corners(shape, self.distance)) > MOST_CORNERS:
+            raise ValueError(f"its rounded corners have {corners:.0f} corners: simplify it")
+        return shapely.buffer(shape, self.distance, quad_segs=QUADRANT_CORNERS)
 
 
 class ShapeSection(Section):
@@ -73,7 +91,7 @@ class ShapeSection(Section):
         None, "corners in their order; the last is joined to the first", unit="m"
     )
     file: str | None = key(
-        None, "a file with polygons: GeoJSON, WKT or DXF, by how its name ends; read into wkt"
+        None, "a file with polygons: GeoJSON or WKT, by how its name ends; read into wkt"
     )
     wkt: str | None = key(None, "polygons as well-known text")
     union: Annotated[tuple[ShapeSection, ...], Field(min_length=1)] | None = key(
@@ -104,10 +122,10 @@ class ShapeSection(Section):
 
     @model_validator(mode="after")
     def _one_kind(self) -> ShapeSection:
-        given = [name for name in _BUILDERS if getattr(self, name) is not None]
+        given = [name for name in KINDS if getattr(self, name) is not None]
         if len(given) != 1:
             found = " and ".join(given) or "none"
-            raise ValueError(f"must be exactly one of {', '.join(_BUILDERS)}; got {found}")
+            raise ValueError(f"must be exactly one of {', '.join(KINDS)}; got {found}")
         return self
 
     def geometry(self) -> BaseGeometry:
@@ -118,9 +136,17 @@ class ShapeSection(Section):
         ValueError
             When it is empty, crosses itself, or is no area.
         """
-        (build,) = (build for name, build in _BUILDERS.items() if getattr(self, name) is not None)
+        (kind,) = (name for name in KINDS if getattr(self, name) is not None)
+        given = getattr(self, kind)
         try:
-            shape = build(self)
+            if kind == "polygon":
+                shape = shapely.Polygon(given)
+            elif kind == "wkt":
+                shape = _parsed(given)
+            elif kind in COMBINATIONS:
+                shape = COMBINATIONS[kind](_combinable(each.geometry() for each in given))
+            else:
+                shape = given.geometry()
         except shapely.errors.ShapelyError as error:
             raise ValueError(f"is no polygon: {error}") from error
         shape = affinity.scale(checked(shape), self.scale, self.scale, origin=(0.0, 0.0))
@@ -136,7 +162,8 @@ def checked(shape: BaseGeometry) -> BaseGeometry:
     """
     if (corners := shapely.get_num_coordinates(shape)) > MOST_CORNERS:
         raise ValueError(f"an outline of {corners} corners; at most {MOST_CORNERS}: simplify it")
-    _require_numbers(shapely.get_coordinates(shape))
+    if not np.all(np.abs(shapely.get_coordinates(shape)) <= LARGEST):  # NaN isn't either
+        raise ValueError(f"a coordinate must be a number from -{LARGEST:g} to {LARGEST:g}")
     if shape.is_empty:
         raise ValueError("the shape is empty")
     if shape.has_z:
@@ -150,16 +177,8 @@ def checked(shape: BaseGeometry) -> BaseGeometry:
     return shape
 
 
-def _require_numbers(coordinates: ArrayLike) -> None:
-    if not np.all(np.abs(coordinates) <= LARGEST):  # NaN isn't either
-        raise ValueError(f"a coordinate must be a number from -{LARGEST:g} to {LARGEST:g}")
-
-
 def _combinable(shapes: Iterable[BaseGeometry]) -> list[BaseGeometry]:
     """Return shapes that are combined within seconds. Raises ValueError where they are not."""
-    # It loads the kernels that other scenes' fast runs don't need.
-    from sphrom.sph.polygons import require_few_crossings
-
     found, corners = list[BaseGeometry](), 0
     for shape in shapes:
         found.append(shape)
@@ -168,39 +187,6 @@ def _combinable(shapes: Iterable[BaseGeometry]) -> list[BaseGeometry]:
             raise ValueError(f"shapes of more than {MOST_CORNERS} corners together: simplify them")
     require_few_crossings(found)
     return found
-
-
-def _circle(section: ShapeSection) -> BaseGeometry:
-    circle = section.circle
-    assert circle is not None
-    # It loads the kernels that other scenes' fast runs don't need.
-    from sphrom.sph.polygons import disc
-
-    return disc((circle.centre[0], circle.centre[1]), circle.radius)
-
-
-def _rectangle(section: ShapeSection) -> BaseGeometry:
-    rectangle = section.rectangle
-    assert rectangle is not None
-    if not all(low < high for low, high in zip(rectangle.lower, rectangle.upper, strict=True)):
-        raise ValueError("upper must be above lower along both axes")
-    return shapely.box(*rectangle.lower, *rectangle.upper)
-
-
-def _together(combine: Callable[[list[BaseGeometry]], BaseGeometry], name: str) -> Any:
-    def build(section: ShapeSection) -> BaseGeometry:
-        return combine(_combinable(shape.geometry() for shape in getattr(section, name)))
-
-    return build
-
-
-def _buffer(section: ShapeSection) -> BaseGeometry:
-    buffer = section.buffer
-    assert buffer is not None
-    shape = buffer.shape.geometry()
-    if (corners := _rounding_corners(shape, buffer.distance)) > MOST_CORNERS:
-        raise ValueError(f"its rounded corners have {corners:.0f} corners: simplify it")
-    return shapely.buffer(shape, buffer.distance, quad_segs=QUADRANT_CORNERS)
 
 
 def _rounding_corners(shape: BaseGeometry, distance: float) -> float:
@@ -212,20 +198,6 @@ def _rounding_corners(shape: BaseGeometry, distance: float) -> float:
         turn = (np.diff(angle, append=angle[0]) + math.pi) % (2.0 * math.pi) - math.pi
         turned += np.sum(np.maximum(turn if distance > 0.0 else -turn, 0.0))
     return QUADRANT_CORNERS * turned / (0.5 * math.pi)
-
-
-_BUILDERS: dict[str, Callable[[ShapeSection], BaseGeometry]] = {
-    "circle": _circle,
-    "rectangle": _rectangle,
-    "polygon": lambda section: shapely.Polygon(section.polygon),
-    "wkt": lambda section: _parsed(section.wkt or ""),
-    "union": _together(shapely.union_all, "union"),
-    "intersection": _together(shapely.intersection_all, "intersection"),
-    "difference": _together(
-        lambda shapes: shapely.difference(shapes[0], shapely.union_all(shapes[1:])), "difference"
-    ),
-    "buffer": _buffer,
-}
 
 
 def read_outline(path: Path) -> BaseGeometry:
@@ -292,67 +264,8 @@ def _parsed(text: str) -> BaseGeometry:
         raise ValueError(f"is no polygon with straight sides: {error}") from error
 
 
-def _dxf(content: bytes) -> BaseGeometry:
-    """Read the closed polylines and circles of a drawing."""
-    try:
-        import ezdxf  # noqa: F401
-    except ImportError as error:
-        raise ValueError("DXF needs ezdxf: `pip install 'sphrom[dxf]'`") from error
-    try:
-        shapes = _combinable(_drawn(content))
-    except ValueError:
-        raise
-    except Exception as error:  # whatever a damaged drawing makes of its parser
-        raise ValueError(f"is no DXF drawing: {error or type(error).__name__}") from error
-    if not shapes:
-        raise ValueError("it holds no closed polyline and no circle")
-    return shapely.union_all(shapes)
-
-
-def _drawn(content: bytes) -> Iterator[BaseGeometry]:
-    from ezdxf.document import Drawing
-    from ezdxf.lldxf.tagger import ascii_tags_loader, binary_tags_loader
-
-    if content.startswith(b"AutoCAD Binary DXF"):
-        loader = binary_tags_loader(content)
-    else:  # the encoding is of names, which mean nothing here
-        loader = ascii_tags_loader(io.StringIO(content.decode("latin-1")))
-    tags = list(islice(loader, MOST_TAGS + 1))
-    if len(tags) > MOST_TAGS or sum(tag.code == 0 for tag in tags) > MOST_ENTITIES:
-        raise ValueError(
-            f"holds more than {MOST_ENTITIES} entities or {MOST_TAGS} values: leave out what is "
-            "no outline"
-        )
-    drawing: Any = Drawing.load(iter(tags))
-    for entity in drawing.modelspace():
-        if entity.dxftype() == "CIRCLE":
-            centre = shapely.Point(*entity.dxf.center.vec2)
-            yield checked(centre.buffer(entity.dxf.radius, QUADRANT_CORNERS))
-        elif entity.dxftype() in ("LWPOLYLINE", "POLYLINE"):
-            if not entity.is_closed:
-                raise ValueError(f"a polyline that is open (handle {entity.dxf.handle})")
-            if len(entity) > MOST_CORNERS:
-                raise ValueError(f"a polyline of {len(entity)} corners; at most {MOST_CORNERS}")
-            yield checked(shapely.Polygon(_corners(entity)))
-
-
-def _corners(polyline: Any) -> Array:
-    """Return corners (n_corners, 2) of a polyline, more where it is round."""
-    from ezdxf.path import make_path
-
-    path = make_path(polyline)
-    place = np.array([(point.x, point.y) for point in path.control_vertices()]).reshape(-1, 2)
-    _require_numbers(place)
-    size = max(np.ptp(place, axis=0)) if len(place) else 0.0
-    if not size > 0.0:
-        raise ValueError("a polyline without an area")
-    way = path.flattening(FLATNESS * size)
-    return np.array([(point.x, point.y) for point in islice(way, MOST_CORNERS + 1)])
-
-
 _READERS = {
     ".geojson": _geojson,
     ".json": _geojson,
     ".wkt": lambda content: _parsed(content.decode("utf-8-sig")),
-    ".dxf": _dxf,
 }

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import re
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
@@ -19,7 +17,7 @@ from sphrom.case.fields import (
     Whole,
     key,
 )
-from sphrom.case.points import REYNOLDS, Range, impossible
+from sphrom.case.points import Range, viscous
 
 Modes = Annotated[tuple[Annotated[Whole, Field(ge=1, le=10_000)], ...], Field(min_length=1)]
 Resolution = Annotated[Whole, Field(ge=8, le=100_000)]
@@ -63,7 +61,7 @@ class FitSection(Section):
     model: SafeName | None = key(
         None, "a reduced model with evaluation: operators; null is the first"
     )
-    parameters: dict[SafeName, Coordinate | Range] = key(
+    parameters: Annotated[dict[SafeName, Coordinate | Range], AfterValidator(viscous)] = key(
         {},
         "by name the range [low, high] to look for a parameter in, or its known value; others that "
         "vary in the case are looked for in their trained range",
@@ -79,28 +77,16 @@ class FitSection(Section):
         8, "how many starts the search has, spread over the ranges", ge=1, le=MOST_STARTS
     )
 
-    @model_validator(mode="after")
-    def _viscous(self) -> FitSection:
-        given = self.parameters.get(REYNOLDS, 1.0)
-        low = given[0] if isinstance(given, tuple) else given
-        if (reason := impossible(REYNOLDS, low)) is not None:
-            raise ValueError(f"parameters.{REYNOLDS}: {reason}")
-        return self
 
-
-MOST_CANDIDATES = 100_000
-PERCENTAGE = re.compile(r"\s*([0-9.eE+-]+)\s*%\s*")
-
-
-def percentage(text: str) -> float:
-    """Return the number of a text such as `1%`. Raises ValueError for anything else."""
-    found = PERCENTAGE.fullmatch(text)
+def percentage(given: str | float) -> float:
+    """Return the number of a percentage such as `1%`. Raises ValueError for anything else."""
     try:
-        value = float(found[1]) if found else math.nan
+        value = float(str(given).strip().removesuffix("%"))
     except ValueError:
-        value = math.nan
-    if not (math.isfinite(value) and value > 0.0):
-        raise ValueError("must be a percentage above zero, such as 1%")
+        value = 0.0
+    if not LEAST_PERCENT <= value <= MOST_PERCENT:
+        most = f"{LEAST_PERCENT:g}% to {MOST_PERCENT:g}%"
+        raise ValueError(f"must be a percentage from {most}, such as 1%")
     return value
 
 
@@ -110,6 +96,8 @@ def _checked(text: str) -> str:
 
 
 Percentage = Annotated[str, Field(strict=True), AfterValidator(_checked)]
+N_CANDIDATES = 100
+"""Points of a region at which training estimates the model's error, beside corners."""
 
 
 class TrainingSection(Section):
@@ -122,24 +110,26 @@ class TrainingSection(Section):
         "1%", "error allowed of the model, over the field's size, root mean squares over a run"
     )
     quantity: Literal["velocity", "pressure", "both"] = key("velocity", "whose error is meant")
-    budget: Annotated[Whole, Field(ge=2, le=10_000)] = key(
+    budget: Annotated[Whole, Field(ge=2, le=N_CANDIDATES)] = key(
         8, "most full runs to learn from, those that are there already too"
     )
     model: SafeName | None = key(
         None,
         "the model by its name, of those with evaluation: operators; null is the first of these",
     )
-    candidates: Annotated[Whole, Field(ge=1, le=MOST_CANDIDATES)] = key(
-        100, "how many points of the region the model's error is estimated at"
+    seed: Whole = key(
+        0, "seed of the points at which the model's error is estimated", ge=0, le=2**32 - 1
     )
-    seed: Whole = key(0, "seed of the points' random shift", ge=0, le=2**32 - 1)
 
     @model_validator(mode="after")
     def _viscous(self) -> TrainingSection:
-        low, _ = self.ranges.get(REYNOLDS, (1.0, 1.0))
-        if (reason := impossible(REYNOLDS, low)) is not None:
-            raise ValueError(f"{REYNOLDS}: {reason}")
+        viscous(self.ranges)
         return self
+
+    @property
+    def percent(self) -> float:
+        """The tolerance as a number."""
+        return percentage(self.tolerance)
 
     @property
     def ranges(self) -> dict[str, tuple[float, ...]]:

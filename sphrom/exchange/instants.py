@@ -174,7 +174,7 @@ def fitting_keys(case: Case, sources: Sequence[Source]) -> list[str]:
     """
     apart = interval(sources)
     share = case.time.courant_number / fluid.COURANT_LIMIT
-    limit = share * min(case.plan.acoustic_limit, case.plan.viscous_limit, case.plan.force_limit)
+    limit = share * case.plan.limits.least
     every = max(1, math.ceil(apart / limit))
     return [
         f"time.final_time={float(f'{apart * (len(sources) - 1):.12g}')!r}",

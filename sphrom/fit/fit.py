@@ -16,7 +16,7 @@ from sphrom.artifacts import write_record
 from sphrom.artifacts.records.fit import FittedHistory
 from sphrom.case.fields import NAME_PATTERN
 from sphrom.case.messages import show as quoted
-from sphrom.case.studies import fit_model, fit_ranges, fit_values, percent
+from sphrom.case.studies import fast_model, fit_ranges, fit_values, percent
 from sphrom.console import Reporter
 from sphrom.errors import CaseError
 from sphrom.fit.estimates import Estimate, Fit, box_of, fit
@@ -69,7 +69,7 @@ def run(
     if measurements is None:
         raise CaseError("measurements: a fit needs some; give the name of a CSV file")
     workspace, case = Workspace(context), context.case
-    model = fit_model(case)
+    model = fast_model(case, case.fit.model)
     if model is None:
         raise CaseError("fit.model: no reduced model has evaluation: operators; add one to rom")
     share = case.fit.noise if noise is None else percent(noise, "--noise")

@@ -17,7 +17,7 @@ from numba import prange
 from numpy.typing import NDArray
 
 from sphrom.kernels.cells import Grid
-from sphrom.kernels.jit import parallel, serial, term
+from sphrom.kernels.jit import parallel, term
 from sphrom.kernels.rectangles import shifting_change
 from sphrom.kernels.sweeps import U, V, X, Y
 
@@ -26,9 +26,6 @@ Indices = NDArray[np.int64]
 
 # Columns of a segment: its two ends, and where the segment before it begins [m].
 X0, Y0, X1, Y1, X_BEFORE, Y_BEFORE = range(6)
-N_COLUMNS = 6
-BLOCK = 8
-"""Cells along the side of a coarser one, whose list theirs are taken from."""
 N_PASSES = 32
 """How often walls in turn hold shifting back, at most: at an acute angle once isn't enough."""
 SETTLED = 1e-6
@@ -83,67 +80,6 @@ def cell_of(x: float, y: float, grid: Grid) -> int:
     return row * grid.n_columns + column
 
 
-@serial
-def list_segments(segments: Array, grid: Grid, reach: float) -> tuple[Indices, Indices]:
-    """Return the lists of segments of all cells, and where each begins (n_cells + 1,).
-
-    Parameters
-    ----------
-    segments : (n_segments, 6).
-    reach : how far from a point its cell's list must be complete [m].
-    """
-    listed, start = np.arange(segments.shape[0]), np.array([0, segments.shape[0]])
-    coarse = _coarser(grid, BLOCK * BLOCK)
-    coarse = _coarser(coarse, max(coarse.n_columns, coarse.n_rows))
-    for factor in (BLOCK * BLOCK, BLOCK, 1):
-        finer = _coarser(grid, factor)
-        listed, start = _list_within(segments, listed, start, coarse, finer, reach)
-        coarse = finer
-    return listed, start
-
-
-@term
-def _coarser(grid: Grid, factor: int) -> Grid:
-    """Return a grid with the same corner, and cells that hold so many along either axis."""
-    return Grid(
-        grid.x_origin, grid.y_origin, factor * grid.cell_width, factor * grid.cell_height,
-        (grid.n_columns + factor - 1) // factor, (grid.n_rows + factor - 1) // factor,
-    )
-
-
-@serial
-def _list_within(
-    segments: Array, candidates: Indices, first: Indices, coarse: Grid, grid: Grid, reach: float
-) -> tuple[Indices, Indices]:
-    """Return lists of cells, of segments in the lists of coarser cells that hold these cells."""
-    n_cells = grid.n_columns * grid.n_rows
-    radius = 0.5 * math.sqrt(grid.cell_width**2 + grid.cell_height**2)
-    distance = np.empty(segments.shape[0])
-    start = np.zeros(n_cells + 1, np.int64)
-    listed = np.empty(4 * n_cells + segments.shape[0], np.int64)
-    n = 0
-    for cell in range(n_cells):
-        x = grid.x_origin + (cell % grid.n_columns + 0.5) * grid.cell_width
-        y = grid.y_origin + (cell // grid.n_columns + 0.5) * grid.cell_height
-        around = cell_of(x, y, coarse)
-        nearest = math.inf
-        for c in range(first[around], first[around + 1]):
-            wx, wy, _ = _way(x, y, segments[candidates[c]])
-            distance[c - first[around]] = math.sqrt(wx * wx + wy * wy)
-            nearest = min(nearest, distance[c - first[around]])
-        limit = max(nearest + 2.0 * radius, reach + radius) * (1.0 + 1e-9)
-        for c in range(first[around], first[around + 1]):
-            if distance[c - first[around]] <= limit:
-                if n == listed.size:
-                    longer = np.empty(2 * n, np.int64)
-                    longer[:n] = listed
-                    listed = longer
-                listed[n] = candidates[c]
-                n += 1
-        start[cell + 1] = n
-    return listed[:n].copy(), start
-
-
 @term
 def _nearest(
     x: float, y: float, segments: Array, listed: Indices, start: Indices, grid: Grid
@@ -177,7 +113,8 @@ def signed_distances(
     Parameters
     ----------
     position : (2, n_points) [m].
-    segments, listed, start, grid : (n_segments, 6), and what `list_segments` returned for a grid.
+    segments, listed, start, grid : (n_segments, 6), and what `list_by_cell` made of
+        them (`sphrom/sph/polygon_domain.py`).
     out : (3, n_points) rows: distance, positive in the fluid [m]; normal x, y, into the fluid.
     nearest : (n_points,) the nearest segment.
     """

@@ -18,7 +18,6 @@ from sphrom.setup.check import describe_cost, describe_run
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import require_room
 from sphrom.setup.measured_fields import MeasuredFields
-from sphrom.sph.functional import FullModel
 from sphrom.sph.packing import MAX_ITERATIONS, pack
 from sphrom.sph.time_loop import Clock, TimeSteps, integrate, march
 from sphrom.store.checkpoints import Checkpoints, last_good, remove_checkpoints
@@ -133,7 +132,7 @@ def _spin_up(workspace: Workspace, point: ParameterPoint) -> None:
     clock = Clock()
     with workspace.create(target, assembly.run_attributes(case, point, plan.time_step)) as artifact:
         checkpoints = Checkpoints(workspace, target, artifact)
-        model = FullModel(particles.functional(case, point))
+        model = particles.functional(case, point)
         density = case.fluid.reference_density
         with (
             checkpoints.progress(f"spin-up, {point.label}", n_steps) as advance,
@@ -166,7 +165,7 @@ def _run_point(workspace: Workspace, point: ParameterPoint) -> None:
         with checkpoints.progress(f"full run, {point.label}", steps.n_steps) as advance:
             functional = particles.functional(case, point)
             integrate(
-                FullModel(functional),
+                functional,
                 begin.state,
                 steps,
                 case.fluid.reference_density,

@@ -15,7 +15,6 @@ run diverges.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import product
 from typing import Literal
 
@@ -36,9 +35,9 @@ Next to a training run the error is what training leaves there: a further run, w
 little new, doesn't change it.
 """
 
-Ending = Literal["within", "floor", "budget", "candidates"]
+Ending = Literal["within", "floor", "budget"]
 """Why training ends: the estimate is within the tolerance; the best approximations of training
-runs aren't; there may be no further run; or there is no candidate left."""
+runs aren't; or there may be no further run."""
 
 
 def first_corners(n_parameters: int) -> Array:
@@ -105,28 +104,20 @@ def choose(
     return np.array(chosen, dtype=np.int64)
 
 
-@dataclass(frozen=True)
-class Progress:
-    """How far training is."""
+def ending(
+    worst_estimate: float, floor: float, tolerance: float, *, n_held_out: int, n_left: int
+) -> Ending | None:
+    """Return why training ends, None where it goes on.
 
-    worst_estimate: float
-    """Over all candidates, corrected."""
-    floor: float
-    """Largest error of the best approximations of training runs in the basis."""
-    n_held_out: int
-    """Runs that were predicted before they were learnt from."""
-    n_runs: int
-    """Full runs so far, those that became unstable too."""
-    n_left: int
-    """Candidates without a run."""
-
-
-def ending(progress: Progress, tolerance: float, budget: int) -> Ending | None:
-    """Return why training ends, None where it goes on."""
-    if progress.floor > tolerance:
+    Parameters
+    ----------
+    worst_estimate : over all candidates, corrected.
+    floor : largest error of the best approximations of training runs in the basis.
+    n_held_out : runs that were predicted before they were learnt from.
+    n_left : full runs that the budget has left.
+    """
+    if floor > tolerance:
         return "floor"
-    if progress.n_held_out and progress.worst_estimate <= tolerance:
+    if n_held_out and worst_estimate <= tolerance:
         return "within"
-    if progress.n_runs >= budget:
-        return "budget"
-    return None if progress.n_left else "candidates"
+    return None if n_left > 0 else "budget"

@@ -24,7 +24,7 @@ from sphrom.store.workspace import Workspace
 from sphrom.sweep.statistics import FIGURES, beside
 from sphrom.text import counted, duration
 from sphrom.trade.candidates import FOLDER as TRADE
-from sphrom.train.report import FOLDER as TRAINING
+from sphrom.train.outcome import FOLDER as TRAINING
 from sphrom.whole_files import write_whole
 
 PAGE = "report.html"

@@ -26,16 +26,16 @@ VectorField = Callable[[Array], Array]
 
 @dataclass(frozen=True)
 class CustomFlow(Scene):
-    """A flow that a case describes; what isn't given is at rest, or zero."""
+    """A flow that a case describes."""
 
     where: Domain
     """The domain of the fluid."""
-    wall_velocities: Mapping[str, VectorField] = field(default_factory=dict)
-    """By the names of walls, their velocity [m/s] at places on them."""
-    force: Drive | None = None
-    start_velocity: VectorField | None = None
+    wall_velocities: Mapping[str, VectorField]
+    """By the names of walls that move, their velocity [m/s] at places on them."""
+    force: Drive | None
+    start_velocity: VectorField
     """[m/s]."""
-    start_pressure: Callable[[Array], Array] | None = None
+    start_pressure: Callable[[Array], Array]
     """From positions (n_points, 2) [m], (n_points,) [Pa]."""
 
     @property
@@ -45,14 +45,10 @@ class CustomFlow(Scene):
 
     def initial_velocity(self, position: Array) -> Array:
         """Return the velocity (n_particles, 2) [m/s] at the start."""
-        if self.start_velocity is None:
-            return np.zeros_like(position)
         return self.start_velocity(position)
 
     def initial_pressure(self, position: Array) -> Array:
         """Return the pressure (n_particles,) [Pa] at the start."""
-        if self.start_pressure is None:
-            return np.zeros(len(position))
         return self.start_pressure(position)
 
     def wall_velocity(self, position: Array) -> Array:

@@ -9,20 +9,15 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from typing import Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-
-Quantity = Literal["u", "v", "p"]
-Axis = Literal["x", "y"]
-Datum = Literal["centre", "mean"]
 
 REYNOLDS_TOLERANCE = 1e-6
 """How far, relatively, a Reynolds number may be from that of a reference."""
@@ -36,11 +31,10 @@ OPEN_CAVITY_SPEED = 2.0
 class ReferenceProfile:
     """One quantity along a line, both dimensionless."""
 
-    quantity: Quantity
-    axis: Axis
-    """The axis that the line follows."""
-    offset: float
-    """Where the line crosses the other axis."""
+    quantity: str
+    """u, v or p."""
+    axis: str
+    """The axis that the line follows, x or y."""
     coordinate: Array
     """(n_points,) along the axis."""
     value: Array
@@ -48,11 +42,13 @@ class ReferenceProfile:
     reynolds: float
     time: float | None
     """Since the start from rest; None for a steady flow, or an average over time."""
-    averaged: bool
-    """Whether it is an average over time."""
-    datum: Datum
-    """Where the pressure is zero: at the domain's centre, or in the mean over it."""
     source: str
+    offset: float = 0.5
+    """Where the line crosses the other axis."""
+    averaged: bool = False
+    """Whether it is an average over time."""
+    datum: str = "centre"
+    """Where the pressure is zero: at the domain's `centre`, or in the `mean` over it."""
 
     @property
     def name(self) -> str:
@@ -60,34 +56,22 @@ class ReferenceProfile:
         return f"{self.quantity} along {self.axis}"
 
 
-@dataclass(frozen=True)
-class _File:
-    """What the rows of one file have in common."""
-
-    name: str
-    kind: str
-    lid: str | None
-    source: str
-    datum: Datum = "centre"
-    offset: float = 0.5
-    averaged: bool = False
-
-
-FILES = (
-    _File("uniform_lid", "lid-driven-cavity", "uniform", "Legendre-Galerkin"),
-    _File("ghia", "lid-driven-cavity", "uniform", "Ghia et al. 1982"),
-    _File("regularised_lid", "lid-driven-cavity", "regularised", "Legendre-Galerkin"),
-    _File(
-        "regularised_lid_transient",
+FILES: dict[str, tuple[str, str | None, dict[str, Any]]] = {
+    "uniform_lid": ("lid-driven-cavity", "uniform", {"source": "Legendre-Galerkin"}),
+    "ghia": ("lid-driven-cavity", "uniform", {"source": "Ghia et al. 1982"}),
+    "regularised_lid": ("lid-driven-cavity", "regularised", {"source": "Legendre-Galerkin"}),
+    "regularised_lid_transient": (
         "lid-driven-cavity",
         "regularised",
-        "Legendre-Galerkin",
-        datum="mean",
+        {"source": "Legendre-Galerkin", "datum": "mean"},
     ),
-    _File(
-        "open_cavity_mean", "open-cavity", None, "finite differences", offset=1.25, averaged=True
+    "open_cavity_mean": (
+        "open-cavity",
+        None,
+        {"source": "finite differences", "offset": 1.25, "averaged": True},
     ),
-)
+}
+"""By their names: the kind of scene, that of its lid, and what all profiles of a file share."""
 
 
 def profiles_for(kind: str, lid: str | None, reynolds: float) -> tuple[ReferenceProfile, ...]:
@@ -98,48 +82,25 @@ def profiles_for(kind: str, lid: str | None, reynolds: float) -> tuple[Reference
     """
     return tuple(
         profile
-        for file in FILES
-        if (file.kind, file.lid) == (kind, lid)
-        for profile in _read(file)
+        for name, (*scene, _) in FILES.items()
+        if scene == [kind, lid]
+        for profile in _read(name)
         if math.isclose(profile.reynolds, reynolds, rel_tol=REYNOLDS_TOLERANCE)
     )
 
 
 @cache
-def _read(file: _File) -> tuple[ReferenceProfile, ...]:
-    return tuple(_profiles(file))
-
-
-def _profiles(file: _File) -> Iterator[ReferenceProfile]:
-    rows: dict[tuple[float, float | None, str], list[tuple[float, float]]] = {}
-    folder = resources.files("sphrom.scenes") / "reference_data"
-    text = (folder / f"{file.name}.csv").read_text(encoding="utf-8")
-    for row in csv.DictReader(text.splitlines()):
+def _read(name: str) -> tuple[ReferenceProfile, ...]:
+    rows: dict[tuple[str, float, float | None], list[tuple[float, float]]] = {}
+    file = resources.files("sphrom.scenes") / "reference_data" / f"{name}.csv"
+    for row in csv.DictReader(file.read_text(encoding="utf-8").splitlines()):
         time = float(row["time"]) if "time" in row else None
-        points = rows.setdefault((float(row["re"]), time, row["axis"]), [])
+        points = rows.setdefault((row["axis"], float(row["re"]), time), [])
         points.append((float(row["coord"]), float(row["value"])))
-    for (reynolds, time, along), points in rows.items():
-        quantity, axis = _parts(along)
+    shared = FILES[name][-1]
+    found = []
+    for (along, reynolds, time), points in rows.items():  # such as `u_along_y`
         coordinate, value = np.array(sorted(points)).T
-        yield ReferenceProfile(
-            quantity,
-            axis,
-            file.offset,
-            coordinate,
-            value,
-            reynolds,
-            time,
-            file.averaged,
-            file.datum,
-            file.source,
-        )
-
-
-def _parts(along: str) -> tuple[Quantity, Axis]:
-    """Return quantity and axis of a name such as `u_along_y`."""
-    names: dict[str, tuple[Quantity, Axis]] = {
-        "u_along_y": ("u", "y"),
-        "v_along_x": ("v", "x"),
-        "p_along_y": ("p", "y"),
-    }
-    return names[along]
+        line = along[0], along[-1], coordinate, value, reynolds, time
+        found.append(ReferenceProfile(*line, **shared))
+    return tuple(found)

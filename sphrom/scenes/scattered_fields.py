@@ -24,29 +24,19 @@ class ScatteredFields:
 
     Parameters
     ----------
-    position : (n_points, 2) [m], no two alike.
+    position : (n_points, 2) [m], three or more, no two alike.
     values : (n_points, 3) velocity [m/s] and pressure [Pa].
-    digest : what tells these points from any others; equal fields have equal ones.
 
     Raises
     ------
     ValueError
-        When there are fewer than three points, or all lie on a line.
+        When all points lie on a line.
     """
 
-    def __init__(self, position: Array, values: Array, digest: str) -> None:
+    def __init__(self, position: Array, values: Array) -> None:
         self._position = position
         self._values = values
-        self.digest = digest
-        if len(position) < 3:
-            raise ValueError(f"holds {len(position)} points; at least 3 are needed")
         self._triangles = _triangles(position)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, ScatteredFields) and other.digest == self.digest
-
-    def __hash__(self) -> int:
-        return hash(self.digest)
 
     @cached_property
     def _between(self) -> LinearNDInterpolator:

@@ -12,7 +12,6 @@ from sphrom.console import Reporter
 from sphrom.kernels import SUPPORT_RATIO
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import full_seconds, needs, require_room, size_in_words
-from sphrom.sph.fluid import step_limits
 from sphrom.text import counted, duration
 
 
@@ -49,8 +48,7 @@ def describe_run(case: Case, point: ParameterPoint, report: Reporter) -> None:
 
 def _margins(case: Case, point: ParameterPoint) -> str:
     """Return how near the time step is to its limits, in words."""
-    plan, walls = case.plan, case.scene.domain.has_walls
-    limits = step_limits(plan.fluid(point), plan.discretization, plan.largest_body_force, walls)
+    plan, limits = case.plan, case.plan.step_limits(point)
     step = plan.steps.time_step
     told = [
         f"{_percent(step / limits.acoustic)} of the acoustic limit",

@@ -14,9 +14,7 @@ from sphrom.plots.canvas import COLOURS, FORMATS, INK, new_figure, save, styled
 from sphrom.plots.panels import Extent, Solids
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
-from sphrom.sph.box_domain import SIDES
-from sphrom.sph.domain import Domain
-from sphrom.sph.walls import Walls
+from sphrom.sph.domain import SIDES, Domain, Walls
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

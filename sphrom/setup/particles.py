@@ -15,11 +15,12 @@ from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.scenes.scene import Scene
+from sphrom.sph.domain import Walls
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.sph.fluid import Drive
 from sphrom.sph.functional import Functional
 from sphrom.sph.wall_forces import MeasuredWall, WallForces, measured_wall
-from sphrom.sph.walls import Walls, build_walls
+from sphrom.sph.walls import build_walls
 
 Array = NDArray[np.float64]
 

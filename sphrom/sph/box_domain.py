@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
-from types import ModuleType
+from functools import cached_property
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
+from shapely.geometry.base import BaseGeometry
 
-from sphrom.sph.domain import ROUNDING, Domain, GhostLayers, WallSearch
+from sphrom.sph.domain import ROUNDING, SIDES, Domain, Walls, WallSearch
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -19,8 +21,6 @@ Mask = NDArray[np.bool_]
 
 WHOLE_TOLERANCE = 1e-6
 """How far a wall may be from the lattice, over the particle spacing."""
-SIDES = (("left", "right"), ("bottom", "top"))
-"""Names of the walls at the lower and upper ends of each axis."""
 INNER = "solid"
 """Name of the solid within the box."""
 
@@ -48,46 +48,20 @@ class BoxDomain(Domain):
         """The area that fluid fills [m2]."""
         return sum(part.area for part in self.parts)
 
-    @property
-    def fills_box(self) -> bool:
-        """Whether fluid fills the whole box: no rectangles are given."""
-        return not self.rectangles
+    @cached_property
+    def fluid(self) -> BaseGeometry:
+        """What fluid fills of the box."""
+        return shapely.union_all([part.polygon for part in self.parts])
 
     @property
-    def wall_names(self) -> tuple[str, ...]:
-        """The sides of the box that aren't periodic, then what is solid within the box."""
-        sides = [
-            name
-            for names, periodic in zip(SIDES, self.periodic, strict=True)
-            for name in names
-            if not periodic
-        ]
-        return (*sides, INNER) if self.rectangles else tuple(sides)
+    def fluid_with_images(self) -> BaseGeometry:
+        """The fluid in the box and, along periodic axes, in its images on either side."""
+        return shapely.union_all([part.polygon for part in self._fluid_images()])
 
     @property
-    def narrowest_gap(self) -> float:
-        """The least width of the rectangles that fluid fills [m]."""
-        return min(part.upper[axis] - part.lower[axis] for part in self.parts for axis in range(2))
-
-    @property
-    def thinnest_solid(self) -> float:
-        """The least width of the solid between fluid and fluid along an axis [m]."""
-        return min(
-            (
-                solid.upper[axis] - solid.lower[axis]
-                for axis in range(2)
-                for solid in self._solids_along(axis)
-                if self._has_fluid_at_both_ends(solid, axis)
-            ),
-            default=math.inf,
-        )
-
-    def _has_fluid_at_both_ends(self, solid: Rectangle, axis: int) -> bool:
-        middle = 0.5 * np.add(solid.lower, solid.upper)
-        beyond = np.array([middle, middle])
-        slack = ROUNDING * max(self.lengths)
-        beyond[:, axis] = solid.lower[axis] - slack, solid.upper[axis] + slack
-        return bool(self.contains(beyond).all())
+    def solid_names(self) -> tuple[str, ...]:
+        """What is solid within the box has one name."""
+        return (INNER,) if self.rectangles else ()
 
     def contains(self, position: Array) -> Mask:
         """Return which positions (n_points, 2) [m] lie in the fluid, once wrapped."""
@@ -96,14 +70,6 @@ class BoxDomain(Domain):
         for part in self.parts:
             inside |= part.contains(wrapped)
         return inside
-
-    def wall_distance(self, position: Array) -> Array:
-        """Return the distance (n_points,) [m] of positions (n_points, 2) [m] to a wall."""
-        return nearest(self.wrap(position), self.solids)[0]
-
-    def fluid_distance(self, position: Array) -> Array:
-        """Return the distance (n_points,) [m] of positions (n_points, 2) [m] to the fluid."""
-        return nearest(self.wrap(position), self._fluid_images())[0]
 
     def distance_and_normal(self, position: Array) -> tuple[Array, Array]:
         """Return signed distances from walls (n_points,) [m] and normals (n_points, 2)."""
@@ -133,8 +99,8 @@ class BoxDomain(Domain):
         images = (
             (-n, 0.0, n) if p else (0.0,) for n, p in zip(self.lengths, self.periodic, strict=True)
         )
-        shifts = itertools.product(*images)
-        return [shifted(part, s) for part, s in itertools.product(self.parts, tuple(shifts))]
+        shifts = tuple(itertools.product(*images))
+        return [part.shifted(*shift) for part, shift in itertools.product(self.parts, shifts)]
 
     @property
     def solids(self) -> list[Rectangle]:
@@ -143,20 +109,13 @@ class BoxDomain(Domain):
         Each is as long along x as it may be: where two met within a floor or a ceiling, or behind
         the corner of a box, the further one would look like a corner that juts into the fluid.
         """
-        return self._solids_along(0)
-
-    def _solids_along(self, axis: int) -> list[Rectangle]:
-        """Return rectangles that cover the solid, each as long along an axis as it may be."""
-        along, across = self._cuts(axis), self._cuts(1 - axis)
-        middles = 0.5 * np.add(along[1:], along[:-1])
+        x = self._cuts(0)
+        middles = 0.5 * np.add(x[1:], x[:-1])
         found = []
-        for low, high in itertools.pairwise(across):
-            others = np.full_like(middles, 0.5 * (low + high))
-            centres = np.stack((middles, others) if axis == 0 else (others, middles), axis=1)
+        for low, high in itertools.pairwise(self._cuts(1)):
+            centres = np.stack((middles, np.full_like(middles, 0.5 * (low + high))), axis=1)
             ends = np.flatnonzero(np.diff(np.pad(~self.contains(centres), 1))).reshape(-1, 2)
-            for first, last in ends:
-                corners = (along[first], low), (along[last], high)
-                found.append(Rectangle(*(c if axis == 0 else c[::-1] for c in corners)))
+            found += [Rectangle((x[first], low), (x[last], high)) for first, last in ends]
         return found
 
     def _cuts(self, axis: int) -> list[float]:
@@ -168,35 +127,12 @@ class BoxDomain(Domain):
         cuts = {bound + image for bound in (low, high, *edges) for image in images}
         return sorted(cuts | {low - length, high + length})
 
-    def wall_search(self, particle_spacing: float) -> RectangleSearch:
+    def wall_search(self, particle_spacing: float) -> WallSearch:
         """Return what finds particles' distances from walls at every substep."""
-        return RectangleSearch(np.array([(*s.lower, *s.upper) for s in self.solids]))
+        # Domains are known without compiled code.
+        from sphrom.kernels import rectangles
 
-    def sections(self, x: float) -> list[tuple[float, float]]:
-        """Return the intervals [m] of the vertical line at x that are in the fluid, from below."""
-        slack = ROUNDING * max(self.lengths)
-        spans: list[tuple[float, float]] = []
-        for part in sorted(self.parts, key=lambda part: part.lower[1]):
-            (left, low), (right, high) = part.lower, part.upper
-            middle = np.array([[x, 0.5 * (low + high)]])
-            if not left <= x <= right or self.wall_distance(middle)[0] <= slack:
-                continue
-            if spans and low <= spans[-1][1] + slack:
-                below = spans.pop()
-                low, high = below[0], max(below[1], high)
-            spans.append((low, high))
-        return spans
-
-    def fluid_share(self, edges: Sequence[Array]) -> Array:
-        """Return the share of fluid (n_rows, n_columns) in cells between edges along x and y."""
-        share = np.zeros((len(edges[1]) - 1, len(edges[0]) - 1))
-        for part in self.parts:
-            along_x, along_y = (
-                overlap(edges[axis], part.lower[axis], part.upper[axis]) for axis in range(2)
-            )
-            share += np.outer(along_y, along_x)
-        share[share < ROUNDING] = 0.0
-        return share
+        return WallSearch(rectangles, (np.array([(*s.lower, *s.upper) for s in self.solids]),))
 
     def fits_lattice(self, particle_spacing: float) -> bool:
         """Whether all walls lie between the points of a lattice."""
@@ -216,12 +152,7 @@ class BoxDomain(Domain):
         points = np.stack((x.ravel(), y.ravel()), axis=1)
         return points[self.contains(points)] if self.has_walls else points
 
-    def n_particles(self, particle_spacing: float) -> int:
-        """Return how many points of the lattice lie in the fluid."""
-        blocks = self._blocks(particle_spacing)
-        return sum((right - left) * (up - low) for left, low, right, up in blocks)
-
-    def ghosts(self, particle_spacing: float, n_layers: int) -> GhostLayers:
+    def ghosts(self, particle_spacing: float, n_layers: int) -> Walls:
         """Return the lattice points (n_ghosts, 2) [m] within some layers of the fluid."""
         axes = [self._lattice_axis(axis, particle_spacing, n_layers) for axis in range(2)]
         x, y = np.meshgrid(*axes)
@@ -233,24 +164,17 @@ class BoxDomain(Domain):
         corner = ~(beside | above)
         axes_behind = np.stack(((beside | corner).ravel(), (above | corner).ravel()), axis=1)
         place = position[ghost]
-        return GhostLayers(place, self.nearest_wall(place), axes_behind[ghost].astype(np.float64))
+        normal = axes_behind[ghost].astype(np.float64)
+        return Walls(place, np.zeros_like(place), self.nearest_wall(place), normal)
 
     def n_ghosts(self, particle_spacing: float, n_layers: int) -> int:
         """Return how many lattice points lie within some layers of the fluid."""
-        if not self.has_walls:
-            return 0
-        across, up = (0 if periodic else n_layers for periodic in self.periodic)
-        ends = block(self.lower, self.upper, particle_spacing)
-        grown = [
-            (
-                max(left - n_layers, ends[0] - across),
-                max(lower - n_layers, ends[1] - up),
-                min(right + n_layers, ends[2] + across),
-                min(upper + n_layers, ends[3] + up),
-            )
-            for left, lower, right, upper in self._blocks(particle_spacing)
-        ]
-        return covered(grown) - self.n_particles(particle_spacing)
+        depth = n_layers * particle_spacing
+        beyond = np.where(self.periodic, 0.0, depth)
+        frame = shapely.box(*np.subtract(self.lower, beyond), *np.add(self.upper, beyond))
+        grown = shapely.buffer(self.fluid_with_images, depth, join_style="mitre")
+        area = shapely.area(shapely.intersection(grown, frame)) - self.area
+        return round(float(area) / particle_spacing**2)
 
     def nearest_wall(self, position: Array) -> Indices:
         """Return the wall (n_points,) nearest to positions in the solid; corners are the sides'."""
@@ -262,9 +186,6 @@ class BoxDomain(Domain):
                 wall[place[:, axis] < self.lower[axis]] = low
                 wall[place[:, axis] > self.upper[axis]] = high
         return wall
-
-    def _blocks(self, particle_spacing: float) -> list[Block]:
-        return [block(part.lower, part.upper, particle_spacing) for part in self.parts]
 
     def _lattice_axis(self, axis: int, spacing: float, n_layers: int) -> Array:
         extra = 0 if self.periodic[axis] else n_layers
@@ -284,31 +205,6 @@ class BoxDomain(Domain):
 
 
 @dataclass(frozen=True)
-class RectangleSearch(WallSearch):
-    """Distances from solid rectangles."""
-
-    solids: Array
-    """(n_solids, 4) lower and upper corners, x before y [m]."""
-
-    @property
-    def kernels(self) -> ModuleType:
-        """Those of rectangles."""
-        # Domains are known without compiled code.
-        from sphrom.kernels import rectangles
-
-        return rectangles
-
-    @property
-    def lists(self) -> tuple[Array]:
-        """The rectangles."""
-        return (self.solids,)
-
-
-Block = tuple[int, int, int, int]
-"""Left, lower, right and upper edges of a rectangle, in particle spacings."""
-
-
-@dataclass(frozen=True)
 class Rectangle:
     """An axis-parallel rectangle; lengths in [m]."""
 
@@ -319,6 +215,16 @@ class Rectangle:
     def area(self) -> float:
         """The rectangle's area [m2]."""
         return (self.upper[0] - self.lower[0]) * (self.upper[1] - self.lower[1])
+
+    @property
+    def polygon(self) -> BaseGeometry:
+        """The rectangle as a polygon."""
+        return shapely.box(*self.lower, *self.upper)
+
+    def shifted(self, x: float, y: float) -> Rectangle:
+        """Return the rectangle moved along both axes [m]."""
+        (left, low), (right, high) = self.lower, self.upper
+        return Rectangle((left + x, low + y), (right + x, high + y))
 
     def contains(self, position: Array) -> NDArray[np.bool_]:
         """Return which positions (n_points, 2) [m] lie in it, its edges among them."""
@@ -336,40 +242,3 @@ def nearest(position: Array, rectangles: Iterable[Rectangle]) -> tuple[Array, Ar
         way[distance < least] = gaps[distance < least]
         np.minimum(least, distance, out=least)
     return least, way
-
-
-def shifted(rectangle: Rectangle, shift: Sequence[float]) -> Rectangle:
-    """Return a rectangle moved by a shift (2,) [m]."""
-    (left, low), (right, high) = rectangle.lower, rectangle.upper
-    along, up = shift
-    return Rectangle((left + along, low + up), (right + along, high + up))
-
-
-def overlap(edges: Array, low: float, high: float) -> Array:
-    """Return the share (n_cells,) of each interval between edges that [low, high] covers."""
-    length = np.minimum(edges[1:], high) - np.maximum(edges[:-1], low)
-    return np.asarray(np.maximum(length, 0.0) / np.diff(edges))
-
-
-def block(lower: Sequence[float], upper: Sequence[float], spacing: float) -> Block:
-    """Return the edges of a rectangle, rounded to particle spacings [m]."""
-    left, low, right, up = (round(edge / spacing) for edge in (*lower, *upper))
-    return left, low, right, up
-
-
-def covered(blocks: list[Block]) -> int:
-    """Return the area that blocks cover, whether they overlap or not."""
-    columns = sorted({edge for b in blocks for edge in (b[0], b[2])})
-    return sum(
-        (right - left) * _length([(b[1], b[3]) for b in blocks if b[0] <= left and right <= b[2]])
-        for left, right in itertools.pairwise(columns)
-    )
-
-
-def _length(intervals: list[tuple[int, int]]) -> int:
-    """Return the length that intervals cover."""
-    total, reached = 0, min((low for low, _ in intervals), default=0)
-    for low, high in sorted(intervals):
-        total += max(0, high - max(low, reached))
-        reached = max(reached, high)
-    return total

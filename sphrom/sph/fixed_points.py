@@ -47,7 +47,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.sph.domain import Domain
+from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fluid import Discretization, Drive, Factors, FlowConditions, Fluid
 from sphrom.sph.point_sums import (
     EVERYWHERE,
@@ -59,7 +59,6 @@ from sphrom.sph.point_sums import (
     scaled,
     some_rows,
 )
-from sphrom.sph.walls import Walls
 
 Array = NDArray[np.float64]
 Order = Literal[0, 1]

@@ -121,36 +121,10 @@ class StepLimits:
     body_force: float = math.inf
     """Infinite where there is no body force."""
 
-
-def acoustic_limit(smoothing_length: float, sound_speed: float, damping: float = 0.0) -> float:
-    """Return the largest step [s] that sound allows (Eq. 2.19), with a damper of some alpha.
-
-    Beyond alpha = 2 over the largest wave number the shortest waves don't oscillate any more, and
-    what the damper takes of them limits the step.
-    """
-    courant, wave_number = COURANT_LIMIT, LARGEST_WAVE_NUMBER
-    half = 0.5 * damping * wave_number
-    if half > 1.0:
-        rate = wave_number * (half + math.sqrt(half**2 - 1.0))
-        courant = min(courant, REAL_AXIS_LIMIT / rate)
-    return courant * smoothing_length / sound_speed
-
-
-def viscous_limit(
-    smoothing_length: float, kinematic_viscosity: float, particle_spacing: float | None = None
-) -> float:
-    """Return the largest step [s] that viscosity allows; beside walls the spacing [m] counts."""
-    limit = VISCOUS_LIMIT * smoothing_length**2
-    if particle_spacing is not None:
-        limit = min(limit, WALL_VISCOUS_LIMIT * smoothing_length * particle_spacing)
-    return limit / kinematic_viscosity
-
-
-def force_limit(smoothing_length: float, largest_body_force: float) -> float:
-    """Return the largest step [s] that a body force [m/s2] allows."""
-    if largest_body_force == 0.0:
-        return math.inf
-    return FORCE_LIMIT * math.sqrt(smoothing_length / largest_body_force)
+    @property
+    def least(self) -> float:
+        """The limit that binds."""
+        return min(self.acoustic, self.viscous, self.body_force)
 
 
 def step_limits(
@@ -159,11 +133,22 @@ def step_limits(
     largest_body_force: float = 0.0,
     has_walls: bool = False,
 ) -> StepLimits:
-    """Return the limits of the time step; the body force is an acceleration [m/s2]."""
-    length = discretization.smoothing_length
-    spacing = discretization.particle_spacing if has_walls else None
-    return StepLimits(
-        acoustic=acoustic_limit(length, fluid.sound_speed, discretization.acoustic_damping),
-        viscous=viscous_limit(length, fluid.kinematic_viscosity, spacing),
-        body_force=force_limit(length, largest_body_force),
-    )
+    """Return the limits of the time step; the body force is an acceleration [m/s2].
+
+    Sound limits it by Eq. 2.19. Beyond a damper's alpha of 2 over the largest wave number the
+    shortest waves don't oscillate any more, and what the damper takes of them limits the step.
+    Beside walls the spacing counts for viscosity too.
+    """
+    length, courant = discretization.smoothing_length, COURANT_LIMIT
+    half = 0.5 * discretization.acoustic_damping * LARGEST_WAVE_NUMBER
+    if half > 1.0:
+        rate = LARGEST_WAVE_NUMBER * (half + math.sqrt(half**2 - 1.0))
+        courant = min(courant, REAL_AXIS_LIMIT / rate)
+    diffusion = VISCOUS_LIMIT * length**2
+    if has_walls:
+        diffusion = min(diffusion, WALL_VISCOUS_LIMIT * length * discretization.particle_spacing)
+    force = math.inf
+    if largest_body_force > 0.0:
+        force = FORCE_LIMIT * math.sqrt(length / largest_body_force)
+    acoustic = courant * length / fluid.sound_speed
+    return StepLimits(acoustic, diffusion / fluid.kinematic_viscosity, force)

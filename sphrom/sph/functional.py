@@ -17,11 +17,11 @@ from sphrom.kernels import advection, sweeps
 from sphrom.kernels.cells import Grid
 from sphrom.kernels.wendland import kernel
 from sphrom.sph import state_equation
-from sphrom.sph.domain import Domain
+from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.neighbourhood import Neighbourhood
 from sphrom.sph.time_loop import Snapshot
-from sphrom.sph.walls import GhostParticles, Walls, WallTerms
+from sphrom.sph.walls import GhostParticles, WallTerms
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -305,26 +305,11 @@ class Functional:
         sweeps.gather(near.particle, near.image, fields, sweeps.X, source)
         return source
 
-
-class FullModel:
-    """The full model as the time loop sees it; states are (5, n_particles)."""
-
-    def __init__(self, functional: Functional) -> None:
-        self._functional = functional
-
-    @property
-    def domain(self) -> Domain:
-        """Where the fluid is."""
-        return self._functional.domain
-
-    @property
-    def neighbourhood(self) -> Neighbourhood:
-        """The list of neighbours that rates are summed over."""
-        return self._functional.neighbourhood
+    # As the time loop sees it
 
     def rates(self, state: Array, time: float) -> Array:
         """Return the rates of a state (Eq. 2.17)."""
-        return self._functional(state, time)
+        return self(state, time)
 
     def position(self, state: Array) -> Array:
         """Return the positions (2, n_particles) [m]."""
@@ -332,8 +317,8 @@ class FullModel:
 
     def wrapped(self, state: Array) -> Array:
         """Return the state with its particles in the box, and forget their neighbours."""
-        self._functional.neighbourhood.forget()
-        return np.vstack((self._functional.domain.wrap(state[:2].T).T, state[2:]))
+        self.neighbourhood.forget()
+        return np.vstack((self.domain.wrap(state[:2].T).T, state[2:]))
 
     def snapshot(self, state: Array) -> Snapshot:
         """Return the fields of a state."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from sphrom.errors import UnstableError
 from sphrom.kernels.blocks import N_CHUNKS, longest_list, split_targets
 from sphrom.kernels.cells import Grid, sort_by_cell
-from sphrom.sph.domain import Domain
+from sphrom.sph.domain import Domain, first_of
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -116,7 +116,6 @@ class Neighbourhood:
         UnstableError
             When a position is not finite, or beyond all walls by more than the list could cover.
         """
-        _require_finite(position)
         if self._built is not None and self._built.shape == position.shape:
             offset = position - self._built
             moved = math.sqrt(float(np.max(offset[0] ** 2 + offset[1] ** 2)))
@@ -149,30 +148,18 @@ class Neighbourhood:
             self.scratch = np.empty((*self.scratch.shape[:2], length))
 
 
-def _require_finite(position: Array) -> None:
-    bad = np.flatnonzero(~np.isfinite(position).all(0))
-    if bad.size:
-        raise UnstableError(
-            f"the position of particle {bad[0]} is no longer finite; {_others(bad.size)}"
-        )
-
-
 def _require_near(position: Array, domain: Domain, margin: float) -> None:
-    """Refuse particles farther beyond walls than images reach: cells could not cover them."""
+    """Refuse particles that are lost, or farther beyond walls than images reach.
+
+    Cells could not cover them.
+    """
+    bad = ~np.isfinite(position).all(0)
     for axis in (axis for axis in range(2) if not domain.periodic[axis]):
-        place = position[axis]
         low, high = domain.lower[axis] - margin, domain.upper[axis] + margin
-        bad = np.flatnonzero((place < low) | (place > high))
-        if bad.size:
-            x, y = position[:, bad[0]]
-            raise UnstableError(
-                f"particle {bad[0]} at ({x:.6g}, {y:.6g}) m is beyond the reach of the neighbour "
-                f"list; {_others(bad.size)}"
-            )
-
-
-def _others(number: int) -> str:
-    return "no other such particle" if number == 1 else f"{number} such particles"
+        bad |= (position[axis] < low) | (position[axis] > high)
+    if bad.any():
+        where = first_of(np.flatnonzero(bad), position)
+        raise UnstableError(f"{where} is beyond the reach of the neighbour list")
 
 
 def _covering_grid(x: Array, y: Array, particle_spacing: float) -> Grid:

@@ -16,10 +16,10 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from sphrom.kernels.wendland import LAPLACIAN_SHAPE, weigh
-from sphrom.sph.domain import Domain
+from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fluid import Discretization
 from sphrom.sph.neighbourhood import periodic_images
-from sphrom.sph.walls import NEAREST, Walls
+from sphrom.sph.walls import NEAREST
 
 Array = NDArray[np.float64]
 Matrix = Any

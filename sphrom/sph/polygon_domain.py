@@ -8,10 +8,9 @@ that no polygon is asked in the time loop (`sphrom.kernels.segments`).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from types import ModuleType
 
 import numpy as np
 import shapely
@@ -21,8 +20,7 @@ from shapely.geometry.base import BaseGeometry
 
 from sphrom.kernels import segments as segment_sweeps
 from sphrom.kernels.cells import Grid
-from sphrom.sph.box_domain import SIDES
-from sphrom.sph.domain import ROUNDING, Domain, GhostLayers, WallSearch
+from sphrom.sph.domain import ROUNDING, SIDES, Domain, Walls, WallSearch
 from sphrom.sph.packing import NEAREST, off_walls
 from sphrom.sph.polygon_particles import fitted_lattice, ghost_rows
 from sphrom.sph.polygons import (
@@ -32,7 +30,6 @@ from sphrom.sph.polygons import (
     periodic_shifts,
     require_few_crossings,
 )
-from sphrom.sph.widths import least_widths
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -48,8 +45,6 @@ MARGIN = 8.0
 """How far cells reach beyond the box, in cells."""
 LISTED = 2.0
 """Within so many spacings of a particle all walls are listed: shifting feels those within 1.5."""
-FINEST = 5e-5
-"""Finer features aren't looked at when widths are measured, over the size of the box."""
 MOST_JOINED = 500
 """Solids, with their periodic images, that are joined to one outline at once."""
 LONGEST = 100.0
@@ -117,12 +112,7 @@ class PolygonDomain(Domain):
     @cached_property
     def fluid(self) -> BaseGeometry:
         """What fluid fills of the box."""
-        return shapely.intersection(self._fluid_with_images, shapely.box(*self.lower, *self.upper))
-
-    @property
-    def area(self) -> float:
-        """The area that fluid fills [m2]."""
-        return float(shapely.area(self.fluid))
+        return shapely.intersection(self.fluid_with_images, shapely.box(*self.lower, *self.upper))
 
     @cached_property
     def separate_areas(self) -> list[float]:
@@ -131,20 +121,9 @@ class PolygonDomain(Domain):
         return sorted(areas[areas > ROUNDING * self.area_of_box].tolist(), reverse=True)
 
     @property
-    def fills_box(self) -> bool:
-        """Whether fluid fills the whole box."""
-        return not self.solids
-
-    @property
-    def wall_names(self) -> tuple[str, ...]:
-        """The sides of the box that aren't periodic, then the solids."""
-        sides = (
-            name
-            for names, periodic in zip(SIDES, self.periodic, strict=True)
-            for name in names
-            if not periodic
-        )
-        return (*sides, *(name for name, _ in self.solids))
+    def solid_names(self) -> tuple[str, ...]:
+        """What each solid is called."""
+        return tuple(name for name, _ in self.solids)
 
     def _solids_in_box(self) -> Iterator[tuple[str, BaseGeometry]]:
         """Yield names and what lies of each solid and its images in the box."""
@@ -160,7 +139,7 @@ class PolygonDomain(Domain):
         return shapely.union_all([translate(shape, *shift) for shift in shifts])
 
     @cached_property
-    def _fluid_with_images(self) -> BaseGeometry:
+    def fluid_with_images(self) -> BaseGeometry:
         """The fluid in the box and, along periodic axes, in its images on either side."""
         reach = [
             length if p else 0.0 for length, p in zip(self.lengths, self.periodic, strict=True)
@@ -187,7 +166,7 @@ class PolygonDomain(Domain):
         return [self._with_images(shape, 2) for _, shape in self.solids]
 
     @cached_property
-    def outline(self) -> Outline:
+    def outline(self) -> WallSearch:
         """The walls, listed by cells of the box."""
         return self._listed(max(self.lengths) / N_CELLS, 0.0)
 
@@ -196,15 +175,15 @@ class PolygonDomain(Domain):
         width = max(particle_spacing, max(self.lengths) / N_CELLS)
         return self._listed(width, LISTED * particle_spacing)
 
-    def _listed(self, cell_width: float, reach: float) -> Outline:
+    def _listed(self, cell_width: float, reach: float) -> WallSearch:
         margin = MARGIN * cell_width
         lower, upper = np.subtract(self.lower, margin), np.add(self.upper, margin)
-        return list_by_cell(*self._segments, lower, upper, cell_width, reach)
+        return list_by_cell(self._segments[0], lower, upper, cell_width, reach)
 
     @cached_property
     def _segments(self) -> tuple[Array, Indices]:
         """The segments (n_segments, 6) of all walls, and which wall each is of."""
-        parts = shapely.orient_polygons(shapely.get_parts(self._fluid_with_images))
+        parts = shapely.orient_polygons(shapely.get_parts(self.fluid_with_images))
         rings = shapely.get_rings(parts)
         segments = np.concatenate([chain(shapely.get_coordinates(ring)[:-1]) for ring in rings])
         wall = self._walls_of(0.5 * (segments[:, :2] + segments[:, 2:4]))
@@ -249,7 +228,7 @@ class PolygonDomain(Domain):
 
     def nearest_wall(self, position: Array) -> Indices:
         """Return the wall (n_points,) that is nearest to positions (n_points, 2) [m]."""
-        return self.outline.wall[self._nearest(position)[2]]
+        return self._segments[1][self._nearest(position)[2]]
 
     def arms(self, name: str, place: Array) -> Array:
         """Return how far places (n_points, 2) are from the centroid of a solid [m].
@@ -280,61 +259,7 @@ class PolygonDomain(Domain):
         n_points = len(position)
         if not self.has_walls:
             return np.full(n_points, np.inf), np.zeros((n_points, 2)), np.full(n_points, -1)
-        return self.outline.nearest(self.wrap(position))
-
-    @property
-    def narrowest_gap(self) -> float:
-        """The least width of the fluid between walls, or length of a period [m].
-
-        `sphrom.sph.widths` says which walls it is between.
-        """
-        periods = (n for n, p in zip(self.lengths, self.periodic, strict=True) if p)
-        return min((self._least_widths[0], *periods))
-
-    @property
-    def thinnest_solid(self) -> float:
-        """The least width of a solid between fluid and fluid, infinite where none is [m]."""
-        return self._least_widths[1]
-
-    @cached_property
-    def _least_widths(self) -> tuple[float, float]:
-        # Of finer corners there may be thousands.
-        fluid = shapely.simplify(self._fluid_with_images, FINEST * max(self.lengths))
-        return least_widths(fluid, self._is_wall, np.array(self.lower), np.array(self.upper))
-
-    def _is_wall(self, place: Array) -> Mask:
-        """Whether the outline (n_points, 2) is a wall, and not where the images end."""
-        slack, out = ROUNDING * max(self.lengths), np.ones(len(place), dtype=bool)
-        for axis, length in enumerate(self.lengths):
-            if self.periodic[axis]:
-                out &= place[:, axis] > self.lower[axis] - length + slack
-                out &= place[:, axis] < self.upper[axis] + length - slack
-        return out
-
-    def sections(self, x: float) -> list[tuple[float, float]]:
-        """Return the intervals [m] of the vertical line at x that are in the fluid, from below."""
-        line = shapely.linestrings([(x, self.lower[1]), (x, self.upper[1])])
-        slack = ROUNDING * max(self.lengths)
-        spans: list[tuple[float, float]] = []
-        parts = shapely.get_parts(shapely.intersection(line, self.fluid))
-        heights = (shapely.get_coordinates(part)[:, 1] for part in parts[~shapely.is_empty(parts)])
-        for low, high in sorted((y.min(), y.max()) for y in heights):
-            middle = np.array([[x, 0.5 * (low + high)]])
-            if high - low <= slack or self.wall_distance(middle)[0] <= slack:
-                continue
-            if spans and low <= spans[-1][1] + slack:
-                low = spans.pop()[0]
-            spans.append((float(low), float(high)))
-        return spans
-
-    def fluid_share(self, edges: Sequence[Array]) -> Array:
-        """Return the share of fluid (n_rows, n_columns) in cells between edges along x and y."""
-        x, y = edges
-        cells = shapely.box(x[None, :-1], y[:-1, None], x[None, 1:], y[1:, None])
-        shapely.prepare(self.fluid)
-        share = shapely.area(shapely.intersection(cells, self.fluid)) / shapely.area(cells)
-        share[share < ROUNDING] = 0.0
-        return np.asarray(share)
+        return nearest_segments(self.wrap(position), self.outline)
 
     def fill(self, particle_spacing: float) -> Array:
         """Return as many points (n_particles, 2) [m] as fill the fluid, near a lattice's.
@@ -347,10 +272,6 @@ class PolygonDomain(Domain):
         chosen = points[self._deepest(points, distance, particle_spacing)]
         return off_walls(chosen, self, NEAREST * particle_spacing)
 
-    def n_particles(self, particle_spacing: float) -> int:
-        """Return how many particles have the fluid's area."""
-        return round(self.area / particle_spacing**2)
-
     def _deepest(self, points: Array, distance: Array, particle_spacing: float) -> Indices:
         """Return the points that are deepest in the fluid, as many as fill it, in their order."""
         # Equally deep points are chosen in their order, whatever rounding makes of them.
@@ -358,12 +279,12 @@ class PolygonDomain(Domain):
         order = np.argsort(-depth, kind="stable")
         return np.sort(order[: self.n_particles(particle_spacing)])
 
-    def ghosts(self, particle_spacing: float, n_layers: int) -> GhostLayers:
+    def ghosts(self, particle_spacing: float, n_layers: int) -> Walls:
         """Return points (n_ghosts, 2) [m] in rows behind walls."""
         beyond = np.where(self.periodic, 0.0, 2.0 * n_layers * particle_spacing)
         frame = shapely.box(*np.subtract(self.lower, beyond), *np.add(self.upper, beyond))
-        position = ghost_rows(self._fluid_with_images, frame, particle_spacing, n_layers)
-        return GhostLayers(position, self.nearest_wall(position), None)
+        position = ghost_rows(self.fluid_with_images, frame, particle_spacing, n_layers)
+        return Walls(position, np.zeros_like(position), self.nearest_wall(position), None)
 
     def n_ghosts(self, particle_spacing: float, n_layers: int) -> int:
         """Return how many ghosts there are."""
@@ -374,43 +295,16 @@ class PolygonDomain(Domain):
         return True
 
 
-@dataclass(frozen=True)
-class Outline(WallSearch):
-    """The segments of all walls, and lists of those that matter in each cell of a grid."""
-
-    segments: Array
-    """(n_segments, 6), as `sphrom.kernels.segments` has them [m]."""
-    wall: Indices
-    """(n_segments,) the wall that each is of."""
-    listed: Indices
-    start: Indices
-    grid: Grid
-
-    @property
-    def kernels(self) -> ModuleType:
-        """Those of segments."""
-        return segment_sweeps
-
-    @property
-    def lists(self) -> tuple[Array, Indices, Indices, Grid]:
-        """The segments, and the lists of those in each cell."""
-        return self.segments, self.listed, self.start, self.grid
-
-    def nearest(self, position: Array) -> tuple[Array, Array, Indices]:
-        """Return signed distances (n_points,) [m], normals (n_points, 2) and nearest segments."""
-        place = np.ascontiguousarray(position.T)
-        out, nearest = np.empty((3, len(position))), np.empty(len(position), np.int64)
-        segment_sweeps.signed_distances(place, *self.lists, out, nearest)
-        return out[0], np.ascontiguousarray(out[1:].T), nearest
-
-
 def list_by_cell(
-    segments: Array, wall: Indices, lower: Array, upper: Array, cell_width: float, reach: float
-) -> Outline:
-    """Return an outline whose cells cover a box.
+    segments: Array, lower: Array, upper: Array, cell_width: float, reach: float
+) -> WallSearch:
+    """Return walls with lists of those that matter in each cell of a grid over a box.
+
+    A cell's list holds the segment nearest to any point in it, and those within a reach.
 
     Parameters
     ----------
+    segments : (n_segments, 6), as `sphrom.kernels.segments` has them [m].
     lower, upper : the box's corners (2,) [m].
     cell_width, reach : of the cells, and from within which all segments are listed [m].
     """
@@ -418,7 +312,24 @@ def list_by_cell(
     grid = Grid(
         float(lower[0]), float(lower[1]), cell_width, cell_width, int(n_columns), int(n_rows)
     )
-    return Outline(segments, wall, *segment_sweeps.list_segments(segments, grid, reach), grid)
+    row, column = np.divmod(np.arange(n_columns * n_rows), n_columns)
+    centres = shapely.points(lower + cell_width * (np.stack((column, row), axis=1) + 0.5))
+    tree = shapely.STRtree(shapely.linestrings(segments[:, :4].reshape(-1, 2, 2)))
+    _, nearest = tree.query_nearest(centres, all_matches=False, return_distance=True)
+    radius = math.sqrt(0.5) * cell_width
+    limit = np.maximum(nearest + 2.0 * radius, reach + radius) * (1.0 + ROUNDING)
+    cell, listed = tree.query(centres, predicate="dwithin", distance=limit)
+    order = np.lexsort((listed, cell))
+    start = np.searchsorted(cell[order], np.arange(len(centres) + 1))
+    return WallSearch(segment_sweeps, (segments, listed[order], start, grid))
+
+
+def nearest_segments(position: Array, walls: WallSearch) -> tuple[Array, Array, Indices]:
+    """Return signed distances (n_points,) [m], normals (n_points, 2) and nearest segments."""
+    place = np.ascontiguousarray(position.T)
+    out, nearest = np.empty((3, len(position))), np.empty(len(position), np.int64)
+    walls.kernels.signed_distances(place, *walls.lists, out, nearest)
+    return out[0], np.ascontiguousarray(out[1:].T), nearest
 
 
 def chain(corners: Array) -> Array:

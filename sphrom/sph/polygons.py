@@ -10,8 +10,6 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from shapely.affinity import translate
 from shapely.geometry.base import BaseGeometry
 
@@ -91,6 +89,10 @@ def periodic_shifts(
 
 def joined_areas(shape: BaseGeometry, lengths: Lengths, periodic: Periodic) -> Array:
     """Return the areas [m2] of a shape's separate parts; periodic edges join some."""
+    # Few commands need it, and loading it takes long.
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     parts = shapely.get_parts(shape)
     pairs = [
         pair for axis in range(2) if periodic[axis] for pair in _joined_across(axis, parts, lengths)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.errors import UnstableError
-from sphrom.sph.domain import Domain
+from sphrom.sph.domain import Domain, first_of
 
 Array = NDArray[np.float64]
 Item = Mapping[str, NDArray[Any]]
@@ -249,7 +249,9 @@ def march(
     first = 0
     if begin is not None:
         state, clock.seconds, first = begin.state, begin.seconds, begin.step + 1
-    _evaluated(model, state, steps.time(max(0, first - 1)))
+    # All that a model needs is compiled before the clock runs.
+    with _explained("before the first step"):
+        model.rates(state, steps.time(max(0, first - 1)))
     if begin is not None:
         model.neighbourhood.rebuild_at(begin.neighbours_at)
     for step in range(first, steps.n_steps + 1):
@@ -270,12 +272,6 @@ def march(
         if checkpoints is not None:
             run_state = RunState(step, state, model.neighbourhood.built_at, clock.seconds)
             checkpoints.reached(run_state, steps.time(step), steps.n_steps)
-
-
-def _evaluated(model: Model, state: Array, time: float) -> None:
-    """Evaluate a model once, so that all it needs is compiled."""
-    with _explained("before the first step"):
-        model.rates(state, time)
 
 
 def watched_step(
@@ -306,23 +302,15 @@ def check_snapshot(
 
     Or when a particle is beyond a wall.
     """
+    check_position(snapshot.position, domain, step, time)
     fluctuation = snapshot.density_fluctuation / reference_density
-    fields = np.vstack((snapshot.position, snapshot.velocity))
     # A comparison with NaN is false: every bad particle fails it.
-    bad = np.flatnonzero(~((np.abs(fluctuation) <= DENSITY_LIMIT) & np.isfinite(fields).all(0)))
-    beyond = ""
-    if not bad.size and domain.has_walls:
-        bad = np.flatnonzero(~domain.contains(snapshot.position.T))
-        beyond = ", beyond a wall,"
-    if bad.size:
-        i = int(bad[0])
-        x, y, u, v = fields[:, i]
-        others = "no other such particle" if bad.size == 1 else f"{bad.size} such particles"
-        raise UnstableError(
-            f"unstable at step {step}, t = {time:.6g} s: particle {i} at ({x:.6g}, {y:.6g}) m"
-            f"{beyond} has (rho - rho0)/rho0 = {fluctuation[i]:.3g} and velocity ({u:.3g}, "
-            f"{v:.3g}) m/s; {others}; a smaller time step may help"
-        )
+    good = (np.abs(fluctuation) <= DENSITY_LIMIT) & np.isfinite(snapshot.velocity).all(0)
+    if not good.all():
+        bad = np.flatnonzero(~good)
+        u, v = snapshot.velocity[:, bad[0]]
+        told = f"(rho - rho0)/rho0 = {fluctuation[bad[0]]:.3g} and velocity ({u:.3g}, {v:.3g}) m/s"
+        raise _unstable(f"{first_of(bad, snapshot.position)} has {told}", step, time)
 
 
 def check_position(position: Array, domain: Domain, step: int, time: float) -> None:
@@ -330,15 +318,14 @@ def check_position(position: Array, domain: Domain, step: int, time: float) -> N
     lost = ~np.isfinite(position).all(0)
     if domain.has_walls:
         lost |= ~domain.contains(position.T)
-    bad = np.flatnonzero(lost)
-    if bad.size:
-        x, y = position[:, bad[0]]
-        beyond = ", beyond a wall" if np.isfinite(x + y) else ""
-        others = "no other such particle" if bad.size == 1 else f"{bad.size} such particles"
-        raise UnstableError(
-            f"unstable at step {step}, t = {time:.6g} s: particle {bad[0]} is at ({x:.6g}, "
-            f"{y:.6g}) m{beyond}; {others}; a smaller time step may help"
-        )
+    if lost.any():
+        where = first_of(np.flatnonzero(lost), position)
+        raise _unstable(f"{where} is lost, or beyond a wall", step, time)
+
+
+def _unstable(told: str, step: int, time: float) -> UnstableError:
+    start = f"unstable at step {step}, t = {time:.6g} s"
+    return UnstableError(f"{start}: {told}; a smaller time step may help")
 
 
 def runge_kutta_step(

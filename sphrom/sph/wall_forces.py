@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from sphrom.sph.domain import Domain
 
 if TYPE_CHECKING:
+    from sphrom.sph.domain import Walls
     from sphrom.sph.functional import Functional
-    from sphrom.sph.walls import Walls
 
 Array = NDArray[np.float64]
 

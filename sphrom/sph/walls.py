@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from sphrom.kernels import advection, ghost_fields, wall_sweeps
 from sphrom.kernels.cells import Grid
 from sphrom.kernels.sweeps import FluidConstants, RegularityConstants, X, gather
 from sphrom.sph import state_equation
-from sphrom.sph.domain import Domain
+from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.neighbourhood import MOVE_RATIO, Sources, sort_sources
 
@@ -34,21 +34,6 @@ NEAREST = 0.5
 """Least distance from a wall, over the spacing, that velocities are extrapolated from."""
 ROUNDING = 1e-9
 """Slack for what is equal but for rounding."""
-
-
-@dataclass(frozen=True)
-class Walls:
-    """Ghost particles, fixed in space."""
-
-    position: Array
-    """(n_ghosts, 2) [m]."""
-    velocity: Array
-    """(n_ghosts, 2) that of the wall each belongs to [m/s]."""
-    wall: Indices
-    """(n_ghosts,) the wall that each belongs to, an index of `Domain.wall_names`."""
-    normal: Array | None
-    """(n_ghosts, 2) 1 along the axes of the normals of the walls that a ghost is behind, else 0;
-    None where walls follow no axis."""
 
 
 def n_layers(discretization: Discretization) -> int:
@@ -71,14 +56,10 @@ def build_walls(
     wall_velocity : the velocity (n_ghosts, 2) [m/s] of the walls that ghosts (n_ghosts, 2) [m]
         belong to; None for walls at rest.
     """
-    layers = domain.ghosts(particle_spacing, n_layers)
-    place = layers.position
-    return Walls(
-        position=place,
-        velocity=np.zeros_like(place) if wall_velocity is None else wall_velocity(place),
-        wall=layers.wall,
-        normal=layers.axes,
-    )
+    walls = domain.ghosts(particle_spacing, n_layers)
+    if wall_velocity is None:
+        return walls
+    return replace(walls, velocity=wall_velocity(walls.position))
 
 
 class GhostParticles:

@@ -15,7 +15,7 @@ from sphrom.case.identity import VERSIONS, inputs_digest, section_inputs, stated
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.case.studies import fit_model, sweep_model, sweep_name
+from sphrom.case.studies import fast_model, sweep_model, sweep_name
 
 FULL_RUN = ("scene", "fluid", "discretization", "time", "snapshots")
 """The sections that a full run depends on."""
@@ -199,7 +199,7 @@ class Targets:
 
     def fit(self, name: str, measurements: str, noise: float | None) -> Target:
         """The parameters that measurements tell, by the digest of their file."""
-        model = fit_model(self.case)
+        model = fast_model(self.case, self.case.fit.model)
         about = {
             "fit": _without(self.case.fit, "model", "noise"),
             "noise": noise,

@@ -13,9 +13,9 @@ from sphrom.declaration import fields_of
 from sphrom.errors import ArtifactError, UnstableError
 from sphrom.setup.measured_fields import MeasuredFields
 from sphrom.sph import state_equation
+from sphrom.sph.domain import Walls
 from sphrom.sph.time_loop import Item, Snapshot
 from sphrom.sph.wall_forces import WallForces
-from sphrom.sph.walls import Walls
 from sphrom.store.measured_quantities import field_datasets, force_datasets, write_positions
 
 Array = NDArray[np.float64]

@@ -248,7 +248,7 @@ def seconds_of_run(workspace: Workspace, point: ParameterPoint, repeats: int) ->
     state = fom.start(workspace, point).state
     n_steps = min(N_TIMED_STEPS, plan.n_steps)
     steps = TimeSteps(plan.time_step, n_steps, n_steps, plan.start_time, check_every=n_steps)
-    model, density = fom.FullModel(particles.functional(case, point)), case.fluid.reference_density
+    model, density = particles.functional(case, point), case.fluid.reference_density
     each = []
     for _ in range(repeats):
         clock = Clock()

@@ -3,18 +3,17 @@
 Weak greedy training (`sphrom.reduction.greedy`): the model's error is estimated at many points of
 the region, the full model is run where it is worst, and the model learns from that run too. Full
 runs and maps are those of the case and stay; bases, splines and operators are made anew each time,
-in a folder of their own, which takes a small part of the time of a full run.
+in a folder of their own, which takes a small part of the time of a full run. So the full runs on
+disk are the journal: the same command makes the same choices again, and none of these runs.
 """
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sphrom.case.checks import case_problems
 from sphrom.case.identity import resolved_yaml
@@ -22,23 +21,19 @@ from sphrom.case.loader import case_of_text
 from sphrom.case.messages import show_path
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.studies import Region, trained_at, training_model
-from sphrom.case.study_sections import percentage
-from sphrom.errors import ArtifactError, CaseError, UnstableError, error_of, machine_error
-from sphrom.offline import fom
+from sphrom.case.studies import Region, fast_model, percent, trained_at
+from sphrom.errors import ArtifactError, CaseError, UnstableError, error_of
+from sphrom.offline import fit_psi, fom, operators, pod
 from sphrom.offline import map as map_stage
-from sphrom.reduction.greedy import Progress, choose, ending
+from sphrom.reduction.greedy import Ending, choose, ending
 from sphrom.setup.context import KnownArtifacts, StageContext
 from sphrom.setup.cost import require_room, runs_that_fit
 from sphrom.store.workspace import Workspace
 from sphrom.sweep.workers import Failure, Task, check_options, start_workers
-from sphrom.train import report as train_report
-from sphrom.train.journal import HeldOut, Journal, Stage
-from sphrom.train.model import NONE, StageModel
-from sphrom.train.report import FOLDER, Outcome, judged
-from sphrom.whole_files import remove_whole, require_writable, write_whole
-
-Array = NDArray[np.float64]
+from sphrom.text import exact
+from sphrom.train.outcome import FOLDER, HeldOut, Outcome, Stage, publish
+from sphrom.train.stage_model import NONE, StageModel
+from sphrom.whole_files import require_writable, write_whole
 
 CASE_FILE = "case.yaml"
 """What the case with the chosen points is called, in the training's folder."""
@@ -70,17 +65,22 @@ def run(
         When a full run became unstable: at once one of the first, after all other runs.
     """
     check_options(workers, scheduler)
+    changed: dict[str, object] = {}
+    if tolerance is not None:
+        changed["tolerance"] = f"{exact(percent(tolerance, '--tolerance'))}%"
+    if budget is not None:
+        changed["budget"] = budget
+    section = context.case.training.model_copy(update=changed)
+    case = context.case.model_copy(update={"training": section})
     if write_case is not None:
         _check_case_path(write_case)
-    case = _with_options(context.case, tolerance, budget)
     training = _Training(replace(context, case=case), workers, scheduler)
     path = write_case or training.folder / CASE_FILE
     _check_case_file(path, case, training.starts)
     outcome = training.run()
     found = trained_at(case, outcome.stages[-1].points)
     write_whole(path, resolved_yaml(found).encode())
-    kept = training.share()
-    train_report.publish(training.workspace, outcome, path, kept)
+    publish(training.workspace, outcome, path, training.share(outcome.stages[-1].points))
     if failed := [run for stage in outcome.stages for run in stage.held_out if run.failure]:
         labels = ", ".join(run.point.label for run in failed)
         raise UnstableError(
@@ -110,54 +110,32 @@ def _check_case_file(path: Path, case: Case, points: Sequence[ParameterPoint]) -
         ) from error
 
 
-def _with_options(case: Case, tolerance: str | None, budget: int | None) -> Case:
-    """Return the case with options in place of keys. Raises CaseError where they are invalid."""
-    changed: dict[str, object] = {}
-    if tolerance is not None:
-        try:
-            percentage(tolerance)
-        except ValueError as error:
-            raise CaseError(f"--tolerance: {error}; got {tolerance!r}") from error
-        changed["tolerance"] = tolerance
-    if budget is not None:
-        changed["budget"] = budget
-    return case.model_copy(update={"training": case.training.model_copy(update=changed)})
-
-
 class _Training:
     """The stages of a training, one after the other."""
 
     def __init__(self, context: StageContext, workers: int | None, scheduler: str | None) -> None:
-        """Find the stages that are there, or where to begin. Raises CaseError."""
+        """Find where to begin. Raises CaseError."""
         self.context, self.case = context, context.case
         self._at_once, self._scheduler = workers, scheduler
         self.section = self.case.training
-        model = training_model(self.case)
+        model = fast_model(self.case, self.section.model)
         if not self.section.ranges or model is None:
             raise CaseError(
                 "training: the case names no region of parameters; give ranges, such as --set "
                 "'training.reynolds=[50, 1000]'"
             )
-        self.model = model
-        self.region = Region(self.case)
+        self.model, self.region = model, Region(self.case)
         self.workspace = Workspace(context)
         self.folder = self.workspace.folder(FOLDER)
-        if context.force:  # what an earlier training chose goes; full runs and maps stay
-            for path in self.folder.glob("*.h5"):
-                remove_whole(path)
-        self.journal = Journal(self.case, model, self.folder, context.report, anew=context.force)
-        stages = self.journal.stages
-        self.starts = stages[0].points if stages else tuple(self.region.starts(self._known()))
+        self.starts = tuple(self.region.starts(self._known()))
         tested = self.case.plan.test_points
         self.candidates = [p for p in self.region.candidates() if p not in tested]
         self._check_starts()
-        self._stage_model: tuple[int, StageModel] | None = None
 
     def _known(self) -> list[ParameterPoint]:
         """Return the case's own training points in the region whose full runs are there."""
         inside = [point for point in self.case.plan.train_points if self.region.contains(point)]
-        corners = self.region.starts(())
-        workspace = Workspace(self._context_of([*corners, *inside]))
+        workspace = Workspace(self._context_of([*self.region.starts(()), *inside]))
         return [
             point for point in inside if workspace.reason_to_make(workspace.full_run(point)) is None
         ]
@@ -165,8 +143,7 @@ class _Training:
     def _check_starts(self) -> None:
         """Raise CaseError where the case can't be trained at the first points."""
         case = trained_at(self.case, self.starts)
-        if problems := case_problems(case, force=self.context.force):
-            problem = problems[0]
+        for problem in case_problems(case, force=self.context.force):
             raise CaseError(
                 f"training: trained at {self.starts[0].label} and other points, "
                 f"{show_path(problem.path)}: {problem.reason}"
@@ -192,139 +169,92 @@ class _Training:
 
     def run(self) -> Outcome:
         """Go through the stages until training ends."""
-        if not self.journal.stages:
-            self._make_first()
-        while True:
-            stage = self._stage()
-            ended = ending(self._progress(stage), self._tolerance, self.section.budget)
-            if ended is not None:
-                candidates, stages = tuple(self.candidates), tuple(self.journal.stages)
-                return Outcome(self.case, self.region, self.model.name, candidates, stages, ended)
-            self.journal.complete(self._predicted(stage))
-
-    @property
-    def _tolerance(self) -> float:
-        return percentage(self.section.tolerance)
-
-    def _make_first(self) -> None:
-        for point, reason in self._full_runs(self.starts, self.starts).items():
+        for point, reason in self._full_runs(self.starts).items():
             raise UnstableError(
                 f"{point.label}, where the region ends: the full run became unstable: {reason}; "
                 "a smaller region, time.courant_number or finer resolution may help"
             )
+        points, stages, earlier = self.starts, list[Stage](), tuple[HeldOut, ...]()
+        while True:
+            model = StageModel(self.context, self.model, points, self.folder)
+            name, estimates = f"error of {self.model.name}, {len(points)} full runs", []
+            with self.context.report.progress(name, len(self.candidates)) as advance:
+                for point in self.candidates:
+                    estimates.append(model.estimate(point))
+                    advance(1)
+            stage = Stage(points, self.candidates, np.array(estimates), model.floor(), earlier)
+            ended = self._ending(stage)
+            if ended is not None:
+                return Outcome(self.case, self.model.name, (*stages, stage), ended)
+            found = self._predicted(stage, model)
+            stages.append(replace(stage, held_out=found))
+            earlier += found
+            points += tuple(run.point for run in found if run.failure is None)
+
+    def _ending(self, stage: Stage) -> Ending | None:
+        fields = self.section.fields
+        return ending(
+            stage.worst(fields)[0],
+            float(stage.floor[list(fields)].max()),
+            self.section.percent,
+            n_held_out=sum(run.failure is None for run in stage.earlier),
+            n_left=self.section.budget - len(self._tried(stage)),
+        )
+
+    @staticmethod
+    def _tried(stage: Stage) -> list[ParameterPoint]:
+        """Return where the full model was run."""
+        return [*stage.points, *(run.point for run in stage.earlier if run.failure is not None)]
 
     def _full_runs(
-        self, learnt: Sequence[ParameterPoint], points: Sequence[ParameterPoint]
+        self, points: Sequence[ParameterPoint], learnt: Sequence[ParameterPoint] = ()
     ) -> dict[ParameterPoint, str]:
-        """Make full runs, and return why some became unstable."""
+        """Make full runs beside those that are there, and return why some became unstable."""
         context = self._context_of(tuple(dict.fromkeys((*learnt, *points))))
         return make(context, points, self._at_once, self._scheduler)
 
-    def _stage(self) -> Stage:
-        """Return the stage that is to be judged: the last one, or the one after it."""
-        stages = self.journal.stages
-        if stages and not stages[-1].held_out:
-            return stages[-1]
-        points = self.starts
-        if stages:
-            new = (run.point for run in stages[-1].held_out if run.failure is None)
-            points = (*stages[-1].points, *new)
-        if stages and len(points) == len(stages[-1].points):
-            # All that were chosen became unstable: the model is the same.
-            self.journal.add(replace(stages[-1], held_out=()))
-            return self.journal.stages[-1]
-        model = self._model_at(points)
-        name = f"error of {self.model.name}, {len(points)} full runs"
-        with self.context.report.progress(name, len(self.candidates)) as advance:
-            estimates = []
-            for point in self.candidates:
-                estimates.append(model.estimate(point))
-                advance(1)
-        self.journal.add(Stage(points, np.array(estimates), model.floor()))
-        return self.journal.stages[-1]
+    def _predicted(self, stage: Stage, model: StageModel) -> tuple[HeldOut, ...]:
+        """Choose points, make their full runs, and compare the model that hasn't seen them.
 
-    def _model_at(self, points: Sequence[ParameterPoint]) -> StageModel:
-        """Return the model that learnt from full runs at points; of each number there is one."""
-        if self._stage_model is None or self._stage_model[0] != len(points):
-            found = StageModel(self.context, self.model, points, self.folder)
-            self._stage_model = len(points), found
-        return self._stage_model[1]
-
-    def _progress(self, stage: Stage) -> Progress:
-        fields, earlier = list(self.section.fields), self.journal.held_out
-        tried = {run.point for run in earlier} | set(stage.points)
-        free = np.array([point not in tried for point in self.candidates])
-        failed = sum(run.failure is not None for run in earlier)
-        unstable = {run.point for run in earlier if run.failure}
-        stable = np.array([point not in unstable for point in self.candidates])
-        worst = judged(stage.estimates, earlier, fields)[stable].max()
-        return Progress(
-            worst_estimate=float(worst),
-            floor=float(stage.floor[fields].max()),
-            n_held_out=len(earlier) - failed,
-            n_runs=len(stage.points) + failed,
-            n_left=int(free.sum()),
-        )
-
-    def _predicted(self, stage: Stage) -> list[HeldOut]:
-        """Choose points, make their full runs, and compare the model that hasn't seen them."""
-        chosen = self._chosen(stage)
-        problems = self._full_runs(stage.points, chosen)
-        model, found = self._model_at(stage.points), []
-        index = {point: k for k, point in enumerate(self.candidates)}
-        for point in chosen:
-            estimate = stage.estimates[index[point]]
-            if point in problems:
-                found.append(HeldOut(point, estimate, NONE, NONE, problems[point]))
+        The points are the worst ones, apart from each other.
+        """
+        with start_workers(self._at_once or 1, self._scheduler, self.context.report) as workers:
+            at_once = workers.number
+        tried = self._tried(stage)
+        numbers = choose(
+            self.region.places(self.candidates),
+            stage.judged(self.section.fields),
+            self.region.places(tried),
+            min(self.section.budget - len(tried), at_once),
+            self.section.percent,
+        ).tolist()
+        problems = self._full_runs([self.candidates[k] for k in numbers], stage.points)
+        found = []
+        for k in numbers:
+            point, estimate = self.candidates[k], stage.estimates[k]
+            if (problem := problems.get(point)) is not None:
+                found.append(HeldOut(point, estimate, NONE, NONE, problem))
                 self.context.report.warn(
-                    f"{point.label}: left out, as its full run became unstable: {problems[point]}"
+                    f"{point.label}: left out, as its full run became unstable: {problem}"
                 )
                 continue
             found.append(HeldOut(point, estimate, *model.compared(point)))
-            self.context.report.info(train_report.told(found[-1], self.section.fields))
-        return found
+            self.context.report.info(found[-1].told(self.section.fields))
+        return tuple(found)
 
-    def _chosen(self, stage: Stage) -> list[ParameterPoint]:
-        """Return where the full model is run next: at the worst points, apart from each other."""
-        earlier, fields = self.journal.held_out, list(self.section.fields)
-        tried = [*stage.points, *(run.point for run in earlier if run.failure is not None)]
-        left = self.section.budget - len(tried)
-        with start_workers(self._at_once or 1, self._scheduler, self.context.report) as workers:
-            at_once = workers.number
-        numbers = choose(
-            self.region.places(self.candidates),
-            judged(stage.estimates, earlier, fields),
-            self.region.places(tried),
-            min(left, at_once),
-            self._tolerance,
-        )
-        return [self.candidates[k] for k in numbers]
+    def share(self, points: Sequence[ParameterPoint]) -> list[str]:
+        """Make the case's bases, splines and operators from the full runs at points, if none is.
 
-    def share(self) -> list[str]:
-        """Put the bases, splines and operators of the last stage where the case's are, if none is.
-
-        What is there of another case stays, and its names are returned: the user decides.
+        What is there of other points stays, and its names are returned: the user decides.
         """
-        points = self.journal.stages[-1].points
-        self._model_at(points)
         here = Workspace(self._context_of(points))
-        kept = []
-        for target in (here.basis(), here.splines(), here.operators()):
-            if not target.path.exists():
-                _copy(self.folder / target.path.name, target.path)
-            elif here.reason_to_make(target) is not None:
-                kept.append(target.path.name)
+        targets = (here.basis(), here.splines(), here.operators())
+        there = [target for target in targets if target.path.exists()]
+        kept = [each.path.name for each in there if here.reason_to_make(each) is not None]
+        context = replace(here.context, report=here.context.report.brief(progress=True))
+        for stage in () if kept else (pod, fit_psi, operators):
+            stage.run(context)
         return kept
-
-
-def _copy(source: Path, path: Path) -> None:
-    """Copy a file so that it is there as a whole or not at all."""
-    temporary = path.with_name(f".{path.name}-copy")
-    try:
-        shutil.copyfile(source, temporary)
-        temporary.replace(path)
-    except OSError as error:
-        raise machine_error(error) from error
 
 
 def make(

@@ -67,8 +67,6 @@ def test_a_case_without_models_fits_its_snapshots(load):
     assert (model.from_operators, model.n_modes) == (True, 3)  # of three snapshots
     (model,) = load("basis: {n_modes: 2}\n").rom
     assert model.n_modes == 2
-    (model,) = load("discretization: {viscosity: paper}\n").rom
-    assert model.on_particles
 
 
 def test_section_without_keys_keeps_its_defaults(load):
@@ -136,8 +134,8 @@ KEYS = [
     "kind", "length", "resolution", "smoothing_length_ratio", "final_time", "step", "every", "name",
     "train", "test", "reynolds", "n_modes", "subsets", "basis", "time_step", "parameters",
     "memory_length", "projection", "courant_number", "from_time", "spin_up", "interval", "walls",
-    "layers", "line", "mean_density", "lid", "lid_ramp", "cavity_length", "channel_height",
-    "body_force", "magnitude",
+    "layers", "line", "mean_density", "lid", "lid_ramp",
+    "body_force", "magnitude", "sustained_share", "form",
 ]  # fmt: skip
 KINDS = st.sampled_from(["taylor-green", "lid-driven-cavity", "open-cavity"])
 numbers = st.sampled_from([0, 1, 5, 100, -1, 0.5, 1e-12, 1e12, 1e-300, float("inf"), 10**30])

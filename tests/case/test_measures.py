@@ -68,9 +68,5 @@ def test_ends_on_walls_and_tangents_are_fine() -> None:
 
 def test_a_trade_by_what_is_not_measured() -> None:
     assert case_of(MEASURE, trade={"measure": "drag"})
-    with pytest.raises(
-        CaseError, match=r"trade\.measure: nothing measured has the name dragg; .*drag"
-    ):
+    with pytest.raises(CaseError, match=r"trade\.measure: .* dragg; did you mean drag"):
         case_of(MEASURE, trade={"measure": "dragg"})
-    with pytest.raises(CaseError, match=r"trade\.measure: .* scene\.measure is empty"):
-        case_of({}, trade={"measure": "drag"})

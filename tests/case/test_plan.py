@@ -20,8 +20,8 @@ def test_limits_are_those_of_the_physics(load):
     plan = case.plan
     fluid = Fluid(1000.0, plan.sound_speed, plan.kinematic_viscosity(ParameterPoint(2.0)), 1.0)
     limits = step_limits(fluid, Discretization(plan.particle_spacing, plan.smoothing_length))
-    assert case.plan.acoustic_limit == pytest.approx(limits.acoustic)
-    assert case.plan.viscous_limit == pytest.approx(limits.viscous)
+    assert plan.limits.acoustic == pytest.approx(limits.acoustic)
+    assert plan.limits.viscous == pytest.approx(limits.viscous)
 
 
 def test_given_step(load):
@@ -39,7 +39,7 @@ def test_automatic_step_keeps_both_limits_and_ends_on_a_snapshot(load, final_tim
         f"parameters: {{train: {{reynolds: [{reynolds}]}}}}\nrom: []\n"
     )
     plan = case.plan.steps
-    share = plan.time_step / min(case.plan.acoustic_limit, case.plan.viscous_limit)
+    share = plan.time_step / case.plan.limits.least
     assert share <= 0.8 * (1.0 + 1e-6)
     assert share > 0.8 * (plan.n_steps - every) / plan.n_steps
     assert plan.n_steps % every == 0

@@ -33,10 +33,8 @@ def fast(**keys: object) -> str:
 def test_readings_that_fixed_points_do_not_have(load, refusal, base, key, given, needed):
     bases = {} if base is None else {"base": base}
     override = f"discretization.{key}={given}"
-    assert refusal(fast(), override, **bases) == [
-        f"--set: discretization.{key}: must be {needed} for models on the reference points, such "
-        f"as x; got {given}"
-    ]
+    (line,) = refusal(fast(), override, **bases)
+    assert line.startswith(f"--set: discretization.{key}: must be {needed} for models with")
     assert load("rom: [{name: x}]\n", override, **bases).rom[0].on_particles
 
 

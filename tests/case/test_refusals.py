@@ -18,6 +18,9 @@ BASES = {
     "three snapshots": f"{VORTEX}time: {{step: 1.0e-3, final_time: 0.02}}\n",
     "two training runs": f"{VORTEX}parameters: {{train: {{reynolds: [100, 200]}}}}\n",
     "two models": f"{VORTEX}rom: [{{name: slow}}, {{name: fast, evaluation: operators}}]\n",
+    "local bases": f"{VORTEX}parameters: {{train: {{reynolds: [100, 200, 300]}}}}\n"
+    "basis: {subsets: {low: {reynolds: [100, 200]}, high: {reynolds: [200, 300]}}}\n"
+    "rom: [{name: fast, evaluation: operators, basis: local, parameters: [150]}]\n",
     "draws": f"{LID}parameters: {{train: {{reynolds: [50, 200], lid: [0.5, 1]}}}}\n"
     "rom: [{name: fast, evaluation: operators}]\n",
     "nothing": "",

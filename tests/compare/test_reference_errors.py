@@ -232,7 +232,6 @@ def test_of_a_lid_with_a_ramp_the_steady_flow_alone_is_known(case_of):
         ("lid-driven-cavity", {}, 75.0),
         ("open-cavity", {}, 1200.0),
         ("open-cavity", {"fluid": {"reference_speed": 1.0}}, 2400.0),
-        ("open-cavity", {"scene": {"channel_height": 0.2}}, 2400.0),
         ("open-cavity", {"scene": {"body_force": {"sustained_share": 0.001}}}, 2400.0),
     ],
 )

@@ -11,11 +11,10 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sphrom.kernels.segments import list_segments, signed_distances
 from sphrom.kernels.sweeps import SHIFT_V, U, V, X, Y
 from sphrom.sph.box_domain import BoxDomain, Rectangle
-from sphrom.sph.domain import Domain
-from sphrom.sph.polygon_domain import Outline, PolygonDomain, chain, list_by_cell
+from sphrom.sph.domain import Domain, WallSearch
+from sphrom.sph.polygon_domain import PolygonDomain, chain, list_by_cell, nearest_segments
 
 LIMITS = 0.25, 0.5, 1.5
 """Closest, touching and felt, in spacings, which are the unit of length here."""
@@ -38,20 +37,17 @@ component = st.floats(-2.0, 2.0, allow_subnormal=False)
 pair = st.tuples(component, component)
 
 
-def star(cell_width: float, reach: float = 0.0) -> Outline:
-    segments = chain(STAR)
-    wall = np.arange(len(segments))
-    return list_by_cell(
-        segments, wall, np.array([-4, -2.0]), np.array([11, 12.0]), cell_width, reach
-    )
+def listed(corners: np.ndarray, cell_width: float, reach: float = 0.0) -> WallSearch:
+    box = np.array([-4.0, -2.0]), np.array([11.0, 12.0])
+    return list_by_cell(chain(corners), *box, cell_width, reach)
 
 
 @pytest.mark.parametrize("cell_width", [0.3, 2.0, 50.0])
 def test_signed_distances_are_those_to_the_nearest_edge(cell_width: float) -> None:
     """In cells, and beyond all cells; the normal is the distance's gradient."""
-    outline, polygon = star(cell_width), shapely.Polygon(STAR)
+    walls, polygon = listed(STAR, cell_width), shapely.Polygon(STAR)
     position = np.random.default_rng(0).uniform(-8.0, 16.0, (2000, 2))
-    distance, normal, nearest = outline.nearest(position)
+    distance, normal, nearest = nearest_segments(position, walls)
     points = shapely.points(position)
     sign = np.where(shapely.contains(polygon, points), 1.0, -1.0)
     expected = sign * shapely.distance(polygon.exterior, points)
@@ -64,26 +60,23 @@ def test_signed_distances_are_those_to_the_nearest_edge(cell_width: float) -> No
 
 
 def test_a_point_on_a_wall_has_its_normal() -> None:
-    segments = chain(np.array([(0.0, 0.0), (2.0, 0.0), (2.0, 2.0), (0.0, 2.0)]))
-    listed, start = list_segments(segments, grid := star(1.0).grid, 0.0)
-    out, nearest = np.empty((3, 2)), np.empty(2, np.int64)
-    position = np.array([[1.0, 2.0], [0.0, 1.5]])
-    signed_distances(position, segments, listed, start, grid, out, nearest)
-    np.testing.assert_allclose(out, [[0.0, 0.0], [0.0, -1.0], [1.0, 0.0]], atol=1e-15)
+    square = listed(np.array([(0.0, 0.0), (2.0, 0.0), (2.0, 2.0), (0.0, 2.0)]), 1.0)
+    distance, normal, _ = nearest_segments(np.array([[1.0, 0.0], [2.0, 1.5]]), square)
+    np.testing.assert_allclose(distance, 0.0, atol=1e-15)
+    np.testing.assert_allclose(normal, [[0.0, 1.0], [-1.0, 0.0]], atol=1e-15)
 
 
 @pytest.mark.parametrize("reach", [0.0, 1.0])
 def test_lists_are_complete_and_short(reach: float) -> None:
-    outline = star(0.5, reach)
-    grid, segments = outline.grid, outline.segments
+    segments, found, start, grid = listed(STAR, 0.5, reach).lists
     edges = shapely.linestrings(segments[:, :4].reshape(-1, 2, 2))
     for point in np.random.default_rng(1).uniform((-4, -2), (11, 12), (200, 2)):
         column = int((point[0] - grid.x_origin) / grid.cell_width)
         cell = int((point[1] - grid.y_origin) / grid.cell_height) * grid.n_columns + column
-        listed = set(outline.listed[outline.start[cell] : outline.start[cell + 1]])
+        here = set(found[start[cell] : start[cell + 1]])
         distance = shapely.distance(edges, shapely.points(point))
-        assert set(np.flatnonzero(distance <= reach)) | {int(distance.argmin())} <= listed
-    assert len(outline.listed) < 3.5 * grid.n_columns * grid.n_rows
+        assert set(np.flatnonzero(distance <= reach)) | {int(distance.argmin())} <= here
+    assert len(found) < 3.5 * grid.n_columns * grid.n_rows
 
 
 def held(

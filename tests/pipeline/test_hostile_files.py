@@ -212,22 +212,6 @@ def ring(n: int, radius: float = 1.0, wave: float = 0.0) -> np.ndarray:
     return np.stack((3.0 + distance * np.cos(turn), 2.0 + distance * np.sin(turn)), axis=1)
 
 
-def dxf(draw: Callable[[Any, Any], object]) -> Callable[[Path], None]:
-    """A drawing; nothing but entities stands in it, as parsers allow."""
-
-    def write(path: Path) -> None:
-        ezdxf = pytest.importorskip("ezdxf", reason="ezdxf is not installed")
-        drawing = ezdxf.new(setup=False)
-        draw(drawing, drawing.modelspace())
-        drawing.saveas(path)
-
-    return write
-
-
-def polyline(points: Any, **about: Any) -> Callable[[Path], None]:
-    return dxf(lambda _, space: space.add_lwpolyline(points, "xyb", close=True, dxfattribs=about))
-
-
 def points_csv(*rows: str, head: str = "x,y,u,v") -> str:
     return "\n".join((head, *rows))
 
@@ -294,12 +278,7 @@ OUTLINES: list[tuple[str, Content]] = [
     ("crossing.wkt", wkt(np.random.default_rng(0).random((60_000, 2)))),
     ("holes.wkt", "POLYGON((0 0,9 0,9 9,0 9,0 0)" + ",(1 1,2 1,2 2,1 1)" * 100_000 + ")"),
     ("brackets.wkt", "POLYGON" + "(" * 1_000_000),
-    ("bulge.dxf", polyline([(0, 0, 1e300), (1, 0, 1e300), (1, 1, -1e300)])),
-    ("bulges.dxf", polyline([(i % 7, i % 11, 1) for i in range(30_000)])),
-    ("mesh.dxf", dxf(lambda _, space: space.add_polymesh((3, 3)).close())),
-    ("no-tags.dxf", "x" * 100_000),
-    ("binary.dxf", b"AutoCAD Binary DXF\r\n\x1a\x00" + bytes(range(256)) * 40),
-    *((f"100-gigabytes{suffix}", huge()) for suffix in (".geojson", ".wkt", ".dxf")),
+    *((f"100-gigabytes{suffix}", huge()) for suffix in (".geojson", ".wkt")),
 ]
 STARTS: list[tuple[str, Content]] = [
     ("head.csv", points_csv(head=",".join(f"column_{i}" for i in range(50_000)))),

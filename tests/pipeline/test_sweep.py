@@ -20,7 +20,7 @@ from sphrom.artifacts import open_artifact
 from sphrom.case.points import ParameterPoint
 from sphrom.console import SilentReporter
 from sphrom.plots.tables import format_figure
-from sphrom.sph.functional import FullModel
+from sphrom.sph.functional import Functional
 from sphrom.sweep import sweep as stage
 from sphrom.sweep.runs import SweptModel, make_runs
 from sphrom.sweep.workers import Task, Workers
@@ -303,7 +303,7 @@ def test_a_full_run_goes_on_from_its_checkpoint(ready, counted, sphrom, monkeypa
     class Stopped(BaseException):
         """What ends a run in the middle."""
 
-    wrapped, steps = FullModel.wrapped, []
+    wrapped, steps = Functional.wrapped, []
 
     def stop(self, state):
         steps.append(state)
@@ -311,7 +311,7 @@ def test_a_full_run_goes_on_from_its_checkpoint(ready, counted, sphrom, monkeypa
             raise Stopped
         return wrapped(self, state)
 
-    monkeypatch.setattr(FullModel, "wrapped", stop)
+    monkeypatch.setattr(Functional, "wrapped", stop)
     settings = ("--set", "sweep={model: full, reynolds: [120]}", "--workers", "1")
     with pytest.raises(Stopped):
         sphrom("sweep", "tiny.yaml", *settings)

@@ -106,7 +106,7 @@ def test_reduced_runs_are_the_same_there(sphrom, empty, case_text, address, clie
 def test_training_makes_several_runs_at_once_there(
     sphrom, empty, case_text, address, client, digests
 ):
-    region = {"reynolds": [50, 400], "candidates": 12, "budget": 5, "tolerance": "0.06%"}
+    region = {"reynolds": [50, 400], "budget": 5, "tolerance": "0.06%"}
     model = {"time__final_time": 0.2, "rom": [{**FAST, "n_modes": 8}], "parameters": {}}
     Path("tiny.yaml").write_text(case_text(**model, training=region))
     result = sphrom("train", "tiny.yaml", "--scheduler", address)

@@ -18,7 +18,7 @@ from sphrom.errors import UnstableError
 from sphrom.offline import fom
 
 FAST = {"name": "fast", "evaluation": "operators", "n_modes": 8}
-REGION = {"reynolds": [50, 400], "candidates": 12}
+REGION = {"reynolds": [50, 400]}
 PLACE = Path("runs/tiny")
 
 
@@ -107,11 +107,6 @@ def test_the_same_command_goes_on_and_makes_no_run_twice(case, train, monkeypatc
     assert "case.yaml --force, which makes pod.h5, psi.h5, operators.h5 again" in again.stdout
     assert trained()[: len(first)] == first
     assert sorted(made) == sorted(trained()[len(first) :])
-    # Begun anew, it makes the same choice, and full runs that are there stay.
-    made.clear()
-    again = trained()
-    train("--budget", "5", "--tolerance", "0.06%", "--force")
-    assert (trained(), made) == (again, [])
 
 
 @pytest.mark.slow
@@ -121,26 +116,22 @@ def test_what_a_kill_leaves_goes_on_to_the_same_bits(case, train, digests, tmp_p
     train(*options, "--out", "whole")
     command = [sys.executable, "-m", "sphrom", "train", "tiny.yaml", "--workers", "1", *options]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    progress = PLACE / "training" / "progress.json"
-    for n_stages in (1, 2):
+    for n_runs in (1, 3):
         process = subprocess.Popen(
             command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
         deadline = time.monotonic() + 120.0
         while process.poll() is None and time.monotonic() < deadline:
-            if progress.exists() and len(json.loads(progress.read_text())["rows"]) >= n_stages:
+            if len(list(PLACE.glob("fom-*.h5"))) > n_runs:
                 break
             time.sleep(0.02)
         process.send_signal(signal.SIGKILL)
         process.wait(timeout=60)
     train(*options)
     assert table() == table(Path("whole"))
-    whole = Path("whole/training/progress.json")
-    assert progress.read_bytes() == whole.read_bytes()
     assert digests(PLACE) == digests(Path("whole"))
-    assert (PLACE / "training/case.yaml").read_bytes() == Path(
-        "whole/training/case.yaml"
-    ).read_bytes()
+    ends = [path / "training" / "case.yaml" for path in (PLACE, Path("whole"))]
+    assert ends[0].read_bytes() == ends[1].read_bytes()
 
 
 @pytest.mark.slow
@@ -154,7 +145,7 @@ def test_several_runs_at_once_are_apart_and_points_that_are_there_count(case, sp
         "--set", "parameters.train.reynolds=[120,300]", "--write-case", "chosen.yaml",
     )  # fmt: skip
     assert result.exit_code == 0, result.output
-    assert trained()[:3] == [120.0, 50.0, 400.0]
+    assert trained()[:3] == [50.0, 400.0, 120.0]
     assert {name: uuids()[name] for name in before} == before
     parameters = yaml.safe_load(Path("chosen.yaml").read_text())["parameters"]
     assert parameters["train"]["reynolds"] == trained()
@@ -200,7 +191,7 @@ def test_a_tolerance_below_what_the_basis_can_reach_is_told(case, train):
 
 @pytest.mark.slow
 def test_two_parameters_and_both_fields(case, sphrom):
-    region = {"reynolds": [50, 100], "lid": [0.5, 1.0], "candidates": 6, "quantity": "both"}
+    region = {"reynolds": [50, 100], "lid": [0.5, 1.0], "quantity": "both"}
     case(region, scene__kind="lid-driven-cavity", time__final_time=0.2)
     text = Path("tiny.yaml").read_text().replace("reynolds:\n    - 150", "reynolds: []")
     Path("tiny.yaml").write_text(text)
@@ -222,7 +213,7 @@ def test_two_parameters_and_both_fields(case, sphrom):
     [
         ({}, (), "the case names no region of parameters"),
         (REGION, ("--budget", "2"), "starts from 2 full runs"),
-        (REGION, ("--tolerance", "1"), "--tolerance: must be a percentage above zero"),
+        (REGION, ("--tolerance", "0"), "--tolerance: must be a percentage"),
         (REGION, ("--scheduler", "tcp://127.0.0.1:1"), "--workers: is not for --scheduler"),
         (REGION, ("--write-case", "nowhere/a.yaml"), "--write-case: nowhere is no folder"),
         ({**REGION, "reynolds": [150, 400]}, (), "is trained on; test elsewhere"),
@@ -244,15 +235,3 @@ def test_case_that_can_not_be_written_is_told_before_anything_runs(case, train, 
     result = train("--write-case", "chosen.yaml", code=2)
     assert "--write-case: chosen.yaml is not a file, so it can't be replaced" in result.output
     assert not list(PLACE.glob("*.h5"))
-
-
-@pytest.mark.slow
-def test_progress_that_is_damaged_is_not_used(case, train):
-    case()
-    train("--tolerance", "30%", "--budget", "4")
-    path = PLACE / "training" / "progress.json"
-    before = path.read_bytes()
-    path.write_bytes(before.replace(b'"estimates"', b'"estimated"', 1))
-    result = train("--tolerance", "30%", "--budget", "4")
-    assert "is of another case or damaged: not used" in result.output
-    assert path.read_bytes() == before

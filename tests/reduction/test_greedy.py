@@ -5,15 +5,12 @@ import pytest
 
 from sphrom.reduction.greedy import (
     NEAR,
-    Progress,
     candidate_places,
     choose,
     ending,
     first_corners,
     safety_factor,
 )
-
-PROGRESS = Progress(worst_estimate=2.0, floor=0.1, n_held_out=1, n_runs=4, n_left=9)
 
 
 def toy_error(places: np.ndarray, trained: np.ndarray) -> np.ndarray:
@@ -31,9 +28,8 @@ def trained_to(tolerance: float, bias: float, budget: int = 40) -> tuple[np.ndar
         estimates = bias * truth
         factor = safety_factor(*(np.array([pair[k] for pair in held_out]) for k in (0, 1)))
         worst = float(factor * estimates.max())
-        n_left = int((np.abs(places - trained.T).min(axis=1) > 0.0).sum())
-        progress = Progress(worst, 0.0, len(held_out), len(trained), n_left)
-        if ending(progress, tolerance, budget) is not None:
+        left = {"n_held_out": len(held_out), "n_left": budget - len(trained)}
+        if ending(worst, 0.0, tolerance, **left) is not None:
             return trained, worst, float(truth.max())
         (chosen,) = choose(places, factor * estimates, trained, 1, tolerance)
         held_out.append((estimates[chosen], truth[chosen]))
@@ -106,13 +102,12 @@ def test_of_several_at_once_all_but_the_first_are_beyond_the_tolerance_and_apart
         ({}, None),
         ({"worst_estimate": 1.0}, "within"),
         ({"worst_estimate": 0.5, "n_held_out": 0}, None),
-        ({"worst_estimate": 0.5, "n_held_out": 0, "n_runs": 8}, "budget"),
-        ({"n_runs": 8}, "budget"),
-        ({"n_left": 0}, "candidates"),
+        ({"worst_estimate": 0.5, "n_held_out": 0, "n_left": 0}, "budget"),
+        ({"n_left": 0}, "budget"),
         ({"floor": 1.5}, "floor"),
         ({"worst_estimate": np.inf}, None),
     ],
 )
 def test_why_training_ends(changes: dict[str, float], expected: str | None) -> None:
-    progress = Progress(**{**vars(PROGRESS), **changes})
-    assert ending(progress, tolerance=1.0, budget=8) == expected
+    found = {"worst_estimate": 2.0, "floor": 0.1, "n_held_out": 1, "n_left": 4, **changes}
+    assert ending(tolerance=1.0, **found) == expected

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from shapely.affinity import translate
 
 from sphrom.sph.box_domain import BoxDomain, Rectangle
-from sphrom.sph.domain import Domain
+from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import BodyForce, Functional
 from sphrom.sph.polygon_domain import PolygonDomain
 from sphrom.sph.polygons import disc
-from sphrom.sph.walls import Walls, build_walls, n_layers
+from sphrom.sph.walls import build_walls, n_layers
 
 Array = NDArray[np.float64]
 

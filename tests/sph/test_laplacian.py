@@ -11,7 +11,7 @@ from sphrom.metrics.series import order_of_convergence
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
 from sphrom.sph.fixed_points import FixedPoints
-from sphrom.sph.fluid import REAL_AXIS_LIMIT, Discretization, Fluid, viscous_limit
+from sphrom.sph.fluid import REAL_AXIS_LIMIT, Discretization, Fluid, step_limits
 from sphrom.sph.functional import Functional
 from sphrom.sph.walls import build_walls, n_layers
 
@@ -133,8 +133,9 @@ def test_only_takes_energy_and_slowly_enough_for_the_step(
     matrix = laplacian(points, np.eye(points.n_points))
     values = np.linalg.eigvalsh(0.5 * (matrix + matrix.T))
     assert np.max(np.abs(matrix - matrix.T)) < 1e-12 * np.max(np.abs(matrix))
-    length = ratio / n
+    sizes = Discretization(1.0 / n, ratio / n)
+    limit = step_limits(Fluid(1.0, 10.0, 1.0, 1.0), sizes, has_walls=True).viscous
     assert values.max() < 0.0
     # Uneven particles at h = 1.5 dx need the margin of automatic steps.
     share = 0.8 if ratio < 2.0 else 1.0
-    assert -values.min() * share * viscous_limit(length, 1.0, 1.0 / n) < REAL_AXIS_LIMIT
+    assert -values.min() * share * limit < REAL_AXIS_LIMIT

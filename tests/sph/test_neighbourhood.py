@@ -131,7 +131,7 @@ def test_a_position_that_is_not_finite_is_an_instability(bad: float) -> None:
     position = np.full((2, 3), 0.5)
     neighbourhood.update(position)
     position[1, 2] = bad
-    with pytest.raises(UnstableError, match="no longer finite"):
+    with pytest.raises(UnstableError, match="beyond the reach"):
         neighbourhood.update(position)
 
 
@@ -141,11 +141,11 @@ def test_particles_that_no_list_can_cover_are_named():
     near = Neighbourhood(box, 0.1, 0.05, n_fields=2)
     position = np.array([[0.5, 0.2, 0.7], [0.5, 1e12, -3.0]])
     with pytest.raises(
-        UnstableError, match=r"particle 1 at \(0\.2, 1e\+12\) m is beyond the reach"
+        UnstableError, match=r"particle 1 at \(0\.2, 1e\+12\) m .* beyond the reach"
     ):
         near.update(position)
     near.update(np.array([[1e3, -1e3], [0.5, 1.01]]))  # a periodic axis has no beyond
-    with pytest.raises(UnstableError, match="position of particle 2 is no longer finite; no other"):
+    with pytest.raises(UnstableError, match=r"particle 2 at \(nan"):
         near.update(np.array([[0.5, 0.2, np.nan], [0.5, 0.5, 0.5]]))
 
 

@@ -194,7 +194,7 @@ def test_fluid_and_ghosts_have_their_areas(name: str) -> None:
     # Along a convex wall of many corners rows lie a little deeper than the corners do.
     assert np.mean(np.abs(depth - np.rint(depth + 0.5) + 0.5) < 0.01) > 0.9
     assert depth.min() > 0.49
-    band = shapely.buffer(domain._fluid_with_images, 4 * SPACING, join_style="mitre")
+    band = shapely.buffer(domain.fluid_with_images, 4 * SPACING, join_style="mitre")
     beyond = np.where(domain.periodic, 0.0, 1.0)
     frame = shapely.box(*np.subtract(domain.lower, beyond), *np.add(domain.upper, beyond))
     area = shapely.area(shapely.intersection(band, frame)) - domain.area
@@ -258,7 +258,7 @@ def test_rounding_leaves_no_corners_in_straight_walls() -> None:
         (True, True),
         (("floor", band(-0.25, 0.0)), ("lid", band(-0.5, -0.25))),
     )
-    segments = domain.outline.segments
+    segments = domain.outline.lists[0]
     assert np.hypot(*(segments[:, 2:4] - segments[:, :2]).T).min() > 0.01
     place = domain.ghosts(0.05, 4).position
     turns, height = np.divmod(place @ across, 1.5)

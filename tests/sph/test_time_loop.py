@@ -7,7 +7,6 @@ import pytest
 
 from sphrom.errors import UnstableError
 from sphrom.sph.box_domain import BoxDomain, Rectangle
-from sphrom.sph.domain import Domain
 from sphrom.sph.neighbourhood import Neighbourhood
 from sphrom.sph.time_loop import Clock, Snapshot, TimeSteps, check_position, check_snapshot, march
 
@@ -29,12 +28,6 @@ def _snapshot(*positions, fluctuation=0.0, velocity=(0.5, -0.25)) -> Snapshot:
     return Snapshot(position, np.full(n, fluctuation), np.tile(np.array([velocity]).T, n))
 
 
-def _refusal(snapshot: Snapshot, domain: Domain) -> str:
-    with pytest.raises(UnstableError) as caught:
-        check_snapshot(snapshot, domain, DENSITY, step=7, time=0.035)
-    return str(caught.value)
-
-
 @pytest.mark.parametrize(
     ("domain", "position"),
     [
@@ -50,11 +43,10 @@ def _refusal(snapshot: Snapshot, domain: Domain) -> str:
 )
 def test_a_particle_beyond_a_wall_ends_a_run(domain, position):
     x, y = position
-    assert _refusal(_snapshot(position), domain) == (
-        f"unstable at step 7, t = 0.035 s: particle 1 at ({x:.6g}, {y:.6g}) m, beyond a wall, has "
-        "(rho - rho0)/rho0 = 0 and velocity (0.5, -0.25) m/s; no other such particle; a smaller "
-        "time step may help"
-    )
+    snapshot = _snapshot(position)
+    refused = rf"step 7, t = 0.035 s: particle 1 at \({x:.6g}, {y:.6g}\) m is .*beyond a wall"
+    with pytest.raises(UnstableError, match=refused):
+        check_snapshot(snapshot, domain, DENSITY, step=7, time=0.035)
 
 
 class _Drifting:
@@ -99,13 +91,9 @@ def test_time_goes_on_from_where_a_run_starts():
 def test_positions_are_watched_at_every_step():
     """Fields, which a reduced run has to rebuild, are looked at with its snapshots."""
     steps = TimeSteps(0.1, 20, every=10, check_every=10)
-    with pytest.raises(UnstableError) as caught:
+    with pytest.raises(UnstableError, match=r"step 3, t = 0\.3 s: particle 0 at \(0\.5, 1\.05\) m"):
         list(march(_Drifting(), _state(0.75), steps, DENSITY, Clock(), lambda _: None))
-    assert str(caught.value) == (
-        "unstable at step 3, t = 0.3 s: particle 0 is at (0.5, 1.05) m, beyond a wall; no other "
-        "such particle; a smaller time step may help"
-    )
-    with pytest.raises(UnstableError, match=r"particle 1 is at \(nan, 0\.5\) m; no other"):
+    with pytest.raises(UnstableError, match=r"particle 1 at \(nan, 0\.5\) m is lost"):
         check_position(np.array([[0.5, np.nan], [0.5, 0.5]]), PERIODIC, 3, 0.3)
 
 

@@ -35,13 +35,13 @@ from sphrom.reduction.trial_basis import InnerProduct, TrialBasis, project
 from sphrom.scenes.flows import LidDrivenCavity, OpenCavity, TaylorGreen
 from sphrom.scenes.scene import Scene
 from sphrom.sph import state_equation
-from sphrom.sph.domain import Domain
+from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.sph.fluid import Discretization, FlowConditions, Fluid
 from sphrom.sph.functional import Functional
 from sphrom.sph.packing import pack
 from sphrom.sph.time_loop import runge_kutta_step
-from sphrom.sph.walls import Walls, build_walls, n_layers
+from sphrom.sph.walls import build_walls, n_layers
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ the field [%]: of the velocity, and of the pressure less its mean.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -63,8 +63,7 @@ class StageModel:
         for stage in (pod, fit_psi, operators):
             stage.run(context)
         self.workspace = Workspace(context)
-        self._points = tuple(points)
-        self._fast = FastModel(self.workspace, model)
+        self._points, self._fast = points, FastModel(self.workspace, model)
 
     def estimate(self, point: ParameterPoint) -> Array:
         """Return the estimated errors (2,) of the model at a point, infinite if there are none."""
@@ -91,16 +90,24 @@ class StageModel:
     def _errors(self, point: ParameterPoint, run: FastRun | None) -> tuple[Array, Array]:
         basis = self._fast.at_point(point).basis
         error, floor, size = np.zeros((3, 2))
-        for some, density, velocity in self._snapshots(point):
-            mapped = _fields(basis, density, velocity)
-            size += _squares(basis, mapped)
-            mean = mean_density_fluctuation(basis, density)
-            best = reconstruct(basis, project(basis, density, velocity), mean)
-            floor += _squares(basis, _fields(basis, *best), mapped)
-            if run is not None:
-                mean = np.full(len(density), run.reduced.mean_density_fluctuation)
-                state = reconstruct(basis, run.coordinates[some], mean)
-                error += _squares(basis, _fields(basis, *state), mapped)
+        with self.workspace.open(self.workspace.mapped(point)) as mapped:
+            counted = np.flatnonzero(self._counted(mapped.read("time")))
+            densities, velocities = (
+                mapped.dataset("density_fluctuation"),
+                mapped.dataset("velocity"),
+            )
+            for begin in range(counted[0], counted[-1] + 1, N_BLOCK_SNAPSHOTS):
+                some = slice(begin, min(begin + N_BLOCK_SNAPSHOTS, counted[-1] + 1))
+                density, velocity = densities[some], velocities[some]
+                fields = _fields(basis, density, velocity)
+                size += _squares(basis, *fields)
+                mean = mean_density_fluctuation(basis, density)
+                best = reconstruct(basis, project(basis, density, velocity), mean)
+                floor += _distance(basis, _fields(basis, *best), fields)
+                if run is not None:
+                    mean = np.full(len(density), run.reduced.mean_density_fluctuation)
+                    state = reconstruct(basis, run.coordinates[some], mean)
+                    error += _distance(basis, _fields(basis, *state), fields)
         return NONE if run is None else _percent(error, size), _percent(floor, size)
 
     def _run(self, point: ParameterPoint) -> FastRun | None:
@@ -115,31 +122,21 @@ class StageModel:
         """Return which instants count, as in a comparison."""
         return time >= self.workspace.case.compare.from_time - TIME_TOLERANCE
 
-    def _snapshots(self, point: ParameterPoint) -> Iterator[tuple[slice, Array, Array]]:
-        """Yield the mapped fields of a full run that count, some snapshots at a time."""
-        with self.workspace.open(self.workspace.mapped(point)) as mapped:
-            time = mapped.read("time")
-            first = int(np.argmax(self._counted(time)))
-            density, velocity = mapped.dataset("density_fluctuation"), mapped.dataset("velocity")
-            for begin in range(first, len(time), N_BLOCK_SNAPSHOTS):
-                some = slice(begin, min(begin + N_BLOCK_SNAPSHOTS, len(time)))
-                yield some, density[some], velocity[some]
-
 
 def _fields(basis: TrialBasis, density: Array, velocity: Array) -> tuple[Array, Array]:
     """Return velocities (n_snapshots, n_points, 2), and densities less their means."""
     return velocity, density - weighted_mean(density, basis.weights)[:, None]
 
 
-def _squares(
-    basis: TrialBasis, fields: tuple[Array, Array], others: tuple[Array, Array] | None = None
-) -> Array:
-    """Return sums of squares (2,) over points and snapshots, of fields or from others."""
-    velocity, density = (
-        fields if others is None else (a - b for a, b in zip(fields, others, strict=True))
-    )
+def _squares(basis: TrialBasis, velocity: Array, density: Array) -> Array:
+    """Return sums of squares (2,) over points and snapshots."""
     of_velocity = np.sum(np.sum(velocity**2, axis=2) @ basis.weights)
     return np.array([of_velocity, np.sum(density**2 @ basis.weights)])
+
+
+def _distance(basis: TrialBasis, fields: tuple[Array, Array], others: tuple[Array, Array]) -> Array:
+    """Return sums of squares (2,) of how far fields are from others."""
+    return _squares(basis, *(a - b for a, b in zip(fields, others, strict=True)))
 
 
 def _percent(squares: Array, sizes: Array) -> Array:

@@ -1,0 +1,263 @@
+"""The stages of a training and its outcome: tables, the picture, and what the model promises."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.case.models import Case
+from sphrom.case.points import REYNOLDS, ParameterPoint
+from sphrom.plots.canvas import save
+from sphrom.plots.panels import Curve, Panel, draw_grid
+from sphrom.plots.tables import (
+    UNKNOWN,
+    about,
+    format_figure,
+    rows_of_columns,
+    write_csv,
+    write_json,
+)
+from sphrom.reduction.error_calibration import FIELDS
+from sphrom.reduction.greedy import Ending, safety_factor
+from sphrom.store.workspace import Workspace
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+FOLDER = "training"
+"""Of a training, below that of the case's artifacts."""
+LABELS = {"reynolds": "Re [–]"}
+"""Of parameters with a usual symbol."""
+FIGURES = ("estimate", "error", "floor")
+"""Of a run that a model predicted: its estimate without a factor, its true error and that of the
+best approximation [%]."""
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """A full run that a model predicted before it learnt from it; errors are [%]."""
+
+    point: ParameterPoint
+    estimate: Array
+    """(2,) of velocity and pressure, before any correction; infinite where there is none."""
+    error: Array
+    """(2,), infinite where the model's run diverged."""
+    floor: Array
+    """(2,) of the best approximation in the basis."""
+    failure: str | None = None
+    """Why there is no full run to learn from; it then has no errors."""
+
+    def told(self, fields: Sequence[int]) -> str:
+        """Return what it tells, in a line."""
+        parts = [
+            f"{FIELDS[k]}: estimated {_percent(self.estimate[k])}, true {_percent(self.error[k])}, "
+            f"at best {_percent(self.floor[k])}"
+            for k in fields
+        ]
+        return f"{self.point.label}, not seen before: {'; '.join(parts)}"
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A model that was trained at some points."""
+
+    points: tuple[ParameterPoint, ...]
+    candidates: Sequence[ParameterPoint]
+    estimates: Array
+    """(n_candidates, 2) [%], infinite where there are none."""
+    floor: Array
+    """(2,) largest errors of the best approximations of the training runs [%]."""
+    earlier: tuple[HeldOut, ...]
+    """Runs that earlier stages chose."""
+    held_out: tuple[HeldOut, ...] = ()
+    """Runs that this stage chose."""
+
+    @property
+    def factors(self) -> Array:
+        """(2,) on estimates of velocity and pressure: with them they cover all true errors."""
+        known = [run for run in self.earlier if run.failure is None]
+        estimates = np.array([run.estimate for run in known]).reshape(-1, 2)
+        errors = np.array([run.error for run in known]).reshape(-1, 2)
+        return np.array([safety_factor(estimates[:, k], errors[:, k]) for k in range(2)])
+
+    def judged(self, fields: Sequence[int]) -> Array:
+        """Return the corrected estimates (n_candidates,) of the worst of some fields [%]."""
+        return np.asarray((self.estimates * self.factors)[:, list(fields)].max(axis=1))
+
+    def worst(self, fields: Sequence[int]) -> tuple[float, ParameterPoint]:
+        """Return the largest of them, and where it is: not where a full run is unstable."""
+        unstable = {run.point for run in self.earlier if run.failure is not None}
+        found = zip(self.judged(fields).tolist(), self.candidates, strict=True)
+        return max((pair for pair in found if pair[1] not in unstable), key=lambda pair: pair[0])
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A training that ended."""
+
+    case: Case
+    model: str
+    stages: Sequence[Stage]
+    ending: Ending
+
+    @property
+    def fields(self) -> list[int]:
+        """Which of velocity and pressure count."""
+        return list(self.case.training.fields)
+
+    @property
+    def quantity(self) -> str:
+        """Their names."""
+        return " and ".join(FIELDS[k] for k in self.fields)
+
+    @property
+    def held_out(self) -> list[HeldOut]:
+        """The runs that were predicted before they were learnt from."""
+        return [run for stage in self.stages for run in stage.held_out if run.failure is None]
+
+    @property
+    def errors(self) -> list[float]:
+        """Their true errors, of the worst field [%]."""
+        return [float(run.error[self.fields].max()) for run in self.held_out]
+
+
+def publish(
+    workspace: Workspace, outcome: Outcome, case_file: Path, kept: Sequence[str] = ()
+) -> None:
+    """Write tables and the plot, and show what was found.
+
+    `kept` names the files of the case that are still those of other training points.
+    """
+    report, folder, points = workspace.context.report, workspace.folder(FOLDER), _last(outcome)
+    names = [f"{FIELDS[k]}_{figure}" for k in range(2) for figure in FIGURES]
+    units = {"full_runs": None, "worst_estimate": "%", "factor": None, "floor": "%"}
+    units |= {**dict.fromkeys(points[0].as_dict()), **dict.fromkeys(names, "%"), "failure": None}
+    rows = list(_rows(outcome))
+    table = rows_of_columns(units, ({**dict.fromkeys(units), **row} for row in rows))
+    write_csv(folder / "training.csv", table)
+    origin = about(outcome.case.name, workspace.threads)
+    origin |= {
+        "model": outcome.model,
+        "quantity": outcome.case.training.quantity,
+        "tolerance_percent": outcome.case.training.percent,
+        "ending": outcome.ending,
+        "trained": [point.as_dict() for point in points],
+    }
+    write_json(folder / "training.json", {"stages": table}, origin)
+    save(draw_training(outcome), folder / "training.png")
+    others = [name for name in names if name.partition("_")[0] not in outcome.quantity]
+    shown = [name for name in units if name not in (*others, "failure")]
+    report.table(
+        f"training of {outcome.model}: errors in %; those of runs before the model learnt from "
+        "them: estimated, true, and of the best approximation",
+        [name.replace("_", " ") for name in shown],
+        [[format_figure(row.get(name)) for name in shown] for row in rows],
+    )
+    (report.info if outcome.ending == "within" else report.warn)(_statement(outcome))
+    report.info(f"tables, training.json and training.png are in {folder}")
+    following = f"sphrom run {case_file}"
+    if kept:
+        following += f" --force, which makes {', '.join(kept)} again for them; full runs stay"
+    report.info(f"the case with the {len(points)} points: {case_file}; next: {following}")
+
+
+def _last(outcome: Outcome) -> tuple[ParameterPoint, ...]:
+    return outcome.stages[-1].points
+
+
+def _rows(outcome: Outcome) -> Iterator[dict[str, Any]]:
+    """Yield a row for each stage and each of the runs that it chose, by column; errors in %.
+
+    The factor is that on the estimates, from the runs held out before; the worst estimate has it.
+    Figures that aren't finite are None: a model diverged.
+    """
+    for stage in outcome.stages:
+        common = {
+            "full_runs": len(stage.points),
+            "worst_estimate": _finite(stage.worst(outcome.fields)[0]),
+            "factor": float(stage.factors[outcome.fields].max()),
+            "floor": float(stage.floor[outcome.fields].max()),
+            "failure": "",
+        }
+        for run in stage.held_out:
+            found = {
+                f"{FIELDS[k]}_{figure}": _finite(getattr(run, figure)[k])
+                for k in range(2)
+                for figure in FIGURES
+            }
+            yield {**common, **run.point.as_dict(), **found, "failure": run.failure or ""}
+        if not stage.held_out:
+            yield common
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _percent(value: float) -> str:
+    return f"{format_figure(float(value))} %" if np.isfinite(value) else UNKNOWN
+
+
+def _statement(outcome: Outcome) -> str:
+    """Return what the training reached, and why it ended."""
+    worst, at = outcome.stages[-1].worst(outcome.fields)
+    tolerance = f"{outcome.case.training.percent:g} %"
+    floor = _percent(outcome.stages[-1].floor[outcome.fields].max())
+    ends = {
+        "within": f"within {tolerance} everywhere with {len(_last(outcome))} full runs",
+        "budget": f"not within {tolerance}: the budget of {outcome.case.training.budget} full runs "
+        "is spent; --budget gives more, and the same command goes on",
+        "floor": f"not within {tolerance}, and no further run would bring it there; give the model "
+        "more modes (n_modes), or a larger tolerance",
+    }
+    reached = f"worst estimate {_percent(worst)} at {at.label}"
+    if errors := outcome.errors:
+        reached += f", worst error held out {_percent(max(errors))}"
+    return f"{ends[outcome.ending]}: {reached}; at best {floor} in its basis"
+
+
+def draw_training(outcome: Outcome) -> Figure:
+    """Return the fall of the worst estimate; beside it, over one parameter, the estimates."""
+    error, stages = f"error of {outcome.quantity} [%]", outcome.stages
+    candidates = stages[0].candidates
+    estimates = [stage.judged(outcome.fields) for stage in stages]
+    estimates = [np.where(np.isfinite(each), each, np.nan) for each in estimates]
+    n_runs = np.array([len(stage.points) for stage in stages])
+    worst = Curve("worst estimate", n_runs, np.array([each.max() for each in estimates]))
+    learnt = np.array([len(s.points) for s in stages for r in s.held_out if r.failure is None])
+    curves = [worst, *_known_errors(outcome, learnt, n_runs)]
+    panels = [Panel("", "full runs learnt from", error, curves, "logarithmic")]
+    names = list(outcome.case.training.ranges)
+    if len(names) == 1:
+        values, held_out = (
+            np.array([point.as_dict()[names[0]] for point in points])
+            for points in (candidates, [run.point for run in outcome.held_out])
+        )
+        order = np.argsort(values)
+        curves = [
+            Curve(f"estimate, {n_runs[k]} runs", values[order], estimates[k][order])
+            for k in dict.fromkeys((0, len(stages) - 1))
+        ]
+        curves += _known_errors(outcome, held_out, values)
+        axes: Literal["both logarithmic", "logarithmic"] = (
+            "both logarithmic" if names[0] == REYNOLDS else "logarithmic"
+        )
+        panels.insert(0, Panel("", LABELS.get(names[0], names[0]), error, curves, axes))
+    return draw_grid([panels])
+
+
+def _known_errors(outcome: Outcome, at: Array, range_of: Array) -> list[Curve]:
+    """Return the true errors of runs held out, and the tolerance over a range."""
+    ends, errors = np.array([range_of.min(), range_of.max()]), np.array(outcome.errors)
+    known = np.where(np.isfinite(errors), errors, np.nan)
+    return [
+        Curve("true, before it was seen", at, known, "reference"),
+        Curve("tolerance", ends, np.full(2, outcome.case.training.percent), "level"),
+    ]
