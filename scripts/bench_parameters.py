@@ -78,9 +78,9 @@ def prepared(study: sphrom.Study, **values: float) -> tuple[Any, ExponentialMode
     workspace = Workspace(study._context)
     section = study.case.rom[0]
     reduced = FastModel(workspace, section).at(study.case.plan.point(values))
-    integrator = reference_model.automatic(reduced)
-    assert isinstance(integrator.system, ExponentialModel)
-    return reduced, integrator.system, integrator.n_steps
+    steps = reference_model.automatic(reduced).steps
+    assert isinstance(steps.system, ExponentialModel)
+    return reduced, steps.system, steps.n_steps
 
 
 def timed(one: sphrom.Study, two: sphrom.Study) -> dict[str, float]:
@@ -88,8 +88,8 @@ def timed(one: sphrom.Study, two: sphrom.Study) -> dict[str, float]:
     reduced, system, n_steps = prepared(one, reynolds=100.0)
     times = reduced.output_times
     other, wide, _ = prepared(two, reynolds=100.0, lid=0.8)
-    alone = least_seconds(lambda: system.run_in([n_steps], reduced.start[None], times))
-    same = least_seconds(lambda: wide.run_in([n_steps], other.start[None], times))
+    alone = least_seconds(lambda: system.run(n_steps, reduced.start, times))
+    same = least_seconds(lambda: wide.run(n_steps, other.start, times))
     changes = [Change(other.polynomial.scaled(0.1 * k), other.start) for k in (1, 2, 3)]
     found = {"run of two parameters over one": same / alone}
     for n in (1, 2, 3):

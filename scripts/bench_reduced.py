@@ -32,7 +32,7 @@ from sphrom.case.models import Case
 from sphrom.case.sections import ReducedModelSection
 from sphrom.kernels.jit import set_threads
 from sphrom.online.fast_model import FastModel
-from sphrom.online.particle_runs import build_model, closed
+from sphrom.online.particle_runs import build_model, close
 from sphrom.reduction.polynomial_model import OutputTimes
 from sphrom.reduction.reference_model import automatic
 from sphrom.setup import particles
@@ -157,13 +157,13 @@ def fast_row(workspace: Workspace, n_modes: int, repeats: int, full: Row) -> Row
         started = time.perf_counter()
         runs = integrator.run()
         seconds.append(time.perf_counter() - started)
-    if not np.isnan(runs.diverged_at[0]):
+    if not np.isnan(runs.diverged_at):
         raise SystemExit(f"M = {n_modes} at {full['resolution']}: the run diverged")
     median = float(np.median(seconds[1:]))
     return {
         "resolution": full["resolution"],
         "n_modes": n_modes,
-        "n_steps": integrator.n_steps,
+        "n_steps": integrator.steps.n_steps,
         "limit": reduced.step_limit,
         "loop": median,
         **{f"speed_up_{at}": full[f"run_{at}"] / median for at in ("case", "auto", "largest")},
@@ -186,7 +186,7 @@ def faithful_row(workspace: Workspace, projection: str, n_steps: int, full: Row)
     (point,) = case.plan.train_points
     (section,) = [m for m in case.rom if m.on_particles and m.projection == projection]
     reduced, state = build_model(workspace, section, point)
-    reduced = closed(case, section, reduced, state, 0.0)
+    close(case, section, reduced, state, 0.0)
     time_step = case.plan.steps.time_step
     seconds = step_seconds(reduced, state, case, time_step, n_steps)
     with workspace.open(workspace.splines()) as splines:

@@ -235,9 +235,9 @@ def ours(study: Study, n_modes: int | str, **keys: Any) -> Prediction:
         if point == study.inside:
             later = replace(reduced.output_times, n_snapshots=study.longer.n_snapshots)
             longer = fast.run(point, replace(reduced, output_times=later))
-            found.append((runs.coordinates[0], longer.coordinates))
+            found.append((runs.coordinates, longer.coordinates))
         else:
-            found.append((runs.coordinates[0], None))
+            found.append((runs.coordinates, None))
     coordinates = [
         own if longer is None else np.concatenate((own, longer[len(own) :]))
         for own, longer in found

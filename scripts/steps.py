@@ -29,7 +29,7 @@ from sphrom.metrics.samples import Samples
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
-from sphrom.setup.measured_fields import sampler
+from sphrom.setup.particles import sampler
 from sphrom.sph import state_equation
 from sphrom.sph.time_loop import Clock, TimeSteps, march
 from sphrom.store.sampling import probes_of

@@ -26,6 +26,8 @@ from sphrom.artifacts.inspection import inspect
 from sphrom.artifacts.layout import content_digest, dataset_line
 from sphrom.artifacts.writer import fixed_text
 from sphrom.case.models import Case
+from sphrom.reduction.mode_fields import mode_fields, mode_gradients, weighted_rows
+from sphrom.sph.fluid import FlowConditions
 
 Array = NDArray[np.float64]
 
@@ -298,6 +300,51 @@ def scatter() -> Callable[..., Array]:
 def brute_force() -> type[BruteForce]:
     """The sums over all pairs."""
     return BruteForce
+
+
+class UnprojectedModel:
+    """Rates that are evaluated at all fixed points for each state, to compare operators with.
+
+    Parameters are those of `project_operators`; an order of None does not expand rho0/rho.
+    """
+
+    def __init__(self, points, basis, splines=None, *, order=None) -> None:
+        self.points, self.basis, self.order = points, basis, order
+        self._modes = mode_fields(basis, points)
+        everywhere = slice(0, points.n_points)
+        self._slopes = mode_gradients(points, self._modes, splines)(everywhere)
+        self._weights = weighted_rows(basis, self._modes, everywhere)
+
+    def fields(self, coordinates: Array) -> tuple[Array, Array]:
+        """Return q (n_points,) and the velocity (2, n_points) of coordinates (n_modes,) [m/s]."""
+        factors = self._modes.coefficients(coordinates)
+        return self._modes.scaled_density @ factors, self._modes.velocity @ factors
+
+    def full_rates(self, coordinates: Array, conditions: FlowConditions) -> Array:
+        """Return the rates (3, n_points) [m/s2] of q and of the velocity."""
+        slopes = self._slopes @ self._modes.coefficients(coordinates)
+        return self.points.rates(*self.fields(coordinates), slopes, conditions, self.order)
+
+    def __call__(self, coordinates: Array, conditions: FlowConditions) -> Array:
+        """Return the rates (n_modes,) of the generalized coordinates."""
+        return np.einsum("mfn,fn->m", self._weights, self.full_rates(coordinates, conditions))
+
+    def residual(
+        self, coordinates: Array, conditions: FlowConditions, rates: Array | None = None
+    ) -> float:
+        """Return |R - Phi da/dt| of rates (n_modes,), by default the projected ones."""
+        rates = self(coordinates, conditions) if rates is None else rates
+        found = self.full_rates(coordinates, conditions)
+        found[0] /= self._modes.density_ratio
+        found[0] -= rates @ self.basis.density_modes
+        found[1:] -= np.einsum("m,mnd->dn", rates, self.basis.velocity_modes)
+        return float(np.sqrt(np.sum(self.basis.weights * found**2)))
+
+
+@pytest.fixture(scope="session")
+def unprojected() -> type[UnprojectedModel]:
+    """The rates at all fixed points."""
+    return UnprojectedModel
 
 
 @pytest.fixture

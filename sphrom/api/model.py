@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sphrom.api.result import ErrorEstimate, Result, Sensitivities, labelled_measures
+from sphrom.api.result import ErrorEstimate, Result, Sensitivities, finite_array, labelled_measures
 from sphrom.case.checks import require_basis, steady_problem
 from sphrom.case.hints import beyond_training, extrapolation
 from sphrom.case.loader import parameter_point
@@ -25,7 +26,6 @@ from sphrom.errors import CaseError, UnstableError
 from sphrom.fit.estimates import Fit, box_of, fit
 from sphrom.fit.measurements import read_measurements
 from sphrom.fit.model import TrainingDifferences
-from sphrom.metrics.measures import Quantities
 from sphrom.online import rom
 from sphrom.online.basis_model import quantities_of
 from sphrom.online.fast_model import FastModel, FastRun
@@ -52,27 +52,26 @@ class Model:
     """
 
     def __init__(
-        self,
-        context: StageContext,
-        section: ReducedModelSection,
-        point: ParameterPoint,
-        fast: FastModel | None = None,
-        errors: TrainingDifferences | None = None,
+        self, context: StageContext, section: ReducedModelSection, point: ParameterPoint
     ) -> None:
-        require_basis(context.case, section, point)
-        if (warning := extrapolation(context.case, point)) is not None:
-            context.report.warn(f"{section.name}: {warning}")
-        self._context, self._point = context, point
-        self._workspace = Workspace(context)
-        self._section = section
-        self._reduced: ReferenceModel | None = None
-        self._errors = {} if errors is None else errors
-        if section.from_operators:
-            if fast is None:
-                self._workspace.require(self._workspace.operators())
-                fast = FastModel(self._workspace, section)
-            self._reduced = fast.at(point)
-        self._fast = fast
+        self._workspace, self._section = Workspace(context), section
+        self._errors: TrainingDifferences = {}
+        self._fast: FastModel | None = None
+        self._move(point)
+
+    def _move(self, point: ParameterPoint) -> None:
+        case = self._workspace.case
+        require_basis(case, self._section, point)
+        if (warning := extrapolation(case, point)) is not None:
+            self._warn(warning)
+        if self._section.from_operators and self._fast is None:
+            self._workspace.require(self._workspace.operators())
+            self._fast = FastModel(self._workspace, self._section)
+        self._point = point
+        self._reduced = None if self._fast is None else self._fast.at(point)
+
+    def _warn(self, text: str) -> None:
+        self._workspace.context.report.warn(f"{self.name}: {text}")
 
     def __repr__(self) -> str:
         return f"Model({self.name!r}, {self._point.label})"
@@ -101,8 +100,9 @@ class Model:
 
         Raises CaseError as `Study.model` does.
         """
-        point = parameter_point(self._context.case, parameters)
-        return Model(self._context, self._section, point, self._fast, self._errors)
+        point, other = parameter_point(self._workspace.case, parameters), copy(self)
+        other._move(point)
+        return other
 
     @guarded()
     def run(self, final_time: float | None = None) -> Result:
@@ -133,14 +133,17 @@ class Model:
         run = self._fast.run(self._point, reduced)
         if run.failure is not None:
             raise UnstableError(f"{run.name}: {run.failure}")
-        return self._result(
-            run.time,
-            run.coordinates,
-            run.time_step,
-            lambda points: run.sampled(Probes.at(points)),
-            run.measured,
-            run.correction,
-            _error_estimate(run),
+        return Result(
+            model=self.name,
+            parameters=self.parameters,
+            time=run.time,
+            coordinates=run.coordinates,
+            correction=run.correction,
+            time_step=run.time_step,
+            error_estimate=_error_estimate(run),
+            _case=self._workspace.case,
+            _sample=lambda points: run.sampled(Probes.at(points)),
+            _measured=run.measured,
         )
 
     @guarded()
@@ -174,18 +177,20 @@ class Model:
         if not (np.isfinite(step_factor) and step_factor > 0.0):
             raise CaseError(f"step_factor: must be above zero; got {step_factor:g}")
         if case.time.spin_up > 0.0:
-            self._context.report.warn(f"{self.name}: derivatives leave out how the spin-up changes")
+            self._warn("derivatives leave out how the spin-up changes")
         longer = self._lengthened(reduced, final_time)
         wanted = tuple(dict.fromkeys(names)) or case.plan.parameter_names
         found = tangents(fast, self._point, wanted, longer, step_factor)
 
         def fields(points: Array) -> list[Samples]:
-            mean, run = reduced.mean_density_fluctuation, found.coordinates
-            moved = zip(run + found.changes, mean + found.mean_changes, strict=True)
+            mean, run = reduced.mean_density_fluctuation, found.run
+            moved = zip(run + found.coordinates, mean + found.mean_changes, strict=True)
             sampled = partial(fast.sampled, self._point, Probes.at(points), found.time)
             return [sampled(*state) for state in ((run, mean), *moved)]
 
-        return Sensitivities.of(found, self.name, self.parameters, case, fields)
+        return Sensitivities(
+            **vars(found), model=self.name, at=self.parameters, _case=case, _samples=fields
+        )
 
     @guarded()
     def fit(
@@ -282,9 +287,8 @@ class Model:
         if (problem := steady_problem(self._workspace.case)) is not None:
             raise CaseError(f"steady: {problem}")
         amplitude = _amplitude(reduced, self._time(None))
-        return steady_state(
-            reduced.polynomial, self._state(reduced, coordinates), amplitude=amplitude
-        )
+        state = self._state(reduced, coordinates)
+        return steady_state(reduced.polynomial, state, amplitude=amplitude)
 
     @guarded()
     def measures(self, coordinates: ArrayLike, time: float | None = None) -> xarray.Dataset:
@@ -323,8 +327,7 @@ class Model:
         steps = self._workspace.case.plan.steps
         longer = lengthened(steps, final_time)
         if longer.end_time > steps.end_time:
-            warning = beyond_training(steps.end_time)
-            self._workspace.context.report.warn(f"{self.name}: {warning}")
+            self._warn(beyond_training(steps.end_time))
         return replace(
             reduced, output_times=replace(reduced.output_times, n_snapshots=longer.n_snapshots)
         )
@@ -337,15 +340,9 @@ class Model:
         return float(time)
 
     def _state(self, reduced: ReferenceModel, coordinates: ArrayLike) -> Array:
-        shape = reduced.start.shape
-        try:
-            state = np.array(coordinates, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise CaseError(f"coordinates: must be numbers of shape {shape}; {error}") from error
+        state, shape = finite_array(coordinates, "coordinates"), reduced.start.shape
         if state.shape != shape:
             raise CaseError(f"coordinates: must have the shape {shape}; got {state.shape}")
-        if not np.isfinite(state).all():
-            raise CaseError("coordinates: must be finite")
         return state
 
     def _run_on_particles(self) -> Result:
@@ -360,36 +357,16 @@ class Model:
                 with workspace.open(target) as again:
                     return sample_run(workspace.case, again, points)
 
-            return self._result(
-                trajectory.read("time"),
-                trajectory.read("generalized_coordinates"),
-                trajectory.number("time_step"),
-                sampled,
-                measured_of(workspace.case, trajectory),
+            return Result(
+                model=self.name,
+                parameters=self.parameters,
+                time=trajectory.read("time"),
+                coordinates=trajectory.read("generalized_coordinates"),
+                time_step=trajectory.number("time_step"),
+                _case=workspace.case,
+                _sample=sampled,
+                _measured=measured_of(workspace.case, trajectory),
             )
-
-    def _result(
-        self,
-        time: Array,
-        coordinates: Array,
-        time_step: float,
-        sample: Callable[[Array], Samples],
-        measured: Mapping[str, Quantities],
-        correction: Array | None = None,
-        error_estimate: ErrorEstimate | None = None,
-    ) -> Result:
-        return Result(
-            self.name,
-            self.parameters,
-            time,
-            coordinates,
-            correction,
-            time_step,
-            error_estimate,
-            self._workspace.case,
-            sample,
-            measured,
-        )
 
 
 def _error_estimate(run: FastRun) -> ErrorEstimate | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -36,31 +36,20 @@ def labelled_measures(
     """Return what a case measures at times (n_snapshots,) [s], by name and quantity."""
     import xarray
 
-    variables = {
-        f"{name}_{quantity}": labelled(
-            _dims(name, quantity, values), values, UNITS[quantity], f"{quantity} of {name}"
-        )
-        for name, quantities in measured.items()
-        for quantity, values in quantities.items()
-    }
+    variables = {}
+    for name, quantities in measured.items():
+        for quantity, values in quantities.items():
+            vector = " component" if quantity in COMPONENTS else ""
+            places = f" {name}_place" if values.ndim == 2 + bool(vector) else ""
+            axes, meaning = f"snapshot{places}{vector}", f"{quantity} of {name}"
+            variables[f"{name}_{quantity}"] = labelled(axes, values, UNITS[quantity], meaning)
     coordinates = {"time": labelled("snapshot", time, "s", "time of each snapshot")}
-    coordinates |= dict(_places(case))
-    found = xarray.Dataset(variables, coordinates, dict(attributes))
-    return found.set_xindex("time")
-
-
-def _dims(name: str, quantity: str, values: Array) -> str:
-    """Return the axes of a quantity of a measurement."""
-    is_vector = quantity in COMPONENTS
-    places = f" {name}_place" if values.ndim == 2 + is_vector else ""
-    return f"snapshot{places}{' component' if is_vector else ''}"
-
-
-def _places(case: Case) -> Iterator[tuple[str, Variable]]:
     for name, measure in field_measures(case).items():
         if measure.normal is None:
-            dims = f"{name}_place component"
-            yield f"{name}_position", labelled(dims, measure.position, "m", f"places of {name}")
+            coordinates[f"{name}_position"] = labelled(
+                f"{name}_place component", measure.position, "m", f"places of {name}"
+            )
+    return xarray.Dataset(variables, coordinates, dict(attributes)).set_xindex("time")
 
 
 @dataclass(frozen=True)
@@ -79,7 +68,7 @@ class ErrorEstimate:
     """Whether the run is outside of the trained parameters and times."""
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, kw_only=True)
 class Result:
     """A run of a reduced model; made by `Model.run`."""
 
@@ -91,12 +80,12 @@ class Result:
     """(n_snapshots,) [s]."""
     coordinates: Array
     """(n_snapshots, n_modes) generalized coordinates, in units of the basis's inner product."""
-    correction: Array | None
+    correction: Array | None = None
     """(n_snapshots, n_modes) the part of the coordinates that is added because training runs differ
     from the model's own; None of a model without. The rest is what its rates integrate to."""
     time_step: float
     """[s]."""
-    error_estimate: ErrorEstimate | None
+    error_estimate: ErrorEstimate | None = None
     """None where the case wants none, and for models that are evaluated otherwise than by
     operators."""
     _case: Case
@@ -139,83 +128,70 @@ class Result:
         ArtifactError
             When artifacts that the run was made from have changed since.
         """
-        import xarray
-
         position = fluid_positions(self._case, points)
         samples = self._sample(self._case.scene.domain.wrap(position))
-        variables = {
-            "velocity": labelled("snapshot point component", samples.velocity, "m/s", "velocity"),
-            "pressure": labelled("snapshot point", samples.pressure, "Pa", "pressure"),
-        }
-        coordinates = {
-            "time": labelled("snapshot", samples.time, "s", "time of each snapshot"),
-            "position": labelled("point component", position, "m", "position of each point"),
-        }
         attributes = {"model": self.model, **self.parameters}
-        return xarray.Dataset(variables, coordinates, attributes).set_xindex("time")
+        return _labelled_fields(self.time, position, samples.velocity, samples.pressure, attributes)
 
 
 def fluid_positions(case: Case, points: ArrayLike) -> Array:
     """Return points of the fluid (n_points, 2) [m]; raise CaseError where they are none."""
-    position, domain = _positions(points), case.scene.domain
+    position, domain = finite_array(points, "points"), case.scene.domain
+    if position.ndim != 2 or position.shape[1] != 2 or not len(position):
+        raise CaseError(f"points: must have the shape (n_points, 2); got {position.shape}")
     for x, y in position[~domain.contains(position)][:1]:
         raise CaseError(f"points: ({x:g}, {y:g}) m is not in the fluid")
     return position
 
 
-def _positions(points: ArrayLike) -> Array:
+def finite_array(given: ArrayLike, name: str) -> Array:
+    """Return a copy as an array of finite numbers; raise CaseError for anything else."""
     try:
-        position = np.array(points, dtype=np.float64)
+        values = np.array(given, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise CaseError(f"points: must be numbers (n_points, 2) [m]; {error}") from error
-    if position.ndim != 2 or position.shape[1] != 2 or not len(position):
-        raise CaseError(f"points: must have the shape (n_points, 2); got {position.shape}")
-    if not np.isfinite(position).all():
-        raise CaseError("points: must be finite")
-    return position
+        raise CaseError(f"{name}: must be numbers; {error}") from error
+    if not np.isfinite(values).all():
+        raise CaseError(f"{name}: must be finite")
+    return values
 
 
-@dataclass(frozen=True, repr=False)
-class Sensitivities:
+def _labelled_fields(
+    time: Array,
+    position: Array,
+    velocity: Array,
+    pressure: Array,
+    attributes: Mapping[str, Any],
+    parameters: Sequence[str] = (),
+) -> xarray.Dataset:
+    """Return velocity and pressure at points over time, or their derivatives by parameters."""
+    import xarray
+
+    axes = "parameter snapshot point" if parameters else "snapshot point"
+    per = " per unit" if parameters else ""
+    variables = {
+        "velocity": labelled(f"{axes} component", velocity, f"m/s{per}", "velocity"),
+        "pressure": labelled(axes, pressure, f"Pa{per}", "pressure"),
+    }
+    coordinates: dict[str, Variable] = {
+        "time": labelled("snapshot", time, "s", "time of each snapshot"),
+        "position": labelled("point component", position, "m", "position of each point"),
+    }
+    if parameters:
+        coordinates["parameter"] = ("parameter", list(parameters))
+    return xarray.Dataset(variables, coordinates, attributes).set_xindex("time")
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class Sensitivities(Tangents):
     """The derivatives of a run; made by `Model.sensitivities`. Each is per unit of a parameter."""
 
     model: str
     """Name of the model."""
     at: dict[str, float]
     """Values of the run's parameters."""
-    parameters: tuple[str, ...]
-    """The parameters that the run is differentiated by, along the first axis of what follows."""
-    time: Array
-    """(n_snapshots,) [s]."""
-    coordinates: Array
-    """(n_parameters, n_snapshots, n_modes) of the generalized coordinates."""
-    kinetic_energy: Array
-    """(n_parameters, n_snapshots) [J/m]."""
-    forces: Mapping[str, Array]
-    """By measurement (n_parameters, n_snapshots, 2, 3): the pressure's and the viscous force along
-    x and y [N/m] and torque [N]."""
-    measured: Mapping[str, Mapping[str, Array]]
-    """By measurement and quantity (n_parameters, n_snapshots, ...): probes, lines, flow rates."""
     _case: Case
     _samples: Callable[[Array], list[Samples]]
-
-    @classmethod
-    def of(
-        cls,
-        found: Tangents,
-        model: str,
-        at: dict[str, float],
-        case: Case,
-        samples: Callable[[Array], list[Samples]],
-    ) -> Sensitivities:
-        """Return what a run's tangents say.
-
-        `samples` gives at points the run, and for each parameter the run plus its derivative.
-        """
-        return cls(
-            model, at, found.names, found.time, found.changes, found.kinetic_energy, found.forces,
-            found.measured, case, samples,
-        )  # fmt: skip
+    """At points: the run, and for each parameter the run plus its derivative."""
 
     def __repr__(self) -> str:
         values = ", ".join(f"{name}={value:g}" for name, value in self.at.items())
@@ -228,21 +204,13 @@ class Sensitivities:
 
         Parameters, errors and result are those of `Result.fields`, with a first axis `parameter`.
         """
-        import xarray
-
         position = fluid_positions(self._case, points)
         own, *moved = self._samples(self._case.scene.domain.wrap(position))
-        velocity = np.stack([each.velocity - own.velocity for each in moved])
-        pressure = np.stack([each.pressure - own.pressure for each in moved])
-        axes = "parameter snapshot point"
-        variables = {
-            "velocity": labelled(f"{axes} component", velocity, "m/s per unit", "velocity"),
-            "pressure": labelled(axes, pressure, "Pa per unit", "pressure"),
-        }
-        coordinates = {
-            "parameter": ("parameter", list(self.parameters)),
-            "time": labelled("snapshot", self.time, "s", "time of each snapshot"),
-            "position": labelled("point component", position, "m", "position of each point"),
-        }
-        attributes = {"model": self.model, **self.at}
-        return xarray.Dataset(variables, coordinates, attributes).set_xindex("time")
+        return _labelled_fields(
+            self.time,
+            position,
+            np.stack([each.velocity - own.velocity for each in moved]),
+            np.stack([each.pressure - own.pressure for each in moved]),
+            {"model": self.model, **self.at},
+            self.parameters,
+        )

@@ -75,9 +75,10 @@ class InitialSection(Section):
 
     @model_validator(mode="after")
     def _file_alone(self, info: ValidationInfo) -> InitialSection:
-        if self.file is not None and any(value != 0.0 for value in (self.u, self.v, self.p)):
-            raise ValueError("file takes the place of u, v and p; give one or the other")
-        self._folder = _folder(info)
+        if self.file is not None:
+            if any(value != 0.0 for value in (self.u, self.v, self.p)):
+                raise ValueError("file takes the place of u, v and p; give one or the other")
+            self._folder = _folder(info)
         return self
 
     @property

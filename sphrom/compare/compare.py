@@ -40,7 +40,7 @@ from sphrom.online.stored_run import StoredRun
 from sphrom.scenes.scene import ExactFlow
 from sphrom.setup.assembly import role_of
 from sphrom.setup.context import StageContext
-from sphrom.setup.measured_fields import sampler
+from sphrom.setup.particles import sampler
 from sphrom.store.bases import read_modes
 from sphrom.store.measured_quantities import measured_of
 from sphrom.store.sampling import probes_of, sample_best, sample_exact, sample_mapped

@@ -15,7 +15,7 @@ from sphrom.metrics.measures import UNITS, Quantities, components, errors_of, me
 from sphrom.online.basis_model import fields_of, forces_of
 from sphrom.reduction.reduced_measures import calibrate_force
 from sphrom.reduction.trial_basis import kept_modes, mean_density_fluctuation, project, truncate
-from sphrom.setup.measured_fields import MeasuredFields
+from sphrom.setup.particles import MeasuredFields
 from sphrom.store.bases import read_basis
 from sphrom.store.measured_quantities import totals
 from sphrom.store.trained_operators import read_force_records, read_measure, read_wall_force

@@ -31,7 +31,7 @@ from sphrom.reduction.exponential_steps import ExponentialModel
 from sphrom.reduction.reduced_measures import ReducedMeasure, project_measures
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
 from sphrom.setup.assembly import places_of
-from sphrom.setup.measured_fields import MeasuredFields, sampler
+from sphrom.setup.particles import MeasuredFields, sampler
 from sphrom.store.bases import read_points
 from sphrom.store.measured_quantities import read_quantities
 from sphrom.store.trajectory import snapshot_fields
@@ -119,7 +119,7 @@ class FittedModel:
         reduced = self.fast.at(point)
         self._linear.setdefault(self.fast.basis_at(point), reduced.linear_parts)
         try:
-            return reference_model.automatic(reduced).n_steps
+            return reference_model.automatic(reduced).steps.n_steps
         except UnstableError:
             return 1
 
@@ -152,7 +152,7 @@ class FittedModel:
 
     def _steps(self, reduced: ReferenceModel) -> Steps:
         assert reduced.linear is not None
-        system = ExponentialModel([reduced.polynomial], reduced.linear)
+        system = ExponentialModel(reduced.polynomial, reduced.linear)
         return Steps(reduced, system, self._n_steps)
 
     def __call__(self, place: Array) -> tuple[Array, Array] | None:
@@ -176,8 +176,8 @@ class FittedModel:
             run = tangents(self.fast, point, self.box.names, reduced, integrator=steps)
         except UnstableError:
             return None
-        values = self.stacked(self.quantities(point, reduced, run.coordinates))
-        by_parameter = [self.stacked(_changes(run, k)) for k in range(len(run.names))]
+        values = self.stacked(self.quantities(point, reduced, run.run))
+        by_parameter = [self.stacked(_changes(run, k)) for k in range(len(run.parameters))]
         slopes = np.stack(by_parameter, axis=-1) * self.box.slopes(place)
         return run.time, values, slopes
 

@@ -9,10 +9,9 @@ product with a matrix each, and the end of a step is the last of them.
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
-from sphrom.kernels.jit import parallel, term
+from sphrom.kernels.jit import term
 from sphrom.kernels.polynomial import evaluate, fill_monomials
 
 Array = NDArray[np.float64]
@@ -115,24 +114,3 @@ def integrate(
                     out[snapshot + k, i] = reached[k * n_modes + i]
             snapshot += n_kept
     return n_steps
-
-
-@parallel
-def integrate_batch(
-    coefficients: Array, used: Indices, amplitudes: Array, stages: Array, links: Array, ends: Array,
-    n_steps: int, steps_per_snapshot: int, degree: int, largest_square: float, monomials: Array,
-    work: Array, out: Array, steps: Indices,
-) -> None:
-    """Do `integrate` for many systems with one linear part, shared out over threads.
-
-    A leading axis of coefficients, amplitudes, scratch and results is the system's.
-
-    Parameters
-    ----------
-    steps : (n_systems,) what `integrate` returns.
-    """
-    for b in prange(steps.size):
-        steps[b] = integrate(
-            coefficients[b], used, amplitudes[b], stages, links, ends, n_steps, steps_per_snapshot,
-            degree, largest_square, monomials[b], work[b], out[b],
-        )

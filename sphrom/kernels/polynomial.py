@@ -12,10 +12,9 @@ only the leading columns are used.
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
-from sphrom.kernels.jit import parallel, term
+from sphrom.kernels.jit import term
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -166,21 +165,3 @@ def integrate(
         if not square <= largest_square:
             return step
     return n_steps
-
-
-@parallel
-def integrate_batch(
-    coefficients: Array, used: Indices, amplitudes: Array, time_steps: Array, n_steps: Indices,
-    degree: int, largest_square: float, monomials: Array, work: Array, out: Array, steps: Indices,
-) -> None:
-    """Do `integrate` for many systems, shared out over threads; a leading axis is the system's.
-
-    Parameters
-    ----------
-    steps : (n_systems,) what `integrate` returns.
-    """
-    for b in prange(steps.size):
-        steps[b] = integrate(
-            coefficients[b], used, amplitudes[b], time_steps[b], n_steps[b], degree, largest_square,
-            monomials[b], work[b], out[b],
-        )

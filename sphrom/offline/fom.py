@@ -14,17 +14,15 @@ from sphrom.artifacts.records.runs import Packing, Start
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
 from sphrom.setup import assembly, particles
-from sphrom.setup.check import describe_cost, describe_run
 from sphrom.setup.context import StageContext
-from sphrom.setup.cost import require_room
-from sphrom.setup.measured_fields import MeasuredFields
+from sphrom.setup.cost import describe_cost, describe_run, require_room
+from sphrom.setup.particles import MeasuredFields
 from sphrom.sph.packing import MAX_ITERATIONS, pack
 from sphrom.sph.time_loop import Clock, TimeSteps, integrate, march
 from sphrom.store.checkpoints import Checkpoints, last_good, remove_checkpoints
 from sphrom.store.starts import scene_start, start
-from sphrom.store.targets import Target
 from sphrom.store.trajectory import TrajectoryWriter
-from sphrom.store.workspace import Workspace
+from sphrom.store.workspace import Target, Workspace
 
 Array = NDArray[np.float64]
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +16,7 @@ from sphrom.plots.tables import format_figure
 from sphrom.reduction.held_out import best_size
 from sphrom.reduction.memory_operators import project_memory_operators
 from sphrom.reduction.mode_splines import ModeSplines, first_modes
-from sphrom.reduction.operator_projection import expansion_errors, project_forces, project_operators
+from sphrom.reduction.operator_projection import project_forces, project_operators
 from sphrom.reduction.polynomial_model import step_limit
 from sphrom.reduction.reduced_measures import project_measures
 from sphrom.reduction.reduced_operators import MemoryOperators, ReducedOperators
@@ -31,9 +30,8 @@ from sphrom.reduction.trial_basis import (
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import require_room
-from sphrom.setup.measured_fields import MeasuredFields
+from sphrom.setup.particles import MeasuredFields
 from sphrom.sph.fixed_points import FixedPoints
-from sphrom.sph.fluid import FlowConditions
 from sphrom.store.bases import mapped_runs, read_basis, read_points, read_splines
 from sphrom.store.measured_quantities import read_forces
 from sphrom.store.starts import starts_record
@@ -42,8 +40,6 @@ from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
 
-DENSITY_ORDER: Final = 1
-"""Order in rho'/rho0 that 1/rho is expanded to."""
 N_STATES = 10
 """Training snapshots of a run, about, around which the step limit is looked at."""
 
@@ -60,11 +56,7 @@ def run(context: StageContext) -> None:
     if not workspace.must_make(target):
         return
     points = particles.fixed_points(context.case, read_points(workspace))
-    attributes = {
-        "density_order": DENSITY_ORDER,
-        "walls_driven": int(points.walls_driven),
-    }
-    with workspace.create(target, attributes) as artifact:
+    with workspace.create(target, {"walls_driven": int(points.walls_driven)}) as artifact:
         started = time.perf_counter()
         for name in names:
             _project(workspace, artifact, points, name)
@@ -83,7 +75,7 @@ def _project(
     sizes = [n_modes for used, n_modes in case.plan.memory_models if used == name]
     fields = MeasuredFields.of(case)
     closures = _project_memory(workspace, artifact, points, name, basis, splines, sizes)
-    states, error = _training(workspace, points, basis, name)
+    states = _training_states(workspace, basis, name)
     taught = training_runs(workspace, basis, name) if name in case.plan.taught_bases else None
     residual, estimate = residual_and_estimate(
         workspace, points, name, basis, splines, operators, states
@@ -103,10 +95,9 @@ def _project(
         if fields is None
         else project_measures(basis, lambda *state: fields(points.position, *state)),
         skewness=operators.skewness,
-        expansion_error=error,
     )
     write_record(artifact, stored, f"bases/{name}")
-    _report(workspace, name, operators, states, error)
+    _report(workspace, name, operators, states)
     if chosen is not None:
         _report_choice(workspace, name, chosen)
 
@@ -165,28 +156,16 @@ def _project_memory(
     return found
 
 
-def _training(
-    workspace: Workspace, points: FixedPoints, basis: TrialBasis, name: str
-) -> tuple[Array, float]:
-    """Return coordinates of some training snapshots, and the largest expansion error at them."""
-    case, states, errors = workspace.case, [], []
-    for point, densities, velocities in mapped_runs(workspace, name):
+def _training_states(workspace: Workspace, basis: TrialBasis, name: str) -> Array:
+    """Return coordinates (n_states, n_modes) of some training snapshots."""
+    states = []
+    for _, densities, velocities in mapped_runs(workspace, name):
         every = max(1, (len(densities) - 1) // N_STATES)
         states.append(project(basis, densities[::every], velocities[::every]))
-        amplitude = case.plan.flow(point).amplitude
-        around = FlowConditions(
-            case.plan.kinematic_viscosity(point),
-            amplitude=0.0 if amplitude is None else amplitude(case.time.final_time),
-            factors=point.factors,
-        )
-        last = densities[-1:], velocities[-1:]
-        errors.append(expansion_errors(points, *last, around, DENSITY_ORDER).max())
-    return np.concatenate(states), float(max(errors))
+    return np.concatenate(states)
 
 
-def _report(
-    workspace: Workspace, name: str, operators: ReducedOperators, states: Array, error: float
-) -> None:
+def _report(workspace: Workspace, name: str, operators: ReducedOperators, states: Array) -> None:
     """Report the growth of sound in the operators, and the limit of steps."""
     case = workspace.case
     rows = []
@@ -205,8 +184,7 @@ def _report(
         )
     workspace.context.report.table(
         f"operators of basis {name}, {operators.n_modes} modes: acoustic part skew to "
-        f"{operators.skewness:.1e}; 1/rho expanded to order {DENSITY_ORDER}, which changes "
-        f"rates by {error:.1e}",
+        f"{operators.skewness:.1e}",
         ("parameters", "largest real part [1/s]", "spectral radius [1/s]", "step limit [s]"),
         rows,
     )

@@ -7,13 +7,14 @@ modes to have, and how many of them to integrate.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.artifacts import Artifact
 from sphrom.artifacts.records.reduced_models import Estimate, HeldOut
 from sphrom.case.models import Case
 from sphrom.case.plan import MAX_STEPS
@@ -24,18 +25,18 @@ from sphrom.reduction.calibration import Calibration
 from sphrom.reduction.decomposition import N_FIELD_VALUES
 from sphrom.reduction.error_calibration import compared_snapshots
 from sphrom.reduction.held_out import (
-    ProductSums,
     TrainedSizes,
     UnheldShares,
     choose_integrated,
     held_out_errors,
+    snapshot_products,
     unheld_shares,
 )
 from sphrom.reduction.mode_fields import BLOCK_VALUES, FieldProjections, blocks, mode_fields
 from sphrom.reduction.mode_splines import ModeSplines
+from sphrom.reduction.operator_projection import residual_factor
 from sphrom.reduction.reduced_operators import ReducedOperators, ResidualFactor
 from sphrom.reduction.reference_model import ReferenceModel
-from sphrom.reduction.residual_factor import residual_factor
 from sphrom.reduction.trial_basis import TrialBasis, kept_modes, project, truncate
 from sphrom.setup.assembly import amplitude_of, output_times_of, places_of
 from sphrom.sph.fixed_points import FixedPoints
@@ -121,16 +122,19 @@ def _unheld(
     """Return the shares of unseen training snapshots that bases cannot represent."""
     case, trained = workspace.case, workspace.case.plan.bases[name]
     compared = compared_snapshots(case.plan.steps.n_snapshots)
-    sums = ProductSums(len(trained) * len(compared), basis)
-    with ExitStack() as stack:
-        runs = [stack.enter_context(workspace.open(workspace.mapped(point))) for point in trained]
-        for rows in blocks(points.n_points, BLOCK_VALUES // (N_FIELD_VALUES * sums.n_snapshots)):
-            fields = [
+    n_snapshots = len(trained) * len(compared)
+
+    def read(runs: list[Artifact]) -> Iterator[tuple[slice, Array, Array]]:
+        for rows in blocks(points.n_points, BLOCK_VALUES // (N_FIELD_VALUES * n_snapshots)):
+            density, velocity = (
                 np.stack([run.dataset(field)[int(k), rows] for run in runs for k in compared])
                 for field in ("density_fluctuation", "velocity")
-            ]
-            sums.add(rows, *fields)
-    products = sums.products(points.density_scale, len(trained))
+            )
+            yield rows, density, velocity
+
+    with ExitStack() as stack:
+        runs = [stack.enter_context(workspace.open(workspace.mapped(point))) for point in trained]
+        products = snapshot_products(basis, n_snapshots, points.density_scale, read(runs))
     return unheld_shares(products, places_of(case, trained), basis.n_modes)
 
 
@@ -236,4 +240,4 @@ class _Repeated:
         (model,) = reference_model.with_limits([model], states)
         if model.output_times.duration > MAX_STEPS * model.step_limit:
             return np.full((model.output_times.n_snapshots, len(start)), np.nan)
-        return reference_model.automatic(model).run().coordinates[0]
+        return reference_model.automatic(model).run().coordinates

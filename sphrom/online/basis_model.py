@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact, read_record
 from sphrom.case.models import Case
-from sphrom.case.plan import MAX_STEPS, TimeSteps
+from sphrom.case.plan import MAX_STEPS
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.errors import CaseError
@@ -24,8 +24,12 @@ from sphrom.reduction import reference_model
 from sphrom.reduction.calibration import Calibration
 from sphrom.reduction.correction import Correction, learn_correction
 from sphrom.reduction.held_out import FieldProducts
-from sphrom.reduction.polynomial_model import OutputTimes
-from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure, calibrate_force
+from sphrom.reduction.reduced_measures import (
+    ForceRecord,
+    ReducedForce,
+    ReducedMeasure,
+    calibrate_force,
+)
 from sphrom.reduction.reduced_operators import MemoryOperators
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
 from sphrom.reduction.trial_basis import (
@@ -63,7 +67,6 @@ class BasisModel:
     modes : (n_modes,) their places among all modes of the basis.
     states : (n_states, n_modes) training states, around which steps have to be stable.
     n_integrated : modes that are integrated as long as training runs are.
-    trained_errors : the fit of error estimates to training runs, once it is known.
     """
 
     def __init__(
@@ -73,19 +76,17 @@ class BasisModel:
         self.workspace, self.section, self.name = workspace, section, name
         self.points = case.plan.bases[name]
         self._start = start
-        self._plans = case.plan.steps, case.plan.model_steps(section)
-        self._times: dict[int, OutputTimes] = {}
-        self.trained_errors: TrainedErrors | None = None
         self._last: tuple[Fields, tuple[Array, float]] | None = None
         whole = read_basis(workspace, name)
         self.basis, self.modes = truncate(whole, section.size), kept_modes(whole, section.size)
         self._n_all_modes = whole.n_modes
+        plans = {True: case.plan.steps, False: case.plan.model_steps(section)}
+        self._times = {k: output_times_of(case, plan, self.basis) for k, plan in plans.items()}
         group, is_corrected = f"bases/{name}", case.plan.is_corrected(section, name)
         self._calibration: Calibration | None = None
         self._memory: MemoryOperators | None = None
         self._projected: Array | None = None
         with workspace.open(workspace.operators()) as artifact:
-            artifact.require(f"{group}/acoustic", mode=whole.n_modes)
             self.operators = read_operators(artifact, name, self.modes)
             self.states = artifact.read(f"{group}/states")[:, self.modes]
             if section.projection == "apg":
@@ -136,6 +137,12 @@ class BasisModel:
         return BasisModel(self.workspace, section, self.name, self._start)
 
     @cached_property
+    def trained_errors(self) -> TrainedErrors | None:
+        """The fit of error estimates to training runs; None where the case wants no estimates."""
+        wanted = self.workspace.case.plan.has_error_estimate(self.name)
+        return TrainedErrors(self) if wanted else None
+
+    @cached_property
     def products(self) -> FieldProducts:
         """Products of training snapshots with the model's modes."""
         with self.workspace.open(self.workspace.operators()) as artifact:
@@ -152,9 +159,9 @@ class BasisModel:
 
     def equations(self, point: ParameterPoint) -> ReferenceModel:
         """Return the model at a point, without the data that choosing steps takes."""
-        found = self._equations(point, self._plans[1])
+        found = self._equations(point)
         if self.leading is not None:
-            found = found.with_leading(self.leading._equations(point, self._plans[1]))
+            found = found.with_leading(self.leading._equations(point))
         return self.taught(found, point)
 
     def projected(
@@ -164,26 +171,23 @@ class BasisModel:
 
         Runs `in_training` have the times of training runs.
         """
-        plan = self._plans[0 if in_training else 1]
-        equations = [self._equations(point, plan) for point in points]
+        equations = [self._equations(point, in_training) for point in points]
         models = reference_model.with_limits(equations, self.states)
         if self.leading is None:
             return models
         first = self.leading.projected(points, in_training=in_training)
         return [whole.with_leading(part) for whole, part in zip(models, first, strict=True)]
 
-    def _equations(self, point: ParameterPoint, plan: TimeSteps) -> ReferenceModel:
+    def _equations(self, point: ParameterPoint, in_training: bool = False) -> ReferenceModel:
         """Return the model's equations and start alone."""
         case = self.workspace.case
         viscosity = case.plan.kinematic_viscosity(point)
         coordinates, mean = self._initial_state(self._start(point))
-        if plan.n_snapshots not in self._times:
-            self._times[plan.n_snapshots] = output_times_of(case, plan, self.basis)
         found = ReferenceModel(
             polynomial=self.operators.at(viscosity, factors=point.factors),
             basis=self.basis,
             start=coordinates,
-            output_times=self._times[plan.n_snapshots],
+            output_times=self._times[in_training],
             mean_density_fluctuation=mean,
             amplitude=amplitude_of(case, point),
             measures=self._measures,
@@ -229,7 +233,7 @@ class BasisModel:
             return self.correction.at(places_of(self.workspace.case, [point])[0])
         if self.leading is None:
             return None
-        return np.zeros((self._plans[0].n_snapshots, self.basis.n_modes))
+        return np.zeros((self._times[True].n_snapshots, self.basis.n_modes))
 
     @cached_property
     def trained(self) -> list[tuple[ReferenceModel, Array]]:
@@ -240,7 +244,7 @@ class BasisModel:
         found = []
         for point in self.points:
             (reduced,) = self.projected([point], in_training=True)
-            run = self.integrator(reduced.leading or reduced).run().coordinates[0]
+            run = self.integrator(reduced.leading or reduced).run().coordinates
             found.append((reduced, run if reduced.leading is None else reduced.spread(run)))
         return found
 
@@ -249,33 +253,26 @@ class BasisModel:
         """The forces on walls, calibrated in runs of the model at the trained points."""
         if not self._forces:
             return {}
-        case, found, runs = self.workspace.case, {}, [self._run(point) for point in self.points]
+        case, found = self.workspace.case, {}
         with self.workspace.open(self.workspace.operators()) as artifact:
             for measured, force in self._forces.items():
                 records = read_force_records(case, artifact, self.name, measured, self.modes)
-                # Of the model's own states where there are any.
-                records = [
-                    record if run is None else replace(
-                        record,
-                        coordinates=run[0],
-                        mean_density_fluctuation=np.full(len(run[0]), run[1]),
-                    )
-                    for record, run in zip(records, runs, strict=True)
-                ]  # fmt: skip
-                found[measured] = calibrate_force(force, records)
+                pairs = zip(records, self.points, strict=True)
+                found[measured] = calibrate_force(force, [self._own(*pair) for pair in pairs])
         return found
 
-    def _run(self, point: ParameterPoint) -> tuple[Array, float] | None:
-        """Return the coordinates and mean density of a run; None where it is not stable."""
+    def _own(self, record: ForceRecord, point: ParameterPoint) -> ForceRecord:
+        """Return a record with the states of the model's own run, where that is stable."""
         try:
-            (reduced,) = self.projected([point], in_training=True)
-            reduced = replace(reduced, correction=self._added(point))
-            coordinates = self.integrator(reduced).run().coordinates[0]
+            reduced, run = self.trained[self.points.index(point)]
         except CaseError:
-            return None
-        if not np.isfinite(coordinates).all():
-            return None
-        return coordinates, reduced.mean_density_fluctuation
+            return record
+        added = self._added(point)
+        states = run if added is None else run + added
+        if not np.isfinite(states).all():
+            return record
+        mean = np.full(len(states), reduced.mean_density_fluctuation)
+        return replace(record, coordinates=states, mean_density_fluctuation=mean)
 
 
 def steps_of(section: ReducedModelSection, reduced: ReferenceModel, full_steps: int) -> Steps:

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from sphrom.artifacts import ArtifactWriter, read_record, write_record
 from sphrom.artifacts.records.coordinates import ErrorEstimate
-from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.error_calibration import (
@@ -45,9 +44,8 @@ class Estimate:
 
     residual: Array
     """(n_snapshots,) its norm [/s]."""
-    fitted: LocalCalibration | None
-    """None where training runs have no errors, or all of them diverge."""
-    errors: Array | None
+    fitted: LocalCalibration
+    errors: Array
     """(n_snapshots, 2) root mean squares of the errors of velocity and c0 rho'/rho0 [m/s]."""
     sizes: Array
     """(n_snapshots, 2) root mean squares of the fields themselves [m/s]."""
@@ -59,15 +57,18 @@ class Estimate:
     @property
     def velocity_and_pressure(self) -> Array:
         """(n_snapshots, 2) the errors in [m/s] and [Pa]."""
-        assert self.errors is not None
         return self.errors * self.units
 
     @property
     def percent(self) -> Array:
         """(2,) the errors over the fields' sizes, both root mean squares over the run [%]."""
-        assert self.errors is not None
         squares = np.mean(self.errors**2, axis=0) / np.mean(self.sizes**2, axis=0)
         return np.asarray(100.0 * np.sqrt(squares))
+
+    @property
+    def factors(self) -> Array | None:
+        """(2,) within which training errors are of their estimates; None where nothing tells."""
+        return None if self.extrapolates else self.fitted.factors
 
 
 @dataclass(frozen=True)
@@ -89,39 +90,42 @@ def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
 
     It does nothing where the case asks for no estimates.
     """
-    workspace, started = run.model.workspace, time.perf_counter()
+    report, started = run.model.workspace.context.report, time.perf_counter()
+    trained = run.model.at_point(run.point).trained_errors
+    if trained is None:
+        return
     found = estimate(run)
     if found is None:
-        return
-    artifact.write("residual", found.residual)
-    if found.fitted is None or found.errors is None:
-        workspace.context.report.warn(
+        artifact.write("residual", trained.residual(run, run.time, run.coordinates))
+        report.warn(
             f"{run.name}: no estimate of errors: the training runs have "
             "none, or all of them diverge"
         )
         return
-    _write(artifact, run, found, found.fitted)
+    artifact.write("residual", found.residual)
+    _write(artifact, run, found)
     artifact.annotate("timing/error_estimate", time.perf_counter() - started)
-    workspace.context.report.info(_told(run, found, found.fitted, found.errors))
+    report.info(_told(run, found))
 
 
 def estimate(run: FastRun) -> Estimate | None:
-    """Estimate the errors of a run; None where the case wants no estimates.
+    """Estimate the errors of a run; None where the case wants no estimates or can't have them.
 
     Runs of one model share the fits to its training runs.
     """
-    case, model = run.model.workspace.case, run.model.at_point(run.point)
-    if model.trained_errors is None:
-        if not case.plan.has_error_estimate(model.name):
-            return None
-        model.trained_errors = TrainedErrors(model)
-    trained, units = model.trained_errors, units_of(case)
-    residual = trained.residual(run.point, run.reduced, run.time, run.coordinates)
-    sizes, local = trained.products.sizes(run.coordinates), trained.at(run.point)
-    if local is None:
-        return Estimate(residual, None, None, sizes, True, units)
-    errors = local.errors(run.time, residual, run.coordinates)
-    return Estimate(residual, local, errors, sizes, local.extrapolates(run.time), units)
+    trained = run.model.at_point(run.point).trained_errors
+    fitted = None if trained is None else trained.at(run.point)
+    if trained is None or fitted is None:
+        return None
+    residual = trained.residual(run, run.time, run.coordinates)
+    return Estimate(
+        residual=residual,
+        fitted=fitted,
+        errors=fitted.errors(run.time, residual, run.coordinates),
+        sizes=trained.products.sizes(run.coordinates),
+        extrapolates=fitted.extrapolates(run.time),
+        units=trained.units,
+    )
 
 
 def steady_errors(run: FastRun, state: Array) -> SteadyErrors | None:
@@ -130,17 +134,16 @@ def steady_errors(run: FastRun, state: Array) -> SteadyErrors | None:
     None where the run has no estimates.
     """
     trained = run.model.at_point(run.point).trained_errors
-    local = None if trained is None else trained.at(run.point)
-    if trained is None or local is None:
+    fitted = None if trained is None else trained.at(run.point)
+    if trained is None or fitted is None:
         return None
-    residual = trained.residual(run.point, run.reduced, run.time[-1:], state[None])[0]
-    change = local.changes(run.time, run.coordinates)[-1]
+    residual = float(trained.residual(run, run.time[-1:], state[None])[0])
+    change = fitted.changes(run.time, run.coordinates)[-1]
     later = float(np.linalg.norm(state - run.coordinates[-1]))
-    errors = local.steady_errors(float(residual), change, later)
+    errors = fitted.steady_errors(residual, change, later)
     relative = errors / trained.products.sizes(state[None])[0]
-    distance = distance_from(local.expected, state)
-    units = units_of(run.model.workspace.case)
-    return SteadyErrors(float(residual), errors * units, relative, distance)
+    distance = distance_from(fitted.expected, state)
+    return SteadyErrors(residual, errors * trained.units, relative, distance)
 
 
 def distance_from(states: Array, state: Array) -> float:
@@ -148,11 +151,6 @@ def distance_from(states: Array, state: Array) -> float:
     nearest = float(np.linalg.norm(states - state, axis=1).min())
     size = float(np.linalg.norm(state))
     return nearest / size if size > 0.0 else float(nearest > 0.0)
-
-
-def units_of(case: Case) -> Array:
-    """Return the factors (2,) from errors in [m/s] to those of velocity [m/s] and pressure [Pa]."""
-    return np.array([1.0, case.fluid.reference_density * case.plan.sound_speed])
 
 
 class TrainedErrors:
@@ -164,11 +162,11 @@ class TrainedErrors:
     def __init__(self, model: BasisModel) -> None:
         workspace, name, points = model.workspace, model.name, model.points
         self._model, self._case = model, workspace.case
+        pressure_scale = self._case.fluid.reference_density * self._case.plan.sound_speed
+        self.units = np.array([1.0, pressure_scale])
         compared = compared_snapshots(self._case.plan.steps.n_snapshots)
-        group, n_trained = f"bases/{name}/estimate", len(points)
+        group = f"bases/{name}/estimate"
         with workspace.open(workspace.operators()) as artifact:
-            lengths = {"training_run": n_trained, "run": n_trained}
-            artifact.require(f"{group}/", compared_snapshot=len(compared), **lengths)
             self._whole = whole = read_operators(artifact, name)
             self._factor = read_record(
                 artifact, ResidualFactor, f"bases/{name}/residual", walls_driven=whole.walls_driven
@@ -184,11 +182,11 @@ class TrainedErrors:
                 held_out = found + correction.held_out(places[k])
                 own = found + correction.at(places[k])
             coordinates.append(own)
-            time = reduced.output_times.time
-            residuals.append(self.residual(points[k], reduced, time, held_out))
+            times = reduced.output_times.time
+            residuals.append(self._residual(points[k], reduced, times, held_out))
             errors.append(self.products.errors(k, held_out[compared]))
         self.fitted = calibrate(
-            time,
+            times,
             np.stack(coordinates),
             np.stack(residuals),
             np.stack(errors),
@@ -202,36 +200,37 @@ class TrainedErrors:
         place = places_of(self._case, [point])[0]
         return None if self.fitted is None else self.fitted.at(place)
 
-    def residual(
+    def residual(self, run: FastRun, times: Array, coordinates: Array) -> Array:
+        """Return the residual's norm (n_states,) [/s] at coordinates of a run's model."""
+        return self._residual(run.point, run.reduced, times, coordinates)
+
+    def _residual(
         self, point: ParameterPoint, reduced: ReferenceModel, times: Array, coordinates: Array
     ) -> Array:
-        """Return the residual's norm (n_states,) [/s] at coordinates of a model at a point."""
-        viscosity, factors = self._case.plan.kinematic_viscosity(point), point.factors
-        projected = self._model.operators.at(viscosity, factors=factors)
+        around = self._case.plan.kinematic_viscosity(point), point.factors
+        projected = self._model.operators.at(*around)
         added = reduced.polynomial.plus(projected, -1.0)
         nothing = not any(tensor.any() for tensors in added.powers for tensor in tensors)
-        closure = None if nothing else added
-        modes = self._model.modes
         norm = residual_norm(
-            self._factor, self._whole, modes, viscosity, closure=closure, factors=factors
+            self._factor,
+            self._whole,
+            self._model.modes,
+            *around,
+            closure=None if nothing else added,
         )
         return norm(coordinates, None if reduced.amplitude is None else reduced.amplitude(times))
 
 
-def _write(
-    artifact: ArtifactWriter, run: FastRun, found: Estimate, fitted: LocalCalibration
-) -> None:
+def _write(artifact: ArtifactWriter, run: FastRun, found: Estimate) -> None:
     """Write an estimate: root mean squares in [m/s] and [Pa], and the fitted constants."""
     velocity, pressure = found.velocity_and_pressure.T
-    constants = [float(constant) for constant in fitted.constants * found.units]
-    factors: list[float] | list[None] = [None, None]
-    if fitted.factors is not None and not found.extrapolates:
-        factors = [float(factor) for factor in fitted.factors]
+    constants = [float(constant) for constant in found.fitted.constants * found.units]
+    factors = [None, None] if found.factors is None else [float(f) for f in found.factors]
     stored = ErrorEstimate(
         velocity=velocity,
         pressure=pressure,
-        change=fitted.changes(run.time, run.coordinates),
-        decay_rate=fitted.decay_rate,
+        change=found.fitted.changes(run.time, run.coordinates),
+        decay_rate=found.fitted.decay_rate,
         training="outside" if found.extrapolates else "inside",
         velocity_constant=constants[0],
         pressure_constant=constants[1],
@@ -241,28 +240,22 @@ def _write(
     write_record(artifact, stored, "error_estimate")
 
 
-def _told(run: FastRun, found: Estimate, fitted: LocalCalibration, errors: Array) -> str:
+def _told(run: FastRun, found: Estimate) -> str:
     """Return an estimate in words: in % of the fields' root mean squares over the run."""
-    at_end = 100.0 * errors[-1] / found.sizes[-1]
-    trusted = [""] * len(FIELDS)
-    if fitted.factors is not None and not found.extrapolates:
-        trusted = [f", right to a factor of {factor:.2g} in training" for factor in fitted.factors]
-    parts = [
-        f"{field} {format_figure(mean)} % ({format_figure(end)} % at the end{trust})"
-        for field, mean, end, trust in zip(FIELDS, found.percent, at_end, trusted, strict=True)
-    ]
+    at_end = 100.0 * found.errors[-1] / found.sizes[-1]
+    parts = []
+    for k, (field, mean, end) in enumerate(zip(FIELDS, found.percent, at_end, strict=True)):
+        trust = "" if found.factors is None else (
+            f", right to a factor of {found.factors[k]:.2g} in training"
+        )  # fmt: skip
+        parts.append(f"{field} {format_figure(mean)} % ({format_figure(end)} % at the end{trust})")
     text = f"{run.name}: estimated errors: {', '.join(parts)}"
     if not found.extrapolates:
         return text
-    return f"{text}; extrapolated, as the model was trained on {_trained_on(run)} only"
-
-
-def _trained_on(run: FastRun) -> str:
-    """Return the parameters that the basis of a run was trained on, in words."""
     points = [point.as_dict() for point in run.model.at_point(run.point).points]
-    words = []
-    for name in points[0]:
-        values = sorted({point[name] for point in points})
-        ends = f"{values[0]:g}" if len(values) == 1 else f"{values[0]:g} to {values[-1]:g}"
-        words.append(f"{name} {ends}")
-    return ", ".join(words)
+    trained = ", ".join(
+        f"{name} " + " to ".join(f"{v:g}" for v in sorted({min(values), max(values)}))
+        for name in points[0]
+        if (values := [point[name] for point in points])
+    )
+    return f"{text}; extrapolated, as the model was trained on {trained} only"

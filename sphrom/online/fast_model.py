@@ -5,6 +5,7 @@ The commands and the Python interface all run models this way.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -20,7 +21,7 @@ from sphrom.metrics.measures import Quantities
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.online.basis_model import BasisModel, quantities_of
 from sphrom.online.error_estimates import Estimate, estimate
-from sphrom.reduction.polynomial_model import Runs
+from sphrom.reduction.polynomial_model import Run
 from sphrom.reduction.reference_model import Integrator, ReferenceModel
 from sphrom.store.starts import Fields, MappedStarts
 from sphrom.store.workspace import Workspace
@@ -135,8 +136,7 @@ class FastRun:
     point: ParameterPoint
     reduced: ReferenceModel
     """The model at the point."""
-    runs: Runs
-    """The run, alone."""
+    run: Run
 
     @property
     def name(self) -> str:
@@ -146,28 +146,27 @@ class FastRun:
     @property
     def time(self) -> Array:
         """(n_snapshots,) [s]."""
-        return self.runs.time
+        return self.run.time
 
     @property
     def time_step(self) -> float:
         """[s]."""
-        return float(self.runs.time_step[0])
+        return self.run.time_step
 
     @property
     def coordinates(self) -> Array:
         """(n_snapshots, n_modes), NaN once it has diverged."""
-        return self.runs.coordinates[0]
+        return self.run.coordinates
 
     @property
     def correction(self) -> Array | None:
         """(n_snapshots, n_modes) the part of the coordinates that training runs add, if any do."""
-        return None if self.runs.correction is None else self.runs.correction[0]
+        return self.run.correction
 
     @property
     def failure(self) -> UnstableError | None:
         """Why the run ended early; None where it didn't."""
-        at = float(self.runs.diverged_at[0])
-        if np.isnan(at):
+        if math.isnan(at := self.run.diverged_at):
             return None
         return UnstableError(
             f"unstable after t = {at:.6g} s: the coordinates are beyond those of a flow as fast as "
@@ -183,20 +182,19 @@ class FastRun:
     @property
     def estimate(self) -> Estimate | None:
         """The estimated errors of the run; None where the case wants none or can't have them."""
-        found = estimate(self)
-        return None if found is None or found.errors is None else found
+        return estimate(self)
 
     @property
     def done(self) -> FastRun:
         """The run as far as it went before it diverged."""
         n_done = int(np.isfinite(self.coordinates).all(axis=1).sum())
-        runs = replace(
-            self.runs,
+        run = replace(
+            self.run,
             time=self.time[:n_done],
-            coordinates=self.runs.coordinates[:, :n_done],
-            correction=None if self.correction is None else self.correction[None, :n_done],
+            coordinates=self.coordinates[:n_done],
+            correction=None if self.correction is None else self.correction[:n_done],
         )
-        return replace(self, runs=runs)
+        return replace(self, run=run)
 
     def sampled(self, probes: Probes) -> Samples:
         """Return velocity and pressure at probes, by the splines of the modes."""

@@ -17,7 +17,7 @@ from sphrom.reduction.particle_model import (
 from sphrom.reduction.trial_basis import mean_density_fluctuation, project
 from sphrom.setup import assembly, particles
 from sphrom.setup.assembly import memory_length_of
-from sphrom.setup.measured_fields import MeasuredFields
+from sphrom.setup.particles import MeasuredFields
 from sphrom.sph.time_loop import TimeSteps, integrate
 from sphrom.store.bases import read_modes, read_points
 from sphrom.store.checkpoints import Checkpoints
@@ -59,14 +59,13 @@ def build_model(
     return reduced, state
 
 
-def closed(
+def close(
     case: Case, model: ReducedModelSection, reduced: ParticleModel, state: Array, time: float
-) -> ParticleModel:
-    """Return a model with the closure that the case asks for, set up at a state and time [s]."""
-    if model.projection == "galerkin":
-        return reduced
-    length = memory_length_of(case, model, lambda: reduced_jacobian(reduced, state, time))
-    return reduced.with_closure(AdjointPetrovGalerkin(length))
+) -> None:
+    """Give a model the closure that the case asks for, set up at a state and time [s]."""
+    if model.projection != "galerkin":
+        length = memory_length_of(case, model, lambda: reduced_jacobian(reduced, state, time))
+        reduced.closure = AdjointPetrovGalerkin(length)
 
 
 def run_point(workspace: Workspace, model: ReducedModelSection, point: ParameterPoint) -> None:
@@ -97,16 +96,18 @@ def run_point(workspace: Workspace, model: ReducedModelSection, point: Parameter
         )
         with checkpoints.progress(f"{model.name}, {point.label}", n_steps) as advance:
             try:
-                ready = closed(case, model, reduced, state, steps.start_time)
+                close(case, model, reduced, state, steps.start_time)
             except (np.linalg.LinAlgError, ValueError, UnstableError) as error:
                 failure: UnstableError | None = UnstableError(f"unstable at the start: {error}")
                 trajectory.finish(failure, 0.0)
             else:
-                if ready.closure is not None:
-                    length = ready.closure.memory_length
+                if reduced.closure is not None:
+                    length = reduced.closure.memory_length
                     artifact.annotate("memory_length", length)
                     workspace.context.report.info(f"{model.name}: memory length {length:.3g} s")
                 density = case.fluid.reference_density
-                failure = integrate(ready, state, steps, density, trajectory, advance, checkpoints)
+                failure = integrate(
+                    reduced, state, steps, density, trajectory, advance, checkpoints
+                )
     if failure is not None:
         workspace.context.report.warn(f"{model.name}, {point.label}: {failure}")

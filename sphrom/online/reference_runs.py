@@ -149,16 +149,16 @@ def run_point(workspace: Workspace, section: ReducedModelSection, point: Paramet
     model = FastModel(workspace, section)
     reduced = model.at(point)
     integrator = model.at_point(point).integrator(reduced)
-    attributes = assembly.run_attributes(workspace.case, point, integrator.time_step)
+    attributes = assembly.run_attributes(workspace.case, point, integrator.steps.time_step)
     with workspace.create(target, attributes) as artifact:
-        runs, seconds = integrator.timed(N_TIMED)
-        run = FastRun(model, point, reduced, runs)
+        found, seconds = integrator.timed(N_TIMED)
+        run = FastRun(model, point, reduced, found)
         _write(run, artifact)
         artifact.annotate("status", "complete" if run.failure is None else "unstable")
         if run.failure is not None:
             artifact.annotate("status_detail", str(run.failure))
         artifact.annotate("timing/integration", seconds)
-        artifact.annotate("integrator", integrator.name)
+        artifact.annotate("integrator", integrator.steps.system.integrator)
         _tell(run, integrator, seconds)
         if run.failure is None:
             estimate_errors(run, artifact)
@@ -184,7 +184,7 @@ def _seek_steady_state(run: FastRun, artifact: ArtifactWriter) -> None:
 def _tell(run: FastRun, integrator: Integrator, seconds: float) -> None:
     """Report the number of steps of a run, their length, and the time that they took."""
     report, reduced, step = run.model.workspace.context.report, run.reduced, run.time_step
-    exponential = integrator.name == EXPONENTIAL
+    exponential = integrator.steps.system.integrator == EXPONENTIAL
     if not exponential and step > reduced.step_limit:
         report.warn(
             f"{run.name}: a step of {step:.3g} s is beyond the model's limit of "

@@ -42,22 +42,23 @@ STEP = 1e-5
 class Tangents:
     """A run and its derivatives, each per unit of a parameter."""
 
-    names: tuple[str, ...]
-    """The parameters."""
+    parameters: tuple[str, ...]
+    """The parameters that the run is differentiated by, along the first axis of what follows."""
     time: Array
     """(n_snapshots,) [s]."""
+    run: Array
+    """(n_snapshots, n_modes) generalized coordinates of the run itself."""
     coordinates: Array
-    """(n_snapshots, n_modes) of the run."""
-    changes: Array
-    """(n_parameters, n_snapshots, n_modes) of the coordinates."""
+    """(n_parameters, n_snapshots, n_modes) of the generalized coordinates."""
     mean_changes: Array
     """(n_parameters,) of the mean density fluctuation that is carried apart [kg/m3]."""
     kinetic_energy: Array
-    """(n_parameters, n_snapshots) of the kinetic energy [J/m]."""
+    """(n_parameters, n_snapshots) [J/m]."""
     forces: Mapping[str, Array]
-    """By measurement (n_parameters, n_snapshots, 2, 3) of pressure's and viscous loads [N/m, N]."""
+    """By measurement (n_parameters, n_snapshots, 2, 3): the pressure's and the viscous force along
+    x and y [N/m] and torque [N]."""
     measured: Mapping[str, Mapping[str, Array]]
-    """By measurement and quantity (n_parameters, n_snapshots, ...) of probes and flow rates."""
+    """By measurement and quantity (n_parameters, n_snapshots, ...): probes, lines, flow rates."""
 
 
 @dataclass(frozen=True)

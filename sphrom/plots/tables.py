@@ -144,8 +144,10 @@ def write_json(
     write_whole(path, (text + "\n").encode())
 
 
-def read_csv(path: Path, made_by: str) -> tuple[list[str], list[list[str]]]:
-    """Return the headings and the rows of a table.
+def read_csv(
+    path: Path, made_by: str, record: type[DataclassInstance] | None = None
+) -> tuple[list[str], list[list[str]]]:
+    """Return the headings and the rows of a table, of a record where that is known.
 
     Raises ArtifactError, naming the command that makes it, when it is missing or damaged.
     """
@@ -154,6 +156,8 @@ def read_csv(path: Path, made_by: str) -> tuple[list[str], list[list[str]]]:
         head, *rows = csv.reader(io.StringIO(text, newline=""), strict=True)
         if not rows or {len(row) for row in rows} != {len(head)}:
             raise ValueError("its rows are not of one length, or there are none")
+        if record is not None and head != headings(record):
+            raise ValueError("its columns are not those of the table")
         for name, *column in zip(head, *rows, strict=True):
             if name.endswith("]"):
                 _ = [_finite(cell) for cell in column if cell]

@@ -26,7 +26,6 @@ from sphrom.reduction.polynomial_model import (
     Amplitude,
     OutputTimes,
     PolynomialModel,
-    Runs,
 )
 from sphrom.reduction.reduced_rates import Polynomial
 
@@ -176,17 +175,19 @@ class Change:
 
 
 class ExponentialModel(PolynomialModel):
-    """A batch of polynomial systems whose steps carry one linear part exactly.
+    """A polynomial system whose steps carry a linear part exactly.
 
-    `linear` is (n_modes, n_modes) [1/s], such as the Jacobian at the mean of training states.
+    Steps are whole numbers of snapshots long, or some make one snapshot; the last may reach beyond
+    the last snapshot. `linear` is (n_modes, n_modes) [1/s], such as the Jacobian at the mean of
+    training states.
     """
 
     integrator = EXPONENTIAL
 
-    def __init__(self, polynomials: Sequence[Polynomial], linear: Array) -> None:
-        super().__init__(polynomials)
+    def __init__(self, polynomial: Polynomial, linear: Array) -> None:
+        super().__init__(polynomial)
         self._linear = linear
-        self._coefficients[:, 0, :, 1 : 1 + len(linear)] -= linear
+        self._coefficients[0, :, 1 : 1 + len(linear)] -= linear
         self._halves: dict[float, Propagation] = {}
         self._matrices: dict[tuple[float, StepRatio], StepMatrices] = {}
 
@@ -199,54 +200,20 @@ class ExponentialModel(PolynomialModel):
         """Return the length [s] of the steps of a run that is asked for some."""
         return StepRatio.of(n_steps, output_times.n_snapshots - 1).time_step(output_times.interval)
 
-    def run_in(
+    def _integrate(
         self,
-        n_steps: Indices | Sequence[int],
-        start: Array,
+        n_steps: int,
         output_times: OutputTimes,
-        amplitude: Amplitude | None = None,
-    ) -> Runs:
-        """Advance all systems from coordinates (n_runs, n_modes), all in the same steps.
-
-        Steps are whole numbers of snapshots long, or some make one snapshot; the last may reach
-        beyond the last snapshot.
-
-        Parameters
-        ----------
-        n_steps : (n_runs,) of which the largest is the least that all runs take.
-        amplitude : None where it is zero throughout.
-        """
-        n_intervals = output_times.n_snapshots - 1
-        ratio = StepRatio.of(int(max(n_steps)), n_intervals)
-        taken, time_step = ratio.n_steps(n_intervals), ratio.time_step(output_times.interval)
-        matrices = self._of(output_times.interval, ratio)
-        n_runs, n_modes = start.shape
-        out = np.full((n_runs, output_times.n_snapshots, n_modes), np.nan)
-        out[:, 0] = start
-        time_steps = np.full(n_runs, time_step)
-        coefficients, used, amplitudes = self._driven(
-            output_times.start_time, np.full(n_runs, taken), time_steps, amplitude
-        )
-        monomials = np.empty((n_runs, coefficients.shape[3]))
-        work = np.empty((n_runs, 8 * n_modes + matrices.ends.shape[2]))
-        method = (matrices.stages, matrices.links, matrices.ends, taken, ratio.steps_per_snapshot)
-        common = (*method, self._degree, output_times.largest_norm**2)
-        diverged = np.full(n_runs, np.nan)
-        if n_runs == 1:
-            # One run needs no threads, and starting them takes longer than many a run.
-            steps = kernels.integrate(
-                coefficients[0], used, amplitudes[0], *common, monomials[0], work[0], out[0]
-            )
-            if steps < taken:
-                diverged[0] = output_times.start_time + steps * time_step
-        else:
-            done = np.empty(n_runs, dtype=np.int64)
-            kernels.integrate_batch(
-                coefficients, used, amplitudes, *common, monomials, work, out, done
-            )
-            early = done < taken
-            diverged[early] = output_times.start_time + done[early] * time_step
-        return Runs(output_times.time, out, time_steps, diverged)
+        driven: tuple[Array, Indices, Array],
+        largest_square: float,
+        out: Array,
+    ) -> int:
+        m, ratio = self._method(n_steps, output_times)
+        return kernels.integrate(
+            *driven, m.stages, m.links, m.ends, ratio.n_steps(len(out) - 1),
+            ratio.steps_per_snapshot, self._degree, largest_square, np.empty(driven[0].shape[2]),
+            np.empty(8 * out.shape[1] + m.ends.shape[2]), out,
+        )  # fmt: skip
 
     def tangents(
         self,
@@ -256,7 +223,7 @@ class ExponentialModel(PolynomialModel):
         changes: Sequence[Change],
         amplitude: Amplitude | None = None,
     ) -> tuple[Array, Array]:
-        """Return the first system's run from coordinates (n_modes,), and its derivatives.
+        """Return the run from coordinates (n_modes,), and its derivatives.
 
         They are the exact derivatives of the steps that the run takes, and NaN or infinite where it
         diverges.
@@ -273,45 +240,42 @@ class ExponentialModel(PolynomialModel):
         """
         from sphrom.kernels import tangent  # few commands need it
 
-        n_intervals = output_times.n_snapshots - 1
-        ratio = StepRatio.of(n_steps, n_intervals)
-        taken, time_step = ratio.n_steps(n_intervals), ratio.time_step(output_times.interval)
-        matrices, n_modes = self._of(output_times.interval, ratio), start.size
-        coefficients, used, amplitudes = self._driven(
-            output_times.start_time, np.array([taken]), np.array([time_step]), amplitude
-        )
-        by_parameter = np.zeros((len(changes), *coefficients.shape[1:]))
-        by_amplitude = np.zeros(coefficients.shape[1:])
+        m, ratio = self._method(n_steps, output_times)
+        taken = ratio.n_steps(output_times.n_snapshots - 1)
+        start_time, time_step = output_times.start_time, ratio.time_step(output_times.interval)
+        driven = self._driven(start_time, taken, time_step, amplitude)
+        coefficients, used, amplitudes = driven
+        by_parameter = np.zeros((len(changes), *coefficients.shape))
+        by_amplitude = np.zeros(coefficients.shape)
         powers = np.arange(1, len(by_amplitude), dtype=np.float64)
-        by_amplitude[:-1] = powers[:, None, None] * coefficients[0, 1:]
-        amplitude_changes = np.zeros((len(changes), amplitudes.shape[1]))
-        out = np.zeros((1 + len(changes), output_times.n_snapshots, n_modes))
+        by_amplitude[:-1] = powers[:, None, None] * coefficients[1:]
+        amplitude_changes = np.zeros((len(changes), amplitudes.size))
+        out = np.zeros((1 + len(changes), output_times.n_snapshots, start.size))
         out[0, 0] = start
-        times = output_times.start_time + 0.5 * time_step * np.arange(
-            amplitudes.shape[1], dtype=np.float64
-        )
+        times = start_time + 0.5 * time_step * np.arange(amplitudes.size, dtype=np.float64)
         for k, change in enumerate(changes):
             found, _ = change.polynomial.packed()
             by_parameter[k] = found[: len(used)]
             out[1 + k, 0] = change.start
             if amplitude is not None and change.amplitude is not None:
                 amplitude_changes[k] = change.amplitude(times)
-        n_monomials = coefficients.shape[3]
+        n_monomials = coefficients.shape[2]
         tangent.integrate(
-            coefficients[0], by_amplitude, by_parameter, used, amplitudes[0], amplitude_changes,
-            matrices.stages, matrices.links, matrices.ends, taken, ratio.steps_per_snapshot,
-            self._degree, np.empty(n_monomials), np.empty(n_monomials), np.empty(n_modes),
-            np.empty((len(out), 8 * n_modes + matrices.ends.shape[2])), out,
+            coefficients, by_amplitude, by_parameter, used, amplitudes, amplitude_changes,
+            m.stages, m.links, m.ends, taken, ratio.steps_per_snapshot, self._degree,
+            np.empty(n_monomials), np.empty(n_monomials), np.empty(start.size),
+            np.empty((len(out), 8 * start.size + m.ends.shape[2])), out,
         )  # fmt: skip
         return out[0], out[1:]
 
-    def _of(self, interval: float, ratio: StepRatio) -> StepMatrices:
-        """Return the matrices of a ratio of steps, which are computed once."""
-        key = (interval, ratio)
-        if key not in self._matrices:
+    def _method(self, n_steps: int, output_times: OutputTimes) -> tuple[StepMatrices, StepRatio]:
+        """Return the matrices of a run's steps, which are computed once, and how long steps are."""
+        interval = output_times.interval
+        ratio = StepRatio.of(n_steps, output_times.n_snapshots - 1)
+        if (key := (interval, ratio)) not in self._matrices:
             half = 0.5 * interval / ratio.steps_per_snapshot
             if half not in self._halves:
                 self._halves[half] = Propagation(self._linear, half)
             step, n_states = ratio.time_step(interval), ratio.snapshots_per_step
             self._matrices[key] = StepMatrices.of(self._halves[half], step, n_states)
-        return self._matrices[key]
+        return self._matrices[key], ratio

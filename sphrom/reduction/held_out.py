@@ -32,7 +32,7 @@ errors, and the least product of both decides. The basis stays that of all runs.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -75,52 +75,37 @@ class SnapshotProducts:
     """Means over the fluid, of velocities and of q less its mean [m2/s2]."""
     states: Array
     """In the inner product of whole states, which the modes come from."""
-    n_runs: int
-
-    @property
-    def per_run(self) -> int:
-        """Snapshots of one run."""
-        return len(self.states) // self.n_runs
-
-    def of_runs(self, runs: Sequence[int], kept: slice = slice(None)) -> Indices:
-        """Return the places of some runs' snapshots."""
-        each = np.arange(self.per_run)[kept]
-        return np.concatenate([each + run * self.per_run for run in runs])
 
 
-class ProductSums:
-    """Products of snapshots, summed up over blocks of points."""
+def snapshot_products(
+    basis: TrialBasis,
+    n_snapshots: int,
+    density_scale: float,
+    blocks: Iterable[tuple[slice, Array, Array]],
+) -> SnapshotProducts:
+    """Sum the products of snapshots up over blocks of points.
 
-    def __init__(self, n_snapshots: int, basis: TrialBasis) -> None:
-        self.n_snapshots = n_snapshots
-        self._basis = basis
-        self._density = np.zeros((n_snapshots, n_snapshots))
-        self._velocity = np.zeros((n_snapshots, n_snapshots))
-        self._sums = np.zeros(n_snapshots)
-
-    def add(self, rows: slice, density_fluctuation: Array, velocity: Array) -> None:
-        """Add a block: (n_snapshots, n) [kg/m3] and (n_snapshots, n, 2) [m/s]."""
-        weights = self._basis.weights[rows]
-        flat = velocity.reshape(len(velocity), -1)
-        self._density += (density_fluctuation * weights) @ density_fluctuation.T
-        self._velocity += (flat * np.repeat(weights, 2)) @ flat.T
-        self._sums += density_fluctuation @ weights
-
-    def products(self, density_scale: float, n_runs: int) -> SnapshotProducts:
-        """Return the products; `density_scale` times a density fluctuation is q."""
-        product, total = self._basis.inner_product, float(self._basis.weights.sum())
-        without_mean = self._density - np.outer(self._sums, self._sums) / total
-        if self._basis.separate_mean:
-            first = product.density_scale**2 * without_mean
-        else:
-            mixed = product.density_scale * product.density_offset * self._sums
-            first = product.density_scale**2 * self._density + mixed + mixed[:, None]
-            first += product.density_offset**2 * total
-        return SnapshotProducts(
-            fields=(self._velocity / total, density_scale**2 * without_mean / total),
-            states=first + self._velocity,
-            n_runs=n_runs,
-        )
+    Blocks are points, density fluctuations (n_snapshots, n) [kg/m3] and velocities (n_snapshots, n,
+    2) [m/s]. `density_scale` times a density fluctuation is q.
+    """
+    density, flow = np.zeros((n_snapshots, n_snapshots)), np.zeros((n_snapshots, n_snapshots))
+    sums = np.zeros(n_snapshots)
+    for rows, density_fluctuation, velocity in blocks:
+        weights = basis.weights[rows]
+        flat = velocity.reshape(n_snapshots, -1)
+        density += (density_fluctuation * weights) @ density_fluctuation.T
+        flow += (flat * np.repeat(weights, 2)) @ flat.T
+        sums += density_fluctuation @ weights
+    product, total = basis.inner_product, float(basis.weights.sum())
+    without_mean = density - np.outer(sums, sums) / total
+    if basis.separate_mean:
+        first = product.density_scale**2 * without_mean
+    else:
+        mixed = product.density_scale * product.density_offset * sums
+        first = product.density_scale**2 * density + mixed + mixed[:, None]
+        first += product.density_offset**2 * total
+    fields = flow / total, density_scale**2 * without_mean / total
+    return SnapshotProducts(fields, first + flow)
 
 
 class FieldProducts(Record):
@@ -195,8 +180,7 @@ class UnheldShares(Record):
 
     def of_size(self, n_modes: int) -> UnheldShares:
         """Return the shares (2,) and (n_runs, 2) of a number of modes."""
-        of_size = {"parameters": self.parameters[n_modes - 1], "time": self.time[:, n_modes - 1]}
-        return UnheldShares(**of_size)
+        return self.mapped(lambda shares: shares[..., n_modes - 1, :])
 
     def only(self, runs: Indices) -> UnheldShares:
         """Return the shares of some runs."""
@@ -211,86 +195,76 @@ def unheld_shares(products: SnapshotProducts, places: Array, n_modes: int) -> Un
     """Measure the shares by leaving out runs and second halves of runs.
 
     A single training run doesn't show the share of a change with the parameters: `UNTRIED` times
-    that of the change with time replaces it.
+    that of the change with time replaces it. Nor does a run that the others surround.
 
     Parameters
     ----------
     places : (n_runs, n_parameters) of the runs, as `interpolation_weights` measures distances.
     n_modes : up to which shares are wanted.
     """
-    measured = _LeavingOut(products, n_modes)
-    time = measured.later_halves()
-    runs = [measured.run(run, places) for run in range(products.n_runs)]
-    known = [shares for shares in runs if shares is not None]
-    parameters = np.max(known, axis=0) if known else UNTRIED * time.max(axis=0)
-    return UnheldShares(parameters=parameters, time=time)
-
-
-class _LeavingOut:
-    """Shares of changes, by the snapshots that are left out."""
-
-    def __init__(self, products: SnapshotProducts, n_modes: int) -> None:
-        self._products, self._n_modes = products, n_modes
-        self._runs = list(range(products.n_runs))
-
-    def run(self, run: int, places: Array) -> Array | None:
-        """Leave a run out; None where the others surround it, or there are none."""
-        others = [other for other in self._runs if other != run]
-        if not others:
-            return None
+    n_runs = len(places)
+    snapshots = np.arange(len(products.states)).reshape(n_runs, -1)
+    per_run = snapshots.shape[1]
+    half, late = (per_run + 1) // 2, int(LEFT_OUT * per_run)
+    time, parameters = np.ones((n_runs, n_modes, 2)), []
+    for run in range(n_runs):
+        if half < per_run:
+            learnt, asked = snapshots[:, :half].ravel(), snapshots[run, half:]
+            expected = np.zeros((len(products.states), len(asked)))
+            expected[snapshots[run, half - 1]] = 1.0
+            time[run] = _shares(products, learnt, asked, expected, n_modes)
+        others = np.delete(np.arange(n_runs), run)
+        if len(others) == 0:
+            continue
         weights, distance = interpolation_weights(places[others], places[run])
-        if distance == 0.0:
-            return None
-        products, late = self._products, slice(int(LEFT_OUT * self._products.per_run), None)
-        asked = products.of_runs([run], late)
-        combined = np.zeros((len(products.states), len(asked)))
-        combined[asked, np.arange(len(asked))] = 1.0
-        for other, weight in zip(others, weights, strict=True):
-            combined[products.of_runs([other], late), np.arange(len(asked))] -= weight
-        learnt = products.of_runs(others)
-        return self._shares(learnt, products.of_runs(self._runs), asked, combined)
+        if distance > 0.0:
+            asked = snapshots[run, late:]
+            expected = np.zeros((len(products.states), len(asked)))
+            for other, weight in zip(others, weights, strict=True):
+                expected[snapshots[other, late:], np.arange(len(asked))] = weight
+            learnt = snapshots[others].ravel()
+            parameters.append(_shares(products, learnt, asked, expected, n_modes))
+    if not parameters:
+        return UnheldShares(parameters=UNTRIED * time.max(axis=0), time=time)
+    return UnheldShares(parameters=np.max(parameters, axis=0), time=time)
 
-    def later_halves(self) -> Array:
-        """Leave the second half of all runs out; return shares (n_runs, n_modes, 2) of the runs."""
-        products, half = self._products, (self._products.per_run + 1) // 2
-        learnt = products.of_runs(self._runs, slice(half))
-        shares = []
-        for run in self._runs:
-            asked = products.of_runs([run], slice(half, None))
-            if not len(asked):
-                return np.ones((len(self._runs), self._n_modes, 2))
-            changes = np.zeros((len(products.states), len(asked)))
-            changes[asked, np.arange(len(asked))] = 1.0
-            changes[products.of_runs([run])[half - 1]] -= 1.0
-            shares.append(self._shares(learnt, products.of_runs(self._runs), asked, changes))
-        return np.stack(shares)
 
-    def _shares(self, learnt: Indices, whole: Indices, asked: Indices, changes: Array) -> Array:
-        """Return shares (n_modes, 2) of changes, combinations of snapshots in columns."""
-        change = float(np.einsum("ik,ij,jk->", changes, self._products.states, changes))
-        size = float(self._products.states[asked, asked].sum())
-        if change <= ROUNDING * size:
-            return np.zeros((self._n_modes, 2))
-        excess = self._errors(learnt, asked) - self._errors(whole, asked)
-        return np.asarray(np.sqrt(np.maximum(excess, 0.0) * len(asked) / change))
+def _shares(
+    products: SnapshotProducts, learnt: Indices, asked: Indices, expected: Array, n_modes: int
+) -> Array:
+    """Return shares (n_modes, 2) of the change of asked snapshots from what is expected of them.
 
-    def _errors(self, learnt: Indices, asked: Indices) -> Array:
-        """Return mean square errors (n_modes, 2) of bases of some snapshots in other snapshots."""
-        products = self._products
-        values, vectors = np.linalg.eigh(products.states[np.ix_(learnt, learnt)])
-        kept = np.flatnonzero(values > ROUNDING * values[-1])[::-1][: self._n_modes]
-        modes = vectors[:, kept] / np.sqrt(values[kept])
-        coordinates = modes.T @ products.states[np.ix_(learnt, asked)]
-        errors = np.empty((self._n_modes, 2))
-        for k, field in enumerate(products.fields):
-            with_modes = modes.T @ field[np.ix_(learnt, asked)]
-            of_modes = modes.T @ field[np.ix_(learnt, learnt)] @ modes
-            for size in range(1, self._n_modes + 1):
-                held = coordinates[:size]
-                among = of_modes[: len(held), : len(held)] @ held
-                more = np.sum(held * (among - 2.0 * with_modes[:size]), axis=0)
-                errors[size - 1, k] = np.maximum(field[asked, asked] + more, 0.0).mean()
-        return errors
+    That is (n_snapshots, n_asked), combinations of snapshots.
+    """
+    changes = -expected
+    changes[asked, np.arange(len(asked))] += 1.0
+    change = float(np.einsum("ik,ij,jk->", changes, products.states, changes))
+    size = float(products.states[asked, asked].sum())
+    if change <= ROUNDING * size:
+        return np.zeros((n_modes, 2))
+    everything = np.arange(len(products.states))
+    without, with_them = (
+        _errors(products, known, asked, n_modes) for known in (learnt, everything)
+    )
+    return np.asarray(np.sqrt(np.maximum(without - with_them, 0.0) * len(asked) / change))
+
+
+def _errors(products: SnapshotProducts, learnt: Indices, asked: Indices, n_modes: int) -> Array:
+    """Return mean square errors (n_modes, 2) of bases of some snapshots in other snapshots."""
+    values, vectors = np.linalg.eigh(products.states[np.ix_(learnt, learnt)])
+    kept = np.flatnonzero(values > ROUNDING * values[-1])[::-1][:n_modes]
+    modes = vectors[:, kept] / np.sqrt(values[kept])
+    coordinates = modes.T @ products.states[np.ix_(learnt, asked)]
+    errors = np.empty((n_modes, 2))
+    for k, field in enumerate(products.fields):
+        with_modes = modes.T @ field[np.ix_(learnt, asked)]
+        of_modes = modes.T @ field[np.ix_(learnt, learnt)] @ modes
+        for size in range(1, n_modes + 1):
+            held = coordinates[:size]
+            among = of_modes[: len(held), : len(held)] @ held
+            more = np.sum(held * (among - 2.0 * with_modes[:size]), axis=0)
+            errors[size - 1, k] = np.maximum(field[asked, asked] + more, 0.0).mean()
+    return errors
 
 
 DIVERGED = 1e6

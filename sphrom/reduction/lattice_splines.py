@@ -21,13 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_banded
 
 from sphrom.kernels import bspline
-from sphrom.reduction.mode_splines import (
-    LatticeCoefficients,
-    ModeSplines,
-    checked_factors,
-    checked_values,
-    coordinates,
-)
+from sphrom.reduction.mode_splines import LatticeCoefficients, ModeSplines
 from sphrom.sph.domain import Domain
 
 Array = NDArray[np.float64]
@@ -79,8 +73,7 @@ class LatticeSplines(LatticeCoefficients, ModeSplines):
 
     def combine(self, coefficients: ArrayLike) -> LatticeSplines:
         """Return splines of linear combinations of the columns."""
-        factors = checked_factors(coefficients, self.n_columns)
-        combined = self.coefficients.reshape(-1, self.n_columns) @ factors
+        combined = self.coefficients.reshape(-1, self.n_columns) @ np.asarray(coefficients)
         return replace(self, coefficients=combined.reshape(*self.coefficients.shape[:2], -1))
 
     def select(self, chosen: Indices) -> LatticeSplines:
@@ -97,12 +90,10 @@ def fit_lattice_splines(points: ArrayLike, values: ArrayLike, domain: Domain) ->
     values : (n_points, n_columns) the columns there, such as the modes by field.
 
     Raises ValueError if the points are not the cell centres of a lattice that fills the domain's
-    box, there are too few, or values are not finite.
+    box, or there are too few.
     """
-    position = domain.wrap(np.stack(coordinates(points, "points"), axis=1))
-    right = checked_values(values, len(position))
-    shape, order = _lattice_order(position, domain)
-    ordered = right[order].reshape(shape[1], shape[0], -1)
+    shape, order = _lattice_order(domain.wrap(np.asarray(points, dtype=np.float64)), domain)
+    ordered = np.asarray(values)[order].reshape(shape[1], shape[0], -1)
     along_y = _along_first_axis(ordered, domain.periodic[1])
     along_x = _along_first_axis(along_y.transpose(1, 0, 2), domain.periodic[0])
     return LatticeSplines(
@@ -113,20 +104,17 @@ def fit_lattice_splines(points: ArrayLike, values: ArrayLike, domain: Domain) ->
 
 
 def _cells(domain: Domain, shape: tuple[int, ...]) -> bspline.Lattice:
-    spacing = [length / n for length, n in zip(domain.lengths, shape, strict=True)]
-    cells = [n if periodic else n - 1 for n, periodic in zip(shape, domain.periodic, strict=True)]
-    periods = [
-        float(n) if periodic else 0.0 for n, periodic in zip(shape, domain.periodic, strict=True)
-    ]
+    (n_columns, n_rows), (along_x, along_y) = shape, domain.periodic
+    x_spacing, y_spacing = domain.lengths[0] / n_columns, domain.lengths[1] / n_rows
     return bspline.Lattice(
-        x_origin=domain.lower[0] + 0.5 * spacing[0],
-        y_origin=domain.lower[1] + 0.5 * spacing[1],
-        x_spacing=spacing[0],
-        y_spacing=spacing[1],
-        n_columns=cells[0],
-        n_rows=cells[1],
-        x_period=periods[0],
-        y_period=periods[1],
+        x_origin=domain.lower[0] + 0.5 * x_spacing,
+        y_origin=domain.lower[1] + 0.5 * y_spacing,
+        x_spacing=x_spacing,
+        y_spacing=y_spacing,
+        n_columns=n_columns if along_x else n_columns - 1,
+        n_rows=n_rows if along_y else n_rows - 1,
+        x_period=float(n_columns) if along_x else 0.0,
+        y_period=float(n_rows) if along_y else 0.0,
     )
 
 

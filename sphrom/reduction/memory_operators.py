@@ -74,13 +74,13 @@ class _States:
 
 
 class _Rates:
-    """The parts of f at a viscosity and a speed of walls: sources, L and B."""
+    """The parts of f at a viscosity: sources, L and B."""
 
-    def __init__(self, points: FixedPoints, kinematic_viscosity: float, wall_speed: float) -> None:
+    def __init__(self, points: FixedPoints, kinematic_viscosity: float) -> None:
         self.points = points
         self.viscosity = kinematic_viscosity
         drag = points.wall_friction
-        self.drag = None if drag is None else kinematic_viscosity * wall_speed * drag
+        self.drag = None if drag is None else kinematic_viscosity * drag
         self.head = None if points.body_force is None else points.head_push(points.body_force)
 
     @property
@@ -146,13 +146,12 @@ def project_memory(
     splines: ModeSplines | None = None,
     *,
     kinematic_viscosity: float,
-    wall_speed: float = 1.0,
 ) -> Polynomial:
     """Return Phi^T W J r, the term of Eq. 3.22 per unit of memory length.
 
     The other parameters are those of `sphrom.reduction.operator_projection.project_operators`.
     """
-    rates = _Rates(points, kinematic_viscosity, wall_speed)
+    rates = _Rates(points, kinematic_viscosity)
     fields = mode_fields(basis, points)
     states = _all_states(points, fields, splines)
     weights = weighted_rows(basis, fields, EVERYWHERE)

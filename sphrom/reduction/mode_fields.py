@@ -91,7 +91,7 @@ def mode_gradients(
         return lambda rows: np.stack([points.gradients(part, rows) for part in parts])
 
     def by_splines(rows: Rows) -> Array:
-        found = splines.gradients(points.position[rows])
+        found = splines.values_and_gradients(points.position[rows])[1]
         out = np.zeros((3, 2, len(found), fields.n_fields))
         by_column = found.reshape(len(found), fields.n_modes, 3, 2)
         out[..., : fields.n_modes] = by_column.transpose(2, 3, 0, 1)

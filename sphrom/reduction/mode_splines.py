@@ -39,10 +39,7 @@ class ModeSplines(ABC):
 
     @abstractmethod
     def combine(self, coefficients: ArrayLike) -> ModeSplines:
-        """Return splines of linear combinations (n_columns, n_combinations) of the functions.
-
-        Raises ValueError if the coefficients do not fit the functions.
-        """
+        """Return splines of linear combinations (n_columns, n_combinations) of the functions."""
 
     @abstractmethod
     def select(self, chosen: Indices) -> ModeSplines:
@@ -56,36 +53,24 @@ class ModeSplines(ABC):
     def _fill_with_gradients(self, x: Array, y: Array, values: Array, gradients: Array) -> None:
         """Fill `values`, and `gradients` (n_positions, n_columns, 2) [1/m], at coordinates."""
 
-    def values(self, positions: ArrayLike) -> Array:
-        """Return all functions (n_positions, n_columns) at positions (n_positions, 2) [m]."""
-        return self.evaluate(*coordinates(positions, "positions"))
-
-    def gradients(self, positions: ArrayLike) -> Array:
-        """Return all gradients (n_positions, n_columns, 2) [1/m] at positions [m]."""
-        return self.values_and_gradients(positions)[1]
-
-    def values_and_gradients(self, positions: ArrayLike) -> tuple[Array, Array]:
-        """Return all functions and their gradients, in one pass."""
-        return self.evaluate_with_gradients(*coordinates(positions, "positions"))
-
-    def evaluate(self, x: Array, y: Array, out: Array | None = None) -> Array:
-        """Return all functions (Eq. 3.20) at coordinates x, y (n_positions,) [m].
+    def values(self, positions: ArrayLike, out: Array | None = None) -> Array:
+        """Return all functions (Eq. 3.20) at positions (n_positions, 2) [m].
 
         Along periodic axes any position will do. Along the others, a position beyond the points is
         extrapolated from the nearest cell. Where there is no spline, the result is NaN.
 
         `out` (n_positions, n_columns) is where to write, C-contiguous; a new array by default.
         """
+        x, y = coordinates(positions)
         out = np.empty((x.size, self.n_columns)) if out is None else out
         self._fill(x, y, out)
         return out
 
-    def evaluate_with_gradients(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Return all functions, and their gradients [1/m], at coordinates x, y (n_positions,)."""
-        values, gradients = (
-            np.empty((x.size, self.n_columns)),
-            np.empty((x.size, self.n_columns, 2)),
-        )
+    def values_and_gradients(self, positions: ArrayLike) -> tuple[Array, Array]:
+        """Return all functions, and their gradients (n_positions, n_columns, 2) [1/m]."""
+        x, y = coordinates(positions)
+        values = np.empty((x.size, self.n_columns))
+        gradients = np.empty((x.size, self.n_columns, 2))
         self._fill_with_gradients(x, y, values, gradients)
         return values, gradients
 
@@ -141,39 +126,10 @@ class LatticeCoefficients(Record):
     )
 
 
-def checked_factors(coefficients: ArrayLike, n_columns: int) -> Array:
-    """Return coefficients as an array (n_columns, n_combinations).
-
-    Raises ValueError if they do not fit the columns.
-    """
-    factors = np.asarray(coefficients, dtype=np.float64)
-    if factors.ndim != 2 or factors.shape[0] != n_columns:
-        raise ValueError(f"coefficients must be ({n_columns}, n_combinations), not {factors.shape}")
-    return factors
-
-
-def coordinates(positions: ArrayLike, name: str) -> tuple[Array, Array]:
-    """Return positions (n, 2) as x and y (n,) each.
-
-    Raises ValueError if they have another shape.
-    """
-    position = np.asarray(positions, dtype=np.float64)
-    if position.ndim != 2 or position.shape[1] != 2:
-        raise ValueError(f"{name} must be (n, 2), not {position.shape}")
-    return np.ascontiguousarray(position[:, 0]), np.ascontiguousarray(position[:, 1])
-
-
-def checked_values(values: ArrayLike, n_points: int) -> Array:
-    """Return values as an array (n_points, n_columns).
-
-    Raises ValueError if they have another shape, or are not finite.
-    """
-    right = np.asarray(values, dtype=np.float64)
-    if right.ndim != 2 or right.shape[0] != n_points or right.shape[1] == 0:
-        raise ValueError(f"values must be ({n_points}, n_columns), not {right.shape}")
-    if not np.all(np.isfinite(right)):
-        raise ValueError("values must be finite")
-    return right
+def coordinates(positions: ArrayLike) -> tuple[Array, Array]:
+    """Return positions (n, 2) as x and y (n,) each."""
+    x, y = np.asarray(positions, dtype=np.float64).T
+    return np.ascontiguousarray(x), np.ascontiguousarray(y)
 
 
 def basis_columns(basis: TrialBasis) -> Array:

@@ -1,12 +1,14 @@
-"""The right-hand side of the reference points, and forces on walls, in generalized coordinates.
+"""What is projected once from the reference points: rates, their residual, and forces on walls.
 
 The rates of `sphrom.sph.fixed_points` are quadratic once rho0/rho is expanded, so that their
 Galerkin projection (Eq. 3.21) is quadratic in the generalized coordinates: see
-`sphrom.reduction.reduced_operators`.
+`sphrom.reduction.reduced_operators`. The columns of the residual that is described there are
+replaced by the triangular factor of their QR decomposition. Directions that no state near the
+training ones reaches are dropped.
 
-Operators are computed for the modes and the constant part of a state alike, and the latter is then
-folded into the former. Points are visited in blocks: memory holds the basis, its copy as fields,
-and the diffusion of q, a third of it.
+All is computed for the modes and the constant part of a state alike, and the latter is then folded
+into the former. Points are visited in blocks: memory holds the basis, its copy as fields, and the
+diffusion of q, a third of it.
 
 States of a basis with a separate mean have no mean density here: no velocity follows from it, and
 fixed points keep it.
@@ -22,7 +24,6 @@ from numpy.typing import NDArray
 from sphrom.declaration import Tensors
 from sphrom.reduction.mode_fields import (
     BLOCK_VALUES,
-    ModeFields,
     blocks,
     mode_fields,
     mode_gradients,
@@ -30,13 +31,25 @@ from sphrom.reduction.mode_fields import (
 )
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.reduced_measures import DriveForce, ReducedForce
-from sphrom.reduction.reduced_operators import DriveRates, ReducedOperators
+from sphrom.reduction.reduced_operators import (
+    DriveRates,
+    DriveResidual,
+    ReducedOperators,
+    ResidualFactor,
+    monomials,
+)
+from sphrom.reduction.reduced_rates import pack
 from sphrom.reduction.trial_basis import TrialBasis
-from sphrom.sph.fixed_points import EVERYWHERE, FixedPoints, Order, Terms
-from sphrom.sph.fluid import NONE, FlowConditions
+from sphrom.sph.fixed_points import FixedPoints, Terms
+from sphrom.sph.fluid import NONE
 from sphrom.sph.wall_forces import TORQUE, MeasuredWall
 
 Array = NDArray[np.float64]
+Advance = Callable[[int], None]
+"""Called with the number of points that have been done."""
+
+DROPPED = 1e-5
+"""Singular values of the scaled columns over the largest, below which directions are dropped."""
 
 
 def project_operators(
@@ -44,96 +57,180 @@ def project_operators(
     basis: TrialBasis,
     splines: ModeSplines | None = None,
     *,
-    advance: Callable[[int], None] = lambda n_points: None,
+    advance: Advance = lambda n_points: None,
 ) -> ReducedOperators:
     """Project the rates of fixed points onto a basis (Eq. 3.21).
 
-    Parameters
-    ----------
-    splines : of the basis, whose gradients then advect; by default sums over the points do.
-    advance : called with the number of points that have been done.
+    `splines` are the basis's, whose gradients then advect; by default sums over the points do.
     """
-    fields = mode_fields(basis, points)
-    gradients = mode_gradients(points, fields, splines)
-    diffusion = points.diffusion(fields.scaled_density)
-    sums = _Sums(points, basis, fields)
-    for rows in blocks(points.n_points, BLOCK_VALUES // (6 * fields.n_fields)):
-        sums.add(rows, gradients(rows), diffusion[rows])
+    sums = _Sums(points, basis, splines)
+    for rows in blocks(points.n_points, BLOCK_VALUES // (6 * sums.fields.n_fields)):
+        sums.add(rows)
         advance(rows.stop - rows.start)
     return sums.folded()
 
 
-class _Sums:
+def residual_factor(
+    points: FixedPoints,
+    basis: TrialBasis,
+    operators: ReducedOperators,
+    splines: ModeSplines | None = None,
+    *,
+    largest: Array | None = None,
+    scales: Mapping[str, float] | None = None,
+    advance: Advance = lambda n_points: None,
+) -> ResidualFactor:
+    """Factorise the residual's columns, block by block.
+
+    Parameters
+    ----------
+    operators : those that were projected with the same points, basis and splines.
+    largest : (n_modes,) coordinates that states reach; by default one each. Directions below
+        `DROPPED` there, at `scales` of the parameters by part (by default one), are dropped.
+    """
+    residuals = _Residuals(points, basis, operators, splines)
+    triangle = np.zeros((0, sum(residuals.widths)))
+    for rows in blocks(points.n_points, triangle.shape[1]):
+        block = np.concatenate((triangle, residuals.columns(rows)))
+        triangle = np.asarray(np.linalg.qr(block, mode="r"))
+        advance(rows.stop - rows.start)
+    reached = np.ones(basis.n_modes) if largest is None else largest
+    # No coordinate counts for nothing.
+    floor = np.finfo(float).eps * float(np.max(reached))
+    size = monomials(np.maximum(reached, floor)[None])[0]
+    factors = [(scales or {}).get(part, 1.0) for part in residuals.parts]
+    scale = np.concatenate(
+        [factor * size[:n] for factor, n in zip(factors, residuals.widths, strict=True)]
+    )
+    # As few rows as give the same norms.
+    _, values, directions = np.linalg.svd(triangle * scale, full_matrices=False)
+    kept = values > DROPPED * values[0]
+    reduced = np.asarray(values[kept, None] * directions[kept] / scale)
+    parts = np.split(reduced, np.cumsum(residuals.widths)[:-1], axis=1)
+    found = dict(zip(residuals.parts, parts, strict=True))
+    drives = {
+        name: DriveResidual(walls=found.get(f"walls/{name}"), force=found.get(f"force/{name}"))
+        for name in operators.drives
+    }
+    return ResidualFactor(
+        inertia=found["inertia"],
+        viscosity=found["viscosity"],
+        walls=found.get("walls"),
+        force=found.get("force"),
+        drives=drives,
+        walls_driven=points.walls_driven,
+    )
+
+
+class _Fields:
+    """The modes as fields, and their rates at some points.
+
+    Rates by walls that move and by body forces have a name for each part, such as `walls`, and
+    `walls/lid` of a parameter.
+    """
+
+    def __init__(self, points: FixedPoints, basis: TrialBasis, splines: ModeSplines | None) -> None:
+        self.points, self.basis, self.fields = points, basis, mode_fields(basis, points)
+        self.slopes = mode_gradients(points, self.fields, splines)
+        self.diffusion = points.diffusion(self.fields.scaled_density)
+        self.divergence = points.divergence(self.fields.velocity)
+        self.drags = {} if points.wall_friction is None else {"walls": points.wall_friction}
+        self.forces = {} if points.body_force is None else {"force": points.body_force}
+        for name, drive in points.drives.items():
+            if drive.walls is not None:
+                self.drags[f"walls/{name}"] = points.friction_of(drive.walls.T)
+            if drive.force is not None:
+                self.forces[f"force/{name}"] = drive.force
+
+    def terms(self, rows: slice) -> Terms:
+        """Return the linear terms of the fields."""
+        fields = self.fields
+        return self.points.terms(fields.scaled_density, fields.velocity, rows, self.divergence)
+
+    def products(self, k: int, rows: slice, terms: Terms, slopes: Array) -> tuple[Array, Array]:
+        """Return the products of a field, as carrier or compressed density, with all fields.
+
+        Those of the inertia (4, n, n_fields): the advection of q, the rest of continuity, and the
+        velocity; and those of the viscosity (2, n, n_fields).
+        """
+        q, (u, v) = (
+            self.fields.scaled_density[rows, k, None],
+            self.fields.velocity[:, rows, k, None],
+        )
+        products = np.empty((4, *terms.divergence.shape))
+        products[1] = -q * terms.divergence
+        products[[0, 2, 3]] = -u * slopes[:, 0] - v * slopes[:, 1]
+        products[2:] += q * terms.pressure_gradient
+        return products, -q / self.points.sound_speed * terms.laplacian
+
+    def driven(self, rows: slice) -> dict[str, tuple[Array, Array]]:
+        """Return the rates of the velocity by moving walls and body forces, by part.
+
+        The constant (2, n), and the part that is linear in the fields (2, n, n_fields).
+        """
+        density, found = self.fields.scaled_density, {}
+        for part, drag in self.drags.items():
+            share = density[rows] / self.points.sound_speed
+            found[part] = drag[:, rows], -drag[:, rows, None] * share
+        for part, force in self.forces.items():
+            head = self.points.head_push(force, rows)
+            more = self.points.head_push(force[..., None] * density, rows)
+            more = more - head[..., None] * density[rows]
+            found[part] = force[:, rows] + head, more / self.points.sound_speed
+        return found
+
+
+class _Sums(_Fields):
     """Sums of the operators of all fields over blocks of points.
 
     A point has four rates: the advection of q, then the rest of continuity, whose mean may be taken
     out, and two of the velocity.
     """
 
-    def __init__(self, points: FixedPoints, basis: TrialBasis, fields: ModeFields) -> None:
-        m, k = fields.n_modes, fields.n_fields
-        self.points, self.basis, self.fields = points, basis, fields
+    def __init__(self, points: FixedPoints, basis: TrialBasis, splines: ModeSplines | None) -> None:
+        super().__init__(points, basis, splines)
+        m, k = self.fields.n_modes, self.fields.n_fields
         self.acoustic = np.zeros((m, k))
         self.inertia = np.zeros(m), np.zeros((m, k)), np.zeros((m, k, k))
         self.viscosity = np.zeros(m), np.zeros((m, k)), np.zeros((m, k, k))
-        self._drags, self._forces = drags_and_forces(points)
-        self.driven = {
-            part: (np.zeros(m), np.zeros((m, k))) for part in (*self._drags, *self._forces)
+        self.by_part = {
+            part: (np.zeros(m), np.zeros((m, k))) for part in (*self.drags, *self.forces)
         }
-        self._divergence = points.divergence(fields.velocity)
         self._mean_weight = np.zeros(m)
         if points.fixed_volume:
             # Taking the mean out of rates is the same as taking it out of what weighs them.
             total = basis.density_modes @ basis.weights
-            self._mean_weight = total / (fields.density_ratio * points.n_points)
+            self._mean_weight = total / (self.fields.density_ratio * points.n_points)
 
-    def add(self, rows: slice, slopes: Array, diffusion: Array) -> None:
-        """Add the contribution of a block of points.
-
-        Parameters
-        ----------
-        slopes : (3, 2, n, n_fields) the gradients of the fields there.
-        diffusion : (n, n_fields).
-        """
-        fields, speed = self.fields, self.points.sound_speed
-        terms = self.points.terms(fields.scaled_density, fields.velocity, rows, self._divergence)
-        weights = self._weights(rows)
+    def add(self, rows: slice) -> None:
+        """Add the contribution of a block of points."""
+        speed, terms, slopes = self.points.sound_speed, self.terms(rows), self.slopes(rows)
+        tests = weighted_rows(self.basis, self.fields, rows)
+        continuity = tests[:, :1] - self._mean_weight[:, None, None]
+        weights = np.concatenate((tests[:, :1], continuity, tests[:, 1:]), axis=1)
         sound = -speed * np.concatenate((terms.divergence[None], terms.pressure_gradient))
         linear = _projected(weights[:, 1:], sound)
-        self.inertia[1][...] += linear + weights[:, 1] @ diffusion
+        self.inertia[1][...] += linear + weights[:, 1] @ self.diffusion[rows]
         if terms.damping is not None:
             linear += speed * _projected(weights[:, 2:], terms.damping)
         self.acoustic[...] += linear
         self.viscosity[1][...] += _projected(weights[:, 2:], terms.laplacian)
-        self._add_products(rows, weights, terms, slopes)
-        driven = {part: drag_rates(self.points, fields, d, rows) for part, d in self._drags.items()}
-        for part, force in self._forces.items():
-            driven[part] = force_rates(self.points, fields, force, rows)
-        for part, (constant, lighter) in driven.items():
-            into = self.driven[part]
-            into[0][...] += _projected(weights[:, 2:], constant[..., None])[:, 0]
-            into[1][...] += _projected(weights[:, 2:], lighter)
-
-    def _weights(self, rows: slice) -> Array:
-        """Return the weights of the rates (n_modes, 4, n)."""
-        tests = weighted_rows(self.basis, self.fields, rows)
-        continuity = tests[:, :1] - self._mean_weight[:, None, None]
-        return np.concatenate((tests[:, :1], continuity, tests[:, 1:]), axis=1)
-
-    def _add_products(self, rows: slice, weights: Array, terms: Terms, slopes: Array) -> None:
-        """Add the products of each field, as carrier or compressed density, with all fields."""
         for k in range(self.fields.n_fields):
-            inertia, viscosity = product_rates(self.points, self.fields, k, rows, terms, slopes)
+            inertia, viscosity = self.products(k, rows, terms, slopes)
             self.inertia[2][:, k] += _projected(weights, inertia)
             self.viscosity[2][:, k] += _projected(weights[:, 2:], viscosity)
+        for part, (constant, lighter) in self.driven(rows).items():
+            into = self.by_part[part]
+            into[0][...] += _projected(weights[:, 2:], constant[..., None])[:, 0]
+            into[1][...] += _projected(weights[:, 2:], lighter)
 
     def folded(self) -> ReducedOperators:
         """Return the operators of the modes, with the constant part folded in."""
         n_modes = self.fields.n_modes
-        driven = {part: folded(sums, n_modes) for part, sums in self.driven.items()}
+        driven = {part: _folded(sums, n_modes) for part, sums in self.by_part.items()}
         return ReducedOperators(
-            inertia=folded(self.inertia, n_modes),
-            viscosity=folded(self.viscosity, n_modes),
+            inertia=_folded(self.inertia, n_modes),
+            viscosity=_folded(self.viscosity, n_modes),
             walls=driven.get("walls"),
             force=driven.get("force"),
             acoustic=self.acoustic[:, :n_modes],
@@ -147,70 +244,13 @@ class _Sums:
         )
 
 
-def drags_and_forces(points: FixedPoints) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Return the friction of moving walls, and body forces (2, n_points), by part.
-
-    Parts are such as `walls`, and `walls/lid` of a parameter.
-    """
-    drags = {} if points.wall_friction is None else {"walls": points.wall_friction}
-    forces = {} if points.body_force is None else {"force": points.body_force}
-    for name, drive in points.drives.items():
-        if drive.walls is not None:
-            drags[f"walls/{name}"] = points.friction_of(drive.walls.T)
-        if drive.force is not None:
-            forces[f"force/{name}"] = drive.force
-    return drags, forces
-
-
-def product_rates(
-    points: FixedPoints,
-    fields: ModeFields,
-    k: int,
-    rows: slice,
-    terms: Terms,
-    slopes: Array,
-) -> tuple[Array, Array]:
-    """Return the products of a field, as carrier or compressed density, with all fields.
-
-    Those of the inertia (4, n, n_fields): the advection of q, the rest of continuity, and the
-    velocity; and those of the viscosity (2, n, n_fields). `terms` and `slopes` are those of the
-    `rows`.
-    """
-    q, (u, v) = fields.scaled_density[rows, k, None], fields.velocity[:, rows, k, None]
-    products = np.empty((4, *terms.divergence.shape))
-    products[1] = -q * terms.divergence
-    products[[0, 2, 3]] = -u * slopes[:, 0] - v * slopes[:, 1]
-    products[2:] += q * terms.pressure_gradient
-    return products, -q / points.sound_speed * terms.laplacian
-
-
-def drag_rates(
-    points: FixedPoints, fields: ModeFields, drag: Array, rows: slice
-) -> tuple[Array, Array]:
-    """Return the rates of the velocity by moving walls' friction, as `force_rates` does."""
-    share = fields.scaled_density[rows] / points.sound_speed
-    return drag[:, rows], -drag[:, rows, None] * share
-
-
-def force_rates(
-    points: FixedPoints, fields: ModeFields, force: Array, rows: slice
-) -> tuple[Array, Array]:
-    """Return the rates of the velocity by a body force (2, n_points), per amplitude.
-
-    The constant (2, n), and the part that is linear in the fields (2, n, n_fields).
-    """
-    head, density = points.head_push(force, rows), fields.scaled_density
-    more = points.head_push(force[..., None] * density, rows) - head[..., None] * density[rows]
-    return force[:, rows] + head, more / points.sound_speed
-
-
 def _projected(weights: Array, rates: Array) -> Array:
     """Sum rates (n_rows, n, n_fields) over points, with weights (n_modes, n_rows, n)."""
     n_modes, n_fields = len(weights), rates.shape[2]
     return np.asarray(weights.reshape(n_modes, -1) @ rates.reshape(-1, n_fields))
 
 
-def folded(tensors: Tensors, n_modes: int) -> Tensors:
+def _folded(tensors: Tensors, n_modes: int) -> Tensors:
     """Return tensors of fields (n, ...) as symmetric tensors of modes.
 
     The coordinate of the constant part, which stands last, is one.
@@ -226,60 +266,72 @@ def folded(tensors: Tensors, n_modes: int) -> Tensors:
     return (constant, linear, *symmetric)
 
 
-class UnprojectedModel:
-    """Rates that are evaluated at all points for each state: operators are checked with them.
-
-    Parameters are those of `project_operators`; an order of None expands nothing.
-    """
+class _Residuals(_Fields):
+    """The residual's columns at points, orthogonal to the modes and weighted as the product is."""
 
     def __init__(
         self,
         points: FixedPoints,
         basis: TrialBasis,
-        splines: ModeSplines | None = None,
-        *,
-        order: Order | None = None,
+        operators: ReducedOperators,
+        splines: ModeSplines | None,
     ) -> None:
-        self.points, self.basis, self.order = points, basis, order
-        self._fields = mode_fields(basis, points)
-        self._slopes = mode_gradients(points, self._fields, splines)(slice(0, points.n_points))
+        super().__init__(points, basis, splines)
+        tensors = {part: getattr(operators, part) for part in ("inertia", "viscosity")}
+        for name, each in {"": operators, **operators.drives}.items():
+            for part in ("walls", "force"):
+                tensors[f"{part}/{name}" if name else part] = getattr(each, part)
+        tensors = {part: each for part, each in tensors.items() if each is not None}
+        self.parts = list(tensors)
+        projected = [pack(each) for each in tensors.values()]
+        self.widths = [p.shape[1] for p in projected]
+        self._projected = np.concatenate(projected, axis=1)
+        # What is taken out of continuity, of fields and of their products.
+        self._means: tuple[Array | float, Array | float] = 0.0, 0.0
+        if points.fixed_volume:
+            linear = self.diffusion.sum(axis=0)
+            linear -= points.sound_speed * self.divergence.sum(axis=0)
+            products = -(self.fields.scaled_density.T @ self.divergence)
+            self._means = linear / points.n_points, products / points.n_points
 
-    def fields(self, coordinates: Array) -> tuple[Array, Array]:
-        """Return q (n_points,) and the velocity (2, n_points) of coordinates (n_modes,) [m/s]."""
-        factors = self._fields.coefficients(coordinates)
-        return self._fields.scaled_density @ factors, self._fields.velocity @ factors
+    def columns(self, rows: slice) -> Array:
+        """Return the columns (3 n, n_columns) at some points."""
+        tensors, packed = self._by_part(rows), []
+        for part in self.parts:
+            flat = tuple(tensor.reshape(-1, *tensor.shape[2:]) for tensor in tensors[part])
+            packed.append(pack(_folded(flat, self.fields.n_modes)))
+        n_columns = sum(self.widths)
+        rates = np.concatenate(packed, axis=1).reshape(3, -1, n_columns)
+        rates[0] /= self.fields.density_ratio
+        rates[0] -= self.basis.density_modes[:, rows].T @ self._projected
+        rates[1:] -= self.basis.velocity_modes[:, rows].transpose(2, 1, 0) @ self._projected
+        rates *= np.sqrt(self.basis.weights[rows])[:, None]
+        return rates.reshape(-1, n_columns)
 
-    def full_rates(self, coordinates: Array, conditions: FlowConditions) -> Array:
-        """Return the rates (3, n_points) [m/s2] of q and of the velocity."""
-        slopes = self._slopes @ self._fields.coefficients(coordinates)
-        return self.points.rates(*self.fields(coordinates), slopes, conditions, self.order)
-
-    def __call__(self, coordinates: Array, conditions: FlowConditions) -> Array:
-        """Return the rates (n_modes,) of the generalized coordinates."""
-        rates = self.full_rates(coordinates, conditions)
-        weights = weighted_rows(self.basis, self._fields, EVERYWHERE)
-        return np.einsum("mfn,fn->m", weights, rates)
-
-
-def expansion_errors(
-    points: FixedPoints,
-    density_fluctuation: Array,
-    velocity: Array,
-    conditions: FlowConditions,
-    order: Order,
-) -> Array:
-    """Return the relative L2 error (n_snapshots,) of the rates by the expansion of rho0/rho.
-
-    Snapshots are (n_snapshots, n_points) [kg/m3] and (n_snapshots, n_points, 2) [m/s].
-    """
-    errors = []
-    for fluctuation, flow in zip(density_fluctuation, velocity, strict=True):
-        state = (points.density_scale * fluctuation, np.ascontiguousarray(flow.T))
-        slopes = np.stack([points.gradients(field) for field in (state[0], *state[1])])
-        exact, expanded = (points.rates(*state, slopes, conditions, o) for o in (None, order))
-        size = float(np.linalg.norm(exact))
-        errors.append(float(np.linalg.norm(expanded - exact)) / size if size > 0.0 else 0.0)
-    return np.array(errors)
+    def _by_part(self, rows: slice) -> dict[str, Tensors]:
+        """Return the rates of columns at some points, by part and degree, as (3, n, ...)."""
+        points, terms, slopes = self.points, self.terms(rows), self.slopes(rows)
+        constant = np.zeros((3, *terms.divergence.shape[:1]))
+        sound, friction = np.zeros((2, 3, *terms.divergence.shape))
+        sound[0] = self.diffusion[rows] - points.sound_speed * terms.divergence - self._means[0]
+        sound[1:] = -points.sound_speed * terms.pressure_gradient
+        friction[1:] = terms.laplacian
+        inertia = np.empty((*sound.shape, self.fields.n_fields))
+        viscosity = np.zeros_like(inertia)
+        for k in range(self.fields.n_fields):
+            own, light = self.products(k, rows, terms, slopes)
+            inertia[:, :, k] = own[[0, 2, 3]]
+            inertia[0, :, k] += own[1]
+            viscosity[1:, :, k] = light
+        inertia[0] -= self._means[1]
+        found: dict[str, Tensors] = {
+            "inertia": (constant, sound, inertia),
+            "viscosity": (constant, friction, viscosity),
+        }
+        for part, rates in self.driven(rows).items():
+            # They have no part in continuity.
+            found[part] = tuple(np.concatenate((np.zeros_like(t[:1]), t)) for t in rates)
+        return found
 
 
 def project_forces(

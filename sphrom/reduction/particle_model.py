@@ -23,7 +23,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from copy import copy
 from dataclasses import dataclass
 from typing import Literal
 
@@ -161,12 +160,6 @@ class ParticleModel:
         self.separate_mean = separate_mean
         self.closure = closure
 
-    def with_closure(self, closure: AdjointPetrovGalerkin) -> ParticleModel:
-        """Return the same model with another closure."""
-        other = copy(self)
-        other.closure = closure
-        return other
-
     @property
     def domain(self) -> Domain:
         """Where the fluid is."""
@@ -203,9 +196,8 @@ class ParticleModel:
 
     def fields(self, state: Array) -> ReducedFields:
         """Rebuild the fields at the particles (Eq. 3.7 and 3.20)."""
-        x, y = self.position(state)
         combined = self.modes.combine(np.kron(self.coordinates(state)[:, None], np.eye(3)))
-        values, gradient = combined.evaluate_with_gradients(x, y)
+        values, gradient = combined.values_and_gradients(self.position(state).T)
         return ReducedFields(
             density_fluctuation=self.product.density_fluctuation(values[:, 0])
             + self.mean_density_fluctuation(state),
@@ -274,7 +266,7 @@ class ParticleModel:
         # Kept, because getting so much memory anew takes as long as filling it.
         if self._basis.shape != shape:
             self._basis = np.empty(shape)
-        self.modes.evaluate(position[0], position[1], self._basis)
+        self.modes.values(position.T, self._basis)
         basis = self._basis.reshape(-1, self.n_modes, 3)
         weights = self.product.weights(self.functional.volume(density_fluctuation))
         return Projector(basis, weights, separate_mean=self.separate_mean)

@@ -1,4 +1,4 @@
-"""Reduced models on the reference points: batches of runs, and steady states.
+"""Reduced models on the reference points: steps of Runge and Kutta, and steady states.
 
 The cost of a step depends on the number of modes only. Coordinates are (n_modes,) each.
 """
@@ -72,106 +72,86 @@ class OutputTimes:
 
 
 @dataclass(frozen=True)
-class Runs:
-    """Coordinates of a batch of runs."""
+class Run:
+    """Coordinates of a run."""
 
     time: Array
     """(n_snapshots,) [s]."""
     coordinates: Array
-    """(n_runs, n_snapshots, n_modes), NaN from where a run diverged."""
-    time_step: Array
-    """(n_runs,) [s]."""
-    diverged_at: Array
-    """(n_runs,) the time [s] of the last step before a run diverged; NaN where it didn't."""
+    """(n_snapshots, n_modes), NaN from where the run diverged."""
+    time_step: float
+    """[s]."""
+    diverged_at: float
+    """The time [s] of the last step before the run diverged; NaN where it didn't."""
     correction: Array | None = None
-    """(n_runs, n_snapshots, n_modes) the part of the coordinates that training runs add."""
+    """(n_snapshots, n_modes) the part of the coordinates that training runs add."""
 
 
 class PolynomialModel:
-    """A batch of polynomial systems, such as one model at many parameters.
+    """A polynomial system in Runge-Kutta steps (Eq. 2.18).
 
-    Raises ValueError when they differ in modes or degrees.
+    Snapshots within a step are interpolated by the cubic of the states and slopes at its ends.
     """
 
     integrator = RUNGE_KUTTA
 
-    def __init__(self, polynomials: Sequence[Polynomial]) -> None:
-        packed = [polynomial.packed() for polynomial in polynomials]
-        if len({(coefficients.shape, tuple(used)) for coefficients, used in packed}) != 1:
-            raise ValueError("polynomials of one batch must have the same modes and degrees")
-        self._coefficients = np.stack([coefficients for coefficients, _ in packed])
-        self._used = packed[0][1]
-        self._degree = polynomials[0].degree
-
-    @property
-    def n_runs(self) -> int:
-        """How many systems there are."""
-        return len(self._coefficients)
+    def __init__(self, polynomial: Polynomial) -> None:
+        self._coefficients, self._used = polynomial.packed()
+        self._degree = polynomial.degree
 
     def steps_taken(self, n_steps: int, output_times: OutputTimes) -> int:
-        """Return the steps that a run asked for some over a output_times takes: as many."""
+        """Return the steps that a run asked for some takes: as many."""
         return n_steps
 
     def time_step(self, n_steps: int, output_times: OutputTimes) -> float:
         """Return the length [s] of the steps of a run that is asked for some."""
-        return output_times.interval * max(1, output_times.n_snapshots - 1) / max(1, n_steps)
+        # Exactly a part of the interval where steps end on every snapshot.
+        per_snapshot = max(n_steps, 1) / max(1, output_times.n_snapshots - 1)
+        return output_times.interval / per_snapshot
 
-    def run_in(
+    def run(
         self,
-        n_steps: Indices | Sequence[int],
+        n_steps: int,
         start: Array,
         output_times: OutputTimes,
         amplitude: Amplitude | None = None,
-    ) -> Runs:
-        """Advance all systems from coordinates (n_runs, n_modes) by Runge-Kutta steps (Eq. 2.18).
+    ) -> Run:
+        """Advance the system from coordinates (n_modes,), in some equal steps at least.
 
-        Snapshots within a step are interpolated by the cubic of the states and slopes at its ends.
-
-        Parameters
-        ----------
-        n_steps : (n_runs,) the equal steps from the start to the last snapshot.
-        amplitude : None where it is zero throughout.
+        An amplitude of None is zero throughout.
         """
-        wanted = np.asarray(n_steps, dtype=np.int64)
-        n_modes = start.shape[1]
-        # Exactly a part of the interval where steps end on every snapshot.
-        per_snapshot = np.maximum(wanted, 1) / max(1, output_times.n_snapshots - 1)
-        time_step = output_times.interval / per_snapshot
-        out = np.full((self.n_runs, output_times.n_snapshots, n_modes), np.nan)
-        out[:, 0] = start
-        steps = np.empty(self.n_runs, dtype=np.int64)
-        coefficients, used, amplitudes = self._driven(
-            output_times.start_time, wanted, time_step, amplitude
-        )
-        scratch = (
-            np.empty((self.n_runs, coefficients.shape[3])),
-            np.empty((self.n_runs, 5, n_modes)),
-        )
-        common = (self._degree, output_times.largest_norm**2)
-        if self.n_runs == 1:
-            # One run needs no threads, and starting them takes longer than many a run.
-            steps[0] = kernels.integrate(
-                coefficients[0], used, amplitudes[0], time_step[0], wanted[0], *common,
-                scratch[0][0], scratch[1][0], out[0],
-            )  # fmt: skip
-        else:
-            kernels.integrate_batch(
-                coefficients, used, amplitudes, time_step, wanted, *common, *scratch, out, steps
-            )
-        diverged = np.where(steps == wanted, np.nan, output_times.start_time + steps * time_step)
-        return Runs(output_times.time, out, time_step, diverged)
+        out = np.full((output_times.n_snapshots, start.size), np.nan)
+        out[0] = start
+        taken = self.steps_taken(n_steps, output_times)
+        time_step = self.time_step(n_steps, output_times)
+        driven = self._driven(output_times.start_time, taken, time_step, amplitude)
+        largest_square = output_times.largest_norm**2
+        done = self._integrate(n_steps, output_times, driven, largest_square, out)
+        diverged_at = math.nan if done == taken else output_times.start_time + done * time_step
+        return Run(output_times.time, out, time_step, diverged_at)
+
+    def _integrate(
+        self,
+        n_steps: int,
+        output_times: OutputTimes,
+        driven: tuple[Array, Indices, Array],
+        largest_square: float,
+        out: Array,
+    ) -> int:
+        """Fill the snapshots after the first, and return the steps before it diverged, or all."""
+        return kernels.integrate(
+            *driven, self.time_step(n_steps, output_times), n_steps, self._degree, largest_square,
+            np.empty(driven[0].shape[2]), np.empty((5, out.shape[1])), out,
+        )  # fmt: skip
 
     def _driven(
-        self, start_time: float, n_steps: Indices, time_step: Array, amplitude: Amplitude | None
+        self, start_time: float, n_steps: int, time_step: float, amplitude: Amplitude | None
     ) -> tuple[Array, Indices, Array]:
-        """Return the coefficients that count, and the amplitudes at the substeps of each run."""
+        """Return the coefficients that count, how many, and the amplitudes at substeps."""
         if amplitude is None:
-            return self._coefficients[:, :1], self._used[:1], np.zeros((self.n_runs, 3))
-        n_times = 2 * n_steps + 1
-        amplitudes = np.zeros((self.n_runs, max(3, int(n_times.max()))))
-        for row, n, step in zip(amplitudes, n_times, time_step, strict=True):
-            row[:n] = amplitude(start_time + 0.5 * step * np.arange(n))
-        return self._coefficients, self._used, amplitudes
+            return self._coefficients[:1], self._used[:1], np.zeros(3)
+        times = start_time + 0.5 * time_step * np.arange(max(3, 2 * n_steps + 1), dtype=np.float64)
+        return self._coefficients, self._used, amplitude(times)
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,10 @@ Galerkin projection (Eq. 3.21) at fixed points gives rates that are quadratic in
     da/dt = sum_k theta_k (c_k + A_k a + H_k(a, a)),
 
 with factors theta_k of the parameters: 1 for the inertia (pressure, diffusion, advection), the
-kinematic viscosity nu, nu s for walls that move with s times their given velocity, and the
-amplitude beta(t) of the body force. Where walls are driven, their factor is nu s beta(t). A
-parameter that drives the flow by walls or force has parts of its own, whose factors are its value
-times theirs. One set of operators serves all parameters. `sphrom.reduction.operator_projection` and
+kinematic viscosity nu, nu again for walls that move, and the amplitude beta(t) of the body force.
+Where walls are driven, their factor is nu beta(t). A parameter that drives the flow by walls or
+force has parts of its own, whose factors are its value times theirs. One set of operators serves
+all parameters. `sphrom.reduction.operator_projection` and
 `sphrom.reduction.memory_operators` make them; reduced runs need nothing but these records.
 
 The norm of a model's residual comes at the cost of the model. A state of coordinates a has the
@@ -17,10 +17,9 @@ Both are polynomials of a, so that
 
     R(a) - Phi R^(a) = sum_k theta_k (columns of part k) (monomials of a),    R^ = Phi^T W R,
 
-with the same factors theta_k. The columns depend on neither a
-nor the parameters, and only the triangular factor F of their QR decomposition is kept
-(`sphrom.reduction.residual_factor`): |columns times m| = |F m|. The norm is the inner product's;
-its square is a quartic of a.
+with the same factors theta_k. The columns depend on neither a nor the parameters, and only the
+triangular factor F of their QR decomposition is kept: |columns times m| = |F m|. The norm is the
+inner product's; its square is a quartic of a.
 
 The columns are orthogonal to all modes of the basis. A model of fewer modes also leaves out the
 rates of the other modes, which the projected operators know. A closure (Eq. 3.22) changes da/dt
@@ -48,10 +47,6 @@ from sphrom.sph.fluid import NONE, Factors
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-
-PARTS = {"inertia": 2, "viscosity": 2, "walls": 1, "force": 1}
-"""The parts of the operators, and the degrees of their polynomials."""
-
 
 VISCOSITY = " per m2/s of viscosity"
 WALLS = f"{VISCOSITY}, at the walls' speed"
@@ -120,15 +115,12 @@ class ReducedOperators(Record):
         """Return the operators of some modes."""
         return self.mapped(lambda tensor: tensor[np.ix_(*(modes,) * tensor.ndim)])
 
-    def at(
-        self, kinematic_viscosity: float, wall_speed: float = 1.0, factors: Factors = NONE
-    ) -> Polynomial:
-        """Return the rates at a viscosity [m2/s] and a speed of walls over the given one.
+    def at(self, kinematic_viscosity: float, factors: Factors = NONE) -> Polynomial:
+        """Return the rates at a viscosity [m2/s] and values of the parameters that drive the flow.
 
-        The amplitude of the polynomial is that of the body force, or of driven walls. `factors`
-        are the values of the parameters that drive the flow.
+        The amplitude of the polynomial is that of the body force, or of driven walls.
         """
-        return _affine_sum(self, kinematic_viscosity, wall_speed, factors)
+        return _affine_sum(self, kinematic_viscosity, factors)
 
 
 class DriveResidual(Record):
@@ -168,22 +160,18 @@ class ResidualFactor(Record):
     walls_driven: bool = False
     """Whether walls move with the amplitude."""
 
-    def at(
-        self, kinematic_viscosity: float, wall_speed: float = 1.0, factors: Factors = NONE
-    ) -> tuple[Array, ...]:
+    def at(self, kinematic_viscosity: float, factors: Factors = NONE) -> tuple[Array, ...]:
         """Return F (n_directions, n_monomials) by power of the amplitude."""
         # By degree, as the factors of walls and force have no columns of the second.
         n_linear = (math.isqrt(8 * self.inertia.shape[1] + 1) - 1) // 2
         by_degree = self.mapped(
             lambda f: tuple(np.split(f, [n_linear], axis=1)) if f.shape[1] > n_linear else (f,)
         )
-        found = _affine_sum(by_degree, kinematic_viscosity, wall_speed, factors)
+        found = _affine_sum(by_degree, kinematic_viscosity, factors)
         return tuple(np.concatenate(each, axis=1) for each in found.powers)
 
 
-def _affine_sum(
-    parts: Any, kinematic_viscosity: float, wall_speed: float, factors: Factors
-) -> Polynomial:
+def _affine_sum(parts: Any, kinematic_viscosity: float, factors: Factors) -> Polynomial:
     """Return the sum of tensors by parameter, at their values.
 
     `parts` has the tensors of `inertia`, `viscosity`, `walls` and `force`, and of `drives`.
@@ -195,7 +183,7 @@ def _affine_sum(
     moved = with_drives(parts.walls, parts.drives, "walls", factors)
     if moved is not None:
         walls = ((), moved) if parts.walls_driven else (moved,)
-        found = found.plus(Polynomial(walls), kinematic_viscosity * wall_speed)
+        found = found.plus(Polynomial(walls), kinematic_viscosity)
     return found
 
 
@@ -287,9 +275,8 @@ def residual_norm(
     operators: ReducedOperators,
     modes: Indices,
     kinematic_viscosity: float,
-    wall_speed: float = 1.0,
-    closure: Polynomial | None = None,
     factors: Factors = NONE,
+    closure: Polynomial | None = None,
 ) -> ResidualNorm:
     """Return the residual's norm of a model with some modes of a basis.
 
@@ -297,12 +284,11 @@ def residual_norm(
     ----------
     factor, operators : of the whole basis.
     modes : (n_modes,) those of the model, rising.
-    closure : the rates that it adds to the projected ones.
     factors : the values of the parameters that drive the flow.
+    closure : the rates that it adds to the projected ones.
     """
     kept, left_out = _kept(operators.n_modes, tuple(modes.tolist()))
-    powers = []
-    around = kinematic_viscosity, wall_speed, factors
+    powers, around = [], (kinematic_viscosity, factors)
     for own, rates in zip(factor.at(*around), operators.at(*around).powers, strict=True):
         others = pack(tuple(tensor[left_out] for tensor in rates))
         used = kept[: np.searchsorted(kept, own.shape[1])]

@@ -29,7 +29,7 @@ from sphrom.reduction.polynomial_model import (
     Amplitude,
     OutputTimes,
     PolynomialModel,
-    Runs,
+    Run,
     step_limits,
     steps_within,
 )
@@ -170,74 +170,6 @@ def step_tolerance(basis: TrialBasis) -> float:
     return max(LEAST_ERROR, STEP_SHARE * share)
 
 
-def first_exponential(n_stable: int, output_times: OutputTimes) -> int:
-    """Return the exponential steps of a whole run to begin a search with.
-
-    One from snapshot to snapshot is enough where it is something other than sound that is stiff.
-    """
-    return max(1, min(math.ceil(n_stable / LONGER), output_times.n_snapshots - 1))
-
-
-def accurate_steps(
-    system: PolynomialModel,
-    start: Array,
-    output_times: OutputTimes,
-    tolerance: float,
-    n_first: int,
-    amplitude: Amplitude | None = None,
-    *,
-    n_stable: int = 0,
-) -> int:
-    """Return the steps of whole runs that are accurate, about the least that are enough.
-
-    Parameters
-    ----------
-    system : one system, or some that are to take the same steps.
-    start : (n_runs, n_modes) coordinates.
-    tolerance : see `step_tolerance`; of the run that is off most.
-    n_first : the least number that is tried.
-    n_stable : number of steps from which a divergence is the model's, not the integrator's.
-
-    Returns
-    -------
-    For a run that diverges at any step, the first of these numbers; and `FINEST` times `n_first` at
-    most.
-    """
-
-    def taken(n_steps: int) -> int:
-        return system.steps_taken(n_steps, output_times)
-
-    def excess(n_steps: int) -> float:
-        """Return the error over the tolerance; zero if the divergence is not the steps' fault."""
-        coarse, fine = (
-            system.run_in([n] * system.n_runs, start, output_times, amplitude).coordinates
-            for n in (n_steps, 2 * n_steps)
-        )
-        if not np.isfinite(fine).all():
-            return 0.0 if n_steps >= n_stable else math.inf
-        return max(map(_change, coarse, fine)) / tolerance
-
-    most = taken(FINEST * n_first)
-    n_steps, too_few = taken(n_first), 0
-    while n_steps < most:
-        found = excess(n_steps)
-        called_for = taken(math.ceil(n_steps * min(MARGIN * found ** (1.0 / ORDER), MOST)))
-        if found <= 1.0:
-            # Far from small steps the order calls for more than it takes.
-            fewer = taken(max(called_for, too_few + 1, n_first))
-            return fewer if fewer < n_steps and 0.0 < excess(fewer) <= 1.0 else n_steps
-        n_steps, too_few = called_for, n_steps
-    return most
-
-
-def _change(coarse: Array, fine: Array) -> float:
-    """Return the distance of a run from a finer one, over its norm; infinite if it diverged."""
-    if not np.isfinite(coarse).all():
-        return math.inf
-    size = float(np.linalg.norm(fine))
-    return float(np.linalg.norm(fine - coarse)) / size if size > 0.0 else 0.0
-
-
 @dataclass(frozen=True)
 class Steps:
     """Steps of all modes of a model, from its start to its last snapshot."""
@@ -256,12 +188,53 @@ class Steps:
         """Return steps that are a factor as long."""
         return replace(self, n_steps=max(1, round(self.n_steps / factor)))
 
-    def run(self) -> Runs:
+    def run(self) -> Run:
         """Integrate the rates."""
         model = self.model
-        return self.system.run_in(
-            [self.n_steps], model.start[None], model.output_times, model.amplitude
-        )
+        return self.system.run(self.n_steps, model.start, model.output_times, model.amplitude)
+
+
+def accurate(first: Steps, tolerance: float, n_stable: int = 0) -> Steps:
+    """Return steps that are accurate, about the least that are enough.
+
+    Parameters
+    ----------
+    first : the least number that is tried.
+    tolerance : see `step_tolerance`.
+    n_stable : number of steps from which a divergence is the model's, not the integrator's.
+
+    Returns
+    -------
+    For a run that diverges at any step, the first of these numbers; and `FINEST` times the first at
+    most.
+    """
+
+    def taken(n_steps: int) -> int:
+        return first.system.steps_taken(n_steps, first.model.output_times)
+
+    def excess(n_steps: int) -> float:
+        """Return the error over the tolerance; zero if the divergence is not the steps' fault."""
+        coarse, fine = (replace(first, n_steps=n).run().coordinates for n in (n_steps, 2 * n_steps))
+        if not np.isfinite(fine).all():
+            return 0.0 if n_steps >= n_stable else math.inf
+        if not np.isfinite(coarse).all():
+            return math.inf
+        size = float(np.linalg.norm(fine))
+        change = float(np.linalg.norm(fine - coarse)) / size if size > 0.0 else 0.0
+        return change / tolerance
+
+    most = taken(FINEST * first.n_steps)
+    n_steps, too_few = taken(first.n_steps), 0
+    while n_steps < most:
+        found = excess(n_steps)
+        called_for = taken(math.ceil(n_steps * min(MARGIN * found ** (1.0 / ORDER), MOST)))
+        if found <= 1.0:
+            # Far from small steps the order calls for more than it takes.
+            fewer = taken(max(called_for, too_few + 1, first.n_steps))
+            enough = fewer < n_steps and 0.0 < excess(fewer) <= 1.0
+            return replace(first, n_steps=fewer if enough else n_steps)
+        n_steps, too_few = called_for, n_steps
+    return replace(first, n_steps=most)
 
 
 @dataclass(frozen=True)
@@ -276,25 +249,11 @@ class Integrator:
     leading: Steps | None = None
 
     @property
-    def _slowest(self) -> Steps:
+    def steps(self) -> Steps:
+        """Those of all modes where it takes both."""
         steps = self.whole or self.leading
         assert steps is not None
         return steps
-
-    @property
-    def name(self) -> str:
-        """The method, as artifacts name it."""
-        return self._slowest.system.integrator
-
-    @property
-    def time_step(self) -> float:
-        """The length of its steps [s]; those of all modes where it takes both."""
-        return self._slowest.time_step
-
-    @property
-    def n_steps(self) -> int:
-        """The number of steps of the whole run; of all modes where it takes both."""
-        return self._slowest.n_steps
 
     def with_steps(self, factor: float) -> Integrator:
         """Return the same with steps that are a factor as long."""
@@ -303,39 +262,36 @@ class Integrator:
         )
         return replace(self, whole=whole, leading=leading)
 
-    def run(self) -> Runs:
+    def run(self) -> Run:
         """Run the model, and add what training runs add to its coordinates."""
-        whole = None if self.whole is None else self.whole.run()
-        leading = None if self.leading is None else self.leading.run()
+        run = self.steps.run()
+        if self.leading is None:
+            leading, whole = None, run
+        elif self.whole is None:
+            leading, whole = run, None
+        else:
+            leading, whole = self.leading.run(), run
         coordinates, correction = self.model.completed(
             None if leading is None else leading.coordinates,
             None if whole is None else whole.coordinates,
             self.model.correction,
         )
-        runs = whole or leading
-        assert runs is not None
-        if correction is not None:
-            correction = np.broadcast_to(correction, coordinates.shape)
-        diverged_at = runs.diverged_at
+        diverged_at = run.diverged_at
         if leading is not None:
-            diverged_at = np.fmin(leading.diverged_at, diverged_at)
-        return replace(
-            runs, coordinates=coordinates, correction=correction, diverged_at=diverged_at
-        )
+            diverged_at = float(np.fmin(leading.diverged_at, diverged_at))
+        return replace(run, coordinates=coordinates, correction=correction, diverged_at=diverged_at)
 
-    def timed(self, repeats: int) -> tuple[Runs, float]:
+    def timed(self, repeats: int) -> tuple[Run, float]:
         """Run it, and return the least time [s] of some runs once everything is compiled.
 
-        Points are run one by one, though a batch would share them out over threads: the time is
-        then that of one run, and runs of milliseconds are over before threads have started. The
-        matrices of exponential steps are computed once, and their time doesn't count.
+        The matrices of exponential steps are computed once, and their time doesn't count.
         """
-        runs, seconds = self.run(), []
+        run, seconds = self.run(), []
         for _ in range(repeats):
             started = time.perf_counter()
-            runs = self.run()
+            run = self.run()
             seconds.append(time.perf_counter() - started)
-        return runs, min(seconds)
+        return run, min(seconds)
 
 
 def choose(model: ReferenceModel, steps: Callable[[ReferenceModel], Steps]) -> Integrator:
@@ -345,52 +301,38 @@ def choose(model: ReferenceModel, steps: Callable[[ReferenceModel], Steps]) -> I
     n_snapshots = model.output_times.n_snapshots
     # Not after the training runs' last.
     n_trained = n_snapshots if model.correction is None else len(model.correction)
-    n_trained = min(n_snapshots, n_trained)
-    times = replace(model.output_times, n_snapshots=n_trained)
+    times = replace(model.output_times, n_snapshots=min(n_snapshots, n_trained))
     whole = None
-    if times.n_snapshots < n_snapshots:
+    if n_trained < n_snapshots:
         whole = steps(replace(model, leading=None, correction=None))
     return Integrator(model, whole, steps(replace(model.leading, output_times=times)))
 
 
 def runge_kutta(model: ReferenceModel, n_steps: int) -> Steps:
     """Return Runge-Kutta steps (Eq. 2.18) of all modes."""
-    return Steps(model, PolynomialModel([model.polynomial]), n_steps)
+    return Steps(model, PolynomialModel(model.polynomial), n_steps)
 
 
-def automatic(model: ReferenceModel) -> Integrator:
-    """Return exponential steps that are fine enough for the basis."""
-    return choose(model, automatic_whole)
+def automatic_runge_kutta(model: ReferenceModel) -> Steps:
+    """Return Runge-Kutta steps that are stable, and fine enough for the basis."""
+    n_stable = steps_within(model.output_times.duration, model.step_limit)
+    return accurate(runge_kutta(model, n_stable), step_tolerance(model.basis))
 
 
 def automatic_whole(model: ReferenceModel) -> Steps:
-    """Return such steps of all modes."""
+    """Return steps of all modes that are fine enough for the basis: exponential ones if it can.
+
+    The first that are tried are from snapshot to snapshot at least: that is enough where it is
+    something other than sound that is stiff.
+    """
     if model.linear is None:
-        return runge_kutta(model, automatic_steps(model))
-    system, n_stable = ExponentialModel([model.polynomial], model.linear), _n_stable(model)
-    n_steps = accurate_steps(
-        system,
-        model.start[None],
-        model.output_times,
-        step_tolerance(model.basis),
-        first_exponential(n_stable, model.output_times),
-        model.amplitude,
-        n_stable=n_stable,
-    )
-    return Steps(model, system, n_steps)
+        return automatic_runge_kutta(model)
+    n_stable = steps_within(model.output_times.duration, model.step_limit)
+    n_first = max(1, min(math.ceil(n_stable / LONGER), model.output_times.n_snapshots - 1))
+    first = Steps(model, ExponentialModel(model.polynomial, model.linear), n_first)
+    return accurate(first, step_tolerance(model.basis), n_stable)
 
 
-def automatic_steps(model: ReferenceModel) -> int:
-    """Return Runge-Kutta steps of a whole run that are stable, and fine enough for the basis."""
-    return accurate_steps(
-        PolynomialModel([model.polynomial]),
-        model.start[None],
-        model.output_times,
-        step_tolerance(model.basis),
-        _n_stable(model),
-        model.amplitude,
-    )
-
-
-def _n_stable(model: ReferenceModel) -> int:
-    return steps_within(model.output_times.duration, model.step_limit)
+def automatic(model: ReferenceModel) -> Integrator:
+    """Return steps that are fine enough for the basis."""
+    return choose(model, automatic_whole)

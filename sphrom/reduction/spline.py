@@ -9,10 +9,8 @@ that one or two cells along an axis are as good as many.
 At a wall a cell sees points on one side only, and particles come nearer to the wall than the
 points, so that the spline extrapolates by up to half a spacing. With the paper's linear polynomial
 its error in that last half spacing is 50 to 270 times that of the interior (measured with cubic
-splines on 100x100 points; of a layer of a tenth of the box, 2e-3 of the field in value and 7e-2 in
-gradient). A cubic polynomial makes that 17 times smaller, and the interior's error 9 times, while
-it amplifies noise at the wall by a fifth more: walls want `polynomial_degree` 3. Order 5 does no
-better with it, and amplifies noise in gradients there twice as much.
+splines on 100x100 points). A cubic polynomial makes that 17 times smaller, and the interior's error
+9 times, while it amplifies noise at the wall by a fifth more: walls want `polynomial_degree` 3.
 
 Where walls run through the box, a cell may hold no points: it lies in the solid, or has a sliver of
 fluid narrower than the points' spacing. Such a cell is given the points of the cell beside it, so
@@ -47,9 +45,6 @@ from sphrom.reduction.mode_splines import (
     CELL_WIDTH_RATIO,
     CellSplines,
     ModeSplines,
-    checked_factors,
-    checked_values,
-    coordinates,
     polynomial_terms,
 )
 from sphrom.sph.domain import Domain
@@ -133,8 +128,7 @@ def points_by_cell(
             )
         near.append(members)
         local.append((position[members] + translation - centre).T / length_scale(grid))
-    cell_start = np.zeros(len(near) + 1, np.int64)
-    np.cumsum([members.size for members in near], out=cell_start[1:])
+    cell_start = np.cumsum([0, *(members.size for members in near)], dtype=np.int64)
     return np.concatenate(near), np.concatenate(local, axis=1), cell_start
 
 
@@ -152,19 +146,13 @@ def _nearest_with_points(
 
     The cell itself where none has any. Beyond a periodic edge the count goes on.
     """
-    row, column = place
     for steps in (FACES, CORNERS):
-        found = [(row + j, column + i) for j, i in steps]
-        counts = [_count(other, grid, domain, start) for other in found]
+        found = [(place[0] + j, place[1] + i) for j, i in steps]
+        sources = [_source(other, grid, domain) for other in found]
+        counts = [0 if s is None else int(start[s[0] + 1] - start[s[0]]) for s in sources]
         if any(counts):
             return found[int(np.argmax(counts))]
     return place
-
-
-def _count(place: tuple[int, int], grid: Grid, domain: Domain, start: Indices) -> int:
-    """Return how many points the cell at a row and column holds; none beyond a closed edge."""
-    source = _source(place, grid, domain)
-    return 0 if source is None else int(start[source[0] + 1] - start[source[0]])
 
 
 def _source(
@@ -206,8 +194,6 @@ def wrapped(coordinate: Array, domain: Domain, axis: int) -> Array:
     return coordinate - length * np.floor((coordinate - domain.lower[axis]) / length)
 
 
-HIGHEST_DEGREE = 3
-"""Of the polynomial."""
 N_CHUNKS = 64
 """Cells are shared out in as many parts; each has its own scratch memory."""
 WORST_CONDITION_NUMBER = 1.0 / float(np.finfo(np.float64).eps)
@@ -259,11 +245,6 @@ class LocalSplines(CellSplines, ModeSplines):
         """The cells [m]."""
         return cell_grid(self.domain, (int(self.cell_shape[0]), int(self.cell_shape[1])))
 
-    @property
-    def scale(self) -> float:
-        """The length that scaled coordinates are measured in [m]."""
-        return length_scale(self.grid)
-
     def _fill(self, x: Array, y: Array, values: Array) -> None:
         self._sweep(polyharmonic.evaluate, x, y, self._scratch(2), values)
 
@@ -275,12 +256,12 @@ class LocalSplines(CellSplines, ModeSplines):
         """Run a kernel at positions in the domain, which it takes cell by cell."""
         inside_x, inside_y = wrapped(x, self.domain, 0), wrapped(y, self.domain, 1)
         particle, start = sort_by_cell(inside_x, inside_y, self.grid)
-        kind = (self.scale, self.order, self.polynomial_degree)
+        kind = (length_scale(self.grid), self.order, self.polynomial_degree)
         sweep(inside_x, inside_y, particle, start, self.grid, *kind, self._systems, *out)
 
     def combine(self, coefficients: ArrayLike) -> LocalSplines:
         """Return splines of linear combinations of the columns."""
-        factors = checked_factors(coefficients, self.n_columns)
+        factors = np.asarray(coefficients)
         return replace(
             self,
             radial_weights=factors.T @ self.radial_weights,
@@ -305,11 +286,7 @@ def default_cell_width(domain: Domain, n_points: int) -> float:
 
     On 50x50 points a wave as long as the domain then has relative errors of 1e-5 in value and 2e-4
     in gradient at order 3, and a sixth of these at order 5 for the same cost.
-
-    Raises ValueError if there are no points.
     """
-    if n_points < 1:
-        raise ValueError(f"there must be at least one point, not {n_points}")
     return CELL_WIDTH_RATIO * math.sqrt(domain.area / n_points)
 
 
@@ -334,20 +311,16 @@ def fit_splines(
     cell_width : the least width of a cell [m]; as many cells as fit are used.
     progress : called with 1 after each cell.
 
-    Raises ValueError if an argument is out of range or not finite, or a cell's points do not
-    determine a spline.
+    Raises ValueError if a point is outside, or a cell's points do not determine a spline.
     """
-    _check_parameters(order, polynomial_degree, cell_width)
-    position = domain.wrap(np.stack(coordinates(points, "points"), axis=1))
-    right = checked_values(values, position.shape[0])
+    position = domain.wrap(np.asarray(points, dtype=np.float64))
+    right = np.asarray(values, dtype=np.float64)
     inside = domain.contains(position)
     if not inside.all():
         raise ValueError(f"{np.sum(~inside)} points are not inside the domain")
     grid = cell_grid(domain, fitting_cells(domain, cell_width))
-    near, local, cell_start = points_by_cell(
-        position, grid, domain, max(1, polynomial_terms(polynomial_degree))
-    )
     n_terms, n_columns = polynomial_terms(polynomial_degree), right.shape[1]
+    near, local, cell_start = points_by_cell(position, grid, domain, max(1, n_terms))
     radial = np.empty((n_columns, near.size))
     polynomial = np.zeros((cell_start.size - 1, n_terms, n_columns))
     condition_number = np.zeros(cell_start.size - 1)
@@ -394,14 +367,3 @@ def _solve(matrix: Array, values: Array) -> tuple[Array, float]:
     factors, _, weights, info = lapack.dgesv(matrix.T, right, overwrite_a=True, overwrite_b=True)
     reciprocal = lapack.dgecon(factors, norm)[0] if info == 0 else 0.0
     return weights, 1.0 / reciprocal if reciprocal > 0.0 else math.inf
-
-
-def _check_parameters(order: int, polynomial_degree: int, cell_width: float) -> None:
-    if order != int(order) or order < 1:
-        raise ValueError(f"order must be a whole number from 1, not {order}")
-    if polynomial_degree not in range(-1, HIGHEST_DEGREE + 1):
-        raise ValueError(
-            f"polynomial_degree must be from -1 to {HIGHEST_DEGREE}, not {polynomial_degree}"
-        )
-    if not (cell_width > 0.0 and math.isfinite(cell_width)):
-        raise ValueError(f"cell_width must be positive and finite, not {cell_width}")

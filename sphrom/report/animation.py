@@ -5,14 +5,13 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
 from sphrom.compare.mode_figures import frame_of
-from sphrom.metrics.samples import Probes
 from sphrom.online.stored_run import StoredRun
 from sphrom.plots.canvas import (
     DIFFERENCE_MAP,
@@ -37,6 +36,13 @@ GAP = 4
 """White pixels between two panels."""
 LEAST_WIDTH = 160
 """Of a panel [pixels]: on coarser grids each point is a square of several."""
+
+
+QUANTITIES: dict[str, Any] = {
+    "speed": ("m/s", SPEED_MAP, limits),
+    "pressure": ("Pa", SIGNED_MAP, symmetric_limits),
+}
+"""Unit, colours and the ends of their scale by name, from above."""
 
 
 @dataclass(frozen=True)
@@ -71,13 +77,11 @@ def paint(field: Array, scale: Scale) -> Pixels:
     return pixels.repeat(times, axis=0).repeat(times, axis=1)
 
 
-def side_by_side(panels: Sequence[Pixels], axis: int = 1) -> Pixels:
-    """Return panels beside each other, or below with `axis` 0, white between them."""
-    shape = list(panels[0].shape)
-    shape[axis] = GAP
-    gap = np.full(shape, 255, dtype=np.uint8)
-    parts = [part for panel in panels for part in (panel, gap)]
-    return np.concatenate(parts[:-1], axis=axis)
+def arranged(rows: Sequence[Sequence[Pixels]]) -> Pixels:
+    """Return panels of one size in rows, white between them."""
+    gap = ((0, GAP), (0, GAP), (0, 0))
+    padded = [[np.pad(panel, gap, constant_values=255) for panel in row] for row in rows]
+    return np.vstack([np.hstack(row) for row in padded])[:-GAP, :-GAP]
 
 
 def as_png(pixels: Pixels) -> bytes:
@@ -97,46 +101,43 @@ def animations(workspace: Workspace) -> Iterator[Html]:
     plan = workspace.case.plan
     for point in (*plan.test_points, *plan.train_points):
         for model in plan.models_by_speed:
-            if point in plan.rom_points(model) and _ended_well(workspace, model, point):
-                yield _animation(workspace, model, point)
-                return
+            if point in plan.rom_points(model):
+                with StoredRun.opened(workspace, point, model) as run:
+                    if run.is_complete:
+                        yield _animation(workspace, model.name, point, run)
+                        return
 
 
-def _ended_well(workspace: Workspace, model: ReducedModelSection, point: ParameterPoint) -> bool:
-    with workspace.open(workspace.reduced_run(model, point)) as run:
-        return run.text("status") == "complete"
-
-
-def _animation(workspace: Workspace, model: ReducedModelSection, point: ParameterPoint) -> Html:
+def _animation(workspace: Workspace, name: str, point: ParameterPoint, reduced: StoredRun) -> Html:
     probes = probes_of(workspace.case)
-    with (
-        StoredRun.opened(workspace, point) as full,
-        StoredRun.opened(workspace, point, model) as reduced,
-    ):
+    with StoredRun.opened(workspace, point) as full:
         times = full.time
         chosen = np.unique(np.linspace(0, len(times) - 1, N_FRAMES).round().astype(int))
         both = [run.sampled(probes.grid, chosen.tolist()) for run in (full, reduced)]
-    scales = {"speed": (SPEED_MAP, False), "pressure": (SIGNED_MAP, True)}
-    speed, pressure = (
-        _Quantity.of(getattr(both[0], name), getattr(both[1], name), *colours)
-        for name, colours in scales.items()
-    )
+    rows: list[list[tuple[Array, Scale]]] = []
+    legends = []
+    for quantity, (unit, colours, ends) in QUANTITIES.items():
+        fields = [getattr(samples, quantity) for samples in both]
+        difference = fields[1] - fields[0]
+        scale = Scale(colours, *ends(*map(_usual, fields)))
+        differences = Scale(DIFFERENCE_MAP, *symmetric_limits(_usual(difference)))
+        rows.append([(fields[0], scale), (fields[1], scale), (difference, differences)])
+        for label, each in ((f"{quantity} [{unit}]", scale), (f"difference [{unit}]", differences)):
+            low, high = format_figure(each.low), format_figure(each.high)
+            legends.append(legend(label, low, high, each.gradient()))
     return animation(
         frames=[
-            as_png(side_by_side([q.row(i, probes) for q in (speed, pressure)], axis=0))
+            as_png(arranged([[paint(probes.picture(v[i]), s) for v, s in row] for row in rows]))
             for i in range(len(chosen))
         ],
         times=[f"{times[snapshot]:.4g}" for snapshot in chosen],
-        heads=("full", model.name, "difference"),
+        heads=("full", name, "difference"),
         extent=[f"{end:g}" for end in frame_of(workspace.case).extent],
-        legends=[*speed.legends("speed", "m/s"), *pressure.legends("pressure", "Pa")],
-        caption=f"{point.label}: speed above, pressure below; full run, {model.name}, and their "
-        "difference. Colours mean the same in all frames; "
-        f"the {100.0 - SHOWN_SHARE:g} % of values at either end share the last.",
-        described=f"Two rows of three pictures of the flow at {point.label} over x and y, from "
-        f"t = {times[chosen[0]]:.4g} s to {times[chosen[-1]]:.4g} s: the full run, {model.name}, "
-        f"and their difference. {speed.described('speed', 'm/s')} "
-        f"{pressure.described('pressure', 'Pa')}",
+        legends=legends,
+        caption=f"{point.label}: speed above, pressure below; full run, {name}, and their "
+        f"difference, from t = {times[chosen[0]]:.4g} s to {times[chosen[-1]]:.4g} s. Colours mean "
+        f"the same in all frames; the {100.0 - SHOWN_SHARE:g} % of values at either end share the "
+        "last.",
     )
 
 
@@ -144,43 +145,3 @@ def _usual(values: Array) -> Array:
     """Return values without extremes, such as the sound of a sudden start has."""
     low, high = np.percentile(values, (100.0 - SHOWN_SHARE, SHOWN_SHARE))
     return np.clip(values, low, high)
-
-
-@dataclass(frozen=True)
-class _Quantity:
-    """One quantity in all frames, with the colours of fields and of differences."""
-
-    full: Array
-    """(n_frames, n_points)."""
-    reduced: Array
-    fields: Scale
-    differences: Scale
-
-    @classmethod
-    def of(cls, full: Array, reduced: Array, colours: str, symmetric: bool) -> _Quantity:
-        bounds = (symmetric_limits if symmetric else limits)(_usual(full), _usual(reduced))
-        about_zero = symmetric_limits(_usual(reduced - full))
-        return cls(full, reduced, Scale(colours, *bounds), Scale(DIFFERENCE_MAP, *about_zero))
-
-    def row(self, frame: int, probes: Probes) -> Pixels:
-        """Return full, reduced and difference as pixels."""
-        full, reduced = self.full[frame], self.reduced[frame]
-        shown = ((full, self.fields), (reduced, self.fields), (reduced - full, self.differences))
-        return side_by_side([paint(probes.picture(field), scale) for field, scale in shown])
-
-    def described(self, name: str, unit: str) -> str:
-        """Return the range of the full run, and the largest difference, in a sentence."""
-        low, high = format_figure(float(self.full.min())), format_figure(float(self.full.max()))
-        most = format_figure(float(np.abs(self.reduced - self.full).max()))
-        return (
-            f"The {name} of the full run lies between {low} and {high} {unit}, and differs by "
-            f"{most} {unit} at most."
-        )
-
-    def legends(self, name: str, unit: str) -> list[Html]:
-        """Return the legends of both colour scales."""
-        labels = ((f"{name} [{unit}]", self.fields), (f"difference [{unit}]", self.differences))
-        return [
-            legend(label, format_figure(scale.low), format_figure(scale.high), scale.gradient())
-            for label, scale in labels
-        ]

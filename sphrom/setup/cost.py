@@ -1,4 +1,4 @@
-"""The memory, disk and time that a case needs, told before anything runs.
+"""The memory, disk and time that a case needs, told before anything runs (`sphrom case check`).
 
 Memory is of the stages that hold most: fom, pod and operators, within a factor of two or so. Disk
 is of the files that grow with particles and snapshots, known to some per cent.
@@ -13,9 +13,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from sphrom.case.hints import few_snapshots, slow_sweep, sweep_beyond_training
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
+from sphrom.case.studies import sweep_model, sweep_points
+from sphrom.console import Reporter
 from sphrom.errors import ResourceError
+from sphrom.kernels import SUPPORT_RATIO
 from sphrom.machine import available_ram, physical_ram
 from sphrom.reduction.decomposition import (
     BYTES,
@@ -23,6 +27,8 @@ from sphrom.reduction.decomposition import (
     decomposition_bytes,
     smallest_block,
 )
+from sphrom.setup.context import StageContext
+from sphrom.text import counted, data_size, duration
 
 BASELINE = 250_000_000
 """Memory of Python and the libraries, and of arrays that don't grow with the case [bytes]."""
@@ -52,11 +58,9 @@ class Need:
     """The memory of one stage, and the disk that its files fill [bytes]."""
 
     ram: int
-    disk: int
-    files: tuple[str, ...]
+    disk: int = 0
+    files: tuple[str, ...] = ()
     """Patterns of the names of its files."""
-    remedy: str = "lower discretization.resolution"
-    """What makes its memory less."""
     passing: int = 0
     """Disk for the checkpoints of one run, which are deleted when it ends."""
 
@@ -69,46 +73,27 @@ def needs(case: Case, points: Sequence[ParameterPoint] | None = None) -> dict[st
     trajectory = n_snapshots * (6 * number + 3) + 4 * plan.n_ghosts
     spin_up = 5 * number if plan.steps.n_spin_up_steps else 0
     # Snapshots wait for a checkpoint, which holds them once more, with two states.
-    found = {
-        "fom": Need(
-            _ram(run + min(MOST_PENDING / BYTES, trajectory)),
-            BYTES * (2 * number + (trajectory + spin_up) * len(at)),
-            ("packing.h5", "spin-up-*.h5", "fom-*.h5"),
-            passing=BYTES * (trajectory + 14 * number),
-        )
-    }
+    passing = BYTES * (trajectory + 14 * number)
+    waiting = min(MOST_PENDING / BYTES, trajectory)
+    written = BYTES * (2 * number + (trajectory + spin_up) * len(at))
+    files = "packing.h5", "spin-up-*.h5", "fom-*.h5"
+    found = {"fom": Need(_ram(run + waiting), written, files, passing)}
     if not case.rom:
         return found
+    found["map"] = Need(BASELINE, BYTES * number * (3 * n_snapshots + 2) * len(at), ("map-*.h5",))
     modes = sum(plan.basis_size(name) for name in plan.bases) * N_FIELD_VALUES * number
     kept = modes * (1 + case.basis.lagrangian)
-    mapped = BYTES * number * (3 * n_snapshots + 2) * len(at)
-    found["map"] = Need(BASELINE, mapped, ("map-*.h5",))
-    found["pod"] = Need(
-        _ram(_decomposition(case) + (MODE_COPIES - 1) * modes + kept),
-        BYTES * (kept + 6 * number),
-        ("pod.h5",),
-        "raise snapshots.every, or lower discretization.resolution or basis.n_modes",
-    )
+    copies = _decomposition(case) + (MODE_COPIES - 1) * modes + kept
+    found["pod"] = Need(_ram(copies), BYTES * (kept + 6 * number), ("pod.h5",))
     if plan.reference_bases:
-        found["operators"] = Need(
-            _ram(_operators(case)),
-            0,
-            ("operators.h5",),
-            "lower discretization.resolution, basis.n_modes, or the n_modes of models with "
-            "projection: apg",
-        )
+        found["operators"] = Need(_ram(_operators(case)))
     written = 0
     for model in case.rom:
         each = 0 if model.from_operators else trajectory
         each += number * (4 * n_snapshots + 2) * (model.output == "snapshots")
         written += BYTES * each * sum(p in at for p in plan.rom_points(model))
     slow = any(not model.from_operators for model in case.rom)
-    found["rom"] = Need(
-        _ram(run * slow),
-        written,
-        ("rom-*.h5",),
-        passing=found["fom"].passing * slow,
-    )
+    found["rom"] = Need(_ram(run * slow), written, ("rom-*.h5",), passing * slow)
     return found
 
 
@@ -177,8 +162,9 @@ def require_room(
     for name, need in judged.items():
         if need.ram > ram:
             raise ResourceError(
-                f"the case needs about {size_in_words(need.ram)} of memory in {name}, this machine "
-                f"has {size_in_words(ram)}: {need.remedy}"
+                f"the case needs about {data_size(need.ram)} of memory in {name}, this machine has "
+                f"{data_size(ram)}: lower discretization.resolution or numbers of modes, or raise "
+                "snapshots.every"
             )
     missing = {name: need.disk - _written(out, need, points) for name, need in judged.items()}
     needed = sum(max(0, size) for size in missing.values())
@@ -189,8 +175,8 @@ def require_room(
     free = shutil.disk_usage(next(f for f in (out, *out.parents) if f.exists())).free
     if needed > free:
         raise ResourceError(
-            f"the case writes about {size_in_words(needed)}, the disk of {out} has "
-            f"{size_in_words(free)} free: raise snapshots.every, or choose another disk with "
+            f"the case writes about {data_size(needed)}, the disk of {out} has "
+            f"{data_size(free)} free: raise snapshots.every, or choose another disk with "
             "`--out`"
         )
 
@@ -206,7 +192,75 @@ def _size_of(paths: Iterable[Path]) -> int:
     return sum(path.stat().st_size for path in paths if path.is_file())
 
 
-def size_in_words(n_bytes: float) -> str:
-    """Return a number of bytes with its unit, such as `5.58 MB`."""
-    power = min(int(math.log10(max(n_bytes, 1.0))) // 3, 4)
-    return f"{n_bytes / 1000.0**power:.3g} {('B', 'kB', 'MB', 'GB', 'TB')[power]}"
+def run(context: StageContext) -> None:
+    """Print what a case costs, and its margins (`sphrom case check`).
+
+    Raises ResourceError when it would not fit this machine.
+    """
+    case = context.case
+    for point in case.plan.points:
+        describe_run(case, point, context.report)
+    _describe_shape(case, context.report)
+    for warning in few_snapshots(case):
+        context.report.warn(warning)
+    describe_cost(case, context.report)
+    _describe_sweep(case, context.report)
+    require_room(case, context.out)
+
+
+def describe_run(case: Case, point: ParameterPoint, report: Reporter) -> None:
+    """Print the numbers of one full run."""
+    plan, fluid, limits = case.plan, case.plan.fluid(point), case.plan.step_limits(point)
+    ghosts = f" and {plan.n_ghosts} ghosts" if plan.n_ghosts else ""
+    spin_up, step = plan.steps.n_spin_up_steps, plan.steps.time_step
+    before = f" after {counted(spin_up, 'step')} to spin up" if spin_up else ""
+    shares = {"acoustic": limits.acoustic, "viscous": limits.viscous}
+    if math.isfinite(limits.body_force):
+        shares["body force's"] = limits.body_force
+    told = ", ".join(f"{step / limit:.2g} of the {name} limit" for name, limit in shares.items())
+    report.info(
+        f"{point.label}: {plan.n_particles} particles{ghosts}, "
+        f"{plan.discretization.n_neighbours:.0f} neighbours each, c0 = {fluid.sound_speed:g} m/s, "
+        f"nu = {fluid.kinematic_viscosity:.4g} m2/s; {counted(plan.steps.n_steps, 'step')} of "
+        f"{step:.4g} s{before}, {told}; {counted(plan.steps.n_snapshots, 'snapshot')}"
+    )
+
+
+def _describe_shape(case: Case, report: Reporter) -> None:
+    """Print the area of the fluid, and how many supports its narrowest places are wide."""
+    domain, support = case.scene.domain, SUPPORT_RATIO * case.plan.smoothing_length
+    widths = {
+        "narrowest gap" if domain.has_walls else "shortest period": domain.narrowest_gap,
+        "thinnest solid": domain.thinnest_solid,
+    }
+    told = [
+        f"{name} {width:.3g} m, {width / support:.3g} times the support's radius"
+        for name, width in widths.items()
+        if math.isfinite(width)
+    ]
+    report.info("; ".join((f"the fluid's area is {domain.area:.4g} m2", *told)))
+
+
+def describe_cost(case: Case, report: Reporter) -> None:
+    """Print how many runs there are, the memory and disk of all stages, and the time of fom."""
+    stages, n_runs = needs(case), len(case.plan.points)
+    largest = max(stages, key=lambda name: stages[name].ram)
+    reduced = sum(len(case.plan.rom_points(model)) for model in case.rom)
+    report.info(
+        f"{counted(n_runs, 'full run')} and {counted(reduced, 'reduced run')}: about "
+        f"{data_size(stages[largest].ram)} of memory, which {largest} needs most of, "
+        f"{data_size(sum(need.disk for need in stages.values()))} on disk; the full "
+        f"run{'s' * (n_runs > 1)} about {duration(full_seconds(case, n_runs))} on one core"
+    )
+
+
+def _describe_sweep(case: Case, report: Reporter) -> None:
+    """Print what `sphrom sweep` would run, if the case says so."""
+    if points := sweep_points(case):
+        model = sweep_model(case)
+        what = "the full model" if model is None else model.name
+        report.info(f"a sweep of {what}: {counted(len(points), 'run')}")
+        if (advice := slow_sweep(case)) is not None:
+            report.info(advice)
+        if (warning := sweep_beyond_training(case)) is not None:
+            report.warn(warning)

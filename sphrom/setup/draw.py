@@ -129,25 +129,23 @@ def _draw_walls(axes: Axes, case: Case, walls: Walls, solids: Solids, arrow: flo
     axes.contour(
         solids.x, solids.y, solids.wall_distance, levels=(0.0,), colors=[INK], linewidths=1.6
     )
-    pixels = np.stack(np.meshgrid(solids.x, solids.y), axis=-1).reshape(-1, 2)
-    depth = -solids.wall_distance.ravel()
-    solid, depth = pixels[depth > 0.0], depth[depth > 0.0]
-    wall_of = domain.nearest_wall(solid)
     surface = -domain.distance_and_normal(walls.position)[0] < spacing
     speed = np.hypot(*walls.velocity.T)
     fastest = float(speed[surface].max(initial=0.0))
     for index, name in enumerate(domain.wall_names):
-        mine, first = wall_of == index, np.flatnonzero(surface & (walls.wall == index))
-        if not mine.any():
+        mine = np.flatnonzero(walls.wall == index)
+        if not len(mine):
             continue
-        # The name stands near the middle of the solid, half as deep in it as ghosts or deeper.
-        enough = min(0.5 * case.plan.n_wall_layers * spacing, depth[mine].max())
-        deep = solid[mine & (depth >= enough)]
-        middle = np.argmin(np.sum((deep - solid[mine].mean(axis=0)) ** 2, axis=1))
+        # The name stands in the middle of the wall's ghosts, or at the ghost that is nearest to it.
+        middle = walls.position[mine].mean(axis=0)
+        if domain.contains(middle[None])[0] or domain.nearest_wall(middle[None])[0] != index:
+            away = np.sum((walls.position[mine] - middle) ** 2, axis=1)
+            middle = walls.position[mine[np.argmin(away)]]
+        first = mine[surface[mine]]
         own = float(speed[first].max(initial=0.0))
         axes.text(
-            deep[middle, 0],
-            deep[middle, 1],
+            middle[0],
+            middle[1],
             f"{name}, {own:.3g} m/s" if own else name,
             color=MOVING if own else INK,
             rotation=90.0 if name in SIDES[0] else 0.0,
@@ -157,10 +155,9 @@ def _draw_walls(axes: Axes, case: Case, walls: Walls, solids: Solids, arrow: flo
         )
         if own:
             some = first[:: -(-len(first) // MOST_ARROWS)]
-            _draw_arrows(
-                axes, domain.on_wall(walls.position[some]), arrow / fastest * walls.velocity[some],
-                MOVING, f"velocity of walls, at most {fastest:.3g} m/s",
-            )  # fmt: skip
+            place, way = domain.on_wall(walls.position[some]), walls.velocity[some]
+            label = f"velocity of walls, at most {fastest:.3g} m/s"
+            _draw_arrows(axes, place, arrow / fastest * way, MOVING, label)
 
 
 def _draw_arrows(axes: Axes, place: Array, way: Array, colour: str, label: str = "") -> None:

@@ -5,16 +5,20 @@ They load the kernels of SPH; `sphrom.setup.assembly` makes everything else, wit
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.errors import CaseError
+from sphrom.errors import CaseError, UnstableError
+from sphrom.metrics.measures import FieldMeasure, Quantities
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.scenes.scene import Scene
+from sphrom.setup.assembly import field_measures
+from sphrom.sph import state_equation
 from sphrom.sph.domain import Walls
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.sph.fluid import Drive
@@ -23,6 +27,9 @@ from sphrom.sph.wall_forces import MeasuredWall, WallForces, measured_wall
 from sphrom.sph.walls import build_walls
 
 Array = NDArray[np.float64]
+
+SAMPLING_RATIO = 2.0
+"""Smoothing length of the moving least squares that sample particles, over the spacing."""
 
 
 def functional(case: Case, point: ParameterPoint) -> Functional:
@@ -84,11 +91,10 @@ def driven_measured_walls(case: Case) -> dict[str, tuple[MeasuredWall, dict[str,
     With each is the circulation [m2/s] that each parameter gives per unit of its value.
     """
     at_rest, per_unit = _rest_and_units(case)
-    found = measured_walls(case, at_rest)
     moved = {name: measured_walls(case, flow) for name, flow in per_unit.items()}
     return {
         name: (wall, {p: walls[name].circulation - wall.circulation for p, walls in moved.items()})
-        for name, wall in found.items()
+        for name, wall in measured_walls(case, at_rest).items()
     }
 
 
@@ -150,3 +156,54 @@ def fixed_points(case: Case, position: Array) -> FixedPoints:
         )
     except ValueError as error:
         raise CaseError(f"discretization: {error}") from error
+
+
+def sampler(case: Case, points: Array) -> ReferenceMap:
+    """Return the interpolation that samples particles at points (n_points, 2) [m].
+
+    It is the accurate one, whatever the case maps with.
+    """
+    return ReferenceMap(
+        points,
+        case.scene.domain,
+        particle_spacing=case.plan.particle_spacing,
+        smoothing_length=SAMPLING_RATIO * case.plan.particle_spacing,
+    )
+
+
+@dataclass(frozen=True)
+class MeasuredFields:
+    """Fields of particles, interpolated to where they are measured."""
+
+    measures: Mapping[str, FieldMeasure]
+    sample: ReferenceMap
+    """Onto the places of all measures, one after another."""
+    sound_speed: float
+
+    @classmethod
+    def of(cls, case: Case) -> MeasuredFields | None:
+        """Return the measured fields of a case, None where it measures none."""
+        measures = field_measures(case)
+        if not measures:
+            return None
+        places = np.concatenate([measure.position for measure in measures.values()])
+        return cls(measures, sampler(case, places), case.plan.sound_speed)
+
+    def __call__(
+        self, position: Array, density_fluctuation: Array, velocity: Array
+    ) -> dict[str, Quantities]:
+        """Return by name what is measured of particles (n_particles[, 2]).
+
+        Raises UnstableError where too few particles are near a place.
+        """
+        try:
+            density, found = self.sample(position, density_fluctuation, velocity)
+        except ValueError as error:
+            raise UnstableError(f"unstable where fields are measured: {error}") from error
+        pressure = state_equation.pressure(density, self.sound_speed)
+        ends = np.cumsum([len(measure.position) for measure in self.measures.values()])
+        parts = zip(*(np.split(each, ends[:-1]) for each in (found, pressure)), strict=True)
+        return {
+            name: measure.of(*part)
+            for (name, measure), part in zip(self.measures.items(), parts, strict=True)
+        }

@@ -11,7 +11,7 @@ from sphrom.artifacts import Artifact, ArtifactWriter
 from sphrom.artifacts.records.runs import Snapshots
 from sphrom.declaration import fields_of
 from sphrom.errors import ArtifactError, UnstableError
-from sphrom.setup.measured_fields import MeasuredFields
+from sphrom.setup.particles import MeasuredFields
 from sphrom.sph import state_equation
 from sphrom.sph.domain import Walls
 from sphrom.sph.time_loop import Item, Snapshot

@@ -30,8 +30,7 @@ from sphrom.reduction.trial_basis import KineticEnergy, SpeedBounds
 from sphrom.store.checkpoints import remove_checkpoints
 from sphrom.store.measured_quantities import measured_of
 from sphrom.store.sampling import sample_run
-from sphrom.store.targets import Target
-from sphrom.store.workspace import Workspace
+from sphrom.store.workspace import Target, Workspace
 from sphrom.sweep.records import (
     COMPLETE,
     ERROR,
@@ -204,5 +203,5 @@ def _derivatives(run: FastRun) -> dict[str, float]:
     return {
         f"{column}_by_{parameter}": float(value)
         for column, values in columns.items()
-        for parameter, value in zip(found.names, values, strict=True)
+        for parameter, value in zip(found.parameters, values, strict=True)
     }

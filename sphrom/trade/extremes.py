@@ -255,6 +255,9 @@ def coarser(
         "parameters": ParameterSection(train=train_values(case, points), test=TestValues()),
         "basis": case.basis.model_copy(update={"subsets": {}, "lagrangian": False}),
         "operators": case.operators.model_copy(update={"error_estimate": False}),
+        "compare": case.compare.model_copy(update={"figures": ()}),
+        # Sections of other studies, which ask for models that it doesn't have.
+        **{name: type(getattr(case, name))() for name in ("sweep", "fit", "training")},
     }
     other = case.model_copy(update=changes | changed)
     resolution = coarser_resolution(case) or case.discretization.resolution

@@ -193,8 +193,8 @@ class _Trade:
         measure, role = self.case.trade.measure, role_of(self.case, fast.basis_at(point), point)
         reduced = fast.at(point)
         steps = reference_model.automatic(reduced).with_steps(candidate.step_factor)
-        runs, seconds = steps.timed(self.case.trade.repeats)
-        run, samples = FastRun(fast, point, reduced, runs), None
+        found, seconds = steps.timed(self.case.trade.repeats)
+        run, samples = FastRun(fast, point, reduced, found), None
         if run.failure is None:
             samples = run.sampled(self.probes)
             if measure is not None:

@@ -69,7 +69,7 @@ class StageModel:
         """Return the estimated errors (2,) of the model at a point, infinite if there are none."""
         run = self._run(point)
         found = None if run is None else run.estimate
-        if run is None or found is None or found.errors is None:
+        if run is None or found is None:
             return NONE
         late = self._counted(run.time)
         squares = np.sum(found.errors[late] ** 2, axis=0), np.sum(found.sizes[late] ** 2, axis=0)

@@ -118,24 +118,3 @@ def test_a_divergent_system_stops_where_it_is(bad: float) -> None:
     )
     assert steps == 0
     assert np.all(out[1:] == 7.0)
-
-
-def test_a_batch_is_its_systems() -> None:
-    systems = [System(2, seed) for seed in range(5)]
-    n_steps = np.array([2, 3, 9, 10, 13])
-    time_step = 0.36 / n_steps
-    out = np.empty((5, 4, 3))
-    out[:, 0] = [system.start for system in systems]
-    alone = out.copy()
-    steps = np.empty(5, dtype=np.int64)
-    width = systems[0].coefficients.shape[2]
-    polynomial.integrate_batch(
-        np.stack([system.coefficients for system in systems]), systems[0].used, np.zeros((5, 3)),
-        time_step, n_steps, 2, 1e10, np.empty((5, width)), np.empty((5, 5, 3)), out, steps,
-    )  # fmt: skip
-    assert np.array_equal(steps, n_steps)
-    for system, row, n, step in zip(systems, alone, n_steps, time_step, strict=True):
-        polynomial.integrate(
-            system.coefficients, system.used, np.zeros(3), step, n, 2, 1e10, *system.scratch(), row
-        )
-    assert np.allclose(out, alone, rtol=1e-13)

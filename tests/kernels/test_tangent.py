@@ -48,13 +48,13 @@ def test_they_are_the_differences_of_runs(n_steps: int, driven: bool) -> None:
         return (lambda t: np.sin(2.0 * t) * (1.0 + p)) if driven else None
 
     def run(p: float) -> np.ndarray:
-        system = ExponentialModel([rates.plus(changed, p)], linear)
+        system = ExponentialModel(rates.plus(changed, p), linear)
         begin = (start + p * start_change)[None]
-        return system.run_in([n_steps], begin, times, amplitude(p)).coordinates[0]
+        return system.run(n_steps, begin, times, amplitude(p)).coordinates
 
     change = Change(changed, start_change, amplitude(0.0))
     still = Change(changed.scaled(0.0), start_change)
-    system = ExponentialModel([rates], linear)
+    system = ExponentialModel(rates, linear)
     found, (first, second) = system.tangents(n_steps, start, times, [change, still], amplitude(0.0))
     assert np.allclose(found, run(0.0), rtol=1e-12, atol=0.0)
     h = 1e-4

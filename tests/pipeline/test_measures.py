@@ -19,7 +19,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.online.basis_model import forces_of
 from sphrom.plots.tables import read_csv
 from sphrom.setup import particles
-from sphrom.setup.measured_fields import MeasuredFields
+from sphrom.setup.particles import MeasuredFields
 from sphrom.sph import time_loop
 from sphrom.store.measured_quantities import read_forces, read_quantities
 from sphrom.store.trained_operators import read_wall_force

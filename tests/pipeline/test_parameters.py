@@ -17,10 +17,9 @@ from sphrom.online.basis_model import fields_of, forces_of
 from sphrom.online.fast_model import FastModel
 from sphrom.online.sensitivities import tangents
 from sphrom.reduction import reference_model
-from sphrom.reduction.operator_projection import UnprojectedModel, project_forces, project_operators
+from sphrom.reduction.operator_projection import project_forces, project_operators, residual_factor
 from sphrom.reduction.reduced_operators import residual_norm
 from sphrom.reduction.reduced_rates import Polynomial
-from sphrom.reduction.residual_factor import residual_factor
 from sphrom.reduction.trial_basis import TrialBasis, reconstruct
 from sphrom.setup import assembly, particles
 from sphrom.sph.fixed_points import FixedPoints
@@ -99,7 +98,6 @@ def basis_at(case: Case, position: np.ndarray) -> TrialBasis:
     return TrialBasis(
         density_modes=modes[:, 0],
         velocity_modes=np.ascontiguousarray(modes[:, 1:].transpose(0, 2, 1)),
-        offset=None,
         singular_values={"joint": np.ones(N_MODES)},
         inner_product=product,
         weights=weights,
@@ -115,7 +113,7 @@ def difference(one: Polynomial, other: Polynomial) -> float:
 
 
 @pytest.mark.parametrize("given", [LID, DRIVEN], ids=["lid", "driven"])
-def test_operators_at_any_point_are_those_assembled_there(given):
+def test_operators_at_any_point_are_those_assembled_there(unprojected, given):
     case = load_case(given)
     position = case.scene.domain.fill(case.plan.particle_spacing)
     points, basis = particles.fixed_points(case, position), basis_at(case, position)
@@ -137,7 +135,7 @@ def test_operators_at_any_point_are_those_assembled_there(given):
     assert norms[0](states, amplitude) == pytest.approx(norms[1](states, amplitude), rel=1e-9)
 
     around = FlowConditions(nu, amplitude=1.3, factors=factors)
-    rates = UnprojectedModel(points, basis, order=1)(states[0], around)
+    rates = unprojected(points, basis, order=1)(states[0], around)
     assert rates == pytest.approx(operators.at(nu, factors=factors)(states[0], 1.3), rel=1e-10)
 
     for name, (wall, circulations) in particles.driven_measured_walls(case).items():
@@ -237,7 +235,7 @@ def test_derivatives_of_fields_are_differences_of_runs(study):
 def quantities(workspace: Workspace, models: FastModel, point: ParameterPoint) -> list[Any]:
     """Return coordinates, kinetic energy and forces of a run in steps that add nothing."""
     case, reduced = workspace.case, models.at(point)
-    run = reference_model.automatic(reduced).with_steps(STEPS).run().coordinates[0]
+    run = reference_model.automatic(reduced).with_steps(STEPS).run().coordinates
     _, velocity = reconstruct(reduced.basis, run)
     times, mean = reduced.output_times.time, reduced.mean_density_fluctuation
     forces = forces_of(case, point, reduced.forces, mean, times, run)
@@ -262,7 +260,11 @@ def check_tangents(study: sphrom.Study, model: str, at: dict[str, float]) -> Non
             ]
             slopes.append([(a - b) / (ends[0] - ends[1]) for a, b in zip(*runs, strict=True)])
         expected = [(4.0 * fine - wide) / 3.0 for wide, fine in zip(*slopes, strict=True)]
-        given = [found.changes[k], found.kinetic_energy[k], *(f[k] for f in found.forces.values())]
+        given = [
+            found.coordinates[k],
+            found.kinetic_energy[k],
+            *(f[k] for f in found.forces.values()),
+        ]
         given += [values[k] for each in found.measured.values() for values in each.values()]
         for one, other in zip(given, expected, strict=True):
             assert np.abs(one - other).max() < 1e-6 * np.abs(other).max(), name

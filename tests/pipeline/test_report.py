@@ -77,6 +77,8 @@ def test_report_shows_tables_figures_training_and_trade(place, sphrom) -> None:
         ("compare.h5", None, "compare"),
         ("compare.json", None, "compare"),
         ("compare.json", b"", "compare"),
+        ("tables/errors.csv", bytes(range(256)), "compare"),
+        ("tables/timings.csv", b"a,b\n1,2\n", "compare"),
         ("trade/models.csv", b"model,error [%]\nfull\n", "trade"),
     ],
 )

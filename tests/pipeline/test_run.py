@@ -173,7 +173,7 @@ def test_case_check_tells_cost_and_margins(empty, sphrom):
     assert (result.exit_code, result.stderr) == (0, "")
     for part in (
         "reynolds=150: 256 particles, 50 neighbours each, c0 = 10 m/s, nu = 0.006667 m2/s",
-        "10 steps of 0.008 s, 43% of the acoustic limit",
+        "10 steps of 0.008 s, 0.43 of the acoustic limit",
         "3 full runs and 6 reduced runs: about ",
     ):
         assert part in result.stdout

@@ -6,10 +6,9 @@ import re
 from html.parser import HTMLParser
 
 import numpy as np
-import pytest
 
 from sphrom.plots.page import animation, element, headline, legend, listing, picture, render, table
-from sphrom.report.animation import GAP, Scale, as_png, paint, side_by_side
+from sphrom.report.animation import GAP, Scale, arranged, as_png, paint
 
 HOSTILE = '<script>alert("1")</script> & "quoted"'
 PNG = as_png(np.zeros((2, 2, 3), dtype=np.uint8))
@@ -94,10 +93,9 @@ def test_fields_are_painted_from_above_with_solid_grey() -> None:
     assert pixels.dtype == np.uint8
 
 
-@pytest.mark.parametrize("axis", [0, 1])
-def test_panels_stand_beside_or_below_each_other(axis: int) -> None:
+def test_panels_stand_in_rows_with_white_between_them() -> None:
     dark = np.zeros((3, 3, 3), dtype=np.uint8)
-    both = side_by_side([dark, dark], axis)
-    assert both.shape[axis] == 6 + GAP
-    assert both.take(3, axis).min() == 255
-    assert both.take(0, axis).max() == 0
+    found = arranged([[dark, dark], [dark, dark]])
+    assert found.shape == (6 + GAP, 6 + GAP, 3)
+    assert found[:, 3].min() == found[3].min() == 255
+    assert found[:3, :3].max() == 0

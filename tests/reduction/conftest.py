@@ -49,7 +49,6 @@ class Setting:
     separate_mean: bool = False
     fixed_volume: bool = False
     reference_density: float = FLUID.reference_density
-    wall_speed: float = 1.0
     amplitude: float = 1.0
     walls_driven: bool = False
     acoustic_damping: float = 1.0
@@ -76,7 +75,6 @@ class Setting:
         walls = force = None
         if self.domain.has_walls:
             walls = build_walls(self.domain, SPACING, n_layers(discretization), lid)
-            walls = replace(walls, velocity=self.wall_speed * walls.velocity)
         if self.name == "channel":
             force = self.amplitude * np.stack((np.sin(self.position[:, 1]), self.position[:, 0]))
         fluid = replace(FLUID, reference_density=self.reference_density)

@@ -31,13 +31,9 @@ def correction(runs: list[TrainingRun], *settings: float, **more: float) -> Poly
 
 def run_of(polynomial: Polynomial, start, n_snapshots: int = 801, amplitude=None) -> np.ndarray:
     output_times = OutputTimes(INTERVAL, n_snapshots)
-    model = PolynomialModel([polynomial])
-    return model.run_in(
-        (output_times.n_snapshots - 1) * np.array([4]),
-        np.asarray(start, dtype=float)[None],
-        output_times,
-        amplitude,
-    ).coordinates[0]
+    model = PolynomialModel(polynomial)
+    n_steps, begin = 4 * (n_snapshots - 1), np.asarray(start, dtype=float)
+    return model.run(n_steps, begin, output_times, amplitude).coordinates
 
 
 STARTS = ([1.0, 0.0, 0.0], [0.0, -2.0, 1.0], [0.5, 1.0, -1.0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from scipy.linalg import expm
 from sphrom.reduction.exponential_steps import ExponentialModel, Propagation, StepRatio, integrals
 from sphrom.reduction.polynomial_model import Amplitude, OutputTimes, PolynomialModel
 from sphrom.reduction.reduced_rates import Polynomial
-from sphrom.reduction.reference_model import accurate_steps, first_exponential
+from sphrom.reduction.reference_model import LONGER, Steps, accurate
 
 RANDOM = np.random.default_rng(5)
 SOUND = 300.0
@@ -51,8 +52,8 @@ def exact(
     polynomial: Polynomial, output_times: OutputTimes, drive: Amplitude | None = None
 ) -> np.ndarray:
     n_steps = 4000 * (output_times.n_snapshots - 1) // 10
-    runs = PolynomialModel([polynomial]).run_in([n_steps], START[None], output_times, drive)
-    return runs.coordinates[0]
+    runs = PolynomialModel(polynomial).run(n_steps, START, output_times, drive)
+    return runs.coordinates
 
 
 @pytest.mark.parametrize("time", [1e-6, 0.004, 0.3])
@@ -92,11 +93,11 @@ def test_strides_meet_snapshots(n_intervals: int) -> None:
 def test_what_is_linear_is_exact_in_any_steps(n_steps: int) -> None:
     constant, output_times = np.array([0.5, -2.0, 1.0]), OutputTimes(0.1, 11, start_time=2.0)
     polynomial = Polynomial(((constant, LINEAR),))
-    runs = ExponentialModel([polynomial], LINEAR).run_in([n_steps], START[None], output_times)
+    runs = ExponentialModel(polynomial, LINEAR).run(n_steps, START, output_times)
     at = [integrals(LINEAR, time) for time in runs.time - 2.0]
     expected = [each[0] @ START + each[1] @ constant for each in at]
-    assert np.allclose(runs.coordinates[0], expected, atol=1e-10)
-    assert np.isnan(runs.diverged_at).all()
+    assert np.allclose(runs.coordinates, expected, atol=1e-10)
+    assert np.isnan(runs.diverged_at)
 
 
 @pytest.mark.parametrize("n_steps", [1, 2, 3, 7, 16])
@@ -105,12 +106,10 @@ def test_a_parabola_in_time_is_exact_in_any_steps(n_steps: int) -> None:
     none = np.zeros((3, 3))
     polynomial = Polynomial(((np.zeros(3), LINEAR), (np.zeros(3), none), (START, none)))
     output_times = OutputTimes(0.3, 8, start_time=0.0)
-    runs = ExponentialModel([polynomial], LINEAR).run_in(
-        [n_steps], START[None], output_times, lambda t: t
-    )
+    runs = ExponentialModel(polynomial, LINEAR).run(n_steps, START, output_times, lambda t: t)
     at = [integrals(LINEAR, time) for time in runs.time]
     expected = [each[0] @ START + 2.0 * each[3] @ START for each in at]
-    assert np.allclose(runs.coordinates[0], expected, atol=1e-9)
+    assert np.allclose(runs.coordinates, expected, atol=1e-9)
 
 
 def phi(k: int, matrix: np.ndarray) -> np.ndarray:
@@ -146,17 +145,17 @@ def test_a_step_is_that_of_krogstad(time_step: float) -> None:
         + (2.0 * phi(2, whole) - 4.0 * phi(3, whole)) @ (n2 + n3)
         + (4.0 * phi(3, whole) - phi(2, whole)) @ n4
     )
-    model = ExponentialModel([polynomial], LINEAR)
-    runs = model.run_in([1], START[None], OutputTimes(h, 2), np.cos)
-    assert np.allclose(runs.coordinates[0, 1], expected, rtol=0.0, atol=1e-13)
+    model = ExponentialModel(polynomial, LINEAR)
+    runs = model.run(1, START, OutputTimes(h, 2), np.cos)
+    assert np.allclose(runs.coordinates[1], expected, rtol=0.0, atol=1e-13)
 
 
 def test_steps_and_snapshots_within_them_are_of_fourth_order() -> None:
     polynomial, output_times = driven(), OutputTimes(0.001, 121)
-    model, truth = ExponentialModel([polynomial], LINEAR), exact(driven(), output_times, np.cos)
+    model, truth = ExponentialModel(polynomial, LINEAR), exact(driven(), output_times, np.cos)
     numbers = np.array([24, 30, 40, 60, 120])
     errors = [
-        np.max(np.abs(model.run_in([n], START[None], output_times, np.cos).coordinates[0] - truth))
+        np.max(np.abs(model.run(n, START, output_times, np.cos).coordinates - truth))
         for n in numbers
     ]
     assert 3.7 < -np.polyfit(np.log(numbers), np.log(errors), 1)[0] < 4.6
@@ -168,31 +167,19 @@ def test_any_linear_part_gives_the_same_solution(degree: int, n_steps: int) -> N
     polynomial, output_times = flow(degree=degree), OutputTimes(0.001, 41)
     truth = exact(polynomial, output_times)
     for linear in (LINEAR, polynomial.jacobian(START), 0.9 * LINEAR):
-        model = ExponentialModel([polynomial], linear)
-        found = model.run_in([25 * n_steps], START[None], output_times).coordinates[0]
+        model = ExponentialModel(polynomial, linear)
+        found = model.run(25 * n_steps, START, output_times).coordinates
         assert np.allclose(found, truth, atol=1e-7)
 
 
 def test_the_last_step_may_reach_beyond_the_last_snapshot() -> None:
     polynomial = driven()
-    model = ExponentialModel([polynomial], jacobian(polynomial))
+    model = ExponentialModel(polynomial, jacobian(polynomial))
     long, short = OutputTimes(0.02, 13), OutputTimes(0.02, 11)  # three times 4 reach 12
-    whole, part = (model.run_in([3], START[None], s, np.cos) for s in (long, short))
-    assert whole.time_step == pytest.approx([0.08])
+    whole, part = (model.run(3, START, s, np.cos) for s in (long, short))
+    assert whole.time_step == pytest.approx(0.08)
     assert model.steps_taken(3, short) == model.steps_taken(3, long) == 3
-    assert np.array_equal(whole.coordinates[:, :11], part.coordinates)
-
-
-def test_a_batch_is_its_runs() -> None:
-    polynomials, output_times = [driven(seed) for seed in (1, 2, 3)], OutputTimes(0.02, 12)
-    start = START + 0.1 * RANDOM.standard_normal((3, 3))
-    for n_steps in (4, 11, 30):
-        numbers = [n_steps, 1, n_steps - 1]
-        runs = ExponentialModel(polynomials, LINEAR).run_in(numbers, start, output_times, np.sin)
-        for b, polynomial in enumerate(polynomials):
-            alone = ExponentialModel([polynomial], LINEAR)
-            single = alone.run_in([n_steps], start[b : b + 1], output_times, np.sin)
-            assert np.allclose(runs.coordinates[b], single.coordinates[0], rtol=1e-12, atol=1e-14)
+    assert np.array_equal(whole.coordinates[:11], part.coordinates)
 
 
 @pytest.mark.parametrize(("n_steps", "n_kept"), [(2, 6), (5, 7), (10, 7), (20, 7)])
@@ -201,32 +188,31 @@ def test_divergence_is_seen_in_steps_and_snapshots_before_it_are_kept(
 ) -> None:
     """e^(10 t) passes 1000 between the snapshots at 0.6 and 0.7."""
     polynomial = Polynomial(((np.zeros(1), np.full((1, 1), 10.0)),))
-    model = ExponentialModel([polynomial], np.zeros((1, 1)))
+    model = ExponentialModel(polynomial, np.zeros((1, 1)))
     output_times = OutputTimes(0.1, 11, largest_norm=1e3)
-    runs = ExponentialModel([polynomial], np.full((1, 1), 10.0)).run_in(
-        [n_steps], np.ones((1, 1)), output_times
+    runs = ExponentialModel(polynomial, np.full((1, 1), 10.0)).run(
+        n_steps, np.ones(1), output_times
     )
-    kept = np.isfinite(runs.coordinates[0, :, 0])
+    kept = np.isfinite(runs.coordinates[:, 0])
     assert kept.sum() == n_kept
     assert kept[: kept.sum()].all()
-    assert runs.diverged_at[0] == pytest.approx(output_times.time[kept.sum() - 1], abs=0.05)
-    blown = model.run_in([1], np.full((1, 1), 1e200), OutputTimes(0.1, 3))
-    assert np.isnan(blown.coordinates[0, 1:]).all()
-    assert blown.diverged_at[0] == 0.0
+    assert runs.diverged_at == pytest.approx(output_times.time[kept.sum() - 1], abs=0.05)
+    blown = model.run(1, np.full(1, 1e200), OutputTimes(0.1, 3))
+    assert np.isnan(blown.coordinates[1:]).all()
+    assert blown.diverged_at == 0.0
 
 
 def test_steps_are_chosen_by_the_flow_not_by_sound() -> None:
     polynomial, output_times = flow(), OutputTimes(0.01, 101)
-    model = ExponentialModel([polynomial], jacobian(polynomial))
+    model = ExponentialModel(polynomial, jacobian(polynomial))
     n_stable = math.ceil(output_times.time[-1] * SOUND / 2.8)
-    first = first_exponential(n_stable, output_times)
-    assert first < n_stable / 5
+    first = Steps(
+        Mock(start=START, output_times=output_times, amplitude=None), model, n_stable // LONGER
+    )
     errors = {}
     for tolerance in (1e-3, 1e-5):
-        n_steps = accurate_steps(
-            model, START[None], output_times, tolerance, first, n_stable=n_stable
-        )
-        found = model.run_in([n_steps], START[None], output_times).coordinates[0]
+        n_steps = accurate(first, tolerance, n_stable).n_steps
+        found = model.run(n_steps, START, output_times).coordinates
         truth = exact(polynomial, output_times)
         errors[tolerance] = np.linalg.norm(found - truth) / np.linalg.norm(truth)
         assert errors[tolerance] < 1.1 * tolerance

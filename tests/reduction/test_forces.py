@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.reduction.operator_projection import UnprojectedModel, project_forces
+from sphrom.reduction.operator_projection import project_forces
 from sphrom.sph.wall_forces import MeasuredWall
 
 NU, SPEED, AMPLITUDE, MEAN = 0.013, 0.6, -1.4, 0.3
@@ -31,14 +31,14 @@ def expected(points, wall: MeasuredWall, q: np.ndarray, velocity: np.ndarray) ->
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_forces_are_those_of_the_fields(settings, name: str) -> None:
+def test_forces_are_those_of_the_fields(settings, unprojected, name: str) -> None:
     setting = settings[name]
     points = setting.points
     wall = a_wall(points.ghost_drag.shape[1])
     force = project_forces(points, setting.basis, wall)
     states = np.outer((1.0, 0.3), setting.coordinates)
     found = force.at(states, MEAN, NU, SPEED, np.full(2, AMPLITUDE))
-    model = UnprojectedModel(points, setting.basis)
+    model = unprojected(points, setting.basis)
     for coordinates, loads in zip(states, found, strict=True):
         q, velocity = model.fields(coordinates)
         wanted = expected(points, wall, q + points.density_scale * MEAN, velocity)

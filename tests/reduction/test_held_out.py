@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sphrom.reduction.decomposition import decompose
-from sphrom.reduction.held_out import UNTRIED, ProductSums, UnheldShares, unheld_shares
+from sphrom.reduction.held_out import UNTRIED, UnheldShares, snapshot_products, unheld_shares
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis, project, reconstruct
 
 N_POINTS, PER_RUN, N_MODES = 40, 20, 3
@@ -58,10 +58,9 @@ def energy(density: Array, velocity: Array) -> float:
 
 def found(density: Array, velocity: Array, n_runs: int) -> UnheldShares:
     basis = made(density, velocity, 6)
-    sums = ProductSums(len(density), basis)
-    for rows in (slice(0, 17), slice(17, N_POINTS)):
-        sums.add(rows, density[:, rows], velocity[:, rows])
-    return unheld_shares(sums.products(SPEED / DENSITY, n_runs), PLACES[:n_runs], N_MODES)
+    blocks = [(r, density[:, r], velocity[:, r]) for r in (slice(0, 17), slice(17, N_POINTS))]
+    products = snapshot_products(basis, len(density), SPEED / DENSITY, blocks)
+    return unheld_shares(products, PLACES[:n_runs], N_MODES)
 
 
 def test_a_run_left_out_is_one_that_a_basis_has_not_learnt() -> None:
@@ -126,8 +125,7 @@ def test_without_a_mean_density_none_is_counted() -> None:
     basis = replace(made(density - density.mean(axis=1)[:, None], velocity, 4), separate_mean=True)
     products = []
     for shift in (0.0, 3.0):
-        sums = ProductSums(len(density), basis)
-        sums.add(slice(0, N_POINTS), density + shift, velocity)
-        products.append(sums.products(SPEED / DENSITY, 1))
+        blocks = [(slice(0, N_POINTS), density + shift, velocity)]
+        products.append(snapshot_products(basis, len(density), SPEED / DENSITY, blocks))
     np.testing.assert_allclose(products[1].states, products[0].states, atol=1e-9)
     np.testing.assert_allclose(products[1].fields[1], products[0].fields[1], atol=1e-7)

@@ -130,7 +130,7 @@ def test_rates_are_the_projected_reference_functional(
             )
         )
     else:
-        modes = splines.gradients(points).reshape(len(points), N_MODES, 3, 2)
+        modes = splines.values_and_gradients(points)[1].reshape(len(points), N_MODES, 3, 2)
         gradient = np.einsum("nmfd,m->nfd", modes, COORDINATES)
         carried = np.einsum("nfd,nd->fn", gradient, velocity + shifting)
     root = np.repeat(np.sqrt(volume), 3)

@@ -10,6 +10,7 @@ import pytest
 from sphrom.reduction.polynomial_model import (
     OutputTimes,
     PolynomialModel,
+    Run,
     steady_state,
     step_limit,
 )
@@ -66,12 +67,10 @@ def test_the_jacobian_is_the_rates_derivative() -> None:
 
 def test_what_is_packed_gives_the_same_rates() -> None:
     """A vanishing step's change, over the step, is the rates."""
-    model = PolynomialModel([CUBIC])
+    model = PolynomialModel(CUBIC)
     step = 1e-7
-    runs = model.run_in(
-        [1], STATE[None], OutputTimes(step, 2), lambda time: np.full(time.shape, 0.7)
-    )
-    change = (runs.coordinates[0, 1] - STATE) / step
+    runs = model.run(1, STATE, OutputTimes(step, 2), lambda time: np.full(time.shape, 0.7))
+    change = (runs.coordinates[1] - STATE) / step
     assert np.allclose(change, CUBIC(STATE, 0.7), rtol=1e-4)
 
 
@@ -115,38 +114,27 @@ def test_the_step_limit_is_that_of_the_worst_state() -> None:
 def test_a_run_is_runge_kutta_with_snapshots() -> None:
     polynomial = Polynomial((damped().powers[0], tensors(1, 3)))
     output_times = OutputTimes(interval=0.2, n_snapshots=4, start_time=1.5)
-    runs = PolynomialModel([polynomial]).run_in([12], STATE[None], output_times, np.cos)
+    runs = PolynomialModel(polynomial).run(12, STATE, output_times, np.cos)
     state = STATE
     for step in range(12):
         state = runge_kutta_step(
             lambda a, t: polynomial(a, math.cos(t)), state, 1.5 + 0.05 * step, 0.05
         )
-    assert np.allclose(runs.coordinates[0, -1], state, rtol=1e-11)
+    assert np.allclose(runs.coordinates[-1], state, rtol=1e-11)
     assert np.allclose(runs.time, [1.5, 1.7, 1.9, 2.1])
-    assert runs.time_step == pytest.approx([0.05])
-    assert np.isnan(runs.diverged_at).all()
-
-
-def test_runs_of_a_batch_have_steps_of_their_own() -> None:
-    polynomials = [damped(seed) for seed in (0, 7, 11)]
-    start = RANDOM.standard_normal((3, N_MODES))
-    output_times = OutputTimes(0.2, 5)
-    runs = PolynomialModel(polynomials).run_in([8, 20, 4], start, output_times)
-    for b, (polynomial, n) in enumerate(zip(polynomials, (2, 5, 1), strict=True)):
-        alone = PolynomialModel([polynomial]).run_in([4 * n], start[b : b + 1], output_times)
-        assert np.allclose(runs.coordinates[b], alone.coordinates[0], rtol=1e-12)
-    assert runs.time_step == pytest.approx([0.1, 0.04, 0.2])
+    assert runs.time_step == pytest.approx(0.05)
+    assert np.isnan(runs.diverged_at)
 
 
 def test_snapshots_that_end_steps_are_their_states() -> None:
     polynomial, output_times = damped(), OutputTimes(0.2, 7)
     plain, dense = (
-        PolynomialModel([polynomial]).run_in([n], STATE[None], OutputTimes(*every)).coordinates[0]
+        PolynomialModel(polynomial).run(n, STATE, OutputTimes(*every)).coordinates
         for n, every in ((4, (0.3, 5)), (4, (0.2, 7)))
     )
     assert np.allclose(dense[::3], plain[::2], rtol=1e-14)
-    whole = PolynomialModel([polynomial]).run_in([12], STATE[None], output_times)
-    assert whole.time_step[0] == 0.2 / 2
+    whole = PolynomialModel(polynomial).run(12, STATE, output_times)
+    assert whole.time_step == 0.2 / 2
 
 
 @pytest.mark.parametrize("n_steps", [1, 2, 3, 5, 17])
@@ -156,41 +144,41 @@ def test_a_cubic_in_time_is_exact_in_any_steps(n_steps: int) -> None:
     still = (none, np.zeros((N_MODES, N_MODES)))
     polynomial = Polynomial((still, (none,), (STATE,)))
     output_times = OutputTimes(0.3, 8, start_time=1.0)
-    runs = PolynomialModel([polynomial]).run_in([n_steps], STATE[None], output_times, lambda t: t)
+    runs = PolynomialModel(polynomial).run(n_steps, STATE, output_times, lambda t: t)
     expected = STATE * (1.0 + (runs.time[:, None] ** 3 - 1.0) / 3.0)
-    assert np.allclose(runs.coordinates[0], expected, rtol=1e-13)
+    assert np.allclose(runs.coordinates, expected, rtol=1e-13)
 
 
 def test_snapshots_between_steps_are_of_fourth_order() -> None:
     polynomial = Polynomial((damped().powers[0], tensors(1, 3)))
-    model, output_times = PolynomialModel([polynomial]), OutputTimes(0.1, 12)
-    exact = model.run_in([2200], STATE[None], output_times, np.cos).coordinates
+    model, output_times = PolynomialModel(polynomial), OutputTimes(0.1, 12)
+    exact = model.run(2200, STATE, output_times, np.cos).coordinates
     numbers = np.array([19, 31, 47, 71, 109])
     errors = [
-        np.max(np.abs(model.run_in([n], STATE[None], output_times, np.cos).coordinates - exact))
+        np.max(np.abs(model.run(n, STATE, output_times, np.cos).coordinates - exact))
         for n in numbers
     ]
     order = -np.polyfit(np.log(numbers), np.log(errors), 1)[0]
     assert 3.8 < order < 4.6
 
 
-def test_a_divergent_run_says_when_and_leaves_others_alone() -> None:
+def test_a_divergent_run_says_when() -> None:
     """da/dt = a^2 from 2 is infinite at 0.5; from -2 it decays."""
     quadratic = np.zeros((N_MODES,) * 3)
     quadratic[0, 0, 0] = 1.0
     polynomial = Polynomial(((np.zeros(N_MODES), np.zeros((N_MODES, N_MODES)), quadratic),))
-    start = np.zeros((2, N_MODES))
-    start[:, 0] = 2.0, -2.0
-    runs = PolynomialModel([polynomial] * 2).run_in([500, 500], start, OutputTimes(0.2, 6))
-    assert runs.diverged_at[0] == pytest.approx(0.5, abs=0.02)
-    assert np.isnan(runs.diverged_at[1])
-    whole = np.isfinite(runs.coordinates[0]).all(axis=1)
+
+    def run(start: float, **options: float) -> Run:
+        output_times = OutputTimes(0.2, 6, **options)
+        return PolynomialModel(polynomial).run(500, start * np.eye(N_MODES)[0], output_times)
+
+    diverging, decaying = run(2.0), run(-2.0)
+    assert diverging.diverged_at == pytest.approx(0.5, abs=0.02)
+    whole = np.isfinite(diverging.coordinates).all(axis=1)
     assert whole.tolist() == [True, True, True, False, False, False]
-    assert runs.coordinates[1, -1, 0] == pytest.approx(-2.0 / 3.0, rel=1e-6)
-    bounded = PolynomialModel([polynomial]).run_in(
-        [500], start[:1], OutputTimes(0.2, 6, largest_norm=4.0)
-    )
-    assert bounded.diverged_at[0] == pytest.approx(0.25, abs=0.004)
+    assert np.isnan(decaying.diverged_at)
+    assert decaying.coordinates[-1, 0] == pytest.approx(-2.0 / 3.0, rel=1e-6)
+    assert run(2.0, largest_norm=4.0).diverged_at == pytest.approx(0.25, abs=0.004)
 
 
 def test_newton_finds_where_a_run_ends() -> None:
@@ -202,8 +190,8 @@ def test_newton_finds_where_a_run_ends() -> None:
     early = steady_state(polynomial, np.zeros(N_MODES), max_steps=1)
     assert (early.n_steps, early.converged) == (1, False)
     assert found.residual < early.residual
-    runs = PolynomialModel([polynomial]).run_in([300], np.zeros((1, N_MODES)), OutputTimes(30.0, 2))
-    assert np.allclose(found.coordinates, runs.coordinates[0, -1], atol=1e-9)
+    runs = PolynomialModel(polynomial).run(300, np.zeros(N_MODES), OutputTimes(30.0, 2))
+    assert np.allclose(found.coordinates, runs.coordinates[-1], atol=1e-9)
 
 
 def test_newton_says_when_there_is_no_steady_state() -> None:

@@ -144,7 +144,9 @@ def test_gradients_are_the_derivatives(order: int) -> None:
     step = 1e-6
     for axis, move in enumerate(step * np.eye(2)):
         difference = (fitted.values(inside + move) - fitted.values(inside - move)) / (2.0 * step)
-        np.testing.assert_allclose(fitted.gradients(inside)[..., axis], difference, atol=1e-5)
+        np.testing.assert_allclose(
+            fitted.values_and_gradients(inside)[1][..., axis], difference, atol=1e-5
+        )
 
 
 @pytest.mark.parametrize(
@@ -213,10 +215,10 @@ def test_scaling_the_box_changes_nothing(order: int, positions: Array) -> None:
     fitted = fit_smooth(order=order)
     scaled = fit_splines(size * points, smooth(points), small, order=order, cell_width=0.25 * size)
     np.testing.assert_allclose(scaled.condition_number, fitted.condition_number, rtol=1e-4)
-    np.testing.assert_allclose(scaled.values(size * positions), fitted.values(positions), atol=1e-8)
-    np.testing.assert_allclose(
-        size * scaled.gradients(size * positions), fitted.gradients(positions), atol=1e-7
-    )
+    ours = scaled.values_and_gradients(size * positions)
+    theirs = fitted.values_and_gradients(positions)
+    np.testing.assert_allclose(ours[0], theirs[0], atol=1e-8)
+    np.testing.assert_allclose(size * ours[1], theirs[1], atol=1e-7)
 
 
 def test_condition_number_is_an_estimate_from_below(splines: LocalSplines) -> None:
@@ -241,8 +243,6 @@ def test_combinations_are_splines_of_the_combined_values(
     np.testing.assert_allclose(
         found[1], np.einsum("pcd,cf->pfd", gradients, coefficients), atol=1e-10
     )
-    with pytest.raises(ValueError, match="coefficients must be"):
-        splines.combine(np.ones(2))
 
 
 def test_is_bitwise_the_same_on_any_number_of_threads_and_in_any_order(
@@ -260,33 +260,20 @@ def test_is_bitwise_the_same_on_any_number_of_threads_and_in_any_order(
     assert np.array_equal(splines.values(positions[shuffled]), splines.values(positions)[shuffled])
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"order": 2.5}, "order must be"),
-        ({"polynomial_degree": 4}, "polynomial_degree must be"),
-        ({"cell_width": math.nan}, "cell_width must be"),
-        ({"cell_width": 0.01}, "use wider cells"),
-    ],
-)
-def test_bad_parameters_are_refused(options: dict[str, float], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        fit_smooth(8, PERIODIC, **options)
-
-
 def test_bad_data_are_refused() -> None:
     points = jittered(8)
     values = smooth(points)
 
-    def refuse(message: str, points: Array, values: Array, domain: Domain = PERIODIC) -> None:
+    def refuse(
+        message: str, points: Array, domain: Domain = PERIODIC, width: float = 0.375
+    ) -> None:
         with pytest.raises(ValueError, match=message):
-            fit_splines(points, values, domain, cell_width=0.375)
+            fit_splines(points, values, domain, cell_width=width)
 
-    refuse("values must be", points, values[1:])
-    refuse("values must be finite", points, np.where(points > 0.9, np.nan, values))
-    refuse("1 points are not inside", np.where(points == points[5], 1.2, points), values, CLOSED)
-    refuse("points coincide", np.where(points == points[5], points[6], points), values)
-    refuse("lie on one line", points * [1.0, 0.0], values, CLOSED)
+    refuse("use wider cells", points, width=0.01)
+    refuse("1 points are not inside", np.where(points == points[5], 1.2, points), CLOSED)
+    refuse("points coincide", np.where(points == points[5], points[6], points))
+    refuse("lie on one line", points * [1.0, 0.0], CLOSED)
 
 
 def test_splines_of_the_first_modes_are_those_of_the_whole_basis(positions: Array) -> None:

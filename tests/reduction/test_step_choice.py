@@ -9,7 +9,13 @@ import pytest
 
 from sphrom.reduction.polynomial_model import OutputTimes, PolynomialModel, step_limit, steps_within
 from sphrom.reduction.reduced_rates import Polynomial
-from sphrom.reduction.reference_model import FINEST, LEAST_ERROR, accurate_steps, step_tolerance
+from sphrom.reduction.reference_model import (
+    FINEST,
+    LEAST_ERROR,
+    Steps,
+    accurate,
+    step_tolerance,
+)
 
 SOUND = 20.0
 """Of what oscillates [1/s]."""
@@ -27,18 +33,17 @@ def steps(polynomial: Polynomial, tolerance: float, start: np.ndarray = START) -
     """Return accurate steps and stable ones."""
     duration = OUTPUT_TIMES.time[-1]
     n_stable = steps_within(duration, step_limit(polynomial, start[None]))
-    system = PolynomialModel([polynomial])
-    return accurate_steps(system, start[None], OUTPUT_TIMES, tolerance, n_stable), n_stable
+    model = Mock(start=start, output_times=OUTPUT_TIMES, amplitude=None)
+    first = Steps(model, PolynomialModel(polynomial), n_stable)
+    return accurate(first, tolerance).n_steps, n_stable
 
 
 @pytest.mark.parametrize("tolerance", [1e-2, 1e-3, 1e-4])
 def test_the_error_is_within_the_tolerance_and_not_far_below(tolerance: float) -> None:
     polynomial = decaying_sound()
     n_steps, n_stable = steps(polynomial, tolerance)
-    model = PolynomialModel([polynomial])
-    fine, found = (
-        model.run_in([n], START[None], OUTPUT_TIMES).coordinates for n in (5000, n_steps)
-    )
+    model = PolynomialModel(polynomial)
+    fine, found = (model.run(n, START, OUTPUT_TIMES).coordinates for n in (5000, n_steps))
     error = np.linalg.norm(found - fine) / np.linalg.norm(fine)
     assert 0.3 * tolerance < error < 1.1 * tolerance
     assert n_stable < n_steps < FINEST * n_stable

@@ -12,7 +12,7 @@ from sphrom.case.models import Case
 from sphrom.errors import UnstableError
 from sphrom.metrics.measures import FieldMeasure, errors_of, mean_square, of_a_run, statistics
 from sphrom.setup.assembly import field_measures
-from sphrom.setup.measured_fields import MeasuredFields
+from sphrom.setup.particles import MeasuredFields
 
 HALF = {"flow_rate": {"from": [0.25, 0], "to": [0.25, 1]}}
 SLANTED = {"flow_rate": {"from": [0.1, 0.2], "to": [0.8, 0.9]}}

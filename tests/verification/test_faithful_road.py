@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from sphrom.metrics.discrepancy import relative_discrepancy
 from sphrom.metrics.samples import vertical_line
 from sphrom.reduction.decomposition import decompose
+from sphrom.reduction.mode_splines import basis_columns
 from sphrom.reduction.particle_model import AdjointPetrovGalerkin, ParticleModel, reduced_jacobian
 from sphrom.reduction.reduced_rates import memory_length
 from sphrom.reduction.reference_space import ReferenceMap
@@ -48,20 +49,14 @@ def reduced(run, product: InnerProduct, method: str, advection: str, closed: boo
         lambda part: (density[:, part], velocity[:, part]),
         len(points), len(density), product, volume, N_MODES,
     )["all"]  # fmt: skip
-    columns = np.concatenate((basis.density_modes[..., None], basis.velocity_modes), axis=2)
-    splines = fit_splines(
-        points,
-        columns.transpose(1, 0, 2).reshape(len(points), -1),
-        run.vortex.domain,
-        cell_width=default_cell_width(run.vortex.domain, len(points)),
-    )
-    options = {"n_modes": N_MODES, "advection": advection}
-    model = ParticleModel(run.vortex.functional, splines, product, **options)
+    width = default_cell_width(run.vortex.domain, len(points))
+    splines = fit_splines(points, basis_columns(basis), run.vortex.domain, cell_width=width)
+    model = ParticleModel(run.vortex.functional, splines, product, advection=advection)
     state = model.initial_state(project(basis, density[0], velocity[0]), points)
     if closed:
         functional, jacobian = run.vortex.functional, reduced_jacobian(model, state)
         h, c0 = functional.discretization.smoothing_length, functional.fluid.sound_speed
-        model = model.with_closure(AdjointPetrovGalerkin(memory_length(jacobian, h, c0)))
+        model.closure = AdjointPetrovGalerkin(memory_length(jacobian, h, c0))
     return model, state
 
 

@@ -103,7 +103,6 @@ class BasisOperators(Record):
     wall_force: Mapping[str, WallForce] = part(default_factory=dict)
     measure: Mapping[str, ReducedMeasure] = part(default_factory=dict)
     skewness: float = attribute("1", "of the acoustic part; zero is skew")
-    expansion_error: float = attribute("1", "largest that expanding 1/rho makes in rates")
 
 
 class Starts(Record):
@@ -123,7 +122,6 @@ class Operators(Record, kind="sphrom/operators"):
 
     bases: Mapping[str, BasisOperators] = part()
     starts: Starts | None = part(default=None)
-    density_order: int = attribute("", "to which 1/rho is expanded")
     walls_driven: int = attribute("", "1 where the amplitude is that of the walls' speed, else 0")
 
 
