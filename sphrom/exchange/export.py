@@ -33,8 +33,7 @@ from sphrom.setup.context import StageContext
 from sphrom.sph import state_equation
 from sphrom.store.bases import read_points
 from sphrom.store.sampling import probes_of
-from sphrom.store.targets import Target
-from sphrom.store.workspace import Workspace, make_folder
+from sphrom.store.workspace import Target, Workspace, make_folder
 from sphrom.whole_files import replacement
 
 Array = NDArray[np.float64]

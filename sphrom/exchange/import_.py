@@ -38,9 +38,8 @@ from sphrom.setup.cost import require_room
 from sphrom.setup.particles import MeasuredFields
 from sphrom.sph import fluid, state_equation
 from sphrom.sph.time_loop import DENSITY_LIMIT, Snapshot
-from sphrom.store.targets import Target
 from sphrom.store.trajectory import TrajectoryWriter
-from sphrom.store.workspace import Workspace
+from sphrom.store.workspace import Target, Workspace
 
 Array = NDArray[np.float64]
 
