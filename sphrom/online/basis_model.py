@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +52,9 @@ from sphrom.store.trained_operators import (
     sized_in,
 )
 from sphrom.store.workspace import Workspace
+
+if TYPE_CHECKING:
+    from sphrom.reduction.mode_splines import ModeSplines
 
 Array = NDArray[np.float64]
 Start = Callable[[ParameterPoint], Fields]
@@ -135,6 +139,13 @@ class BasisModel:
         change = {"n_modes": self.n_integrated, "corrected": False}
         section = self.section.model_copy(update=change)
         return BasisModel(self.workspace, section, self.name, self._start)
+
+    @cached_property
+    def splines(self) -> ModeSplines:
+        """The splines of the model's modes."""
+        from sphrom.store.bases import read_model_splines  # they load their kernels
+
+        return read_model_splines(self.workspace, self.name, self.section.size)
 
     @cached_property
     def trained_errors(self) -> TrainedErrors | None:

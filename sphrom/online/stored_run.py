@@ -120,9 +120,6 @@ class StoredRun:
         chosen = range(len(self.time)) if snapshots is None else snapshots
         if self._rebuilt is None:
             return sample_run(case, run, points, advance, chosen)
-        if "probes/position" in run and np.array_equal(run.read("probes/position"), points):
-            velocity, pressure = run.read("probes/velocity"), run.read("probes/pressure")
-            return Samples(self.time[chosen], velocity[chosen], pressure[chosen])
         basis, splines = read_modes(self._workspace, self._basis_name, self._n_modes)
         means = np.full(len(chosen), run.number("mean_density_fluctuation"))
         coordinates = self._coordinates[chosen]

@@ -15,6 +15,7 @@ import numpy as np
 
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
 from sphrom.compare.costs import is_imported, known_seconds, offline_seconds
 from sphrom.errors import CaseError
 from sphrom.metrics.histories import EXACT, Errors, compare, errors_of
@@ -33,7 +34,7 @@ from sphrom.store.trajectory import require_complete
 from sphrom.store.workspace import Workspace
 from sphrom.text import counted
 from sphrom.trade import candidates as weighed_models
-from sphrom.trade.candidates import FOLDER, N_TIMED_STEPS, Candidate, candidates, trade_points
+from sphrom.trade.candidates import FOLDER, N_TIMED_STEPS, STEP_FACTORS, candidates, trade_points
 from sphrom.trade.weighing import (
     FRONTS,
     NO_MEASURED,
@@ -100,9 +101,8 @@ class _Trade:
     def __init__(self, context: StageContext) -> None:
         self.workspace, self.case = Workspace(context), context.case
         points = context.chosen(trade_points(self.case))
-        self.listed = candidates(self.case, points)
-        models = {each.model.name: each.model for each in self.listed}
-        self.wider = weighed_models.prepared(context, [*models.values()])
+        self.models = candidates(self.case, points)
+        self.wider = weighed_models.prepared(context, self.models)
         self.probes = probes_of(self.case)
         self.full: dict[ParameterPoint, Samples] = {}
         for point in points:
@@ -161,22 +161,25 @@ class _Trade:
     def _reduced(self) -> list[Rows]:
         """Run all reduced models; where rounding gives several one step, keep the first."""
         found: dict[tuple[object, ...], Rows] = {}
-        with self.workspace.context.report.progress("reduced models", len(self.listed)) as advance:
-            for candidate in self.listed:
-                rows = self._of(candidate)
-                steps = tuple(run.time_step for run in rows[1])
-                found.setdefault((candidate.model.name, steps), rows)
+        with self.workspace.context.report.progress("reduced models", len(self.models)) as advance:
+            for model in self.models:
+                for factor in STEP_FACTORS:
+                    rows = self._of(model, factor)
+                    steps = tuple(run.time_step for run in rows[1])
+                    found.setdefault((model.name, steps), rows)
                 advance(1)
         return list(found.values())
 
-    def _of(self, candidate: Candidate) -> Rows:
-        """Run a reduced model at all points, and return its rows."""
-        section, fast = candidate.model, FastModel(self.wider, candidate.model)
-        runs = [self._fast(fast, candidate, point) for point in self.full]
+    def _of(self, section: ReducedModelSection, factor: int) -> Rows:
+        """Run a reduced model at all points, in steps over automatic ones; return its rows."""
+        fast = FastModel(self.wider, section)
+        family = "APG" if section.projection == "apg" else "Galerkin, calibrated"
+        label = f"{family}, M = {section.size}" + (f", {factor} dt" if factor > 1 else "")
+        runs = [self._fast(fast, label, factor, point) for point in self.full]
         offline, training = offline_seconds(self.wider, section, list(self.full))
         row = ModelRow.of(
             runs,
-            family=candidate.family,
+            family=family,
             kind=section.evaluation,
             basis=section.basis,
             projection=section.projection,
@@ -188,18 +191,18 @@ class _Trade:
         )
         return row, runs
 
-    def _fast(self, fast: FastModel, candidate: Candidate, point: ParameterPoint) -> RunRow:
+    def _fast(self, fast: FastModel, label: str, factor: int, point: ParameterPoint) -> RunRow:
         """Run and time a model at a point."""
         measure, role = self.case.trade.measure, role_of(self.case, fast.basis_at(point), point)
         reduced = fast.at(point)
-        steps = reference_model.automatic(reduced).with_steps(candidate.step_factor)
+        steps = reference_model.automatic(reduced).with_steps(factor)
         found, seconds = steps.timed(self.case.trade.repeats)
         run, samples = FastRun(fast, point, reduced, found), None
         if run.failure is None:
             samples = run.sampled(self.probes)
             if measure is not None:
                 samples = replace(samples, measured=run.measured[measure])
-        return self._row(candidate.label, role, point, run.time_step, seconds, samples)
+        return self._row(label, role, point, run.time_step, seconds, samples)
 
     def _row(
         self,
