@@ -55,9 +55,9 @@ def context_of(
     case: Case,
     report: Reporter,
     *,
-    out: Path | None = None,
-    force: bool = False,
-    threads: int | None = None,
+    out: Path | None,
+    force: bool,
+    threads: int | None,
 ) -> StageContext:
     """Return what a stage needs to know to run on a case, and report the case's warnings."""
     from sphrom.case.hints import case_warnings
