@@ -168,6 +168,8 @@ def test_runs_beyond_the_trained_times_and_values_are_told_apart(study):
     assert longer.time[-1] == pytest.approx(2.0 * own.time[-1])
     assert longer.error_estimate.extrapolates
     assert "beyond the trained time" in TOLD[-1]
+    study.model("fast", reynolds=300)
+    assert "fast: reynolds=300 is outside of the trained range" in TOLD[-1]
     n = len(own.time)
     np.testing.assert_allclose(
         longer.coordinates[:n] - longer.correction[:n], own.coordinates - own.correction, atol=1e-4
