@@ -33,10 +33,9 @@ from sphrom.scenes.scene import ExactFlow
 from sphrom.setup.assembly import role_of
 from sphrom.setup.context import StageContext
 from sphrom.setup.particles import sampler
-from sphrom.store.bases import read_modes
-from sphrom.store.measured_quantities import measured_of
+from sphrom.store.reduced_models import read_modes
 from sphrom.store.sampling import probes_of, sample_best, sample_exact, sample_mapped
-from sphrom.store.trajectory import require_complete
+from sphrom.store.trajectory import measured_of, require_complete
 from sphrom.store.workspace import Workspace
 
 

@@ -17,7 +17,7 @@ from sphrom.metrics.discrepancy import cumulative_singular_value_share, energy
 from sphrom.plots.panels import Curve, Field, Panel, draw_grid
 from sphrom.plots.pictures import Frame
 from sphrom.setup.draw import solids_within
-from sphrom.store.trained_operators import sized
+from sphrom.store.reduced_models import sized
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:

@@ -32,9 +32,8 @@ from sphrom.reduction.reduced_measures import ReducedMeasure, project_measures
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
 from sphrom.setup.assembly import places_of
 from sphrom.setup.particles import MeasuredFields, sampler
-from sphrom.store.bases import read_points
-from sphrom.store.measured_quantities import read_quantities
-from sphrom.store.trajectory import snapshot_fields
+from sphrom.store.reduced_models import read_points
+from sphrom.store.trajectory import read_quantities, snapshot_fields
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -5,8 +5,8 @@ than the error: a few points with large values, such as the corners under a lid,
 small. A comparison of part of a field therefore names its range: that of the part or the whole.
 
 Arrays are (n_snapshots, n_points) or (n_points,): the last axis, or the last two of a vector
-field, is one instant, and each function returns one figure per instant. A figure without
-meaning is refused with ValueError; NaN is never returned.
+field, is one instant, and each function returns one figure per instant. A figure that isn't finite,
+as of fields that aren't or relative to nothing, is refused with ValueError.
 """
 
 from __future__ import annotations
@@ -34,42 +34,33 @@ def relative_discrepancy(
     The range is that of `range_over` (..., n_other_points) at each instant where it is given, such
     as the whole of a field of which `reference` is a line.
 
-    Raises ValueError when the shapes differ, a value is not finite, or the range is zero at some
-    instant.
+    Raises ValueError for a field that isn't finite, or a range of zero at some instant.
     """
-    _check(approximation, reference)
     extent = instantaneous_range(reference if range_over is None else range_over)
-    _refuse_zeros(extent, "the reference is constant over its points, so Eq. 4.1 has no range")
-    return 100.0 * np.abs(approximation - reference).mean(axis=-1) / extent
+    return _relative(np.abs(approximation - reference).mean(axis=-1), extent)
 
 
 def relative_l2(approximation: Array, reference: Array, *, field_axes: int = 1) -> Array:
     """Return 100 |error| / |reference| in the L2 norm of every instant [%].
 
     `field_axes` is 1 for scalars (..., n_points), 2 for vectors (..., n_points, n_dim); one more
-    makes it the norm over points and time. Raises ValueError when the shapes differ, a value is
-    not finite, or the reference is zero.
+    makes it the norm over points and time. Raises ValueError for a field that isn't finite, or a
+    reference of zero.
     """
-    _check(approximation, reference)
     axes = tuple(range(-field_axes, 0))
-    norm = np.asarray(np.sqrt(np.sum(reference**2, axis=axes)))
-    _refuse_zeros(norm, "the reference is zero at all points, so no error is relative to it")
-    return 100.0 * np.sqrt(np.sum((approximation - reference) ** 2, axis=axes)) / norm
+    error, norm = (np.sqrt(np.sum(f**2, axis=axes)) for f in (approximation - reference, reference))
+    return _relative(error, norm)
 
 
 def relative_error_at(points: NDArray[np.bool_], approximation: Array, reference: Array) -> Array:
     """Return 100 rms|error| over some points / rms|reference| over all of every instant [%].
 
     Fields are (..., n_points, n_dim), `points` (n_points,) tells which. Over all points it is the
-    relative L2 error. Raises ValueError as `relative_l2` does, and for no points.
+    relative L2 error. Raises ValueError as `relative_l2` does.
     """
-    _check(approximation, reference)
-    if not points.any():
-        raise ValueError("there is no point to take an error at")
     squares = np.sum((approximation - reference) ** 2, axis=-1)[..., points].mean(axis=-1)
-    scale = np.asarray(np.sum(reference**2, axis=-1).mean(axis=-1))
-    _refuse_zeros(scale, "the reference is zero at all points, so no error is relative to it")
-    return np.asarray(100.0 * np.sqrt(squares / scale))
+    scale = np.sum(reference**2, axis=-1).mean(axis=-1)
+    return 100.0 * np.sqrt(_relative(squares, scale, 1.0))
 
 
 def without_mean(field: Array) -> Array:
@@ -77,47 +68,29 @@ def without_mean(field: Array) -> Array:
     return field - field.mean(axis=-1, keepdims=True)
 
 
-def _check(approximation: Array, reference: Array) -> None:
-    if approximation.shape != reference.shape:
-        raise ValueError(f"shapes differ: {approximation.shape} and {reference.shape}")
-    if not (np.all(np.isfinite(approximation)) and np.all(np.isfinite(reference))):
-        raise ValueError("a field with values that are not finite has no error")
-
-
-def _refuse_zeros(scale: Array, reason: str) -> None:
-    if not np.all(scale > 0.0):
-        where = f" (instant {int(np.flatnonzero(scale == 0.0)[0])})" if scale.ndim else ""
-        raise ValueError(reason + where)
+def _relative(errors: Array, scale: Array, factor: float = 100.0) -> Array:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = factor * errors / scale
+    if not np.all(np.isfinite(found)):
+        raise ValueError("no error: a field is not finite, or the reference is constant or zero")
+    return np.asarray(found)
 
 
 def compression_factor(n_particles: int, n_modes: int, n_dim: int = 2) -> float:
     """Return N_d / M with the (2n + 1) N values of the full state (Eq. 4.2 inverted, as used)."""
-    return (2 * n_dim + 1) * n_particles / _positive(n_modes)
+    return (2 * n_dim + 1) * n_particles / n_modes
 
 
 def field_compression_factor(n_particles: int, n_modes: int, n_dim: int = 2) -> float:
     """Return (n + 1) N / M: density and velocity, which are the reduced fields, over modes."""
-    return (n_dim + 1) * n_particles / _positive(n_modes)
+    return (n_dim + 1) * n_particles / n_modes
 
 
 def cumulative_singular_value_share(singular_values: Array) -> Array:
     """Return 100 sum_1^M sigma / sum sigma [%] for M = 1, 2, ... (Eq. 4.3 as printed)."""
-    return _share(singular_values)
+    return _relative(np.cumsum(singular_values), singular_values.sum())
 
 
 def energy(singular_values: Array) -> Array:
     """Return 100 sum_1^M sigma^2 / sum sigma^2 [%] for M = 1, 2, ...: the share of variance."""
-    return _share(singular_values**2)
-
-
-def _share(parts: Array) -> Array:
-    total = parts.sum()
-    if not total > 0.0:
-        raise ValueError("singular values that are all zero or not finite have no shares")
-    return 100.0 * np.cumsum(parts) / total
-
-
-def _positive(n_modes: int) -> int:
-    if n_modes < 1:
-        raise ValueError(f"a reduced model has at least one mode, not {n_modes}")
-    return n_modes
+    return cumulative_singular_value_share(singular_values**2)

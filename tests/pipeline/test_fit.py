@@ -86,8 +86,8 @@ def test_what_the_model_has_gives_its_parameters(study, columns, tmp_path):
     assert exact.covariance[1, 1] == pytest.approx(lid.standard_deviation**2)
     assert exact["lid"] == lid
     assert "noise is smaller than stated" in exact.problems[-1]
-    exact.draw(tmp_path / "fit.svg")
-    assert "there_pressure [Pa]" in (tmp_path / "fit.svg").read_text()
+    exact.draw(tmp_path / "fit.png")
+    assert (tmp_path / "fit.png").stat().st_size > 10_000
 
 
 def test_gradients_are_differences(study, columns):

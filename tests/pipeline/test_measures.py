@@ -22,8 +22,8 @@ from sphrom.plots.tables import read_csv
 from sphrom.setup import particles
 from sphrom.setup.particles import MeasuredFields
 from sphrom.sph import time_loop
-from sphrom.store.measured_quantities import read_forces, read_quantities
-from sphrom.store.trained_operators import read_wall_force
+from sphrom.store.reduced_models import read_wall_force
+from sphrom.store.trajectory import read_forces, read_quantities
 
 CASE: dict[str, Any] = {
     "name": "body",
