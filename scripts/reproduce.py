@@ -36,8 +36,7 @@ from sphrom.errors import ResourceError, SphromError
 from sphrom.kernels import ask_for_threads
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import full_seconds, needs
-from sphrom.store.targets import Target
-from sphrom.store.workspace import Workspace
+from sphrom.store.workspace import Target, Workspace
 
 CASES = Path(__file__).parent.parent / "cases"
 SCENES = ("taylor-green", "lid-driven-cavity", "open-cavity")

@@ -1,28 +1,24 @@
-"""Report to a terminal with bars and tables, and elsewhere in plain lines.
+"""Report to a terminal, to a log, or to a program: lines, warnings, tables, progress.
 
 Whatever the program shows goes through here: texts may come from files and arguments that somebody
-else wrote, so that control characters are shown as escapes, and markup is shown as it stands.
+else wrote, so that control characters are shown as escapes.
 """
 
 from __future__ import annotations
 
+import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 from copy import copy
 from datetime import datetime
 from enum import IntEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Protocol, Self
+from typing import Self
 
-from sphrom.errors import CaseError
-from sphrom.text import shortened, visible
+from sphrom.text import duration, shortened, visible
 from sphrom.whole_files import open_to_write
-
-if TYPE_CHECKING:
-    from rich.console import Console
-    from rich.progress import Progress
 
 LOG = "sphrom.log"
 """The log's name beside a case's artifacts."""
@@ -30,67 +26,70 @@ LINE_INTERVAL = 10.0
 """Seconds before the first plain line about progress."""
 LONGEST_INTERVAL = 600.0
 """Each interval is twice the one before, up to this one [s]."""
+REFRESHED = 0.1
+"""Seconds from one change of a terminal's last line to the next."""
 LONGEST_LINE = 500
 """Characters of an error or a warning: what they quote may be of any length."""
+_ERASE = "\r\x1b[K"
+
+_status = ""
+"""The terminal's last line, which says how far things are."""
 
 
 def tell(text: str, *, error: bool = False) -> None:
     """Write one line to the output, or to the error stream, where it has its middle left out."""
+    _show_status("")
     if error:
         print(shortened(text, LONGEST_LINE), file=sys.stderr, flush=True)
     else:
         print(visible(text), flush=True)
 
 
+def _show_status(text: str) -> None:
+    """Put a text in place of the terminal's last line."""
+    global _status
+    text = visible(text)[: shutil.get_terminal_size().columns - 1]
+    if text != _status:
+        _status = text
+        print(_ERASE + text, end="", flush=True)
+
+
 class LogFile:
     """The log of a command: lines with their times, added to a file once its folder is there.
 
-    A log is no result: where it can't be written, the command goes on with a warning.
+    A log is no result: where it can't be written, the command goes on with a warning. Without a
+    path there is no log.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path | None = None) -> None:
         self._path = path
-        self._refused = False
         self._waiting: list[str] = []
 
     def write(self, text: str) -> None:
         """Add a line."""
         now = datetime.now().astimezone().isoformat(sep=" ", timespec="seconds")
         self._waiting.append(f"{now}  {visible(text)}\n")
-        if self._refused or not self._path.parent.is_dir():
+        if self._path is None or not self._path.parent.is_dir():
             return
-        lines, self._waiting = "".join(self._waiting), []
         try:
             with open_to_write(self._path, "a") as file:
-                file.write(lines)
+                file.write("".join(self._waiting))
         except OSError as error:
-            self._refused = True
             tell(f"warning: {self._path}: no log is written: {error.strerror}", error=True)
+            self._path = None
+        self._waiting.clear()
 
-
-def require_log(path: Path) -> Path:
-    """Return the path of a log that is asked for. Raises CaseError where it can't be written."""
-    try:
-        with open_to_write(path, "a"):
-            return path
-    except OSError as error:
-        raise CaseError(f"--log: {path} can't be written: {error.strerror}") from error
-
-
-@contextmanager
-def recorded(log: LogFile | None, command: Sequence[str]) -> Iterator[None]:
-    """Write what a command was told, and how it ended."""
-    if log is None:
-        yield
-        return
-    log.write("$ " + " ".join(command))
-    try:
-        yield
-    except BaseException as error:
-        for line in (str(error) or type(error).__name__).split("\n"):
-            log.write(f"stopped: {line}")
-        raise
-    log.write("done")
+    @contextmanager
+    def recorded(self, command: Sequence[str]) -> Iterator[None]:
+        """Write what a command was told, and how it ended."""
+        self.write("$ " + " ".join(command))
+        try:
+            yield
+        except BaseException as error:
+            for line in (str(error) or type(error).__name__).split("\n"):
+                self.write(f"stopped: {line}")
+            raise
+        self.write("done")
 
 
 class Level(IntEnum):
@@ -103,24 +102,6 @@ class Level(IntEnum):
     RESULT = 2
 
 
-class PlainReporter(Protocol):
-    """A program's own reporter, which is told everything alike."""
-
-    def info(self, text: str) -> None:
-        """Take a line."""
-
-    def warn(self, text: str) -> None:
-        """Take a warning of one line."""
-
-    def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        """Take a result as a table."""
-
-    def progress(
-        self, description: str, total: int
-    ) -> AbstractContextManager[Callable[[int], None]]:
-        """Begin something of `total` steps; the callable that it gives takes those done since."""
-
-
 class Reporter:
     """Tells the user how a stage is getting on: lines of some level, warnings, tables, progress.
 
@@ -129,18 +110,25 @@ class Reporter:
     quiet : show warnings and results alone.
     verbose : show details, too.
     log : the file that has all of it.
+    write : a program's own function, which takes each line in place of the output.
     """
 
     def __init__(
-        self, *, quiet: bool = False, verbose: bool = False, log: LogFile | None = None
+        self,
+        *,
+        quiet: bool = False,
+        verbose: bool = False,
+        log: LogFile | None = None,
+        write: Callable[[str], object] | None = None,
     ) -> None:
         self._least = Level.RESULT if quiet else Level.DETAIL if verbose else Level.INFO
         self._level = Level.INFO
         self._is_brief = self._has_progress = False
         self._label = ""
-        self._log = log
-        self._terminal = sys.stdout.isatty()
-        self._bars = _Bars()
+        self._log = log or LogFile()
+        self._write = write
+        self._terminal = write is None and sys.stdout.isatty()
+        self._running: list[_Progress] = []
 
     @property
     def details(self) -> Self:
@@ -175,247 +163,107 @@ class Reporter:
             self._show(text, level)
 
     def _show(self, text: str, level: Level) -> None:
-        if self._log is not None:
-            self._log.write(text)
+        self._log.write(text)
         if level >= self._least:
-            tell(text)
+            (self._write or tell)(text)
 
     def warn(self, text: str) -> None:
         """Warn the user in one line, on the error stream."""
         text = f"warning: {self._label}{text}"
-        if self._log is not None:
-            self._log.write(text)
-        tell(text, error=True)
+        self._log.write(text)
+        if self._write is None:
+            tell(text, error=True)
+        else:
+            self._write(text)
 
     def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        """Show a result as a table."""
-        if self._is_brief:
-            return
-        lines = list(plain_table(title, columns, rows))
-        shown = self._level >= min(self._least, Level.INFO)
-        for line in lines:
-            if self._log is not None:
-                self._log.write(line)
-            if shown and not self._terminal:
-                tell(line)
-        if shown and self._terminal:
-            _print_rich_table(self._bars.console, title, columns, rows)
+        """Show a result as a table: the first column to the left, numbers to the right."""
+        columns, *rows = ([visible(cell) for cell in row] for row in (columns, *rows))
+        widths = [max(map(len, cells)) for cells in zip(columns, *rows, strict=True)]
+        level = Level.DETAIL if self._level is Level.DETAIL else Level.RESULT
+        self._tell(title, level)
+        for row in (columns, ["-" * width for width in widths], *rows):
+            first, *others = zip(row, widths, strict=True)
+            cells = [first[0].ljust(first[1]), *(cell.rjust(width) for cell, width in others)]
+            self._tell("  ".join(cells).rstrip(), level)
 
-    def progress(
-        self, description: str, total: int
-    ) -> AbstractContextManager[Callable[[int], None]]:
+    @contextmanager
+    def progress(self, description: str, total: int) -> Iterator[Callable[[int], None]]:
         """Show how much of `total` is done, and the time left.
 
-        The callable that it gives takes what was done since the last call. A bar goes when all is
-        done. Bars may be nested; one inside another comes below it. Where there is no terminal a
-        line comes now and then of what takes long, and at the end; of a detail that was done
-        quickly there is none.
+        The callable that it gives takes what was done since the last call. A terminal's last line
+        says how far all that is running is. Where there is no terminal a line comes now and then
+        of what takes long, and at the end; of a detail that was done quickly there is none.
         """
         if self._is_brief and not self._has_progress:
-            return nullcontext(lambda done: None)
-        return self._progress(description, total)
+            yield lambda done: None
+            return
+        progress = _Progress(description, total)
+        self._running.append(progress)
 
-    @contextmanager
-    def _progress(self, description: str, total: int) -> Iterator[Callable[[int], None]]:
-        def write(text: str, *, quickly: bool) -> None:
-            hidden = self._terminal or (quickly and self._level is Level.DETAIL)
-            self._show(text, Level.DETAIL if hidden else Level.INFO)
+        def advance(done: int) -> None:
+            progress.count(done)
+            if self._terminal and self._least <= Level.INFO and progress.is_stale():
+                _show_status("; ".join(map(str, self._running)))
+            if progress.is_due():
+                self._show(str(progress), Level.DETAIL if self._terminal else Level.INFO)
 
-        lines = ProgressLines(description, total, write)
-        if self._terminal and self._least <= Level.INFO:
-            with self._bars.bar(description, total) as advance:
-
-                def both(done: int) -> None:
-                    lines.advance(done)
-                    advance(done)
-
-                yield both
-        else:
-            yield lines.advance
-        lines.finish()
-
-
-class ProgramReporter(Reporter):
-    """Tells a program's own reporter."""
-
-    def __init__(self, report: PlainReporter) -> None:
-        super().__init__()
-        self._report = report
-
-    def _show(self, text: str, level: Level) -> None:
-        self._report.info(text)
-
-    def warn(self, text: str) -> None:
-        """Warn the program in one line."""
-        self._report.warn(self._label + text)
-
-    def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        """Give the program a table."""
-        if not self._is_brief:
-            self._report.table(title, columns, rows)
-
-    @contextmanager
-    def _progress(self, description: str, total: int) -> Iterator[Callable[[int], None]]:
-        with self._report.progress(description, total) as advance:
+        try:
             yield advance
+        finally:
+            self._running.remove(progress)
+            _show_status("")
+        seconds = time.monotonic() - progress.start
+        is_hidden = self._terminal or (seconds < LINE_INTERVAL and self._level is Level.DETAIL)
+        self._show(
+            f"{description}: {progress.done} of {total} in {duration(seconds)}",
+            Level.DETAIL if is_hidden else Level.INFO,
+        )
 
 
 class SilentReporter(Reporter):
     """Tells nobody."""
 
     def __init__(self) -> None:
-        super().__init__()
-        self._is_brief = True
-
-    def warn(self, text: str) -> None:
-        """Drop it."""
+        super().__init__(write=lambda text: None)
 
 
-class _Bars:
-    """The bars of a terminal, while there are any."""
+class _Progress:
+    """How much of something is done, since when, and when to say so again."""
 
-    def __init__(self) -> None:
-        self._progress: Progress | None = None
-
-    @property
-    def console(self) -> Console | None:
-        """Where to print above the bars; None where there are none."""
-        return None if self._progress is None else self._progress.console
-
-    @contextmanager
-    def bar(self, description: str, total: int) -> Iterator[Callable[[int], None]]:
-        """Show a bar within the block."""
-        outermost = self._progress is None
-        bars = self._progress = self._progress or _new_bars()
-        if outermost:
-            bars.start()
-        task = bars.add_task(visible(description), total=total)
-        try:
-            yield lambda done: bars.advance(task, done)
-        finally:
-            if outermost:
-                bars.stop()
-                self._progress = None
-            else:
-                bars.remove_task(task)
-
-
-class WriteProgress(Protocol):
-    """Writes one line of progress."""
-
-    def __call__(self, text: str, *, quickly: bool) -> None:
-        """Take a line, which may be the last of what was done quickly."""
-
-
-class ProgressLines:
-    """Progress in lines: the more seldom the longer it takes, and one at the end."""
-
-    def __init__(
-        self,
-        description: str,
-        total: int,
-        write: WriteProgress,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
+    def __init__(self, description: str, total: int) -> None:
         self._description, self._total = description, total
-        self._write, self._clock = write, clock
-        self._start = clock()
+        self.start = self._since = self._shown = time.monotonic()
+        self.done = self._first = 0
         self._interval = LINE_INTERVAL
-        self._next = self._start + self._interval
-        self._done = self._first = 0
-        self._since = self._start
+        self._next = self.start + self._interval
 
-    def advance(self, done: int) -> None:
-        """Count what was done, and write a line when the last one is old."""
-        now = self._clock()
-        if not self._done:
+    def count(self, done: int) -> None:
+        """Count what was done."""
+        if not self.done:
             # Kernels may be compiled in what is done first: it says nothing of the rest.
-            self._first, self._since = done, now
-        self._done += done
-        if now >= self._next and 0 < self._done < self._total:
-            self._interval = min(2.0 * self._interval, LONGEST_INTERVAL)
-            self._next = now + self._interval
-            share = 100 * self._done // self._total
-            text = f"{self._description}: {share} %"
-            if self._done > self._first:
-                each = (now - self._since) / (self._done - self._first)
-                text += f", {format_seconds(each * (self._total - self._done))} left"
-            self._write(text, quickly=False)
+            self._first, self._since = done, time.monotonic()
+        self.done += done
 
-    def finish(self) -> None:
-        """Write how long it took."""
-        seconds = self._clock() - self._start
-        text = f"{self._description}: {self._done} of {self._total} in {format_seconds(seconds)}"
-        self._write(text, quickly=seconds < LINE_INTERVAL)
+    def is_stale(self) -> bool:
+        """Return whether a terminal's line of it is old; it counts as new from now on."""
+        now, before = time.monotonic(), self._shown
+        if now >= before + REFRESHED:
+            self._shown = now
+        return self._shown > before
 
+    def is_due(self) -> bool:
+        """Return whether to write a line: the more seldom the longer it takes."""
+        now = time.monotonic()
+        if now < self._next or not 0 < self.done < self._total:
+            return False
+        self._interval = min(2.0 * self._interval, LONGEST_INTERVAL)
+        self._next = now + self._interval
+        return True
 
-def format_seconds(seconds: float) -> str:
-    """Return a duration for people, such as `0.4 s`, `12 s`, `3 min 5 s` or `2 h 10 min`."""
-    if seconds < 9.95:
-        return f"{seconds:.1f} s"
-    whole = round(seconds)
-    if whole < 60:
-        return f"{whole} s"
-    if whole < 3600:
-        return f"{whole // 60} min {whole % 60} s"
-    return f"{whole // 3600} h {whole % 3600 // 60} min"
-
-
-def plain_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[str]:
-    """Yield the lines of a table: the first column to the left, numbers to the right."""
-    columns, *rows = ([visible(cell) for cell in row] for row in (columns, *rows))
-    widths = [max(map(len, cells)) for cells in zip(columns, *rows, strict=True)]
-    yield title
-    for row in (columns, ["-" * width for width in widths], *rows):
-        cells = [
-            cell.ljust(width) if i == 0 else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ]
-        yield "  ".join(cells).rstrip()
-
-
-def _print_rich_table(
-    console: Console | None, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]
-) -> None:
-    from rich.box import SIMPLE_HEAD
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    def plain(text: str) -> Text:
-        return Text(visible(text))
-
-    # Narrow gaps and folded cells: a wide table is still whole on a terminal of 80 columns.
-    table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=0)
-    for i, column in enumerate(columns):
-        justify: Literal["left", "right"] = "left" if i == 0 else "right"
-        table.add_column(plain(column), justify=justify, overflow="fold")
-    for row in rows:
-        table.add_row(*map(plain, row))
-    console = console or Console()
-    console.print(plain(title), style="bold")
-    console.print(table)
-
-
-def _new_bars() -> Progress:
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    return Progress(
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-        console=Console(),  # that of all programs in this process may be set in another way
-        redirect_stderr=sys.stderr.isatty(),
-        transient=True,
-    )
+    def __str__(self) -> str:
+        text = f"{self._description}: {100 * self.done // max(1, self._total)} %"
+        if self.done > self._first:
+            each = (time.monotonic() - self._since) / (self.done - self._first)
+            text += f", {duration(each * (self._total - self.done))} left"
+        return text

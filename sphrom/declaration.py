@@ -95,14 +95,15 @@ def dataset(
     symbol: str = "",
     equation: str = "",
     *,
-    at: str | None = None,
     names: Mapping[str, str] | None = None,
-    default: Any = MISSING,
-    default_factory: Any = MISSING,
+    **place: Any,
 ) -> Any:
-    """Declare a dataset with axes such as `snapshot particle`; `names` those of a mapping."""
-    given = {"axes": tuple(axes.split()), "symbol": symbol, "equation": equation, "names": names}
-    return _declared(at, default, default_factory, units=units, meaning=meaning, **given)
+    """Declare a dataset with axes such as `snapshot particle`; `names` those of a mapping.
+
+    `place` may hold a name, `at`, and a `default` or `default_factory`, as for all declarations.
+    """
+    about = {"units": units, "meaning": meaning, "symbol": symbol, "equation": equation}
+    return _declared(place, axes=tuple(axes.split()), names=names, **about)
 
 
 def tensors(
@@ -113,42 +114,27 @@ def tensors(
     *,
     by: str = "",
     symbols: str = "    ",
-    at: str | None = None,
-    default: Any = MISSING,
+    **place: Any,
 ) -> Any:
     """Declare the tensors of a polynomial in the modes' coordinates, `by` an axis before them."""
     axes = " ".join((by, *("mode",) * (degree + 1)))
     names = dict.fromkeys(DEGREES[: degree + 1], "")
-    return dataset(axes, units, meaning, symbols, equation, at=at, names=names, default=default)
+    return dataset(axes, units, meaning, symbols, equation, names=names, **place)
 
 
-def attribute(
-    units: str,
-    meaning: str,
-    *,
-    at: str | None = None,
-    default: Any = MISSING,
-    default_factory: Any = MISSING,
-) -> Any:
+def attribute(units: str, meaning: str, **place: Any) -> Any:
     """Declare an attribute."""
-    return _declared(at, default, default_factory, units=units, meaning=meaning)
+    return _declared(place, units=units, meaning=meaning)
 
 
-def part(
-    *,
-    at: str | None = None,
-    default: Any = MISSING,
-    default_factory: Any = MISSING,
-) -> Any:
+def part(**place: Any) -> Any:
     """Declare a group that is a record of its own; `at` may be `""`, for one in the same group."""
-    return _declared(at, default, default_factory)
+    return _declared(place)
 
 
-def _declared(at: str | None, default: Any, default_factory: Any, **given: Any) -> Any:
+def _declared(place: dict[str, Any], **given: Any) -> Any:
     """Declare a field; its name, where none is given, and its kind are known with its class."""
-    return dataclasses.field(
-        metadata={"at": at, "given": given}, default=default, default_factory=default_factory
-    )
+    return dataclasses.field(metadata={"at": place.pop("at", None), "given": given}, **place)
 
 
 @dataclass_transform(

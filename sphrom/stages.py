@@ -1,10 +1,12 @@
-"""Run the stages of a case: what the command line and Python programs have in common.
+"""The list of stages, and how to run one, or all that a case needs.
 
-Stages are imported when they are run, as some take long to load.
+The command line and Python programs share it. A stage is imported when it is run, as some take long
+to load.
 """
 
 from __future__ import annotations
 
+import time
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -13,8 +15,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sphrom.errors import CaseError
-from sphrom.text import exact
+from sphrom.errors import CaseError, UnstableError
+from sphrom.text import counted, duration, exact
 
 if TYPE_CHECKING:
     from sphrom.case.models import Case
@@ -24,29 +26,29 @@ if TYPE_CHECKING:
 
 RUNS = Path("runs")
 """Where artifacts go unless another folder is named."""
-
-STAGES = {
+PIPELINE = ("fom", "map", "pod", "fit-psi", "operators", "rom", "compare")
+"""The stages that `run` runs, in their order."""
+STAGES: Mapping[str, str] = {
     "check": "setup.cost",
     "draw": "setup.draw",
     "fom": "offline.fom",
     "map": "offline.map",
     "pod": "offline.pod",
-    "fit_psi": "offline.fit_psi",
+    "fit-psi": "offline.fit_psi",
     "operators": "offline.operators",
     "rom": "online.rom",
     "compare": "compare.compare",
     "figures": "compare.figures",
-    "pipeline": "pipeline",
     "trade": "trade.trade",
     "extremes": "trade.extremes",
     "sweep": "sweep.sweep",
     "fit": "fit.fit",
     "train": "train.train",
-    "import_": "exchange.import_",
+    "import": "exchange.import_",
     "export": "exchange.export",
     "report": "report.report",
 }
-"""The module of each stage, loaded when it is run."""
+"""The module of each stage, which has a function `run`."""
 
 
 def context_of(
@@ -63,13 +65,7 @@ def context_of(
 
     for warning in case_warnings(case):
         report.warn(warning)
-    return StageContext(
-        case=case,
-        out=folder_of(case, out),
-        force=force,
-        threads=threads,
-        report=report,
-    )
+    return StageContext(case, folder_of(case, out), force, threads, report)
 
 
 def folder_of(case: Case, out: Path | None) -> Path:
@@ -94,6 +90,47 @@ def run_stage(stage: str, context: StageContext, **asked: Any) -> None:
     """
     with _warnings_in_lines(context.report):
         import_module(f"sphrom.{STAGES[stage]}").run(context, **asked)
+
+
+def run_all(context: StageContext, until: str | None = None) -> None:
+    """Run all stages that the case needs, or those `until` one, itself included.
+
+    Artifacts that are valid are kept. With `force`, those that no longer belong to the case are
+    made again; without, they stop the run. A reduced model that diverges does not keep the others
+    from being compared; it is reported at the end. Each stage is told of in one line, its details
+    are for the log; the last one tells the answer.
+
+    Raises CaseError when there is no such stage.
+    """
+    context = replace(context, keep_valid=True)
+    unstable: UnstableError | None = None
+    for stage in _needed(context.case, until):
+        started, before = time.monotonic(), len(context.known.written)
+        try:
+            run_stage(stage, replace(context, report=context.report.details))
+        except UnstableError as error:
+            if stage != "rom":
+                raise
+            unstable = error
+        if stage != PIPELINE[-1]:
+            number = len(context.known.written) - before
+            made = f"made {counted(number, 'artifact')}" if number else "all is there"
+            context.report.info(f"{stage}: {made}, {duration(time.monotonic() - started)}")
+    if unstable is not None:
+        raise unstable
+
+
+def _needed(case: Case, until: str | None) -> list[str]:
+    """Return the stages that a case needs: one without reduced models its full runs only."""
+    from sphrom.case.messages import nearest, show
+
+    if until is not None and until not in PIPELINE:
+        raise CaseError(f"no stage is called {show(until)}; {nearest(str(until), PIPELINE)}")
+    spared = set() if case.rom else {"map", "pod", "fit-psi"}
+    if not case.plan.reference_bases:
+        spared.add("operators")
+    last = PIPELINE.index(until or PIPELINE[-1])
+    return [stage for stage in PIPELINE[: last + 1] if stage not in spared]
 
 
 @contextmanager
@@ -122,58 +159,27 @@ def selected(context: StageContext, stage: str, only: Sequence[str]) -> StageCon
 
     Raises CaseError where the stage runs no such model, or at no such point.
     """
-    names = [text for text in only if "=" not in text and _is_model(context.case, stage, text)]
-    points = selected_points(context.case, stage, [text for text in only if text not in names])
-    return replace(context, only=points, models=tuple(names) or None)
-
-
-def _is_model(case: Case, stage: str, text: str) -> bool:
-    """Return whether a text names a model of the case. Raises CaseError where one can't be run."""
-    from sphrom.case.messages import nearest
-
-    names = [model.name for model in case.rom]
-    if stage != "rom":
-        if text in names:
-            raise CaseError(f"--only: this command can't be limited to a model, {text}; rom can")
-        return False
-    if text not in names:
-        raise CaseError(
-            f"--only: must be a model of the case, or like reynolds=100; got {text!r}; "
-            f"{nearest(text, names)}"
-        )
-    return True
-
-
-def selected_points(
-    case: Case, stage: str, only: Sequence[str]
-) -> tuple[ParameterPoint, ...] | None:
-    """Return the points of a stage with some values, each text `name=value,...`; None is all.
-
-    Raises CaseError where it doesn't run at one.
-    """
-    points = _points(case, stage)
-    elsewhere = [point for model in case.rom for point in case.plan.rom_points(model)]
-    elsewhere += case.plan.points
-    chosen: dict[ParameterPoint, None] = {}
+    models = [model.name for model in context.case.rom if stage in ("rom", "export")]
+    names = tuple(text for text in only if text in models)
+    known = _points(context.case, stage)
+    points: dict[ParameterPoint, None] = {}
     for text in only:
-        wanted = _wanted(text)
-        found = [point for point in points if _agrees(point, wanted)]
-        label = ", ".join(f"{name}={exact(value)}" for name, value in wanted.items())
-        known = ", ".join(point.label for point in points)
-        if not found and any(_agrees(point, wanted) for point in elsewhere):
-            raise CaseError(
-                f"--only: this command doesn't run at {label}, though others do; it runs at {known}"
-            )
-        if not found:
-            raise CaseError(f"--only: the case has no {label}; it has {known}")
-        chosen.update(dict.fromkeys(found))
-    return tuple(chosen) or None
+        found = [point for point in known if _agrees(point, text)]
+        if not found and text not in names:
+            runs = ", ".join([*(point.label for point in known), *models])
+            raise CaseError(f"--only: got {text!r}; this command runs {runs}")
+        points.update(dict.fromkeys(found))
+    return replace(context, only=tuple(points) or None, models=names or None)
 
 
-def _agrees(point: ParameterPoint, wanted: Mapping[str, float]) -> bool:
-    """Return whether a point has the wanted values; it may have others beside them."""
+def _agrees(point: ParameterPoint, text: str) -> bool:
+    """Return whether a point has the values of a text such as lid=0.8,reynolds=150."""
     values = point.as_dict()
-    return all(exact(values[n]) == exact(v) if n in values else False for n, v in wanted.items())
+    try:
+        wanted = [part.split("=") for part in text.split(",")]
+        return all(exact(values[name.strip()]) == exact(float(value)) for name, value in wanted)
+    except (KeyError, ValueError):
+        return False
 
 
 def _points(case: Case, stage: str) -> tuple[ParameterPoint, ...]:
@@ -186,15 +192,3 @@ def _points(case: Case, stage: str) -> tuple[ParameterPoint, ...]:
         reduced = (point for model in case.rom for point in case.plan.rom_points(model))
         return tuple(dict.fromkeys((*case.plan.points, *reduced)))
     return case.plan.points
-
-
-def _wanted(text: str) -> dict[str, float]:
-    """Return the values by name of a text such as lid=0.8,reynolds=150."""
-    wanted = {}
-    for part in text.split(","):
-        name, _, value = part.partition("=")
-        try:
-            wanted[name.strip()] = float(value)
-        except ValueError as error:
-            raise CaseError(f"--only: must be like reynolds=100; got {text!r}") from error
-    return wanted

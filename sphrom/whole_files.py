@@ -1,9 +1,8 @@
 """Read a file whole; replace it whole, by one process at a time, or leave everything as it was.
 
 A new file grows beside its target under a temporary name and takes the target's name once it is
-complete and on disk. A lock beside the target keeps other processes away; it belongs to an open
-file, so that the lock of a killed process is gone with it. Its next writer removes what a killed
-process left.
+complete and on disk. Its writer holds a lock on it, which keeps other writers away. The lock of a
+killed process is gone with it, and the next writer begins the temporary file anew.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ import fcntl
 import gc
 import io
 import os
-import stat
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -28,9 +26,6 @@ if TYPE_CHECKING:
 
 TIMES_SIZE = 8
 """Memory that a file may need while it is read, over its size: words and numbers are objects."""
-_NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
-_NO_PERMISSION = {errno.EACCES, errno.EPERM}
-_NO_LOCKS = {errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP}
 
 
 class Unreadable(ValueError):
@@ -48,17 +43,13 @@ def read_whole(path: Path, most: int) -> bytes:
 
 def require_size(path: Path, most: int) -> None:
     """Raise Unreadable unless the path is a file of at most `most` bytes that fits into memory."""
-    size = path.stat().st_size
+    size, available = path.stat().st_size, available_ram()
     if not path.is_file():  # a pipe would be waited for
         raise Unreadable("is not a file")
+    most = most if available is None else min(most, available // TIMES_SIZE)
     if size > most:
         raise Unreadable(
             f"is larger than the {data_size(most)} that are read: it has {data_size(size)}"
-        )
-    available = available_ram()
-    if available is not None and TIMES_SIZE * size > available:
-        raise Unreadable(
-            f"has {data_size(size)}, and {data_size(available)} of memory are available"
         )
 
 
@@ -84,7 +75,9 @@ class TemporaryFile(io.FileIO):
     """
 
     def __init__(self, path: Path) -> None:
-        super().__init__(path, "x+")
+        flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW
+        super().__init__(path, "r+", opener=lambda name, _: os.open(name, flags, 0o666))
+        self.path = path
         self._failure: BaseException | None = None
 
     def check(self) -> None:
@@ -95,6 +88,14 @@ class TemporaryFile(io.FileIO):
     def discard(self) -> None:
         """Drop every write from here on: the file will not be kept."""
         self._failure = self._failure or OSError(errno.ECANCELED, "discarded")
+
+    @property
+    def is_named(self) -> bool:
+        """Whether the file still has its temporary name."""
+        try:
+            return os.path.samestat(self.path.lstat(), os.fstat(self.fileno()))
+        except FileNotFoundError:
+            return False
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
         """Move the position. HDF5 moves it in a closed file too, which an interrupt left open."""
@@ -158,24 +159,20 @@ def write_whole(path: Path, content: bytes) -> None:
     no file: whoever replaces a device takes it from all programs.
     """
     _require_file(path)
-    with locked(path, wait=True), _temporary(path) as file:
+    with locked(path, wait=True) as file:
         file.write(content)
+        _publish(file, path)
 
 
 def require_writable(path: Path) -> None:
     """Raise ArtifactError unless `write_whole` can write there: long work may come before it."""
     _require_file(path)
-    with locked(path):  # which is a file beside it
+    with locked(path):  # which makes a file beside it
         pass
 
 
-def _require_file(path: Path) -> None:
-    if path.exists() and not path.is_file():
-        raise ArtifactError(f"{path} is not a file, so it can't be replaced; choose another name")
-
-
 def remove_whole(path: Path) -> None:
-    """Remove a file, and the temporary files of killed processes."""
+    """Remove a file, and the temporary file of a killed process."""
     with locked(path, wait=True):
         path.unlink(missing_ok=True)
 
@@ -189,36 +186,37 @@ def replacement(path: Path, *, force: bool) -> Iterator[TemporaryFile]:
     """
     with explained(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-    with locked(path):
-        _refuse_existing(path, force)
-        with _temporary(path) as file:
-            yield file
-            _refuse_existing(path, force)
+    with locked(path) as file:
+        _require_free(path, force)
+        yield file
+        _require_free(path, force)
+        _publish(file, path)
 
 
-@contextlib.contextmanager
-def _temporary(path: Path) -> Iterator[TemporaryFile]:
-    """Open a file beside `path` that takes its name in the end."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with explained(path):
-            file = TemporaryFile(temporary)
+def _require_free(path: Path, force: bool) -> None:
+    if path.is_symlink():
+        raise ArtifactError(f"{path} is a symbolic link, which is never written through; remove it")
+    _require_file(path)
+    if path.exists() and not force:
+        raise ArtifactError(f"{path} exists already; --force replaces it")
+
+
+def _require_file(path: Path) -> None:
+    if path.exists() and not path.is_file():
+        raise ArtifactError(f"{path} is not a file, so it can't be replaced; choose another name")
+
+
+def _publish(file: TemporaryFile, path: Path) -> None:
+    """Give a file its name, once all of it is on disk."""
+    with explained(path):
+        file.check()
+        os.fsync(file.fileno())
+        os.replace(file.path, path)
+        folder = os.open(path.parent, os.O_RDONLY)
         try:
-            yield file
-            with explained(path):
-                file.check()
-                os.fsync(file.fileno())
+            os.fsync(folder)
         finally:
-            file.close()
-        with explained(path):
-            os.replace(temporary, path)
-            folder = os.open(path.parent, os.O_RDONLY)
-            try:
-                os.fsync(folder)
-            finally:
-                os.close(folder)
-    finally:
-        temporary.unlink(missing_ok=True)
+            os.close(folder)
 
 
 @contextlib.contextmanager
@@ -227,88 +225,48 @@ def explained(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise ArtifactError(f"{path} was not written: {_reason(error, path)}") from error
-
-
-def _reason(error: OSError, path: Path) -> str:
-    if error.errno in _NO_ROOM:
-        return f"no room is left ({error.strerror}); free some, or write elsewhere with --out"
-    if error.errno in _NO_PERMISSION:
-        return f"no permission to write in {path.parent}; write elsewhere with --out"
-    if error.errno == errno.EROFS:
-        return f"{path.parent} is read-only; write elsewhere with --out"
-    if error.errno == errno.ENOENT:
-        return "its folder is missing, or was removed meanwhile"
-    return f"{error.strerror or error}"
-
-
-def _refuse_existing(path: Path, force: bool) -> None:
-    with explained(path):
-        try:
-            mode = path.lstat().st_mode
-        except FileNotFoundError:
-            return
-    if stat.S_ISLNK(mode):
-        raise ArtifactError(f"{path} is a symbolic link, which is never written through; remove it")
-    if not stat.S_ISREG(mode):
-        raise ArtifactError(f"{path} is not a file, so it can't be replaced; remove it")
-    if not force:
-        raise ArtifactError(f"{path} exists already; --force replaces it")
+        raise ArtifactError(
+            f"{path} was not written: {error.strerror or error}; if there is no room or no "
+            "permission, write elsewhere with --out"
+        ) from error
 
 
 @contextlib.contextmanager
-def locked(path: Path, *, wait: bool = False) -> Iterator[None]:
-    """Hold the lock of `path`, and remove what a killed writer of it left.
+def locked(path: Path, *, wait: bool = False) -> Iterator[TemporaryFile]:
+    """Hold the lock of `path`: its temporary file, which is removed unless it took the name.
 
     Raises ArtifactError when another process holds it, unless this one is to wait.
     """
-    lock = path.with_name(f".{path.name}.lock")
     with explained(path):
-        descriptor, held = _acquire(lock, path, wait)
+        file = _acquire(path, wait)
+        file.truncate(0)  # a killed process may have left its own
     try:
-        if held:
-            _remove_leftovers(path)
-        yield
+        yield file
     finally:
-        if held:
-            with contextlib.suppress(OSError):
-                lock.unlink()
-        os.close(descriptor)
+        with contextlib.suppress(OSError):
+            if file.is_named:
+                file.path.unlink()
+        file.close()
 
 
-def _acquire(lock: Path, path: Path, wait: bool) -> tuple[int, bool]:
-    """Return the lock's open file, and whether the file system has locks at all."""
+def _acquire(path: Path, wait: bool) -> TemporaryFile:
+    """Open the temporary file of `path`, and lock it where the file system has locks."""
     while True:
-        descriptor = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+        file = TemporaryFile(path.with_name(f".{path.name}.tmp"))
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
         except BlockingIOError:
-            owner = os.read(descriptor, 20).decode("ascii", "replace").strip() or "?"
-            os.close(descriptor)
+            file.close()
             raise ArtifactError(
-                f"{path} is being written by another process (pid {owner}); "
-                "wait for it, or write elsewhere with --out"
+                f"{path} is being written by another process; wait for it, or write elsewhere "
+                "with --out"
             ) from None
-        except OSError as error:
-            if error.errno in _NO_LOCKS:
-                # The rename alone still keeps the file whole.
-                return descriptor, False
-            os.close(descriptor)
-            raise
-        # Whoever held the lock before removed its name on leaving: only a named lock counts.
-        with contextlib.suppress(FileNotFoundError):
-            if os.path.samestat(lock.lstat(), os.fstat(descriptor)):
-                with contextlib.suppress(OSError):  # of a full disk: it holds without a name too
-                    os.ftruncate(descriptor, 0)
-                    os.pwrite(descriptor, str(os.getpid()).encode(), 0)
-                return descriptor, True
-        os.close(descriptor)
-
-
-def _remove_leftovers(path: Path) -> None:
-    prefix = f".{path.name}."
-    with explained(path):
-        for leftover in path.parent.iterdir():
-            owner = leftover.name.removeprefix(prefix).removesuffix(".tmp")
-            if leftover.name == f"{prefix}{owner}.tmp" and owner.isdigit():
-                leftover.unlink()
+        except OSError:
+            # There are no locks here. A name of its own keeps the file whole all the same.
+            file.path.unlink(missing_ok=True)
+            file.close()
+            return TemporaryFile(path.with_name(f".{path.name}.{os.getpid()}.tmp"))
+        # Whoever held the lock before may have given the file its name, or removed it.
+        if file.is_named:
+            return file
+        file.close()

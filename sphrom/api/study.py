@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from sphrom.api.model import Model
 from sphrom.case.loader import load_case, parameter_point
 from sphrom.case.messages import nearest, show
 from sphrom.case.models import Case
-from sphrom.console import PlainReporter, ProgramReporter, Reporter
+from sphrom.console import Reporter
 from sphrom.errors import CaseError
 from sphrom.setup.context import StageContext
 from sphrom.signals import guarded
@@ -30,7 +30,7 @@ class Study:
     force : write over artifacts, and insist on a step beyond its limit.
     threads : threads to compute on; None is all cores.
     quiet : print warnings and results only.
-    report : whom to tell how stages are getting on, in place of the standard output.
+    report : a function that takes each line that is told, in place of the standard output.
     keys : values by a key's last segment, such as `resolution=50`, where only one key of the case
         has it, or by a key at the top, such as `name="coarse"`.
 
@@ -51,7 +51,7 @@ class Study:
         force: bool = False,
         threads: int | None = None,
         quiet: bool = False,
-        report: PlainReporter | None = None,
+        report: Callable[[str], object] | None = None,
         **keys: Any,
     ) -> None:
         if threads is not None and not (isinstance(threads, int) and threads >= 1):
@@ -60,7 +60,7 @@ class Study:
             raise CaseError("out: is empty: give a folder")
         self._context = stages.context_of(
             load_case(case, {**(set or {}), **keys}, force),
-            Reporter(quiet=quiet) if report is None else ProgramReporter(report),
+            Reporter(quiet=quiet, write=report),
             out=None if out is None else Path(out),
             force=force,
             threads=threads,
@@ -110,7 +110,7 @@ class Study:
             When the case would not fit this machine.
         """
         context = self._with(resume, checkpoint_every)
-        stages.run_stage("pipeline", context, until=until)
+        stages.run_all(context, until)
 
     @guarded()
     def run_stage(
@@ -137,8 +137,8 @@ class Study:
 
         Raises what `run` raises.
         """
-        known = [name for name in stages.STAGES if name not in ("import_", "pipeline")]
-        name = stage.replace("-", "_")
+        known = [name for name in stages.STAGES if name != "import"]
+        name = stage.replace("_", "-")
         if name not in known:
             raise CaseError(f"no stage is called {show(stage)}; {nearest(name, known)}")
         context = stages.selected(self._with(resume, checkpoint_every), name, only)

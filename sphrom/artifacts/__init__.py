@@ -3,14 +3,12 @@
 This package doesn't interpret a case: it stores its text and compares digests.
 """
 
-from sphrom.artifacts.layout import Identity
+from sphrom.artifacts.layout import Identity, Origin
 from sphrom.artifacts.reader import (
     Artifact,
-    DatasetReader,
     open_artifact,
     probe,
     read_record,
-    schema_of,
 )
 from sphrom.artifacts.records import SCHEMAS
 from sphrom.artifacts.writer import ArtifactWriter, Stream, create_artifact, write_record
@@ -20,14 +18,13 @@ __all__ = [
     "SCHEMAS",
     "Artifact",
     "ArtifactWriter",
-    "DatasetReader",
     "Identity",
+    "Origin",
     "Stream",
     "create_artifact",
     "locked",
     "open_artifact",
     "probe",
     "read_record",
-    "schema_of",
     "write_record",
 ]

@@ -1,15 +1,13 @@
-"""Look through an HDF5 file that may be damaged or foreign, before anything in it is used.
+"""List what an HDF5 file holds that may be damaged or foreign, before anything in it is used.
 
 Only groups, plain numbers and, in `/case`, one text are let through: no objects that Python would
 build, no links that lead out of the file, no data that lie elsewhere, no filter but the checksum,
-as HDF5 would load and run a plugin for one that it doesn't know. What a file claims to hold is
-compared with its size before anything is read.
+as HDF5 would load and run a plugin for one that it doesn't know.
 """
 
 from __future__ import annotations
 
 import contextlib
-import math
 import os
 import time
 from collections.abc import Iterator
@@ -21,15 +19,12 @@ import numpy as np
 
 from sphrom.artifacts.layout import Shape, Value
 from sphrom.artifacts.paraview import VIEW
+from sphrom.declaration import joined
 from sphrom.errors import ArtifactError
 
 CASE = "case"
 DIGEST = "sha256"
 """The attribute with the digest of a dataset's values."""
-MOST_TEXT_BYTES = 2**20
-"""Of one attribute."""
-MOST_LEVELS = 20
-"""Groups within groups: HDF5 takes long for many."""
 SETTLED = 2.0
 """Age [s] from which a file's times tell whether it changes: clocks of file systems are coarse."""
 LOCKINGS = (None, False, True)
@@ -46,24 +41,14 @@ class Fault(Exception):
     """Why an artifact can't be used, in words that continue `FILE ...`."""
 
 
-class Missing(Fault):
-    """There is no file to speak of."""
-
-
-def explanation(path: Path, fault: Fault, made_by: str) -> ArtifactError:
-    """Return the error that tells of `fault` and of the command that makes the artifact."""
-    if isinstance(fault, Missing):
-        return ArtifactError(f"{path} {fault}; make it with `{made_by}`")
-    return ArtifactError(f"{path} {fault}; make it again with `{made_by} --force`")
-
-
 @contextlib.contextmanager
 def explained_faults(path: Path, made_by: str) -> Iterator[None]:
-    """Turn a Fault into the error that a user sees."""
+    """Turn a Fault into the error that a user sees, which names the command that makes the file."""
     try:
         yield
     except Fault as fault:
-        raise explanation(path, fault, made_by) from fault
+        command = f"again with `{made_by} --force`" if path.exists() else f"with `{made_by}`"
+        raise ArtifactError(f"{path} {fault}; make it {command}") from fault
 
 
 @contextlib.contextmanager
@@ -81,7 +66,7 @@ def open_file(path: Path) -> h5py.File:
         # Asked before opening: opening a pipe would wait for ever.
         if not path.is_file():
             there = "is not a file" if path.exists() else "is missing"
-            raise Missing("is a symbolic link to nothing" if path.is_symlink() else there)
+            raise Fault("is a symbolic link to nothing" if path.is_symlink() else there)
         with path.open("rb") as stream:
             start = stream.read(len(_SIGNATURE))
     except OSError as error:
@@ -97,13 +82,8 @@ def open_file(path: Path) -> h5py.File:
     raise Fault(f"is {kind}: HDF5 can't open it") from fault
 
 
-def file_size(file: h5py.File) -> int:
-    """Return the size of a file [bytes]."""
-    return int(file.id.get_filesize())
-
-
 def file_key(file: h5py.File) -> FileKey:
-    """Return what changes when an open file does."""
+    """Return what changes when an open file does; its last entry is a time [ns]."""
     status = os.fstat(file.id.get_vfd_handle())
     return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
 
@@ -122,81 +102,62 @@ class Contents:
     attributes: dict[str, Value] = field(default_factory=dict)
     digests: dict[str, str] = field(default_factory=dict)
     """What the writer stored of the values of datasets."""
-    claimed: int = 0
-    """What the datasets claim to hold [bytes]."""
+    verified: set[str] = field(default_factory=set)
+    """The datasets whose values were found to have their digests."""
 
 
 def inspect(file: h5py.File) -> Contents:
     """Return what the file holds. Raises Fault on anything that an artifact never holds."""
     contents = Contents(attributes=attributes_at(file, ""))
-    for path in hard_links(file, but=VIEW):  # another program's: never opened, never used
-        with damage(f"/{path}"):
-            item = file[path]
-            # A scale is another program's name for an axis: never read.
-            is_data = isinstance(item, h5py.Dataset) and not h5py.h5ds.is_scale(item.id)
-        if is_data:
-            inspect_dataset(item, path, contents)
-        elif isinstance(item, h5py.Group):
+    # The view is other programs' and never used, as are scales, their names for axes.
+    for path, item in _items(file, but=VIEW):
+        if isinstance(item, h5py.Group):
             contents.attributes |= attributes_at(item, path)
+        elif isinstance(item, h5py.Dataset) and not h5py.h5ds.is_scale(item.id):
+            with damage(f"dataset {path}"):
+                _require_plain(item, path)
+                contents.datasets[path] = item.shape, item.dtype
+                if DIGEST in item.attrs:
+                    contents.digests[path] = str(_value(item.attrs.get_id(DIGEST)))
     return contents
 
 
-def hard_links(file: h5py.File, but: str = "") -> Iterator[str]:
-    """Yield the path of every group and dataset, but of those in one group.
+def require_own_data(file: h5py.File) -> None:
+    """Raise Fault where a link or a dataset leads out of the file."""
+    for _ in _items(file):
+        pass
 
-    Raises Fault where a link may lead out of the file.
+
+def _items(file: h5py.File, but: str = "") -> Iterator[tuple[str, h5py.HLObject]]:
+    """Yield every group and dataset by its path, except for those in one group.
+
+    Raises Fault where a link or a dataset may lead out of the file.
     """
     links: dict[str, object] = {}
-
-    def note(path: str, link: object) -> bool | None:
-        links[path] = link
-        return path.count("/") > MOST_LEVELS or None  # anything but None ends the walk
-
     with damage("its structure"):  # each link once, however many names lead to a group
-        too_deep = file.visititems_links(note)
-    if too_deep:
-        raise Fault("is refused: it holds groups within groups without end")
+        file.visititems_links(links.__setitem__)
     for path, link in links.items():
         if path.partition("/")[0] == but:
             continue
         if not isinstance(link, h5py.HardLink):
             raise Fault(f"is refused: /{path} is a link that may lead out of the file")
-        yield path
-
-
-def require_own_data(file: h5py.File) -> None:
-    """Raise Fault where a link or a dataset leads out of the file."""
-    for path in hard_links(file):
         with damage(f"/{path}"):
             item = file[path]
             if isinstance(item, h5py.Dataset):
-                _refuse_other_files(item, path)
+                sources = item.virtual_sources() if item.is_virtual else ()
+                if item.external or any(source.file_name != "." for source in sources):
+                    raise Fault(f"is refused: the data of {path} lie in another file")
+        yield path, item
 
 
-def _refuse_other_files(dataset: h5py.Dataset, path: str) -> None:
-    sources = dataset.virtual_sources() if dataset.is_virtual else ()
-    if dataset.external or any(source.file_name != "." for source in sources):
-        raise Fault(f"is refused: the data of {path} lie in another file")
-
-
-def inspect_dataset(dataset: h5py.Dataset, path: str, contents: Contents) -> None:
-    """Note what a dataset claims to hold. Raises Fault where no artifact holds such a one."""
-    with damage(f"dataset {path}"):
-        dtype, shape, chunks = dataset.dtype, dataset.shape, dataset.chunks or ()
-        if dtype.kind not in ("S" if path == CASE else "fiu") or shape is None:
-            raise Fault(f"is refused: dataset {path} is of type {dtype}, which no artifact holds")
-        _refuse_other_files(dataset, path)
-        properties = dataset.id.get_create_plist()
-        filters = {properties.get_filter(i)[0] for i in range(properties.get_nfilters())}
-        if filters - {h5py.h5z.FILTER_FLETCHER32}:
-            raise Fault(f"is refused: {path} is compressed or changed by a filter")
-        if not dataset.is_virtual:
-            n_values = math.prod(shape)
-            contents.claimed += dtype.itemsize * (n_values and max(n_values, math.prod(chunks)))
-        size = file_size(dataset.file)
-        if contents.claimed > size:
-            raise Fault(f"is damaged: it claims to hold {contents.claimed} bytes, and has {size}")
-        contents.datasets[path] = (shape, dtype)
+def _require_plain(dataset: h5py.Dataset, path: str) -> None:
+    """Raise Fault unless a dataset holds plain numbers, or the case, behind checksums at most."""
+    if dataset.dtype.kind not in ("S" if path == CASE else "fiu") or dataset.shape is None:
+        raise Fault(f"is refused: {path} is of type {dataset.dtype}, which no artifact holds")
+    properties = dataset.id.get_create_plist()
+    filters = {properties.get_filter(i)[0] for i in range(properties.get_nfilters())}
+    if filters - {h5py.h5z.FILTER_FLETCHER32}:
+        raise Fault(f"is refused: {path} is compressed or changed by a filter")
 
 
 def attributes_at(item: h5py.HLObject, path: str) -> dict[str, Value]:
@@ -205,32 +166,21 @@ def attributes_at(item: h5py.HLObject, path: str) -> dict[str, Value]:
     Raises Fault when they are damaged.
     """
     with damage(f"an attribute of /{path}"):
-        keys = list(item.attrs)
-    found = {f"{path}/{key}" if path else key: attribute_at(item, path, key) for key in keys}
+        found = {joined(path, key): _value(item.attrs.get_id(key)) for key in item.attrs}
     return {name: value for name, value in found.items() if value is not None}
 
 
-def attribute_at(item: h5py.HLObject, path: str, key: str) -> Value | None:
-    """Return one attribute; None where there is none, or it is no number or fixed text.
-
-    Raises Fault when it is damaged.
-    """
-    with damage(f"an attribute of /{path}"):
-        if not h5py.h5a.exists(item.id, key.encode()):
-            return None
-        attribute = h5py.h5a.open(item.id, key.encode())
-        if attribute.get_storage_size() > MOST_TEXT_BYTES:
-            raise Fault(f"is refused: attribute {key} of /{path} is larger than any is")
-        if attribute.shape is None or attribute.dtype.kind not in "fiuS":
-            return None
-        stored = np.empty(attribute.shape, attribute.dtype)
-        attribute.read(stored)
-        if attribute.shape:
-            return tuple(stored.ravel().tolist())
-        value: Value = stored.item()
-        return plain_text(value) if isinstance(value, bytes) else value
+def _value(attribute: h5py.h5a.AttrID) -> Value | None:
+    if attribute.shape is None or attribute.dtype.kind not in "fiuS":
+        return None
+    stored = np.empty(attribute.shape, attribute.dtype)
+    attribute.read(stored)
+    if attribute.shape:
+        return tuple(stored.ravel().tolist())
+    value: Value = stored.item()
+    return plain_text(value) if isinstance(value, bytes) else value
 
 
 def plain_text(value: bytes) -> str:
     """Return a stored text; bytes that are none survive as escapes."""
-    return bytes(value).decode("utf-8", "surrogateescape")
+    return value.decode("utf-8", "surrogateescape")

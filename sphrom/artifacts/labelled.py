@@ -18,7 +18,7 @@ from xarray.backends import BackendArray
 from xarray.core import indexing
 
 from sphrom.artifacts.layout import COORDINATES, Axes
-from sphrom.artifacts.reader import Artifact, DatasetReader, open_artifact, schema_of
+from sphrom.artifacts.reader import Artifact, open_artifact
 from sphrom.artifacts.records import SCHEMAS
 from sphrom.declaration import Field
 from sphrom.errors import CaseError
@@ -61,7 +61,7 @@ def open_labelled_tree(path: str | Path) -> xarray.DataTree:
 def _opened(path: str | Path) -> Iterator[tuple[Artifact, contextlib.ExitStack]]:
     """Open an artifact of any kind, and close it unless who closes it later takes the stack."""
     with contextlib.ExitStack() as stack:
-        opened = open_artifact(path, schema_of(path), made_by="sphrom run CASE")
+        opened = open_artifact(path, None, made_by="sphrom run CASE")
         yield stack.enter_context(opened), stack
 
 
@@ -70,7 +70,7 @@ class _Groups:
 
     def __init__(self, artifact: Artifact) -> None:
         self._artifact = artifact
-        self._schema = SCHEMAS[artifact.text("schema")]
+        self._schema = SCHEMAS[artifact.schema]
         self._datasets: dict[str, dict[str, Field]] = {}
         for name in artifact.datasets:
             if (field := self._schema.dataset(name)) is not None:
@@ -85,11 +85,10 @@ class _Groups:
         axes, variables = Axes(self._schema), {}
         for home in {group} if alone else {"": None, group: None}:
             for name, field in self._datasets.get(home, {}).items():
-                reader = self._artifact.dataset(name)
-                paths = axes.paths(name, field, reader.shape)
+                paths = axes.paths(name, field, self._artifact.form(name)[0])
                 dims = [path.rpartition("/")[2] for path in paths]
                 labels = {key: text for key, text in field.labels.items() if text}
-                lazy = indexing.LazilyIndexedArray(_Lazy(reader))
+                lazy = indexing.LazilyIndexedArray(_Lazy(self._artifact, name))
                 variables[_short(name, home)] = xarray.Variable(dims, lazy, labels)
         found = xarray.Dataset(variables, attrs=self._attributes(group, alone))
         for axis, coordinate in COORDINATES.items():
@@ -122,14 +121,16 @@ def _short(name: str, home: str) -> str:
 class _Lazy(BackendArray):
     """A dataset that xarray reads by slices."""
 
-    def __init__(self, reader: DatasetReader) -> None:
-        self._reader = reader
-        self.shape = reader.shape
-        self.dtype = reader.dtype
+    def __init__(self, artifact: Artifact, name: str) -> None:
+        self._artifact, self._name = artifact, name
+        self.shape, self.dtype = artifact.form(name)
 
     def __getitem__(self, key: indexing.ExplicitIndexer) -> NDArray[Any]:
         return np.asarray(
             indexing.explicit_indexing_adapter(
-                key, self.shape, indexing.IndexingSupport.BASIC, self._reader.__getitem__
+                key, self.shape, indexing.IndexingSupport.BASIC, self._read
             )
         )
+
+    def _read(self, selection: Any) -> NDArray[Any]:
+        return np.asarray(self._artifact.dataset(self._name)[selection])

@@ -1,32 +1,23 @@
-"""What an artifact can hold: names, types, shapes and axes, and its digest.
+"""What an artifact can hold: names, values of attributes, axes, and its digest.
 
-The writer asks before it publishes a file; that a file holds what was written is for the digests.
-Nothing here opens a file: `found` maps a dataset's name to its shape and type.
+No file is opened here.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.declaration import (
-    PROVENANCE,
-    TIMING,
-    Field,
-    Schema,
-    find_field,
-    joined,
-    matches,
-)
+from sphrom.declaration import PROVENANCE, TIMING, Field, Schema, find_field, joined, matches
 
 Shape = tuple[int, ...]
-Found = Mapping[str, tuple[Shape, "np.dtype[np.generic]"]]
 Value = str | int | float | tuple[float, ...]
 
 LARGEST = 1e100
@@ -35,6 +26,12 @@ COORDINATES = {"snapshot": "time"}
 """Datasets that tell where along an axis its entries are."""
 
 _SEGMENT = re.compile(r"[A-Za-z0-9_+=-][A-Za-z0-9_.+=,-]*")
+_OF_KIND: Mapping[str, Callable[[Any], Value]] = {
+    "text": str,
+    "int": int,
+    "float": float,
+    "floats": lambda values: tuple(map(float, values)),
+}
 
 
 def valid_name(name: str) -> bool:
@@ -56,109 +53,54 @@ def index_not_finite(values: NDArray[Any]) -> tuple[int, ...] | None:
 def attribute_value(field: Field, value: object) -> Value:
     """Return `value` as the plain Python value that its field asks for.
 
-    Raises ValueError when it is of another kind, none of those allowed, or not finite.
+    Raises ValueError when it is none of those allowed, or not finite, TypeError when it is of
+    another kind.
     """
-    if field.kind == "text" and isinstance(value, str):
-        if field.allowed and value not in field.allowed:
-            raise ValueError(f"{field.name} is {value!r}, none of {', '.join(field.allowed)}")
-        return str(value)
-    numbers = np.asarray(value)
-    kinds = {"int": "iu", "float": "fiu", "floats": "fiu"}.get(field.kind, "")
-    if numbers.dtype.kind not in kinds or numbers.ndim != (field.kind == "floats"):
-        raise ValueError(f"{field.name} is {value!r}, not of kind {field.kind}")
-    if index_not_finite(numbers) is not None:
-        raise ValueError(f"{field.name} is {value!r}, not finite")
-    if field.kind == "int":
-        return int(numbers)
-    return tuple(map(float, numbers)) if field.kind == "floats" else float(numbers)
-
-
-def layout_problem(schema: Schema, found: Found, attributes: Mapping[str, Value]) -> str | None:
-    """Return what is missing, or does not fit, of datasets and attributes, in words, or None."""
-    fields = (*PROVENANCE, TIMING, *schema.attributes)
-    names = [*attributes, *found]
-    missing = [*_missing(schema.datasets, found, found), *_missing(fields, attributes, names)]
-    if missing:
-        return f"{missing[0]} is missing"
-    lengths: dict[tuple[str, str], tuple[str, int]] = {}
-    common = common_axes(schema)
-    for name, (shape, _) in sorted(found.items()):
-        field = schema.dataset(name)
-        if field is None:
-            continue
-        for axis, length in zip(field.axes, shape, strict=True):
-            place = scope_of(field, name, axis, common), axis
-            other, known = lengths.setdefault(place, (name, length))
-            if known != length:
-                return f"{name} has {length} along {axis}, but {other} has {known}"
-    return None
-
-
-def _missing(
-    fields: Iterable[Field], there: Mapping[str, object], names: Iterable[str]
-) -> Iterator[str]:
-    """Yield the required datasets or attributes of those groups that are there."""
-    for field in fields:
-        if field.required:
-            yield from (name for name in _instances(field.name, names) if name not in there)
-
-
-def _instances(pattern: str, names: Iterable[str]) -> list[str]:
-    """Fill in `*` with each group that is there; a pattern without `*` is its own instance."""
-    head, star, tail = pattern.rpartition("*/")
-    if not star:
-        return [] if pattern.endswith("*") else [pattern]
-    depth = head.count("/") + 1
-    groups = {"/".join(name.split("/")[:depth]) for name in names if name.count("/") >= depth}
-    return sorted(f"{group}/{tail}" for group in groups if matches(f"{head}*", group))
-
-
-def common_axes(schema: Schema) -> set[str]:
-    """Return the axes that have one length in the whole artifact."""
-    return {axis for field in schema.datasets if "*" not in field.name for axis in field.axes}
-
-
-def scope_of(field: Field, name: str, axis: str, common: set[str]) -> str:
-    """Return the group within which an axis of a dataset has one length; `""` for the root.
-
-    A dataset that itself stands for a `*` is alone with its axes.
-    """
-    if axis in common or "*" not in field.name:
-        return ""
-    return "/".join(name.split("/")[: field.name.rpartition("*")[0].count("/") + 1])
+    plain = _OF_KIND[field.kind](value)
+    allowed = not field.allowed or plain in field.allowed
+    if not allowed or index_not_finite(np.asarray(plain)) is not None:
+        raise ValueError(f"{field.name} can't be {value!r}")
+    return plain
 
 
 class Axes:
     """The names of the axes of an artifact's datasets, by path: each path has one length."""
 
     def __init__(self, schema: Schema) -> None:
-        self._schema = schema
-        self._common = common_axes(schema)
+        # An axis of a dataset that is in no group of several has one length everywhere.
+        plain = [field for field in schema.datasets if "*" not in field.name]
+        self._common = {axis for field in plain for axis in field.axes}
+        self._groups = {field.name.rpartition("/")[0] for field in schema.datasets}
         self.lengths: dict[str, int] = {}
 
     def paths(self, name: str, field: Field, shape: Shape) -> list[str]:
-        """Return where the axes of a dataset are named."""
+        """Return where the axes of a dataset are named.
+
+        Raises ValueError where another dataset gives an axis another length.
+        """
         return [self._path(name, field, i, length) for i, length in enumerate(shape)]
 
     def _path(self, name: str, field: Field, i: int, length: int) -> str:
-        axis = field.axes[i]
-        scope = scope_of(field, name, axis, self._common)
-        scope = scope.rpartition("/")[0] if scope == name else scope
-        path = joined(scope, axis)
+        axis, scope = field.axes[i], ""
+        if axis not in self._common and "*" in field.name:
+            depth = field.name.rpartition("*")[0].count("/") + 1
+            scope = "/".join(name.split("/")[:depth])
+        alone = scope == name  # a dataset that itself stands for a `*`
+        path = joined(scope.rpartition("/")[0] if alone else scope, axis)
         if self._is_group(path):
             path = f"{path}/{axis}"
         if axis in field.axes[:i]:  # no two axes of a dataset have one name
             path = f"{path}_{field.axes[: i + 1].count(axis)}"
-        if self.lengths.get(path, length) != length:
+        if alone and self.lengths.get(path, length) != length:
             path = f"{path}_{name.rpartition('/')[2]}"
-        self.lengths[path] = length
+        if (other := self.lengths.setdefault(path, length)) != length:
+            raise ValueError(f"{name} has {length} along {axis}, but others have {other}")
         return path
 
     def _is_group(self, path: str) -> bool:
         """Whether a group that holds datasets has this path."""
         depth = path.count("/") + 1
-        groups = (field.name.split("/")[:-1][:depth] for field in self._schema.datasets)
-        return any(matches("/".join(group), path) for group in groups)
+        return any(matches("/".join(group.split("/")[:depth]), path) for group in self._groups)
 
 
 @dataclass(frozen=True)
@@ -173,6 +115,20 @@ class Identity:
     path: str
     uuid: str
     content_sha256: str
+
+
+@dataclass(frozen=True)
+class Origin:
+    """What an artifact is made with and from, and has to have been made with and from."""
+
+    inputs_digest: str
+    """The digest of those parts of the case that it depends on."""
+    case_text: str
+    """The whole case."""
+    sections: Collection[str] = ()
+    """The sections of the case that it depends on."""
+    lineage: Mapping[str, Identity] = dataclasses.field(default_factory=dict)
+    """The artifacts that it is made from, by role."""
 
 
 def content_digest(

@@ -12,9 +12,8 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
-from types import EllipsisType
 from typing import Any, TypeVar
 
 import h5py
@@ -24,15 +23,12 @@ from numpy.typing import NDArray
 
 from sphrom.artifacts.inspection import (
     CASE,
-    DIGEST,
     Contents,
     Fault,
     FileKey,
-    attribute_at,
     attributes_at,
     damage,
     explained_faults,
-    explanation,
     file_key,
     inspect,
     is_settled,
@@ -41,11 +37,11 @@ from sphrom.artifacts.inspection import (
 )
 from sphrom.artifacts.layout import (
     Identity,
+    Origin,
     Shape,
     Value,
     content_digest,
     dataset_line,
-    layout_problem,
     text_digest,
 )
 from sphrom.artifacts.records import SCHEMAS
@@ -54,17 +50,17 @@ from sphrom.declaration import (
     SCHEMA_VERSION,
     Field,
     Record,
-    Schema,
     fields_of_record,
     joined,
     matches,
 )
 from sphrom.errors import ArtifactError, ResourceError
 from sphrom.machine import available_ram
+from sphrom.text import data_size, shortened
 
 SMALL_BYTES = 2**20
 """Size up to which datasets are verified when an artifact is opened [bytes]."""
-MOST_CHECKED = 256
+MOST_KNOWN = 256
 """Files whose contents are remembered: those that were opened last."""
 BLOCK_BYTES = 2**23
 """About the size of the blocks in which values are verified [bytes]."""
@@ -75,46 +71,36 @@ SHOWN_KEYS = 4
 MOST_CHARACTERS = 60
 """Of a value that is shown: whoever wrote the file may have written anything."""
 
-Selection = int | slice | EllipsisType | tuple[int | slice | EllipsisType, ...]
 R = TypeVar("R", bound=Record)
 
-_checked: dict[tuple[FileKey, str], Contents] = {}
-"""What files of a schema hold, the one opened last at the end."""
-_verified: set[tuple[FileKey, str]] = set()
-"""The datasets that this process has verified, by file."""
+_known: dict[FileKey, Contents] = {}
+"""The contents of files, of the one opened last at the end."""
 
 
 @contextlib.contextmanager
 def open_artifact(
     path: str | Path,
-    schema: str,
+    schema: str | None,
     *,
     made_by: str,
-    inputs_digest: str | None = None,
-    case_text: str | None = None,
-    lineage: Mapping[str, Identity] | None = None,
+    origin: Origin | None = None,
 ) -> Iterator[Artifact]:
-    """Open the artifact `path` of the kind `schema`, checked, for reading.
+    """Open the artifact `path` of the kind `schema`, or of any, checked, for reading.
 
-    `made_by` is the command that makes it, for the message. `inputs_digest` and `lineage` are what
-    the artifact must have been made with and from; `case_text` serves to name what differs.
+    `made_by` is the command that makes it, for the message.
 
-    Raises ArtifactError when the file is missing, damaged, of another kind, version or case, or
-    made from another input.
+    Raises ArtifactError when the file is missing, damaged, of another kind or version, or not made
+    with and from what `origin` says.
     """
     path = Path(path)
-    opened = _opened(path, schema, made_by, inputs_digest, case_text, lineage or {})
-    with explained_faults(path, made_by), opened as artifact:
+    with explained_faults(path, made_by), _opened(path, schema, made_by, origin) as artifact:
         yield artifact
 
 
 def probe(
     path: str | Path,
     schema: str,
-    *,
-    inputs_digest: str | None = None,
-    case_text: str | None = None,
-    lineage: Mapping[str, Identity] | None = None,
+    origin: Origin | None = None,
     at_least: Mapping[str, int] | None = None,
 ) -> str | None:
     """Return why the artifact `path` can't be used as it is, in words, or None when it can.
@@ -122,12 +108,10 @@ def probe(
     `at_least` has the length that the first axis of a dataset needs.
     """
     try:
-        with _opened(Path(path), schema, "", inputs_digest, case_text, lineage or {}) as artifact:
+        with _opened(Path(path), schema, "", origin) as artifact:
             for name, needed in (at_least or {}).items():
-                held, field = artifact.length(name), SCHEMAS[schema].dataset(name)
-                if held < needed:
-                    axis = "row" if field is None else field.axes[0]
-                    return f"holds {held} {axis}s of the {needed} that are needed ({name})"
+                if (held := artifact.length(name)) < needed:
+                    return f"holds {held} of the {needed} {name} that are needed"
             return None
     except Fault as fault:
         return str(fault)
@@ -135,35 +119,18 @@ def probe(
 
 @contextlib.contextmanager
 def _opened(
-    path: Path,
-    schema: str,
-    made_by: str,
-    inputs_digest: str | None,
-    case_text: str | None,
-    lineage: Mapping[str, Identity],
+    path: Path, schema: str | None, made_by: str, origin: Origin | None
 ) -> Iterator[Artifact]:
     """Open and check an artifact. Raises Fault."""
     with open_file(path) as file:
-        contents = _contents(file, schema)
-        _check_origin(contents, inputs_digest, case_text, lineage)
+        contents = _contents(file)
         artifact = Artifact(path, file, contents, made_by)
+        if schema not in (None, artifact.schema):
+            raise Fault(f"holds {artifact.schema!r}, not {schema!r}")
+        if origin is not None:
+            _check_origin(contents, origin)
         artifact.verify_datasets(SMALL_BYTES)
         yield artifact
-
-
-def schema_of(path: str | Path) -> str:
-    """Return what kind of artifact a file is, such as `sphrom/basis`.
-
-    Raises ArtifactError when it is missing, damaged, or no artifact.
-    """
-    try:
-        with open_file(Path(path)) as file:
-            kind = attributes_at(file, "").get("schema")
-            if isinstance(kind, str) and kind in SCHEMAS:
-                return kind
-            raise Fault("is not an artifact of sphrom")
-    except Fault as fault:
-        raise ArtifactError(f"{path} {fault}; `sphrom run CASE` makes artifacts") from fault
 
 
 class Artifact:
@@ -173,10 +140,12 @@ class Artifact:
         self.path = path
         self.made_by = made_by
         self._file = file
-        self._key = file_key(file)
         self._contents = contents
-        self._schema = SCHEMAS[self.text("schema")]
-        self._readers: dict[str, DatasetReader] = {}  # each remembers that it was verified
+
+    @property
+    def schema(self) -> str:
+        """The kind of artifact, such as `sphrom/basis`."""
+        return self.text("schema")
 
     @property
     def attributes(self) -> Mapping[str, Value]:
@@ -189,11 +158,6 @@ class Artifact:
         return sorted(name for name in self._contents.datasets if name != CASE)
 
     @property
-    def uuid(self) -> str:
-        """The identity of this very file."""
-        return self.text("uuid")
-
-    @property
     def content_sha256(self) -> str:
         """The digest of the datasets and attributes, as the writer computed it."""
         return self.text("content_sha256")
@@ -201,7 +165,7 @@ class Artifact:
     @property
     def identity(self) -> Identity:
         """What an artifact made from this one remembers of it."""
-        return Identity(self.path.name, self.uuid, self.content_sha256)
+        return Identity(self.path.name, self.text("uuid"), self.content_sha256)
 
     @property
     def case_text(self) -> str:
@@ -210,17 +174,11 @@ class Artifact:
 
     def number(self, name: str) -> float:
         """Return an attribute that is a number. Raises KeyError when there is none."""
-        value = self.attributes[name]
-        if not isinstance(value, float | int):
-            raise TypeError(f"attribute {name} of {self.path} is no number")
-        return float(value)
+        return float(self.attributes[name])  # type: ignore[arg-type]
 
     def text(self, name: str) -> str:
         """Return an attribute that is a text. Raises KeyError when there is none."""
-        value = self.attributes[name]
-        if not isinstance(value, str):
-            raise TypeError(f"attribute {name} of {self.path} is no text")
-        return value
+        return str(self.attributes[name])
 
     def __contains__(self, name: object) -> bool:
         """Whether there is a dataset `name`."""
@@ -232,39 +190,54 @@ class Artifact:
         Raises ArtifactError when it is damaged, ResourceError when memory is short, KeyError when
         there is none.
         """
-        return self.dataset(name)[...]
+        dataset = self._file[name]
+        needed: int = dataset.nbytes
+        available = available_ram() if needed > ALWAYS_FITS else None
+        if available is not None and needed > available:
+            raise ResourceError(
+                f"{name} of {self.path} needs {data_size(needed)} of memory, "
+                f"{data_size(available)} are available; use fewer snapshots or particles"
+            )
+        with explained_faults(self.path, self.made_by), damage(name):
+            values = np.asarray(dataset[...])
+            self._verify(name, (values,))  # without reading them twice
+            return values
 
-    def dataset(self, name: str) -> DatasetReader:
-        """Return a dataset that is read by slices. Raises KeyError when there is none."""
-        if name not in self:
-            raise KeyError(f"{self.path} has no dataset {name}")
-        if name not in self._readers:
-            digest = self._contents.digests.get(name)
-            self._readers[name] = DatasetReader(self, self._key, name, self._file[name], digest)
-        return self._readers[name]
+    def dataset(self, name: str) -> h5py.Dataset:
+        """Return a dataset, verified, to be read by slices.
+
+        Raises ArtifactError when it is damaged, KeyError when there is none.
+        """
+        with explained_faults(self.path, self.made_by):
+            return self._verified(name)
+
+    def _verified(self, name: str) -> h5py.Dataset:
+        """Return a dataset, once it was read block by block. Raises Fault."""
+        dataset = self._file[name]
+        step = max(1, BLOCK_BYTES * len(dataset) // max(1, dataset.nbytes))
+        starts = range(0, len(dataset), step)
+        with damage(name):
+            self._verify(name, (dataset[start : start + step] for start in starts))
+        return dataset
+
+    def _verify(self, name: str, blocks: Iterable[NDArray[Any]]) -> None:
+        """Raise Fault unless a dataset holds what was written; do nothing if it was verified."""
+        if name in self._contents.verified:
+            return
+        digest = hashlib.sha256()
+        for block in blocks:
+            digest.update(np.ascontiguousarray(block).data)
+        if self._contents.digests.get(name, digest.hexdigest()) != digest.hexdigest():
+            raise Fault(f"is damaged: {name} is not what was written")
+        self._contents.verified.add(name)
+
+    def form(self, name: str) -> tuple[Shape, np.dtype[np.generic]]:
+        """Return the shape and the type of a dataset. Raises KeyError when there is none."""
+        return self._contents.datasets[name]
 
     def length(self, name: str) -> int:
         """Return how long the first axis of a dataset is, 0 where there is none of the name."""
-        shape, _ = self._contents.datasets.get(name, ((0,), ""))
-        return shape[0]
-
-    def require(self, group: str = "", **lengths: int) -> None:
-        """Raise ArtifactError unless axes have the lengths that others give them, in a group."""
-        for name, (shape, _) in self._contents.datasets.items():
-            field = self._schema.dataset(name)
-            axes = field.axes if field is not None and name.startswith(group) else ()
-            for axis, length in zip(axes, shape, strict=False):
-                if lengths.get(axis, length) != length:
-                    reason = f"is damaged: {name} has {length} along {axis}, not {lengths[axis]}"
-                    raise explanation(self.path, Fault(reason), self.made_by)
-
-    @contextlib.contextmanager
-    def refused_where_it_does_not_fit(self) -> Iterator[None]:
-        """Turn the ValueError of a record that what was read can't make into an ArtifactError."""
-        try:
-            yield
-        except ValueError as error:
-            raise explanation(self.path, Fault(f"is damaged: {error}"), self.made_by) from error
+        return self.form(name)[0][0] if name in self else 0
 
     def verify_content(self) -> None:
         """Read every dataset, and compare it with the digest that the writer stored.
@@ -277,164 +250,60 @@ class Artifact:
     def verify_datasets(self, up_to_bytes: float = math.inf) -> None:
         """Verify the datasets up to a size [bytes]; raise Fault when one is damaged."""
         for name in self._contents.digests:
-            reader = self.dataset(name)
-            if reader.nbytes <= up_to_bytes:
-                reader.verify()
+            shape, dtype = self._contents.datasets[name]
+            if dtype.itemsize * math.prod(shape) <= up_to_bytes:
+                self._verified(name)
 
 
-class DatasetReader:
-    """A dataset of an open artifact; indexing reads, and refuses damage.
-
-    The first time that it is read, all its values are verified.
-    """
-
-    def __init__(
-        self, artifact: Artifact, key: FileKey, name: str, dataset: h5py.Dataset, digest: str | None
-    ) -> None:
-        """Read a dataset; one that is not in the schema has no digest."""
-        self._artifact = artifact
-        self._key = key
-        self._name = name
-        self._dataset = dataset
-        self._digest = digest
-        self._is_verified = (key, name) in _verified
-        self.shape: Shape = dataset.shape
-        self.dtype: np.dtype[np.generic] = dataset.dtype
-
-    @property
-    def nbytes(self) -> int:
-        """The size of all values [bytes]."""
-        return math.prod(self.shape) * self.dtype.itemsize
-
-    def __len__(self) -> int:
-        """Return the length of the first axis."""
-        return self.shape[0]
-
-    def __iter__(self) -> Iterator[NDArray[Any]]:
-        """Read item after item along the first axis."""
-        return (self[item] for item in range(len(self)))
-
-    def __getitem__(self, selection: Selection) -> NDArray[Any]:
-        """Return the selected values, read from the file.
-
-        Raises ArtifactError when the dataset is damaged, ResourceError when memory is short.
-        """
-        needed = _n_selected(self.shape, selection) * self.dtype.itemsize
-        available = available_ram() if needed > ALWAYS_FITS else None
-        if available is not None and needed > available:
-            raise ResourceError(
-                f"{self._name} of {self._artifact.path} needs {needed / 2**30:.1f} GiB of memory, "
-                f"{available / 2**30:.1f} GiB are available; use fewer snapshots or particles"
-            )
-        with explained_faults(self._artifact.path, self._artifact.made_by):
-            if selection is Ellipsis and not self._is_verified:
-                values = self._read(...)  # verified without reading them twice
-                self._verify((values,))
-                return values
-            self.verify()
-            return self._read(selection)
-
-    def verify(self) -> None:
-        """Read all values, unless they were read before; raise Fault when they are damaged."""
-        if not self._is_verified:
-            self._verify(self._blocks())
-
-    def _verify(self, blocks: Iterable[NDArray[Any]]) -> None:
-        verify(self._name, self._digest, blocks)
-        self._is_verified = True
-        if self._digest is not None and is_settled(self._key):
-            _verified.add((self._key, self._name))
-
-    def _blocks(self) -> Iterator[NDArray[Any]]:
-        """Read all values block by block. Raises Fault."""
-        if not self.shape:
-            yield self._read(...)
-            return
-        row_bytes = self.nbytes // max(1, len(self))
-        step = max(1, BLOCK_BYTES // max(1, row_bytes))
-        for start in range(0, len(self), step):
-            yield self._read(slice(start, start + step))
-
-    def _read(self, selection: Selection) -> NDArray[Any]:
-        try:
-            return np.asarray(self._dataset[selection])
-        except (OSError, RuntimeError) as error:
-            raise Fault(f"is damaged: {self._name} can't be read") from error
-
-
-def verify(name: str, expected: str | None, blocks: Iterable[NDArray[Any]]) -> None:
-    """Raise Fault unless a dataset, given block by block, has the expected digest, if any."""
-    digest = hashlib.sha256()
-    for block in blocks:
-        digest.update(np.ascontiguousarray(block).data)
-    if expected is not None and digest.hexdigest() != expected:
-        raise Fault(f"is damaged: {name} is not what was written")
-
-
-def _n_selected(shape: Shape, selection: Selection) -> int:
-    """Return how many values a selection reads."""
-    return int(np.broadcast_to(np.int8(0), shape)[selection].size)
-
-
-def _contents(file: h5py.File, schema: str) -> Contents:
-    """Return what the file holds, once it fits the schema. Raises Fault.
+def _contents(file: h5py.File) -> Contents:
+    """Return what the file holds, once it is whole. Raises Fault.
 
     A process looks through a file once, and again when it has changed since.
     """
     key = file_key(file)
-    contents = _checked.pop((key, schema), None) or _looked_through(file, SCHEMAS[schema])
+    contents = _known.pop(key, None) or _looked_through(file)
     if is_settled(key):
-        _checked[key, schema] = contents
-        if len(_checked) > MOST_CHECKED:
-            del _checked[next(iter(_checked))]
+        _known[key] = contents
+        if len(_known) > MOST_KNOWN:
+            del _known[next(iter(_known))]
     return contents
 
 
-def _looked_through(file: h5py.File, schema: Schema) -> Contents:
-    """Look through a file, and compare what it holds with a schema. Raises Fault."""
+def _looked_through(file: h5py.File) -> Contents:
+    """Look through a file, and compare what it holds with its kind of artifact. Raises Fault."""
     root = attributes_at(file, "")
-    kind, version = root.get("schema"), root.get("schema_version")
-    if not isinstance(kind, str) or not isinstance(version, str):
+    kind, version = str(root.get("schema")), str(root.get("schema_version"))
+    if kind not in SCHEMAS:
         raise Fault("is not an artifact of sphrom")
-    if kind != schema.name:
-        raise Fault(f"holds {kind!r}, not {schema.name!r}")
     if version.partition(".")[0] != SCHEMA_VERSION.partition(".")[0]:
         raise Fault(f"has schema version {version!r}; this program reads {SCHEMA_VERSION}")
     contents = inspect(file)
-    values, datasets = contents.attributes, contents.datasets
     for own in PROVENANCE:  # no digest covers it
-        if not isinstance(values.get(own.name), str if own.kind == "text" else int | float):
-            raise Fault(f"is damaged: attribute {own.name} is missing, or no {own.kind}")
+        if own.name not in contents.attributes:
+            raise Fault(f"is damaged: attribute {own.name} is missing")
     with damage("the case"):
         contents.case_text = plain_text(file[CASE][()])
-    if attribute_at(file[CASE], CASE, DIGEST) != text_digest(contents.case_text):
+    if contents.digests.pop(CASE, "") != text_digest(contents.case_text):
         raise Fault("is damaged: the case in it is not what was written")
-    lines = {}
-    for name, (shape, dtype) in datasets.items():
-        digest, known = attribute_at(file[name], name, DIGEST), schema.dataset(name)
-        if isinstance(digest, str) and name != CASE:
-            contents.digests[name] = digest
-            lines[name] = dataset_line(dtype, shape, digest)
-        elif known is not None:
+    for name in contents.datasets.keys() - contents.digests.keys() - {CASE}:
+        if SCHEMAS[kind].dataset(name) is not None:
             raise Fault(f"is damaged: {name} is not what was written")
-    if content_digest(schema.name, values, lines) != values["content_sha256"]:
+    lines = {
+        name: dataset_line(dtype, shape, contents.digests[name])
+        for name, (shape, dtype) in contents.datasets.items()
+        if name in contents.digests
+    }
+    if content_digest(kind, contents.attributes, lines) != contents.attributes["content_sha256"]:
         raise Fault("is damaged: its digest is not that of what it holds")
-    if problem := layout_problem(schema, datasets, values):
-        raise Fault(f"is not as this version writes it: {problem}")
     return contents
 
 
-def _check_origin(
-    contents: Contents,
-    inputs_digest: str | None,
-    case_text: str | None,
-    lineage: Mapping[str, Identity],
-) -> None:
+def _check_origin(contents: Contents, origin: Origin) -> None:
     """Raise Fault when the artifact was made with another case or from other inputs."""
-    if inputs_digest is not None and contents.attributes["inputs_sha256"] != inputs_digest:
-        keys = case_differences(contents.case_text, case_text) if case_text else ""
+    if contents.attributes["inputs_sha256"] != origin.inputs_digest:
+        keys = case_differences(contents.case_text, origin.case_text, origin.sections)
         raise Fault("was made with another case" + (f" ({keys})" if keys else ""))
-    for role, identity in lineage.items():
+    for role, identity in origin.lineage.items():
         stored = contents.attributes.get(f"lineage/{role}/content_sha256")
         if stored is None:
             raise Fault(f"was made without the input {role} ({identity.path})")
@@ -443,30 +312,27 @@ def _check_origin(
             raise Fault(f"was made from another input: {identity.path} ({role}) has changed since")
 
 
-def case_differences(made_with: str, asked: str) -> str:
-    """Return, in words, the keys that differ between two texts of YAML.
+def case_differences(made_with: str, asked: str, sections: Collection[str]) -> str:
+    """Return, in words, the first keys that differ between two cases in YAML, in some sections."""
+    # The base loader leaves every value a text as it was written, and builds nothing.
+    cases = [yaml.load(text, yaml.BaseLoader) or {} for text in (made_with, asked)]
+    there, here = (
+        dict(_values({section: value for section, value in case.items() if section in sections}))
+        for case in cases
+    )
 
-    Of the text that something was made with, only the sections count that the other has.
-    """
-    try:
-        # The base loader leaves every value a text as it was written, and builds nothing.
-        there, here = (yaml.load(text, yaml.BaseLoader) or {} for text in (made_with, asked))
-        there = {key: value for key, value in there.items() if key in here}
-        there, here = dict(_values(there)), dict(_values(here))
-    except (yaml.YAMLError, AttributeError, TypeError, RecursionError):
-        return ""
+    def shown(values: Mapping[str, str], key: str) -> str:
+        return shortened(values.get(key, "absent"), MOST_CHARACTERS)
+
     # What only one of them has may be newer than the other, and is then no difference.
     keys = sorted(
         (key for key in here | there if here.get(key) != there.get(key)),
         key=lambda key: key not in here or key not in there,
     )
-    shown = [
-        f"{_cut(key)} is {_cut(there.get(key, 'absent'))} there, "
-        f"{_cut(here.get(key, 'absent'))} here"
+    return "; ".join(
+        f"{shortened(key)} is {shown(there, key)} there, {shown(here, key)} here"
         for key in keys[:SHOWN_KEYS]
-    ]
-    more = f", and {len(keys) - SHOWN_KEYS} more" if len(keys) > SHOWN_KEYS else ""
-    return "; ".join(shown) + more
+    )
 
 
 def _values(value: Any, path: str = "") -> Iterator[tuple[str, str]]:
@@ -479,10 +345,6 @@ def _values(value: Any, path: str = "") -> Iterator[tuple[str, str]]:
             yield from _values(one, f"{path}[{i}]")
     elif path:
         yield path, str(value)
-
-
-def _cut(text: str) -> str:
-    return text if len(text) <= MOST_CHARACTERS else f"{text[: MOST_CHARACTERS - 3]}..."
 
 
 def read_record(artifact: Artifact, record: type[R], group: str = "", **others: Any) -> R:

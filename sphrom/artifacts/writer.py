@@ -26,14 +26,13 @@ from numpy.typing import ArrayLike, NDArray
 from sphrom.artifacts.layout import (
     COORDINATES,
     Axes,
-    Identity,
+    Origin,
     Shape,
     Value,
     attribute_value,
     content_digest,
     dataset_line,
     index_not_finite,
-    layout_problem,
     text_digest,
     valid_name,
 )
@@ -43,7 +42,6 @@ from sphrom.declaration import (
     SCHEMA_VERSION,
     Field,
     Record,
-    Schema,
     fields_of_record,
     joined,
 )
@@ -65,31 +63,40 @@ def create_artifact(
     schema: str,
     *,
     stage: str,
-    case_text: str,
-    case_digest: str,
-    inputs_digest: str,
-    lineage: Mapping[str, Identity] | None = None,
+    origin: Origin,
     threads: int = 1,
     force: bool = False,
     attributes: Mapping[str, object] | None = None,
 ) -> Iterator[ArtifactWriter]:
     """Write the artifact `path`, which appears under its name when the block ends well.
 
-    `schema` is a name such as `sphrom/basis`; `lineage` has the identity of each input by role;
-    `attributes` are by path, such as `sound_speed` or `parameters/reynolds`. `case_digest` is that
-    of the whole case, `inputs_digest` that of the part that this artifact depends on.
+    `schema` is a name such as `sphrom/basis`; `attributes` are by path, such as `sound_speed` or
+    `parameters/reynolds`.
 
     Raises ArtifactError when the target can't be written or a value is not finite, ValueError when
     what is written is not what the schema says.
     """
+    provenance: dict[str, Value] = {
+        "schema": schema,
+        "schema_version": SCHEMA_VERSION,
+        "stage": stage,
+        "uuid": str(uuid.uuid4()),
+        "software": "sphrom",
+        "softwareVersion": __version__,
+        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "machine": f"{os.cpu_count()} cores",
+        "case_sha256": text_digest(origin.case_text),
+        "inputs_sha256": origin.inputs_digest,
+        "threads": threads,
+    }
+    for role, identity in origin.lineage.items():
+        provenance[f"lineage/{role}/path"] = Path(identity.path).name
+        provenance[f"lineage/{role}/uuid"] = identity.uuid
+        provenance[f"lineage/{role}/content_sha256"] = identity.content_sha256
     with replacement(Path(path), force=force) as file:
         writer = ArtifactWriter(Path(path), file, schema)
         try:
-            writer._begin(case_text, lineage or {})
-            writer._set("stage", stage)
-            writer._set("threads", threads)
-            writer._set("case_sha256", case_digest)
-            writer._set("inputs_sha256", inputs_digest)
+            writer._begin(origin.case_text, provenance)
             for name, value in (attributes or {}).items():
                 writer.annotate(name, value)
             yield writer
@@ -113,7 +120,9 @@ class ArtifactWriter:
         self._attributes: dict[str, Value] = {}
         with Uncollected():
             self._hdf5 = h5py.File(file, "w", libver=LIBVER)
-        self._scales = Scales(self._schema, self._hdf5)
+        self._axes = Axes(self._schema)
+        self._scales: dict[str, tuple[str, int]] = {}
+        """The scales of axes: by scale, a dataset, and the place of the axis in its shape."""
 
     def add_time(self, seconds: float) -> None:
         """Count time [s] that was spent on the artifact before, by a process that was stopped."""
@@ -127,7 +136,7 @@ class ArtifactWriter:
     @property
     def removed(self) -> bool:
         """Whether somebody has removed what is written so far, as with its folder."""
-        return os.fstat(self._file.fileno()).st_nlink == 0
+        return not self._file.is_named
 
     def write(self, name: str, array: ArrayLike) -> None:
         """Write a whole dataset, of the type and the axes that the schema gives it."""
@@ -154,7 +163,7 @@ class ArtifactWriter:
             dataset.attrs["axes"] = fixed_text(",".join(field.axes))
             for key, text in field.labels.items():
                 dataset.attrs[key] = fixed_text(text)
-            self._scales.attach(name, field, dataset)
+            self._attach_scales(name, field, dataset)
         self._streams[name] = Stream(self, name, field, dataset)
         return self._streams[name]
 
@@ -174,40 +183,51 @@ class ArtifactWriter:
             raise ValueError(f"{name} is no attribute of {self._schema.name}")
         self._set(name, attribute_value(field, value))
 
-    def _begin(self, case_text: str, lineage: Mapping[str, Identity]) -> None:
-        self._set("schema", self._schema.name)
-        self._set("schema_version", SCHEMA_VERSION)
-        self._set("uuid", str(uuid.uuid4()))
-        self._set("software", "sphrom")
-        self._set("softwareVersion", __version__)
-        self._set("date", datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"))
-        self._set("machine", f"{os.cpu_count()} cores")
+    def _begin(self, case_text: str, provenance: Mapping[str, Value]) -> None:
+        for name, value in provenance.items():
+            self._set(name, value)
         with self._guarded():
             case = self._hdf5.create_dataset("case", data=fixed_text(case_text))
             case.attrs["sha256"] = fixed_text(text_digest(case_text))
-        for role, identity in lineage.items():
-            if "/" in role or not valid_name(role):
-                raise ValueError(f"{role!r} can't name an input")
-            self._set(f"lineage/{role}/path", Path(identity.path).name)
-            self._set(f"lineage/{role}/uuid", identity.uuid)
-            self._set(f"lineage/{role}/content_sha256", identity.content_sha256)
 
     def _finish(self) -> None:
         if self._attributes.get("status", "complete") != "complete":
             for stream in self._streams.values():
                 stream.shorten()
-            with self._guarded():
-                self._scales.shorten({name: s.shape for name, s in self._streams.items()})
+            for path, (name, i) in self._scales.items():
+                length = self._streams[name].shape[i]
+                if self._axes.lengths[path] != length:
+                    with self._guarded():
+                        self._hdf5[path].resize((length,))
         lines = {name: stream.seal() for name, stream in self._streams.items()}
         self._set("content_sha256", content_digest(self._schema.name, self._attributes, lines))
         self._set("wall_seconds", self.age)
-        found = {name: (s.shape, np.dtype(s.field.kind)) for name, s in self._streams.items()}
-        problem = layout_problem(self._schema, found, self._attributes)
-        if problem:
-            raise ValueError(f"{self._path}: {problem}")
+        there = {*self._attributes, *self._streams}
+        for field in (*self._schema.datasets, *self._schema.attributes):
+            if field.required and "*" not in field.name and field.name not in there:
+                raise ValueError(f"{self._path}: {field.name} is missing")
         with self._guarded():
-            add_view(self._hdf5, self._schema.name, {name: s for name, (s, _) in found.items()})
+            shapes = {name: stream.shape for name, stream in self._streams.items()}
+            add_view(self._hdf5, self._schema.name, shapes)
             self._hdf5.flush()
+
+    def _attach_scales(self, name: str, field: Field, dataset: h5py.Dataset) -> None:
+        """Name the axes of a new dataset; scales are made where there are none yet."""
+        for i, path in enumerate(self._axes.paths(name, field, dataset.shape)):
+            if path not in self._scales:
+                self._scales[path] = name, i
+                length = dataset.shape[i]
+                # In chunks, none of which is ever written, as it may be shortened.
+                chunks = (length,) if length else None
+                scale = self._hdf5.create_dataset(
+                    path, (length,), "i1", maxshape=(length,), chunks=chunks
+                )
+                scale.make_scale(NOT_A_VARIABLE.format(length))
+            dataset.dims[i].attach_scale(self._hdf5[path])
+        for axis, coordinate in COORDINATES.items():
+            path = joined(name.rpartition("/")[0], coordinate)
+            if axis in field.axes and path != name and self._schema.dataset(path):
+                dataset.attrs["coordinates"] = fixed_text(coordinate)
 
     def _close(self) -> None:
         with Uncollected():
@@ -236,8 +256,8 @@ class Stream:
         self.shape: Shape = dataset.shape
         self._writer = writer
         self._name = name
-        self._dataset: h5py.Dataset | None = dataset
-        self._line: str | None = None
+        self._dataset = dataset
+        self._line = ""
         self._digest = hashlib.sha256()
 
     def append(self, item: ArrayLike) -> None:
@@ -256,10 +276,16 @@ class Stream:
             raise ValueError(
                 f"{self._name} {self.shape} can't take {items.shape} after {self.written}"
             )
-        self._refuse_not_finite(items)
+        if (bad := index_not_finite(items)) is not None:
+            index = (self.written + bad[0], *bad[1:])
+            where = (f"{axis} {at}" for axis, at in zip(self.field.axes, index, strict=True))
+            raise ArtifactError(
+                f"{self._writer._path} was not written: {self._name} holds {items[bad]} at "
+                f"{', '.join(where)}; the computation went wrong before this"
+            )
         contiguous = np.ascontiguousarray(items)
         with self._writer._guarded():
-            self._open[self.written : end] = contiguous
+            self._dataset[self.written : end] = contiguous
         self._digest.update(contiguous.data)
         self.written = end
         if end == self.shape[0]:
@@ -270,7 +296,7 @@ class Stream:
         if self.written < self.shape[0]:
             self.shape = (self.written, *self.shape[1:])
             with self._writer._guarded():
-                self._open.resize(self.shape)
+                self._dataset.resize(self.shape)
 
     def seal(self) -> str:
         """Store the digest of what was written, and return the dataset's line in the content's.
@@ -279,32 +305,16 @@ class Stream:
 
         Raises ValueError when items are missing.
         """
-        if self._line is not None:
+        if self._line:
             return self._line
         if self.written != self.shape[0]:
             raise ValueError(f"{self._name} has {self.written} of {self.shape[0]} items")
         digest = self._digest.hexdigest()
         with self._writer._guarded():
-            self._open.attrs["sha256"] = fixed_text(digest)
+            self._dataset.attrs["sha256"] = fixed_text(digest)
             self._dataset = None
         self._line = dataset_line(np.dtype(self.field.kind), self.shape, digest)
         return self._line
-
-    @property
-    def _open(self) -> h5py.Dataset:
-        if self._dataset is None:
-            raise ValueError(f"{self._name} is complete")
-        return self._dataset
-
-    def _refuse_not_finite(self, items: NDArray[Any]) -> None:
-        bad = index_not_finite(items)
-        if bad is not None:
-            index = (self.written + bad[0], *bad[1:])
-            where = (f"{axis} {at}" for axis, at in zip(self.field.axes, index, strict=True))
-            raise ArtifactError(
-                f"{self._writer._path} was not written: {self._name} holds {items[bad]} at "
-                f"{', '.join(where)}; the computation went wrong before this"
-            )
 
 
 def chunk_shape(field: Field, shape: Shape) -> Shape | None:
@@ -318,42 +328,6 @@ def chunk_shape(field: Field, shape: Shape) -> Shape | None:
         return (1, *shape[1:])
     row_bytes = np.dtype(field.kind).itemsize * math.prod(shape[1:])
     return (min(shape[0], max(1, CHUNK_BYTES // row_bytes)), *shape[1:])
-
-
-class Scales:
-    """The scales of an artifact in the making."""
-
-    def __init__(self, schema: Schema, file: h5py.File) -> None:
-        self._schema = schema
-        self._file = file
-        self._axes = Axes(schema)
-        self._made_for: dict[str, tuple[str, int]] = {}
-        """By scale, a dataset, and the place of the axis in its shape."""
-
-    def attach(self, name: str, field: Field, dataset: h5py.Dataset) -> None:
-        """Name the axes of a new dataset; scales are made where there are none yet."""
-        for i, path in enumerate(self._axes.paths(name, field, dataset.shape)):
-            if path not in self._made_for:
-                self._made_for[path] = name, i
-                self._make(path, dataset.shape[i])
-            dataset.dims[i].attach_scale(self._file[path])
-        group = name.rpartition("/")[0]
-        paths = {one: joined(group, one) for one in map(COORDINATES.get, field.axes) if one}
-        told = [one for one, path in paths.items() if path != name and self._schema.dataset(path)]
-        if told:
-            dataset.attrs["coordinates"] = fixed_text(" ".join(told))
-
-    def shorten(self, shapes: Mapping[str, Shape]) -> None:
-        """Give axes the lengths that their datasets have ended with."""
-        for path, (name, i) in self._made_for.items():
-            if self._axes.lengths[path] != shapes[name][i]:
-                self._file[path].resize((shapes[name][i],))
-
-    def _make(self, path: str, length: int) -> None:
-        # In chunks, none of which is ever written, as it may be shortened.
-        chunks = (length,) if length else None
-        scale = self._file.create_dataset(path, (length,), "i1", maxshape=(length,), chunks=chunks)
-        scale.make_scale(NOT_A_VARIABLE.format(length))
 
 
 class _Guard(Uncollected):

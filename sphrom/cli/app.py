@@ -1,153 +1,69 @@
-"""The command line: its commands, and help."""
+"""The command line: what help says first, and errors as lines and exit codes."""
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
-from sphrom.cli import commands, completion
-from sphrom.cli.failures import Commands
-from sphrom.cli.options import (
-    CaseFile,
-    ForceCheck,
-    Options,
-    OutCheck,
-    Set,
-)
-from sphrom.cli.other_programs import add_other_programs
-from sphrom.cli.stages import add_stages
-from sphrom.console import tell
+from sphrom.cli.cases import cases
+from sphrom.cli.stages import stages
+from sphrom.console import LONGEST_LINE, tell
+from sphrom.errors import SphromError
+from sphrom.signals import Terminated, guarded, termination_interrupts
+from sphrom.text import shortened
 from sphrom.version import __version__
 
-Output = Annotated[
-    Path | None,
-    typer.Option("--output", "-o", metavar="FILE", help="Write there, not to the terminal."),
-]
-KINDS = "One of taylor-green, lid-driven-cavity, open-cavity, or custom: a flow of your own."
-
-case_app = typer.Typer(
-    no_args_is_help=True, rich_markup_mode=None, help="Write, check and describe case files."
-)
+UsageError: Any = typer.BadParameter.__base__
+"""What typer raises for arguments that it can't take; it exports only some kinds of it."""
 
 
-@case_app.command()
-def check(
-    case: CaseFile, out: OutCheck = None, set_: Set = None, force: ForceCheck = False
-) -> None:
-    """Check a case, and tell what it would cost; exit code 5 if it would not fit this machine.
+class Commands(TyperGroup):
+    """Shows errors that a user can act on as lines, and turns them into exit codes."""
 
-    \b
-    Example, with a step to try:
-      sphrom case check cases/taylor_green_demo.yaml --set time.step=1e-3
-    """
-    commands.run_stage("check", Options(case, out, set_ or (), force))
+    def make_context(
+        self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any
+    ) -> Any:
+        with _visible_usage():
+            for before, given in zip(["", *args], args, strict=False):
+                _refuse_empty(before, given)
+            return super().make_context(info_name, args, parent, **extra)
 
-
-@case_app.command()
-def draw(
-    case: CaseFile,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="Where to, PNG or SVG by how it ends.  [default: <name of the case>.png]",
-        ),
-    ] = None,
-    set_: Set = None,
-    force: Annotated[
-        bool,
-        typer.Option("--force", help="Write over a file; insist on a step beyond its limit."),
-    ] = False,
-) -> None:
-    """Draw a case before it runs: particles, ghosts, walls and their velocities, compared line.
-
-    \b
-    Example:
-      sphrom case draw cases/gallery/cylinder.yaml -o cylinder.svg
-    """
-    commands.run_stage("draw", Options(case, None, set_ or (), force), output=output)
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            with termination_interrupts(), guarded(computes=False), _visible_usage():
+                return super().invoke(ctx)
+        except SphromError as error:
+            for line in str(error).split("\n"):
+                tell(f"error: {line}", error=True)
+            raise typer.Exit(error.exit_code) from None
+        except KeyboardInterrupt as interrupt:
+            terminated = isinstance(interrupt, Terminated)
+            tell("terminated" if terminated else "interrupted", error=True)
+            raise typer.Exit(128 + (signal.SIGTERM if terminated else signal.SIGINT)) from None
 
 
-@case_app.command()
-def show(case: CaseFile, set_: Set = None, force: ForceCheck = False) -> None:
-    """Print every key of a case with its value, defaults and outlines of files included.
-
-    \b
-    Example:
-      sphrom case show cases/lid_driven_cavity_demo.yaml
-    """
-    commands.show_case(case, set_ or (), force=force)
+def _refuse_empty(before: str, given: str) -> None:
+    """Refuse an argument that is empty: as a path it would be the current folder."""
+    if given.startswith("--") and given.endswith("=") and given.count("=") == 1:
+        before, given = given[:-1], ""
+    if not given:
+        where = f"the value of {before}" if before.startswith("-") else "an argument"
+        raise UsageError(f"{where} is empty; is a variable of the shell not set?")
 
 
-@case_app.command()
-def new(
-    kind: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="KIND", help=KINDS, show_default=False, autocompletion=completion.kinds
-        ),
-    ] = None,
-    output: Output = None,
-    full: Annotated[
-        bool, typer.Option("--full", help="With every key, at its default, and what it means.")
-    ] = False,
-    force: Annotated[bool, typer.Option("--force", help="Write over a file.")] = False,
-) -> None:
-    """Write a short case file to start from, with a fast model, that runs in a minute or so.
-
-    \b
-    Example:
-      sphrom case new lid-driven-cavity -o cavity.yaml
-    """
-    commands.new_case(kind, output, full=full, force=force)
-
-
-@case_app.command()
-def examples(
-    name: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="[NAME]",
-            help="The case to write; without it, all are listed.",
-            show_default=False,
-            autocompletion=completion.examples,
-        ),
-    ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", metavar="FILE", help="Write there.  [default: NAME.yaml]"),
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Write over a file.")] = False,
-) -> None:
-    """List the cases that come with sphrom, or write one into a file.
-
-    \b
-    Example:
-      sphrom case examples taylor_green_demo
-      sphrom run taylor_green_demo.yaml
-    """
-    commands.copy_example(name, output, force=force)
-
-
-@case_app.command()
-def schema(
-    output: Output = None,
-    force: Annotated[bool, typer.Option("--force", help="Write over a file.")] = False,
-) -> None:
-    """Print the JSON schema of case files, by which editors complete and check them.
-
-    An editor with the YAML language server finds it by a line at the top of a case file, which case
-    new writes: # yaml-language-server: $schema=sphrom.schema.json
-
-    \b
-    Example, beside the case files:
-      sphrom case schema -o sphrom.schema.json
-    """
-    commands.print_schema(output, force=force)
+@contextmanager
+def _visible_usage() -> Iterator[None]:
+    """Make visible, and short, what typer's messages about usage repeat of the arguments."""
+    try:
+        yield
+    except UsageError as error:
+        error.message = shortened(error.message, LONGEST_LINE, keep="\n")
+        raise
 
 
 app = typer.Typer(
@@ -157,7 +73,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-app.add_typer(case_app, name="case")
 
 
 def _version(asked: bool) -> None:
@@ -192,5 +107,5 @@ def sphrom(
     """
 
 
-add_stages(app)
-add_other_programs(app)
+app.add_typer(cases, name="case")
+app.add_typer(stages)

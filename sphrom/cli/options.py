@@ -1,151 +1,126 @@
-"""Arguments and options that several commands have, and how a command gets them."""
+"""The options that several commands have, how a command takes them, and how it runs its stage."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+import shlex
+import signal
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from inspect import Parameter, Signature, signature
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
 import typer
 
+from sphrom import stages
 from sphrom.cli import completion
+from sphrom.console import LOG, LogFile, Reporter
+from sphrom.whole_files import open_to_write
 
-CaseFile = Annotated[
-    Path,
-    typer.Argument(
-        metavar="CASE",
-        help="The case file (YAML).",
-        show_default=False,
-        autocompletion=completion.case_files,
-    ),
-]
-Out = Annotated[
-    Path | None,
-    typer.Option(
-        "--out", metavar="DIR", help="Folder of the artifacts.  [default: runs/<name of the case>]"
-    ),
-]
-Set = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="KEY=VALUE",
-        help="Change a key of the case, such as time.step=1e-3.",
-        autocompletion=completion.keys,
-    ),
-]
-Force = Annotated[
-    bool,
-    typer.Option("--force", help="Write over artifacts; insist on a step beyond its limit."),
-]
-ForceRun = Annotated[
-    bool,
-    typer.Option(
-        "--force",
-        help="Make again what no longer belongs to the case, and only that; insist on a step "
-        "beyond its limit.",
-    ),
-]
-ForceCheck = Annotated[
-    bool, typer.Option("--force", help="Insist on a step beyond its limit, as stages do.")
-]
-OutCheck = Annotated[
-    Path | None,
-    typer.Option(
-        "--out",
-        metavar="DIR",
-        help="Folder whose disk has to have room.  [default: runs/<name of the case>]",
-    ),
-]
-Threads = Annotated[
-    int | None,
-    typer.Option("--threads", min=1, metavar="N", help="Threads to use.  [default: all cores]"),
-]
-Quiet = Annotated[bool, typer.Option("--quiet", help="Show warnings and results only.")]
-Verbose = Annotated[bool, typer.Option("--verbose", help="Show details and all tables.")]
-Log = Annotated[
-    Path | None,
-    typer.Option(
-        "--log",
-        metavar="FILE",
-        help="Add what the command says, with details, to this file.  [default: sphrom.log, beside "
-        "the artifacts]",
-    ),
-]
-Resume = Annotated[
-    bool,
-    typer.Option("--resume", help="Go on from the checkpoints of runs that were stopped."),
-]
-CheckpointEvery = Annotated[
-    float,
-    typer.Option(
-        "--checkpoint-every",
-        min=0.0,
-        metavar="SECONDS",
-        help="Time from one checkpoint of a run to the next, more where writing takes long; 0 is "
-        "after every step.",
-    ),
-]
-Only = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--only",
-        metavar="NAME=VALUE[,...]",
-        help="At these parameter values only; with rom also a MODEL's name, for this model only. "
-        "May be repeated.",
-        autocompletion=completion.values,
-    ),
-]
+WITHOUT_LOG = ("check", "draw")
+"""Stages that leave nothing beside the artifacts."""
+SIGINT_IS_IGNORED = (
+    "SIGINT is ignored, as in background jobs of a script: stop this command with SIGTERM "
+    "(`kill PID`), which also leaves a checkpoint"
+)
 
 
 @dataclass(frozen=True)
 class Options:
-    """What every stage can be told on the command line."""
+    """The options that several commands have; each is declared here, with its help."""
 
-    case: Path
-    out: Path | None = None
-    overrides: Sequence[str] = field(default=())
-    force: bool = False
-    threads: int | None = None
-    quiet: bool = False
-    only: Sequence[str] = field(default=())
-    resume: bool = False
-    every: float = 60.0
-    """Seconds from one checkpoint to the next."""
-    verbose: bool = False
-    log: Path | None = None
-    """Where the log goes; None is beside the artifacts."""
+    case: Annotated[
+        Path,
+        typer.Argument(
+            metavar="CASE",
+            help="The case file (YAML).",
+            show_default=False,
+            autocompletion=completion.case_files,
+        ),
+    ]
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Folder of the artifacts.  [default: runs/<name of the case>]"
+        ),
+    ] = None
+    overrides: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="Change a key of the case, such as time.step=1e-3.",
+            autocompletion=completion.keys,
+        ),
+    ] = None
+    force: Annotated[
+        bool,
+        typer.Option("--force", help="Write over files; insist on a step beyond its limit."),
+    ] = False
+    threads: Annotated[
+        int | None,
+        typer.Option(min=1, metavar="N", help="Threads to use.  [default: all cores]"),
+    ] = None
+    quiet: Annotated[bool, typer.Option("--quiet", help="Show warnings and results only.")] = False
+    verbose: Annotated[bool, typer.Option("--verbose", help="Show details and all tables.")] = False
+    log: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Add what the command says, with details, to this file.  [default: sphrom.log, "
+            "beside the artifacts]",
+        ),
+    ] = None
+    only: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=VALUE[,...]",
+            help="At these parameter values only; with rom and export also a MODEL's name, for "
+            "this model only. May be repeated.",
+            autocompletion=completion.values,
+        ),
+    ] = None
+    resume: Annotated[
+        bool,
+        typer.Option("--resume", help="Go on from the checkpoints of runs that were stopped."),
+    ] = False
+    checkpoint_every: Annotated[
+        float,
+        typer.Option(
+            min=0.0,
+            metavar="SECONDS",
+            help="Time from one checkpoint of a run to the next, more where writing takes long; 0 "
+            "is after every step.",
+        ),
+    ] = 60.0
 
     @property
-    def words(self) -> list[str]:
+    def words(self) -> str:
         """The arguments by which another command finds the same artifacts."""
-        changes = [word for text in self.overrides for word in ("--set", text)]
+        changes = [word for text in self.overrides or () for word in ("--set", text)]
         out = [] if self.out is None else ["--out", str(self.out)]
-        return [str(self.case), *changes, *out]
+        return shlex.join([str(self.case), *changes, *out])
 
 
-COMMON: Mapping[str, tuple[Any, object]] = {
-    "case": (CaseFile, Parameter.empty),
-    "out": (Out, None),
-    "overrides": (Set, None),
-    "force": (Force, False),
-    "threads": (Threads, None),
-    "quiet": (Quiet, False),
-    "verbose": (Verbose, False),
-    "log": (Log, None),
-    "only": (Only, None),
-    "resume": (Resume, False),
-    "every": (CheckpointEvery, 60.0),
-}
-"""Annotations and defaults of common options, by the fields of `Options`."""
-WHOLE = tuple(COMMON)[:8]
-"""Options of a stage that takes the whole case."""
-BY_POINT = (*WHOLE, "only")
-"""The same of one that may be run at some parameter values only."""
-OF_RUNS = tuple(COMMON)
-"""The same of one whose long runs may be stopped and resumed."""
+ALL = tuple(signature(Options).parameters)
+"""The options of a stage whose long runs may be stopped and resumed."""
+BY_POINT = ALL[: ALL.index("resume")]
+"""The options of one that may be run at some parameter values only."""
+WHOLE = ALL[: ALL.index("only")]
+"""The options of one that takes the whole case."""
+WITHOUT_THREADS = tuple(name for name in WHOLE if name != "threads")
+"""The options of one whose workers have a thread each."""
+
+
+def parameters_of(function: Callable[..., Any]) -> dict[str, Parameter]:
+    """Return the parameters of a function or dataclass, with what typer is told of each."""
+    kinds = get_type_hints(function, include_extras=True)
+    return {
+        name: parameter.replace(annotation=kinds[name], kind=Parameter.KEYWORD_ONLY)
+        for name, parameter in signature(function).parameters.items()
+        if name in kinds
+    }
 
 
 def command(
@@ -153,8 +128,7 @@ def command(
     name: str,
     taken: Sequence[str] = WHOLE,
     help: str | None = None,
-    own: Sequence[Parameter] = (),
-    **instead: Any,
+    own: Iterable[Parameter] = (),
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Return a decorator that adds a function as a command, with some common options.
 
@@ -162,40 +136,53 @@ def command(
 
     Parameters
     ----------
-    taken : names of COMMON.
+    taken : the names of fields of Options.
     help : by default the function's docstring.
     own : options of the command that the function gets as further keywords.
-    instead : annotations of common options that mean something else, such as `force`.
     """
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
         def run(**given: Any) -> None:
-            options = {key: given.pop(key) for key in taken}
-            for key in {"overrides", "only"} & options.keys():
-                options[key] = options[key] or ()
-            function(Options(**options), **given)
+            function(Options(**{name: given.pop(name) for name in taken}), **given)
 
-        kinds = get_type_hints(function, include_extras=True)
-        _, *named = signature(function).parameters.values()
+        common, named = parameters_of(Options), parameters_of(function)
+        others = [p for n, p in named.items() if n not in ("options", "own")]
         run.__signature__ = Signature(  # type: ignore[attr-defined]
-            [
-                Parameter(
-                    key,
-                    Parameter.KEYWORD_ONLY,
-                    annotation=instead.get(key, kind),
-                    default=default,
-                )
-                for key, (kind, default) in COMMON.items()
-                if key in taken
-            ]
-            + [
-                p.replace(annotation=kinds[p.name], kind=Parameter.KEYWORD_ONLY)
-                for p in named
-                if p.kind is not Parameter.VAR_KEYWORD
-            ]
-            + [*own]
+            [*(common[name] for name in ALL if name in taken), *others, *own]
         )
         app.command(name, help=help or function.__doc__)(run)
         return function
 
     return decorate
+
+
+def run_stage(stage: str, options: Options, **asked: object) -> None:
+    """Load the case and run one stage on it, with what else is asked of it.
+
+    Raises SphromError, of which each kind is an exit code.
+    """
+    from sphrom.case.loader import load_case
+
+    case = load_case(options.case, options.overrides or (), options.force)
+    log = LogFile()
+    if options.log is not None:
+        open_to_write(options.log, "a").close()
+        log = LogFile(options.log)
+    elif stage not in WITHOUT_LOG:
+        log = LogFile(stages.folder_of(case, options.out) / LOG)
+    report = Reporter(quiet=options.quiet, verbose=options.verbose, log=log)
+    with log.recorded(["sphrom", *sys.argv[1:]]):
+        if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+            report.info(SIGINT_IS_IGNORED)
+        context = stages.context_of(
+            case, report, out=options.out, force=options.force, threads=options.threads
+        )
+        context = stages.with_checkpoints(
+            context, resume=options.resume, every=options.checkpoint_every
+        )
+        context = stages.selected(context, stage, options.only or ())
+        context = replace(context, words=options.words)
+        if stage == "run":
+            stages.run_all(context)
+        else:
+            stages.run_stage(stage, context, **asked)

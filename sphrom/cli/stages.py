@@ -1,21 +1,52 @@
-"""The commands of the stages, and of the studies that run many models, or one many times."""
+"""The commands of stages, of studies that run many models, and of import and export."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import re
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from sphrom.cli import commands
-from sphrom.cli.options import BY_POINT, OF_RUNS, WHOLE, ForceRun, Options, command
+from sphrom.cli.cases import write_new
+from sphrom.cli.options import (
+    ALL,
+    BY_POINT,
+    WHOLE,
+    WITHOUT_THREADS,
+    Options,
+    command,
+    parameters_of,
+    run_stage,
+)
 from sphrom.errors import CaseError
+from sphrom.exchange.import_options import ImportOptions
 
-_STAGES: Mapping[str, tuple[Sequence[str], str]] = {
-    "fom": (
-        OF_RUNS,
-        """Run the full model at every parameter value: fom-<parameters>.h5.
+stages = typer.Typer()
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Run on the workers of this Dask scheduler, such as tcp://node1:8786.",
+    ),
+]
+Workers = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        metavar="N",
+        help="Processes to run at once.  [default: as many as there are cores and memory; while "
+        "train chooses, one]",
+    ),
+]
+OF_FILES = ("case", "out", "overrides", "force", "quiet", "only")
+"""The options of commands that take or make other programs' files."""
+
+
+@command(stages, "fom", ALL)
+def fom(options: Options) -> None:
+    """Run the full model at every parameter value: fom-<parameters>.h5.
 
     Where the case has a spin-up, its end is kept in spin-up-<parameters>.h5, and what is recorded
     after it can be run again from there. A run that is stopped leaves a checkpoint beside its
@@ -25,38 +56,46 @@ _STAGES: Mapping[str, tuple[Sequence[str], str]] = {
     Example, one value on two threads, and the same after it was stopped:
       sphrom fom cases/taylor_green_demo.yaml --only reynolds=100 --threads 2
       sphrom fom cases/taylor_green_demo.yaml --only reynolds=100 --threads 2 --resume
-    """,
-    ),
-    "map": (
-        BY_POINT,
-        """Map snapshots onto the reference space: map-<parameters>.h5.
+    """
+    run_stage("fom", options)
+
+
+@command(stages, "map", BY_POINT)
+def map_(options: Options) -> None:
+    """Map snapshots onto the reference space: map-<parameters>.h5.
 
     \b
     Example, with the Shepard filter, into a folder that already holds the full runs:
       sphrom map cases/taylor_green_demo.yaml --out runs/demo --set reference.method=shepard
-    """,
-    ),
-    "pod": (
-        WHOLE,
-        """Extract the trial basis from the mapped snapshots: pod.h5.
+    """
+    run_stage("map", options)
+
+
+@command(stages, "pod")
+def pod(options: Options) -> None:
+    """Extract the trial basis from the mapped snapshots: pod.h5.
 
     \b
     Example, with 20 modes, writing over an earlier basis:
       sphrom pod cases/taylor_green_demo.yaml --set basis.n_modes=20 --force
-    """,
-    ),
-    "fit-psi": (
-        WHOLE,
-        """Fit splines to the modes: psi.h5.
+    """
+    run_stage("pod", options)
+
+
+@command(stages, "fit-psi")
+def fit_psi(options: Options) -> None:
+    """Fit splines to the modes: psi.h5.
 
     \b
     Example, with splines of a higher order:
       sphrom fit-psi cases/taylor_green_demo.yaml --set psi.order=5 --set psi.polynomial_degree=2
-    """,
-    ),
-    "operators": (
-        WHOLE,
-        """Project the right-hand side on the reference points onto the basis: operators.h5.
+    """
+    run_stage("fit-psi", options)
+
+
+@command(stages, "operators")
+def operators(options: Options) -> None:
+    """Project the right-hand side on the reference points onto the basis: operators.h5.
 
     For reduced models with evaluation: operators; their cost is independent of the number of
     particles.
@@ -64,11 +103,13 @@ _STAGES: Mapping[str, tuple[Sequence[str], str]] = {
     \b
     Example, without the data for error estimates:
       sphrom operators cases/taylor_green_demo.yaml --set operators.error_estimate=false
-    """,
-    ),
-    "rom": (
-        OF_RUNS,
-        """Run the reduced models: rom-<name>-<parameters>.h5.
+    """
+    run_stage("operators", options)
+
+
+@command(stages, "rom", ALL)
+def rom(options: Options) -> None:
+    """Run the reduced models: rom-<name>-<parameters>.h5.
 
     A model that isn't evaluated on particles may list values in its parameters at which no full
     run is made.
@@ -77,20 +118,24 @@ _STAGES: Mapping[str, tuple[Sequence[str], str]] = {
     Example, a value that the basis was not trained on, and one model alone:
       sphrom rom cases/taylor_green_demo.yaml --only reynolds=150
       sphrom rom cases/taylor_green_demo.yaml --only fast-m5
-    """,
-    ),
-    "compare": (
-        WHOLE,
-        """Compare reduced with full runs: tables, figures, compare.h5.
+    """
+    run_stage("rom", options)
+
+
+@command(stages, "compare")
+def compare(options: Options) -> None:
+    """Compare reduced with full runs: tables, figures, compare.h5.
 
     \b
     Example, leaving out the start, where the flow settles:
       sphrom compare cases/taylor_green_demo.yaml --set compare.from_time=0.1
-    """,
-    ),
-    "figures": (
-        WHOLE,
-        """Draw the figures that a case asks for in compare.figures: figures/<name>.png.
+    """
+    run_stage("compare", options)
+
+
+@command(stages, "figures")
+def figures(options: Options) -> None:
+    """Draw the figures that a case asks for in compare.figures: figures/<name>.png.
 
     Fields of particles as they are at an instant, profiles, errors over time by Eq. 4.1, singular
     values and modes. Runs and their comparison have to be there.
@@ -99,11 +144,13 @@ _STAGES: Mapping[str, tuple[Sequence[str], str]] = {
     Example, the paper's figures of the Taylor-Green vortex on a coarse grid:
       sphrom run cases/taylor_green.yaml --set discretization.resolution=40 --out runs/coarse
       sphrom figures cases/taylor_green.yaml --set discretization.resolution=40 --out runs/coarse
-    """,
-    ),
-    "report": (
-        WHOLE,
-        """Write one HTML page of a case and its results: report.html.
+    """
+    run_stage("figures", options)
+
+
+@command(stages, "report")
+def report(options: Options) -> None:
+    """Write one HTML page of a case and its results: report.html.
 
     It shows what compare found, and trade where that has run; it needs no network to be read.
 
@@ -111,48 +158,11 @@ _STAGES: Mapping[str, tuple[Sequence[str], str]] = {
     Example:
       sphrom run cases/taylor_green_demo.yaml
       sphrom report cases/taylor_green_demo.yaml
-    """,
-    ),
-}
-"""The options and the help of stages that have no options of their own, by their commands."""
-Scheduler = Annotated[
-    str | None,
-    typer.Option(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="Run on the workers of this Dask scheduler, such as tcp://node1:8786.",
-    ),
-]
-ForceSweep = Annotated[
-    bool, typer.Option("--force", help="Start anew; insist on a step beyond its limit.")
-]
-ForceTrain = Annotated[
-    bool,
-    typer.Option("--force", help="Choose anew; write over runs of another case; insist on a step."),
-]
-OF_RUN = (*WHOLE, "resume", "every")
-WITHOUT_THREADS = tuple(name for name in WHOLE if name != "threads")
-"""Options of a command whose workers have a thread each."""
+    """
+    run_stage("report", options)
 
 
-def add_stages(app: typer.Typer) -> None:
-    """Add the command of every stage and study, in the order in which help lists them."""
-    for name, (taken, text) in _STAGES.items():
-        command(app, name, taken, text)(_stage(name.replace("-", "_")))
-    command(app, "run", OF_RUN, force=ForceRun)(run)
-    command(app, "trade", (*BY_POINT, "every"))(trade)
-    command(app, "sweep", WITHOUT_THREADS, force=ForceSweep)(sweep)
-    command(app, "fit", WITHOUT_THREADS)(fit)
-    command(app, "train", force=ForceTrain)(train)
-
-
-def _stage(name: str) -> Callable[[Options], None]:
-    def stage(options: Options) -> None:
-        commands.run_stage(name, options)
-
-    return stage
-
-
+@command(stages, "run", (*WHOLE, "resume", "checkpoint_every"))
 def run(options: Options) -> None:
     """Run all stages that are needed, keeping what is there and valid.
 
@@ -160,15 +170,15 @@ def run(options: Options) -> None:
     Example, the whole pipeline on a coarser grid, in a folder of its own:
       sphrom run cases/taylor_green_demo.yaml --set discretization.resolution=40 --out runs/coarse
     """
-    commands.run_stage("pipeline", options)
+    run_stage("run", options)
 
 
+@command(stages, "trade", (*BY_POINT, "checkpoint_every"))
 def trade(
     options: Options,
     tolerance: Annotated[
         str | None,
         typer.Option(
-            "--tolerance",
             metavar="PERCENT",
             help="Name the cheapest model within it, such as 1% of velocity and pressure "
             "alike, or 0.5%,3% of each.",
@@ -190,30 +200,21 @@ def trade(
       sphrom trade cases/taylor_green_demo.yaml --tolerance 1%
     """
     if not extremes:
-        commands.run_stage("trade", options, tolerance=tolerance)
+        run_stage("trade", options, tolerance=tolerance)
     elif tolerance is None:
-        commands.run_stage("extremes", options)
+        run_stage("extremes", options)
     else:
         raise CaseError("--tolerance: is not for --extremes, which weighs no models")
 
 
+@command(stages, "sweep", WITHOUT_THREADS)
 def sweep(
     options: Options,
-    workers: Annotated[
-        int | None,
-        typer.Option(
-            "--workers",
-            min=1,
-            metavar="N",
-            help="Processes to run at once.  [default: one a core, as far as memory goes]",
-        ),
-    ] = None,
+    workers: Workers = None,
     scheduler: Scheduler = None,
     shard: Annotated[
         str | None,
-        typer.Option(
-            "--shard", metavar="I/N", help="Make the I-th of N shares only, as one job of a batch."
-        ),
+        typer.Option(metavar="I/N", help="Make the I-th of N shares only, as one job of a batch."),
     ] = None,
     collect: Annotated[
         bool, typer.Option("--collect", help="Make no runs: gather those of the shards.")
@@ -235,15 +236,16 @@ def sweep(
     Example, a thousand reduced runs after a run of the case:
       sphrom sweep cases/taylor_green_demo.yaml
     """
-    asked = {
-        "workers": workers,
-        "scheduler": scheduler,
-        "shard": commands.parse_shard(shard),
-        "collect": collect,
-    }
-    commands.run_stage("sweep", options, **{name: value for name, value in asked.items() if value})
+    share: tuple[int, ...] | None = None
+    if shard is not None:
+        found = re.fullmatch(r"(\d{1,9})/(\d{1,9})", shard)
+        share = tuple(map(int, found.groups())) if found else (0, 0)
+        if not 1 <= share[0] <= share[1]:
+            raise CaseError(f"--shard: must be like 1/8, up to 8/8; got {shard!r}")
+    run_stage("sweep", options, workers=workers, scheduler=scheduler, shard=share, collect=collect)
 
 
+@command(stages, "fit", WITHOUT_THREADS)
 def fit(
     options: Options,
     measurements: Annotated[
@@ -257,7 +259,6 @@ def fit(
     noise: Annotated[
         str | None,
         typer.Option(
-            "--noise",
             metavar="PERCENT",
             help="Standard deviation of the noise over each history's range, such as 1%, where no "
             "column says one.",
@@ -266,9 +267,7 @@ def fit(
     name: Annotated[
         str | None,
         typer.Option(
-            "--name",
-            metavar="NAME",
-            help="What the files are called: fit-NAME.h5.  [default: as the measurements]",
+            metavar="NAME", help="Name of the files: fit-NAME.h5.  [default: as the measurements]"
         ),
     ] = None,
 ) -> None:
@@ -284,34 +283,25 @@ def fit(
     Example, with noise of 1 % of each history's range, the lid's speed known:
       sphrom fit cavity.yaml probes.csv --noise 1% --set fit.parameters.lid=0.8
     """
-    commands.run_stage("fit", options, measurements=measurements, noise=noise, name=name)
+    run_stage("fit", options, measurements=measurements, noise=noise, name=name)
 
 
+@command(stages, "train")
 def train(
     options: Options,
     tolerance: Annotated[
         str | None,
-        typer.Option("--tolerance", metavar="PERCENT", help="Error allowed, such as 1%."),
+        typer.Option(metavar="PERCENT", help="Error allowed, such as 1%."),
     ] = None,
     budget: Annotated[
         int | None,
-        typer.Option("--budget", min=2, metavar="N", help="Most full runs to learn from."),
+        typer.Option(min=2, metavar="N", help="Most full runs to learn from."),
     ] = None,
-    workers: Annotated[
-        int | None,
-        typer.Option(
-            "--workers",
-            min=1,
-            metavar="N",
-            help="Full runs to choose and make at once.  [default: the first ones on all cores, "
-            "then one at a time, which takes the fewest]",
-        ),
-    ] = None,
+    workers: Workers = None,
     scheduler: Scheduler = None,
     write_case: Annotated[
         Path | None,
         typer.Option(
-            "--write-case",
             metavar="FILE",
             help="Where the case with the chosen points goes.  [default: training/case.yaml beside "
             "the artifacts]",
@@ -334,7 +324,7 @@ def train(
     Example, a model that is wrong by no more than one percent, from at most eight full runs:
       sphrom train case.yaml --set 'training.reynolds=[50, 1000]' --tolerance 1% --budget 8
     """
-    commands.run_stage(
+    run_stage(
         "train",
         options,
         tolerance=tolerance,
@@ -343,3 +333,84 @@ def train(
         scheduler=scheduler,
         write_case=write_case,
     )
+
+
+@command(stages, "import", (*OF_FILES, "threads"), own=parameters_of(ImportOptions).values())
+def import_(
+    options: Options,
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILES",
+            help="One file a snapshot: PySPH's .hdf5, .vtu, .vtp, .vtk, .npz; or a .pvd or "
+            ".vtkhdf.",
+            show_default=False,
+        ),
+    ],
+    write_case: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Write a case with the files' times and resolution, and import for that one.",
+        ),
+    ] = None,
+    **own: Any,
+) -> None:
+    """Take another program's snapshots as a full run: fom-<parameters>.h5.
+
+    The case says what was simulated: scene, fluid, particles, and the instants that are kept; map
+    and the stages after it go on from there. A file at an instant is taken as it is; where there is
+    none, snapshots are interpolated in time.
+
+    \b
+    Example, Taylor-Green of PySPH, whose vortices are a quarter of the box from ours; others with
+    the times of the files:
+      sphrom import vortex.yaml taylor_green_output/*.hdf5 --only reynolds=100 --origin=-0.25,-0.25
+      sphrom import vortex.yaml theirs/*.vtp --write-case theirs.yaml --units length=mm,time=ms
+    """
+    about = ImportOptions(**own)
+    if write_case is not None:
+        from sphrom.exchange.import_ import fitted_case
+
+        text, keys = fitted_case(options.case, options.overrides or (), files, about)
+        next_step = f", with {' '.join(keys)}; next: sphrom run {write_case}"
+        write_new(write_case, text, next_step, force=options.force)
+        options = replace(options, case=write_case, overrides=None)
+    run_stage("import", options, files=files, about=about)
+
+
+@command(stages, "export", OF_FILES)
+def export(
+    options: Options,
+    to: Annotated[
+        str,
+        typer.Option(
+            metavar="FORMAT",
+            help="vtu: a .pvd that lists one file for each step, for ParaView; csv: runs at some "
+            "points.",
+        ),
+    ] = "vtu",
+    into: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Folder of the files.  [default: export, beside the artifacts]"
+        ),
+    ] = None,
+    at: Annotated[
+        list[str] | None,
+        typer.Option(metavar="X,Y", help="A point [m] of csv; may be repeated.  [default: a line]"),
+    ] = None,
+) -> None:
+    """Write fields into files of their own, for ParaView and other programs.
+
+    Any ParaView opens the .pvd files: runs step through their snapshots, pod.pvd through its modes.
+    The fields of runs that store coordinates alone are computed on the way. ParaView from 5.12 on
+    opens artifacts that hold fields as they are, with its VTKHDF reader.
+
+    \b
+    Example, all that a case has, its runs at a point, and those of one model:
+      sphrom export cases/taylor_green_demo.yaml
+      sphrom export cases/taylor_green_demo.yaml --to csv --at 0.25,0.5
+      sphrom export cases/taylor_green_demo.yaml --only fast-m5 --into vtu
+    """
+    run_stage("export", options, to=to, into=into, at=at or ())

@@ -12,9 +12,8 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.discrepancy import compression_factor, field_compression_factor
-from sphrom.store.targets import Target
 from sphrom.store.trained_operators import memory_timing
-from sphrom.store.workspace import Workspace
+from sphrom.store.workspace import Target, Workspace
 
 SECONDS = {"unit": "s"}
 

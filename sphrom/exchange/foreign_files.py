@@ -8,20 +8,15 @@ files are read by VTK itself, the extra `vtk`, in a process of its own: see `vtk
 
 from __future__ import annotations
 
-import atexit
 import importlib.util
-import io
-import json
 import math
 import multiprocessing
-import os
-import signal
-import subprocess
-import sys
 import zipfile
 from collections.abc import Iterator, Mapping
+from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -29,14 +24,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts.inspection import (
-    Contents,
-    Fault,
-    damage,
-    inspect,
-    open_file,
-    require_own_data,
-)
+from sphrom.artifacts.inspection import Fault, damage, inspect, open_file, require_own_data
 from sphrom.artifacts.layout import index_not_finite
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange import vtk_process
@@ -62,10 +50,22 @@ VTK_SECONDS = (10.0, 1e-7)
 """Time that VTK is given for one snapshot, and in addition for each byte of the file."""
 VTK_BYTES = (2 * 2**30, 8 * 2**30)
 """Memory that VTK is given at least, and at most."""
-NPY = ".npy"
 PYSPH, NUMPY, STEPPED = (".hdf5", ".h5"), ".npz", (".vtkhdf", ".hdf")
 KINDS = (*PYSPH, NUMPY, ".vtu", ".vtp", ".vtk", *STEPPED)
 """The endings of files; those of `STEPPED` may hold many snapshots."""
+Read = tuple[float, dict[str, NDArray[Any]]]
+"""The time, nan where a file does not tell it, and the fields."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a snapshot is, and its time."""
+
+    path: Path
+    time: float = math.nan
+    """Not a number where nothing but the snapshot itself may tell."""
+    step: int = 0
+    """Of those that the file holds."""
 
 
 @dataclass(frozen=True)
@@ -73,8 +73,8 @@ class ForeignSnapshot:
     """One snapshot as its file has it, in the file's units."""
 
     path: Path
-    time: float | None
-    """None where the file does not tell."""
+    time: float
+    """Not a number where the file does not tell."""
     fields: Mapping[str, Array]
     """By name, each (n_particles,)."""
 
@@ -87,54 +87,50 @@ class ForeignSnapshot:
         """Return a field. Raises ArtifactError, naming the option that asked for it."""
         if name in self.fields:
             return self.fields[name]
-        known = shortened(", ".join(self.fields)) or "none"
+        known = shortened(", ".join(self.fields))
         raise ArtifactError(f"{self.path}: has no field {name} ({option}); it has {known}")
 
 
-@dataclass(frozen=True)
-class Stored:
-    """Where a snapshot is."""
+@contextmanager
+def _refused(path: Path) -> Iterator[None]:
+    """Turn a Fault into an ArtifactError that names the file, which has to be there."""
+    try:
+        if not path.is_file():
+            raise Fault("is missing, or not a file")
+        yield
+    except (Fault, Unreadable) as fault:
+        raise ArtifactError(f"{path} {shortened(str(fault))}") from fault
 
-    path: Path
-    time: float | None = None
-    """None where nothing but the snapshot itself may tell."""
-    step: int = 0
-    """Of those that the file holds."""
 
-
-def snapshots_in(path: Path) -> list[Stored]:
+def snapshots_in(path: Path) -> list[Source]:
     """Return the snapshots that a file holds or lists.
 
     Raises ArtifactError when it is missing or damaged, or lists none.
     """
     suffix = path.suffix.lower()
     with _refused(path):
-        _require_file(path)
-    if suffix == COLLECTION:
-        return [Stored(file, time) for time, file in read_collection(path)]
-    if suffix in STEPPED:
-        with _refused(path):
-            times = _vtk(path, vtk_process.TIMES)[0]["times"]
-            if len(times) > MOST_STEPS or not np.isfinite(times).all():
-                raise Fault(f"is damaged: it has {len(times)} times, or one that is no number")
-        return [Stored(path, time, step) for step, time in enumerate(times)] or [Stored(path)]
-    return [Stored(path)]
+        if suffix == COLLECTION:
+            return _listed(path)
+        if suffix not in STEPPED:
+            return [Source(path)]
+        times = _vtk(path, vtk_process.TIMES)[0]["times"]
+        if len(times) > MOST_STEPS or not np.isfinite(times).all():
+            raise Fault(f"is damaged: it has {len(times)} times, or one that is no number")
+        return [Source(path, time, step) for step, time in enumerate(times)] or [Source(path)]
 
 
-def _require_file(path: Path) -> None:
-    if not path.is_file():
-        raise Fault("is missing, or not a file")
-
-
-@contextmanager
-def _refused(path: Path) -> Iterator[None]:
-    """Turn a Fault, or what reading raises, into an ArtifactError that names the file."""
+def _listed(path: Path) -> list[Source]:
+    """Return the snapshots that a .pvd file lists."""
     try:
-        yield
-    except (Fault, Unreadable) as fault:
-        raise ArtifactError(f"{path} {shortened(str(fault))}") from fault
-    except OSError as error:
-        raise ArtifactError(f"{shortened(str(path))} can't be read ({error.strerror})") from error
+        entries = list(ElementTree.fromstring(read_whole(path, MOST_BYTES)).iter("DataSet"))
+        listed = [
+            Source(path.parent / e.attrib["file"], float(e.attrib["timestep"])) for e in entries
+        ]
+    except (ElementTree.ParseError, LookupError, ValueError) as error:
+        raise Fault(f"can't be read as a list of VTK files: {error}") from error
+    if not listed or not np.isfinite([source.time for source in listed]).all():
+        raise Fault("lists no files, or one at a time that is no number")
+    return listed
 
 
 def read_foreign(path: Path, array: str | None = None, step: int = 0) -> ForeignSnapshot:
@@ -152,13 +148,12 @@ def read_foreign(path: Path, array: str | None = None, step: int = 0) -> Foreign
     if suffix not in KINDS:
         raise ArtifactError(f"{path}: is of no kind that can be read ({', '.join(KINDS)})")
     with _refused(path):
-        _require_file(path)
         if suffix in PYSPH:
             time, values = _read_pysph(path, array)
         else:
             time, values = _read_numpy(path) if suffix == NUMPY else _read_vtk(path, step)
         require_snapshot_size(8 * sum(value.size for value in values.values()))
-    return ForeignSnapshot(path, time, dict(_scalars(path, values)))
+        return ForeignSnapshot(path, time, dict(_scalars(values)))
 
 
 def require_snapshot_size(n_bytes: int) -> None:
@@ -168,38 +163,16 @@ def require_snapshot_size(n_bytes: int) -> None:
         raise Fault(f"unpacks to {data_size(n_bytes)}; a snapshot has at most {most}")
 
 
-def read_collection(path: Path) -> list[tuple[float, Path]]:
-    """Return the times and files that a .pvd file lists.
-
-    Raises ArtifactError when it can't be read, or lists none.
-    """
-    try:
-        entries = list(ElementTree.fromstring(read_whole(path, MOST_BYTES)).iter("DataSet"))
-        listed = [(float(e.attrib["timestep"]), path.parent / e.attrib["file"]) for e in entries]
-    except (OSError, ElementTree.ParseError, LookupError, ValueError) as error:
-        reason = shortened(str(error))
-        raise ArtifactError(f"{path}: can't be read as a list of VTK files: {reason}") from error
-    if not listed:
-        raise ArtifactError(f"{path}: lists no files")
-    for time, _ in listed:
-        if not math.isfinite(time):
-            raise ArtifactError(f"{path}: lists a file at the time {time}")
-    return listed
-
-
-def _scalars(path: Path, values: Mapping[str, NDArray[Any]]) -> Iterator[tuple[str, Array]]:
+def _scalars(values: Mapping[str, NDArray[Any]]) -> Iterator[tuple[str, Array]]:
     """Yield fields of one number a particle, those of vectors by component."""
-    n_particles = {len(array) for array in values.values()}
-    if n_particles <= {0}:
-        raise ArtifactError(f"{path}: holds no particles")
-    if len(n_particles) > 1:
-        counts = shortened(", ".join(f"{name} {len(array)}" for name, array in values.items()))
-        raise ArtifactError(f"{path}: its fields are of different lengths: {counts}")
+    lengths = {name: len(array) for name, array in values.items()}
+    if not any(lengths.values()):
+        raise Fault("holds no particles")
+    if len(set(lengths.values())) > 1:
+        raise Fault(f"is damaged: its fields are of different lengths: {lengths}")
     for name, array in values.items():
-        bad = index_not_finite(array)
-        if bad is not None:
-            named = shortened(name)
-            raise ArtifactError(f"{path}: {named} of particle {bad[0]} is {array[bad]}")
+        if (bad := index_not_finite(array)) is not None:
+            raise Fault(f"is damaged: {name} of particle {bad[0]} is {array[bad]}")
         if array.size == len(array):
             yield name, array.astype(np.float64).ravel()
         elif array.ndim == 2 and array.shape[1] in (2, 3):
@@ -207,46 +180,28 @@ def _scalars(path: Path, values: Mapping[str, NDArray[Any]]) -> Iterator[tuple[s
                 yield f"{name}.{component}", column.astype(np.float64)
 
 
-Read = tuple[float | None, dict[str, NDArray[Any]]]
-
-
 def _read_pysph(path: Path, array: str | None) -> Read:
     with open_file(path) as file:
         contents = inspect(file)
-        chosen = _chosen(_pysph_arrays(contents), array)
-        prefix = f"particles/{chosen}/arrays/"
-        stored = [
-            name
-            for name, (shape, _) in contents.datasets.items()
-            if name.startswith(prefix) and len(shape) == 1 and shape[0] > 0
-        ]
-        require_snapshot_size(8 * sum(contents.datasets[name][0][0] for name in stored))
+        parts = [name.split("/") for name in contents.datasets]
+        sets = {p[1] for p in parts if len(p) == 4 and p[::2] == ["particles", "arrays"]}
+        if array is None and len(sets) == 1:
+            (array,) = sets
+        if array not in sets:
+            raise Fault(
+                f"holds no particles {array or 'of PySPH'}; name one of its sets with --array: "
+                f"{', '.join(sorted(sets)) or 'it has none in /particles/<name>/arrays'}"
+            )
+        prefix = f"particles/{array}/arrays/"
+        shapes = {n: shape for n, (shape, _) in contents.datasets.items() if n.startswith(prefix)}
+        # Properties of several numbers a particle are of no use here.
+        stored = [name for name, shape in shapes.items() if shape == shapes.get(f"{prefix}x")]
+        if not stored or len(shapes[stored[0]]) != 1:
+            raise Fault(f"holds no particles of {array}, or no field x of them")
+        require_snapshot_size(8 * len(stored) * shapes[stored[0]][0])
         with damage(f"{prefix}..."):
             values = {name.removeprefix(prefix): file[name][...] for name in stored}
-    n_particles = len(values.get("x", ()))
-    # Properties of several numbers a particle are of no use here.
-    same = {name: value for name, value in values.items() if len(value) == n_particles}
-    if not same:
-        raise Fault(f"holds no particles of {chosen}, or no field x of them")
-    return _time_of({"t": contents.attributes.get("solver_data/t", ())}), same
-
-
-def _pysph_arrays(contents: Contents) -> list[str]:
-    """Return the names of the sets of particles that PySPH wrote."""
-    parts = [name.split("/") for name in contents.datasets]
-    names = {part[1] for part in parts if len(part) == 4 and part[::2] == ["particles", "arrays"]}
-    if not names:
-        raise Fault("holds no particles as PySPH writes them, in /particles/<name>/arrays")
-    return sorted(names)
-
-
-def _chosen(names: list[str], asked: str | None) -> str:
-    if asked is None and len(names) == 1:
-        return names[0]
-    if asked in names:
-        return str(asked)
-    instead = f", not {asked}" if asked else ""
-    raise Fault(f"holds {', '.join(names)}: name one with --array{instead}")
+    return _time_of({"t": contents.attributes.get("solver_data/t", ())}), values
 
 
 def _read_numpy(path: Path) -> Read:
@@ -254,114 +209,68 @@ def _read_numpy(path: Path) -> Read:
     if not zipfile.is_zipfile(path):
         raise Fault("is not a NumPy archive as numpy.savez writes it, or is damaged")
     try:
-        with zipfile.ZipFile(path) as archive:
-            values = _archived(archive)
+        with np.load(path, allow_pickle=False) as archive:
+            members = archive.zip.infolist()
+            if len(members) > MOST_ARRAYS:
+                raise Fault(f"holds {len(members)} arrays; a snapshot has at most {MOST_ARRAYS}")
+            require_snapshot_size(sum(member.file_size for member in members))
+            values = {name: np.asarray(archive[name]) for name in archive.files}
     except (Exception, MemoryError) as error:  # whatever a damaged archive makes of its parsers
         if isinstance(error, Fault):
             raise
-        if "Object arrays" in str(error):
-            raise Fault(
-                "holds Python objects, which can run code when they are read: it is refused; PySPH "
-                "writes plain HDF5 instead where h5py is installed"
-            ) from error
         reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise Fault(f"is damaged: {reason}") from error
+        raise Fault(
+            f"is damaged, or holds Python objects, which could run code and are refused: {reason}"
+        ) from error
     numbers = {name: value for name, value in values.items() if value.dtype.kind in "fiu"}
     return _time_of(numbers), {name: value for name, value in numbers.items() if value.ndim > 0}
 
 
-def _archived(archive: zipfile.ZipFile) -> dict[str, NDArray[Any]]:
-    """Return the arrays of an archive by name; its sizes are looked at before it is unpacked."""
-    members = [m for m in archive.infolist() if m.filename.endswith(NPY)]
-    if len(members) > MOST_ARRAYS:
-        raise Fault(f"holds {len(members)} arrays; a snapshot has at most {MOST_ARRAYS}")
-    require_snapshot_size(sum(member.file_size for member in members))
-    values = {}
-    for member in members:
-        with archive.open(member) as stream:
-            name = member.filename.removesuffix(NPY)
-            values[name] = np.lib.format.read_array(stream, allow_pickle=False)
-    return values
-
-
 def _read_vtk(path: Path, step: int) -> Read:
-    about, fields = _vtk(path, step)
+    numbers, fields = _vtk(path, step)
     if (points := fields.pop("Points", None)) is None:
         raise Fault("holds no particles")
-    return _time_of(about["numbers"]), {**fields, **dict(zip(COMPONENTS, points.T, strict=True))}
+    return _time_of(numbers), {**fields, **dict(zip(COMPONENTS, points.T, strict=True))}
 
 
-class _Vtk:
-    """VTK in a process of its own, which ends where a file is too much for it."""
-
-    def __init__(self) -> None:
-        self._process: subprocess.Popen[bytes] | None = None
-        atexit.register(self._stop)
-
-    def __call__(self, path: Path, step: int) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """Return what VTK tells of a file, and its arrays on points at a step.
-
-        Raises Fault, or CaseError where VTK is not installed.
-        """
-        if path.suffix.lower() in STEPPED:
-            with open_file(path) as file:
-                require_own_data(file)
-        else:
-            require_size(path, MOST_SNAPSHOT_BYTES)
-        seconds = VTK_SECONDS[0] + VTK_SECONDS[1] * path.stat().st_size
-        try:
-            if self._process is None:
-                self._start(path)
-            request = json.dumps([str(path.absolute()), step, seconds])
-            self._connection.send_bytes(request.encode())
-            answer = io.BytesIO(self._connection.recv_bytes(2 * MOST_SNAPSHOT_BYTES))
-        except (EOFError, ConnectionError) as error:
-            late = self._stop() == -signal.SIGALRM
-            reason = f"takes more than {seconds:.0f} s" if late else "needs too much memory"
-            raise Fault(f"is damaged, or {reason}: VTK ended at it") from error
-        except BaseException:
-            self._stop()
-            raise
-        arrays = dict(np.load(answer, allow_pickle=False))
-        about = json.loads(arrays.pop("about").tobytes())
-        if "fault" in about:
-            raise Fault(f"is damaged, or no VTK file of points: {about['fault']}")
-        return about, dict(zip(about["names"], arrays.values(), strict=True))
-
-    def _start(self, path: Path) -> None:
-        if importlib.util.find_spec("vtkmodules") is None:
-            raise CaseError(f"{path}: VTK files are read by VTK: `pip install 'sphrom[vtk]'`")
-        least, most = VTK_BYTES
-        n_bytes = max(least, min(most, available_ram() or most))
-        self._connection, theirs = multiprocessing.Pipe()
-        place = str(theirs.fileno())
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", vtk_process.__file__, place, str(n_bytes)],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            pass_fds=[theirs.fileno()],
-            start_new_session=True,  # an interrupt from the keyboard is for this process
-            env={**os.environ, "HDF5_PLUGIN_PRELOAD": "::", "OPENBLAS_NUM_THREADS": "1"},
-        )
-        theirs.close()
-
-    def _stop(self) -> int | None:
-        """End the process, and return how it ended."""
-        process, self._process = self._process, None
-        if process is None:
-            return None
-        self._connection.close()
-        process.kill()
-        return process.wait()
+def _vtk(path: Path, step: int) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Return the single numbers of a file, and its arrays on points at a step."""
+    if importlib.util.find_spec("vtkmodules") is None:
+        raise CaseError(f"{path}: VTK files are read by VTK: `pip install 'sphrom[vtk]'`")
+    if path.suffix.lower() in STEPPED:
+        with open_file(path) as file:
+            require_own_data(file)
+    else:
+        require_size(path, MOST_SNAPSHOT_BYTES)
+    seconds = VTK_SECONDS[0] + VTK_SECONDS[1] * path.stat().st_size
+    request = str(path.absolute()), step, seconds
+    try:
+        return _vtk_process().submit(vtk_process.read, *request).result()
+    except (MemoryError, OSError, TypeError, ValueError) as error:
+        reason = str(error) or type(error).__name__
+        raise Fault(f"is damaged, or no VTK file of points: {reason}") from error
+    except BaseException as error:
+        _vtk_process.cache_clear()
+        for process in multiprocessing.active_children():
+            process.kill()
+        if isinstance(error, BrokenExecutor):
+            limits = f"takes more than {seconds:.0f} s, or needs too much memory"
+            raise Fault(f"is damaged, {limits}: VTK ended at it") from error
+        raise
 
 
-_vtk = _Vtk()
+@cache
+def _vtk_process() -> ProcessPoolExecutor:
+    """Start a process for VTK, which ends where a file is too much for it."""
+    least, most = VTK_BYTES
+    n_bytes = max(least, min(most, available_ram() or most))
+    context = multiprocessing.get_context("spawn")
+    return ProcessPoolExecutor(1, context, vtk_process.begin, (n_bytes,))
 
 
-def _time_of(values: Mapping[str, Any]) -> float | None:
+def _time_of(values: Mapping[str, Any]) -> float:
     for name in TIME_NAMES:
         value = np.asarray(values.get(name, ()))
         if value.size == 1 and value.dtype.kind in "fiu" and np.isfinite(value).all():
             return float(value.ravel()[0])
-    return None
+    return math.nan

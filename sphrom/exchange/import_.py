@@ -1,42 +1,62 @@
 """Command `import`: snapshots of another program become the full run of a case.
 
 From the trajectory that it writes, `map` and all that follows go on as from one of `fom`. The
-case describes the simulation, the options describe the files.
+case describes the simulation, the options describe the files. Of density and pressure one is read,
+and the other follows by the state equation (Eq. 2.8).
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+import math
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.case.loader import given_keys, load_case
+from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
+from sphrom.case.yaml_reader import dump_yaml
 from sphrom.errors import ArtifactError, CaseError
-from sphrom.exchange.converter import Converter
+from sphrom.exchange.foreign_files import COMPONENTS, ForeignSnapshot, Source, read_foreign
+from sphrom.exchange.import_options import ImportOptions, pair, place
 from sphrom.exchange.instants import (
-    Source,
-    at_instants,
+    Choice,
     choose,
     find_sources,
+    interval,
     series,
     snapshots_of,
 )
-from sphrom.exchange.meaning import Meaning
 from sphrom.offline.fom import ensure_packed
 from sphrom.setup import assembly, particles
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import require_room
 from sphrom.setup.particles import MeasuredFields
-from sphrom.store.targets import Target
+from sphrom.sph import fluid, state_equation
+from sphrom.sph.time_loop import DENSITY_LIMIT, Snapshot
 from sphrom.store.trajectory import TrajectoryWriter
-from sphrom.store.workspace import Workspace
+from sphrom.store.workspace import Target, Workspace
+
+Array = NDArray[np.float64]
 
 STAGE = "import"
 """The stage of an imported run in its artifact."""
+VELOCITIES = (("u", "v"), ("velocity.x", "velocity.y"))
+"""The names of velocities that are looked for unless --velocity names others."""
+FLUCTUATION = "density_fluctuation"
+"""The field of files that this program exported: density less its reference value."""
+ROUNDING = 1e-6
+"""A third component of velocity up to this share of the largest speed is none."""
+COUNT_TOLERANCE = 0.05
+"""How far the number of particles may be from the case's, relatively: edges are filled in many
+ways, but each particle has to stand for about the same area."""
 
 
-def run(context: StageContext, files: Sequence[Path], meaning: Meaning) -> None:
+def run(context: StageContext, files: Sequence[Path], about: ImportOptions) -> None:
     """Write the full run at one parameter point from snapshots in files.
 
     Raises
@@ -48,62 +68,77 @@ def run(context: StageContext, files: Sequence[Path], meaning: Meaning) -> None:
         of another origin is there.
     """
     workspace, case = Workspace(context), context.case
-    point = _only_point(context)
+    points = context.chosen(case.plan.points)
+    if len(points) != 1:
+        known = ", ".join(point.label for point in points)
+        raise CaseError(f"--only: name the one parameter value that the files belong to: {known}")
     if case.time.spin_up > 0.0:
         raise CaseError(
             "time.spin_up: must be 0, as an imported run is recorded from its start: "
             "--set time.spin_up=0; --start leaves earlier snapshots out"
         )
-    target = replace(workspace.full_run(point), stage=STAGE, made_by="sphrom import CASE FILES")
-    found = find_sources(files, meaning)
-    sources = choose(found, case)
+    target = replace(workspace.full_run(points[0]), stage=STAGE, made_by="sphrom import CASE FILES")
+    found = find_sources(files, about)
+    choices = choose(found, case.plan.steps)
+    digest = _digest(choices)
     if not workspace.must_make(target):
-        _require_same_files(workspace, target, sources)
+        with workspace.open(target) as artifact:
+            if artifact.attributes.get("imported/sha256") != digest:
+                raise ArtifactError(
+                    f"{target.path} is there, and not of these files; `--force` writes over it, "
+                    "`--out` names another folder"
+                )
         return
-    require_room(case, workspace.out, (point,))
-    converter = Converter(case, meaning, sources[0].read(meaning))
+    require_room(case, workspace.out, points)
+    converter = Converter(case, about, _read(choices[0][1][0], about))
     ensure_packed(workspace)
-    _write(workspace, target, point, sources, converter, meaning)
-    report, plan = context.report, case.plan.steps
-    if converter.left_out is not None:
-        report.warn(converter.left_out)
-    if at_instants(sources, plan) is None:
-        report.warn(f"interpolated in time, by cubic polynomials: the files hold {series(sources)}")
-    elif len(sources) < len(found):
-        report.info(f"{len(sources)} of {len(found)} snapshots are of the instants that are kept")
-    report.info(
-        f"{point.label}: {plan.n_snapshots} snapshots of {converter.n_particles} particles; the "
-        f"largest speed is {converter.largest_speed:.4g} m/s, |rho - rho_0| / rho_0 at most "
-        f"{converter.largest_fluctuation:.2g}"
+    _write(workspace, target, points[0], choices, converter, digest)
+    if converter.left_out > ROUNDING * converter.largest_speed:
+        context.report.warn(
+            f"{converter.third}, up to {converter.left_out:.4g} m/s, is left out: the flow is "
+            f"taken as two-dimensional, in {' and '.join(converter.velocity)}"
+        )
+    if any(len(nodes) > 1 for _, nodes in choices):
+        context.report.warn(
+            f"interpolated in time, by cubic polynomials: the files hold {series(found)}"
+        )
+    context.report.info(
+        f"{points[0].label}: {len(choices)} snapshots of {converter.n_particles} particles, from "
+        f"{len(found)} in the files; the largest speed is {converter.largest_speed:.4g} m/s, "
+        f"|rho - rho_0| / rho_0 at most {converter.largest_fluctuation:.2g}"
     )
+
+
+def _read(source: Source, about: ImportOptions) -> ForeignSnapshot:
+    return read_foreign(source.path, about.array, source.step)
 
 
 def _write(
     workspace: Workspace,
     target: Target,
     point: ParameterPoint,
-    sources: Sequence[Source],
+    choices: Sequence[Choice],
     converter: Converter,
-    meaning: Meaning,
+    digest: str,
 ) -> None:
     """Write the snapshots of files as a full run at a parameter point."""
-    case, plan = workspace.case, workspace.case.plan.steps
-    names = list(dict.fromkeys(source.path.name for source in sources))
+    case, plan, about = workspace.case, workspace.case.plan, converter.about
+    names = [path.name for path in _paths(choices)]
     attributes = {
-        **assembly.run_attributes(case, point, plan.time_step),
+        **assembly.run_attributes(case, point, plan.steps.time_step),
         "imported/files": ", ".join(names if len(names) < 3 else [names[0], "...", names[-1]]),
-        "imported/sha256": _digest(sources),
+        "imported/sha256": digest,
     }
     with (
         workspace.create(target, attributes) as artifact,
-        workspace.context.report.progress(f"import, {point.label}", plan.n_snapshots) as advance,
+        workspace.context.report.progress(f"import, {point.label}", len(choices)) as advance,
     ):
         writer = TrajectoryWriter(
             artifact,
-            plan.n_snapshots,
+            len(choices),
             converter.n_particles,
-            case.plan.sound_speed,
-            walls=particles.walls(case, case.plan.flow(point)),
+            plan.sound_speed,
+            walls=particles.walls(case, plan.flow(point)),
             forces=(
                 particles.wall_forces(case, point, particles.functional(case, point))
                 if case.scene.measured_walls
@@ -111,36 +146,200 @@ def _write(
             ),
             fields=MeasuredFields.of(case),
         )
-        snapshots = snapshots_of(case, sources, lambda source: converter(source.read(meaning)))
-        for index, (time, snapshot) in enumerate(snapshots):
-            writer.append(time, index * plan.every, snapshot)
-            advance(1)
-        writer.finish(None, meaning.seconds)
-
-
-def _require_same_files(workspace: Workspace, target: Target, sources: Sequence[Source]) -> None:
-    """Raise ArtifactError when a run that is there was not imported from the same files."""
-    with workspace.open(target) as artifact:
-        found = artifact.attributes.get("imported/sha256")
-    if found != _digest(sources):
-        raise ArtifactError(
-            f"{target.path} is there, and not of these files; `--force` writes over it, `--out` "
-            "names another folder"
+        snapshots = snapshots_of(
+            choices,
+            lambda source: converter(_read(source, about)),
+            case.scene.domain,
+            plan.particle_spacing,
         )
+        for index, (time, snapshot) in enumerate(snapshots):
+            writer.append(time, index * plan.steps.every, snapshot)
+            advance(1)
+        writer.finish(None, about.seconds)
 
 
-def _only_point(context: StageContext) -> ParameterPoint:
-    points = context.chosen(context.case.plan.points)
-    if len(points) != 1:
-        known = ", ".join(point.label for point in points)
-        raise CaseError(f"--only: name the one parameter value that the files belong to: {known}")
-    return points[0]
+def _paths(choices: Sequence[Choice]) -> list[Path]:
+    """Return the files that are read, each once."""
+    return list(dict.fromkeys(source.path for _, nodes in choices for source in nodes))
 
 
-def _digest(sources: Sequence[Source]) -> str:
+def _digest(choices: Sequence[Choice]) -> str:
     """Return one digest of all files' bytes, in their order."""
     digest = hashlib.sha256()
-    for path in dict.fromkeys(source.path for source in sources):
+    for path in _paths(choices):
         with path.open("rb") as file:
             digest.update(hashlib.file_digest(file, "sha256").digest())
     return digest.hexdigest()
+
+
+def fitted_case(
+    source: Path, overrides: Sequence[str], files: Sequence[Path], about: ImportOptions
+) -> tuple[str, list[str]]:
+    """Return a case file that says what another one does, but for keys that don't fit the files.
+
+    These are the times and, where another number of particles is found, the resolution; they come
+    back as `key=value`. The time step is a whole part of the time between two snapshots, as stable
+    as the case asks for.
+
+    Raises
+    ------
+    CaseError
+        When the case is not valid, or the files hold fewer than two snapshots.
+    ArtifactError
+        When a file can't be read.
+    """
+    found = find_sources(files, about)
+    case, keys = load_case(source, overrides), list[str]()
+    resolution = _fitting_resolution(case, _read(found[0], about).n_particles)
+    if resolution is not None:
+        keys.append(f"discretization.resolution={resolution}")
+    if case.time.spin_up > 0.0:
+        keys.append("time.spin_up=0")
+    case = load_case(source, [*overrides, *keys])
+    plan, apart = case.plan, interval(found)
+    share = case.time.courant_number / fluid.COURANT_LIMIT
+    limit = share * plan.limits.least
+    every = max(1, math.ceil(apart / limit))
+    keys += [
+        f"time.final_time={float(f'{apart * (len(found) - 1):.12g}')!r}",
+        f"time.step={float(f'{apart / every:.12g}')!r}",
+        f"snapshots.every={every}",
+    ]
+    text = dump_yaml(given_keys(source, [*overrides, *keys]))
+    return f"# {source.name}, fitted to {files[0].name} and others.\n{text}", keys
+
+
+def _fitting_resolution(case: Case, n_found: int) -> int | None:
+    """Return the resolution at which a case has about `n_found` particles; None if it has now."""
+    expected = case.plan.n_particles
+    # Lagrangian bases need the very number of particles.
+    limit = 0.0 if case.basis.lagrangian else COUNT_TOLERANCE
+    if abs(n_found - expected) <= limit * expected:
+        return None
+    return round(case.discretization.resolution * (n_found / expected) ** 0.5)
+
+
+class Converter:
+    """Converts snapshots into the case's units and frame, checked; keeps their extremes."""
+
+    def __init__(self, case: Case, about: ImportOptions, first: ForeignSnapshot) -> None:
+        self.about = about
+        self._case = case
+        self._first = first
+        self._position = pair("position", about.position)
+        self._origin = place("origin", about.origin)
+        self._scales = about.scales
+        known = next((names for names in VELOCITIES if names[0] in first.fields), VELOCITIES[0])
+        self.velocity = known if about.velocity is None else pair("velocity", about.velocity)
+        self.third = _third(self.velocity, first.fields)
+        """The component of velocity across the plane of the flow, None where there is none."""
+        self.n_particles = first.n_particles
+        self.largest_speed = self.largest_fluctuation = self.left_out = 0.0
+        if (fitting := _fitting_resolution(case, self.n_particles)) is not None:
+            raise CaseError(
+                f"discretization.resolution: the case has {case.plan.n_particles} particles, "
+                f"{first.path} has {self.n_particles}: "
+                f"--set discretization.resolution={fitting} is nearest"
+                + (", and basis.lagrangian needs the very number" * case.basis.lagrangian)
+            )
+
+    def __call__(self, given: ForeignSnapshot) -> Snapshot:
+        """Return a snapshot in SI units and the scene's frame, its particles in the box.
+
+        Raises CaseError or ArtifactError where it does not fit the case or the first one.
+        """
+        order = self._order(given)
+        position = self._place(given)[order]
+        velocity = np.stack([given.field(name, "--velocity")[order] for name in self.velocity])
+        velocity = velocity * self._scales["velocity"]
+        self.largest_speed = max(self.largest_speed, float(np.hypot(*velocity).max()))
+        self._check_third_velocity(given)
+        fluctuation = self._fluctuation(given)[order]
+        return Snapshot(np.ascontiguousarray(position.T), fluctuation, velocity)
+
+    def _order(self, given: ForeignSnapshot) -> NDArray[np.intp]:
+        """Return the order in which particles are the same ones in all files."""
+        if given.n_particles != self.n_particles:
+            raise ArtifactError(
+                f"{given.path}: holds {given.n_particles} particles, {self._first.path} "
+                f"{self.n_particles}: particles that enter or leave can't be imported"
+            )
+        if self.about.sort_by is None:
+            return np.arange(self.n_particles)
+        numbers, firsts = (
+            snapshot.field(self.about.sort_by, "--sort-by") for snapshot in (given, self._first)
+        )
+        unique = np.unique(numbers)
+        if len(unique) < self.n_particles or not np.array_equal(unique, np.sort(firsts)):
+            raise ArtifactError(
+                f"{given.path}: {self.about.sort_by} (--sort-by) does not give each particle a "
+                "number of its own, the same in all files"
+            )
+        return np.argsort(numbers)
+
+    def _place(self, given: ForeignSnapshot) -> Array:
+        """Return positions (n_particles, 2) [m] in the scene, checked."""
+        domain = self._case.scene.domain
+        third = _third(self._position, given.fields)
+        depth = 0.0 if third is None else float(np.ptp(given.fields[third]))
+        if depth * self._scales["length"] > 0.5 * self._case.plan.particle_spacing:
+            raise CaseError(
+                f"{given.path}: is three-dimensional: {third} spans {depth:.4g}; --position and "
+                "--velocity name the two in the plane of the flow"
+            )
+        columns = [given.field(name, "--position") for name in self._position]
+        position = domain.wrap((np.stack(columns, axis=1) - self._origin) * self._scales["length"])
+        outside = np.flatnonzero(~domain.contains(position))
+        if outside.size:
+            low, high = position.min(axis=0), position.max(axis=0)
+            x, y = position[outside[0]]
+            raise CaseError(
+                f"{given.path}: {outside.size} particles are outside the scene, such as one at "
+                f"({x:.6g}, {y:.6g}) m; they span {low[0]:.6g} to {high[0]:.6g} m and {low[1]:.6g} "
+                f"to {high[1]:.6g} m: check --units, --origin, --array and the scene's size"
+            )
+        return position
+
+    def _check_third_velocity(self, given: ForeignSnapshot) -> None:
+        """Raise CaseError where velocities leave the plane, unless its components were named."""
+        if self.third is None:
+            return
+        third = given.field(self.third, "--velocity")
+        self.left_out = max(self.left_out, float(np.abs(third).max()) * self._scales["velocity"])
+        if self.about.velocity is None and self.left_out > ROUNDING * self.largest_speed:
+            raise CaseError(
+                f"{given.path}: is three-dimensional: {self.third} is up to {self.left_out:.4g} "
+                f"m/s; cases are two-dimensional: --velocity {','.join(self.velocity)} takes these "
+                f"two and leaves {self.third} out"
+            )
+
+    def _fluctuation(self, given: ForeignSnapshot) -> Array:
+        """Return the density less its reference value (n_particles,) [kg/m3], checked."""
+        reference = self._case.fluid.reference_density
+        if self.about.pressure is None:
+            known = FLUCTUATION if FLUCTUATION in given.fields else "rho"
+            name = self.about.density or known
+            density = given.field(name, "--density, or use --pressure") * self._scales["density"]
+            fluctuation = density - (0.0 if name == FLUCTUATION else reference)
+        else:
+            pressure = given.field(self.about.pressure, "--pressure") * self._scales["pressure"]
+            if self.about.zero_mean_pressure:
+                pressure = pressure - pressure.mean()
+            fluctuation = state_equation.density_fluctuation(pressure, self._case.plan.sound_speed)
+        largest = float(np.abs(fluctuation).max()) / reference
+        self.largest_fluctuation = max(self.largest_fluctuation, largest)
+        if largest > DENSITY_LIMIT:
+            raise CaseError(
+                f"{given.path}: |rho - rho_0| / rho_0 is {largest:.3g}, of a weakly compressible "
+                f"flow at most {DENSITY_LIMIT:g}: check the density or pressure of --units, "
+                "fluid.reference_density and fluid.mach_number"
+            )
+        return fluctuation
+
+
+def _third(names: tuple[str, str], fields: Collection[str]) -> str | None:
+    """Return the field of the third component of a vector of which two are named, if there is."""
+    vector = names[0].rpartition(".")[0]
+    families = (COMPONENTS, ("u", "v", "w"), tuple(f"{vector}.{c}" for c in COMPONENTS))
+    others = [set(family) - set(names) for family in families if set(names) <= set(family)]
+    return next((name for other in others for name in other if name in fields), None)

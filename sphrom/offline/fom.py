@@ -21,9 +21,8 @@ from sphrom.sph.packing import MAX_ITERATIONS, pack
 from sphrom.sph.time_loop import Clock, TimeSteps, integrate, march
 from sphrom.store.checkpoints import Checkpoints, last_good, remove_checkpoints
 from sphrom.store.starts import scene_start, start
-from sphrom.store.targets import Target
 from sphrom.store.trajectory import TrajectoryWriter
-from sphrom.store.workspace import Workspace
+from sphrom.store.workspace import Target, Workspace
 
 Array = NDArray[np.float64]
 

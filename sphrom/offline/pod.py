@@ -46,8 +46,6 @@ def run(context: StageContext) -> None:
                 for p in case.plan.train_points
             ]
             points = maps[0].read("reference_position")
-            for mapped in maps:
-                mapped.require(snapshot=case.plan.steps.n_snapshots, particle=len(points))
             # Every point of the reference space stands for the same area (Eq. 3.15).
             volume = np.full(len(points), case.plan.particle_spacing**2)
             artifact.write("reference_position", points)

@@ -87,7 +87,6 @@ class BasisModel:
         self._memory: MemoryOperators | None = None
         self._projected: Array | None = None
         with workspace.open(workspace.operators()) as artifact:
-            artifact.require(f"{group}/acoustic", mode=whole.n_modes)
             self.operators = read_operators(artifact, name, self.modes)
             self.states = artifact.read(f"{group}/states")[:, self.modes]
             if section.projection == "apg":

@@ -165,10 +165,8 @@ class TrainedErrors:
         pressure_scale = self._case.fluid.reference_density * self._case.plan.sound_speed
         self.units = np.array([1.0, pressure_scale])
         compared = compared_snapshots(self._case.plan.steps.n_snapshots)
-        group, n_trained = f"bases/{name}/estimate", len(points)
+        group = f"bases/{name}/estimate"
         with workspace.open(workspace.operators()) as artifact:
-            lengths = {"training_run": n_trained, "run": n_trained}
-            artifact.require(f"{group}/", compared_snapshot=len(compared), **lengths)
             self._whole = whole = read_operators(artifact, name)
             self._factor = read_record(
                 artifact, ResidualFactor, f"bases/{name}/residual", walls_driven=whole.walls_driven

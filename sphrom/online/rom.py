@@ -13,8 +13,7 @@ from sphrom.errors import UnstableError
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import require_room
 from sphrom.store.checkpoints import last_good, remove_checkpoints
-from sphrom.store.targets import Target
-from sphrom.store.workspace import Workspace
+from sphrom.store.workspace import Target, Workspace
 
 
 def run(context: StageContext) -> None:

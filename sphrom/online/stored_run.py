@@ -70,9 +70,7 @@ class StoredRun:
 
     @cached_property
     def _basis(self) -> TrialBasis:
-        basis = truncate(read_basis(self._workspace, self._basis_name), self._n_modes)
-        self._run.require(mode=basis.n_modes)
-        return basis
+        return truncate(read_basis(self._workspace, self._basis_name), self._n_modes)
 
     @property
     def _basis_name(self) -> str:
@@ -126,7 +124,6 @@ class StoredRun:
             velocity, pressure = run.read("probes/velocity"), run.read("probes/pressure")
             return Samples(self.time[chosen], velocity[chosen], pressure[chosen])
         basis, splines = read_modes(self._workspace, self._basis_name, self._n_modes)
-        run.require(mode=basis.n_modes)
         means = np.full(len(chosen), run.number("mean_density_fluctuation"))
         coordinates = self._coordinates[chosen]
         return expand(case, basis, splines, points, self.time[chosen], coordinates, means)

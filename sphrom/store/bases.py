@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts import DatasetReader, read_record
+from sphrom.artifacts import read_record
 from sphrom.case.points import ParameterPoint
 from sphrom.reduction.mode_splines import ModeSplines, first_modes
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis, truncate
@@ -45,7 +46,7 @@ def read_basis(workspace: Workspace, name: str) -> TrialBasis:
 
 def mapped_runs(
     workspace: Workspace, name: str
-) -> Iterator[tuple[ParameterPoint, DatasetReader, DatasetReader]]:
+) -> Iterator[tuple[ParameterPoint, h5py.Dataset, h5py.Dataset]]:
     """Yield the training points of a basis, with their mapped density fluctuations and velocities.
 
     These are open until the next one is asked for.
@@ -58,10 +59,7 @@ def mapped_runs(
 def read_splines(workspace: Workspace, name: str) -> ModeSplines:
     """Read the splines of one basis."""
     domain, group = workspace.case.scene.domain, f"bases/{name}"
-    with (
-        workspace.open(workspace.splines()) as artifact,
-        artifact.refused_where_it_does_not_fit(),
-    ):
+    with workspace.open(workspace.splines()) as artifact:
         # Kernels of splines take long to load, and few runs need them.
         if workspace.case.plan.lattice_splines:
             from sphrom.reduction.lattice_splines import LatticeSplines
@@ -87,8 +85,4 @@ def read_model_splines(workspace: Workspace, name: str, n_modes: int) -> ModeSpl
 def read_modes(workspace: Workspace, name: str, n_modes: int) -> tuple[TrialBasis, ModeSplines]:
     """Read the first modes of a basis, and their splines."""
     whole, splines = read_basis(workspace, name), read_splines(workspace, name)
-    with (
-        workspace.open(workspace.splines()) as artifact,
-        artifact.refused_where_it_does_not_fit(),
-    ):
-        return truncate(whole, n_modes), first_modes(splines, whole, n_modes)
+    return truncate(whole, n_modes), first_modes(splines, whole, n_modes)

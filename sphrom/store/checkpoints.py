@@ -1,10 +1,10 @@
 """Checkpoints of runs: when one is kept, its files, and their use after a run was stopped.
 
 Beside the artifact in the making, `NAME.part-1`, `NAME.part-2`, ... hold the snapshots that are
-done, each file those since the one before, and `NAME.checkpoint-a` and `NAME.checkpoint-b`, written
-by turns, hold the state and say which parts belong to it. Parts never change once they are written,
-and come before the state that counts on them: whenever a process is killed, one of the two states
-is whole, and so are its parts.
+done, each file those since the one before, and `NAME.checkpoint` holds the state and says which
+parts belong to it. Parts never change once they are written, and come before the state that counts
+on them, which replaces the one before as a whole: whenever a process is killed, the state is whole,
+and so are its parts.
 """
 
 from __future__ import annotations
@@ -25,8 +25,7 @@ from sphrom.artifacts.records.runs import Checkpoint
 from sphrom.errors import ArtifactError, UnstableError
 from sphrom.setup.cost import MOST_PENDING
 from sphrom.sph.time_loop import Item, RunState
-from sphrom.store.targets import Target
-from sphrom.store.workspace import Workspace
+from sphrom.store.workspace import Target, Workspace
 from sphrom.version import __version__
 
 LARGEST_SHARE = 0.015
@@ -49,17 +48,17 @@ def computes_with() -> Mapping[str, str]:
 
 
 class CheckpointFiles:
-    """The files of one target's checkpoints."""
+    """The files of one target's checkpoint."""
 
     def __init__(self, workspace: Workspace, target: Target) -> None:
         self._workspace = workspace
         self._target = target
-        self._slots = [self._aside(f"checkpoint-{s}", "sphrom/checkpoint") for s in ("a", "b")]
+        self._state = self._aside("checkpoint", "sphrom/checkpoint")
 
     @property
     def there(self) -> bool:
         """Whether there is a checkpoint, valid or not."""
-        return any(slot.path.exists() for slot in self._slots)
+        return self._state.path.exists()
 
     @property
     def left(self) -> bool:
@@ -67,33 +66,27 @@ class CheckpointFiles:
         return bool(self._files())
 
     def latest(self) -> Checkpoint:
-        """Return the last checkpoint that is whole, with all its parts.
-
-        Raises ArtifactError, for the first fault found, when none is.
-        """
-        states: list[Checkpoint] = []
-        errors: list[ArtifactError] = []
-        for slot in self._slots:
-            if slot.path.exists():
-                try:
-                    with self._workspace.open_aside(slot) as artifact:
-                        artifact.verify_content()
-                        states.append(read_record(artifact, Checkpoint))
-                except ArtifactError as error:
-                    errors.append(error)
-        for kept in sorted(states, key=lambda kept: kept.generation, reverse=True):
-            try:
-                self._verify_parts(kept)
-            except ArtifactError as error:
-                errors.append(error)
-            else:
-                return kept
-        raise errors[0]
+        """Return the checkpoint. Raises ArtifactError unless it is whole, with all its parts."""
+        with self._workspace.open_aside(self._state) as artifact:
+            artifact.verify_content()
+            kept = read_record(artifact, Checkpoint)
+        digest = NO_PARTS
+        for target in map(self._part, range(1, kept.n_parts + 1)):
+            if not target.path.exists():
+                raise ArtifactError(f"{target.path} is missing; `--force` starts anew")
+            with self._workspace.open_aside(target) as part:
+                part.verify_content()
+                digest = _chained(digest, part)
+        if digest != kept.parts_sha256:
+            raise ArtifactError(
+                f"{self._target.path}: the snapshots beside a checkpoint are not its own; "
+                "`--force` starts anew"
+            )
+        return kept
 
     def write(self, kept: Checkpoint) -> None:
-        """Write a state, over the one before the last. Raises ArtifactError."""
-        slot = self._slots[kept.generation % len(self._slots)]
-        with self._workspace.create_aside(slot, {}) as artifact:
+        """Write a state, over the one before. Raises ArtifactError."""
+        with self._workspace.create_aside(self._state, {}) as artifact:
             write_record(artifact, kept)
 
     def write_part(self, number: int, items: Sequence[Item], before: str) -> str:
@@ -111,32 +104,31 @@ class CheckpointFiles:
         """Read the snapshots of a checkpoint, one after the other."""
         for number in range(1, kept.n_parts + 1):
             with self._workspace.open_aside(self._part(number)) as part:
-                for i in range(len(part.dataset("step"))):
+                for i in range(part.length("step")):
                     yield {name: part.dataset(name)[i] for name in part.datasets}
 
-    def refuse_folders(self) -> None:
-        """Raise ArtifactError where a folder has the name of a checkpoint: it is not removed."""
-        for path in self._files(folders=True):
-            raise ArtifactError(f"{path} is a folder where a checkpoint has to be: remove it")
-
     def remove(self) -> None:
-        """Remove all checkpoints: the states first, as they count on the parts.
+        """Remove all files, those that a killed process was writing too.
 
-        Files that a killed process was writing go too.
+        The state goes first, as it counts on the parts. Raises ArtifactError where a folder has
+        the name of a file: it is not removed.
         """
-        for path in self._files():
+        files = self._files()
+        if folder := next(filter(Path.is_dir, files), None):
+            raise ArtifactError(f"{folder} is a folder where a checkpoint has to be: remove it")
+        for path in files:
             path.unlink(missing_ok=True)
 
-    def _files(self, *, folders: bool = False) -> list[Path]:
-        """Return all files with names of checkpoints or parts, or all folders."""
+    def _files(self) -> list[Path]:
+        """Return all paths with names of checkpoints or parts."""
         folder, name = self._target.path.parent, escape(self._target.path.name)
-        found = [
+        endings = ("checkpoint*", "part-*")
+        return [
             path
-            for ending in ("checkpoint-*", "part-*")
+            for ending in endings
             for hidden in ("", ".")
             for path in folder.glob(f"{hidden}{name}.{ending}")
         ]
-        return [path for path in found if folders == (path.is_dir() and not path.is_symlink())]
 
     def _part(self, number: int) -> Target:
         return self._aside(f"part-{number}", "sphrom/trajectory-part")
@@ -144,20 +136,6 @@ class CheckpointFiles:
     def _aside(self, ending: str, schema: str) -> Target:
         path = self._target.path
         return replace(self._target, path=path.with_name(f"{path.name}.{ending}"), schema=schema)
-
-    def _verify_parts(self, kept: Checkpoint) -> None:
-        digest = NO_PARTS
-        for target in map(self._part, range(1, kept.n_parts + 1)):
-            if not target.path.exists():
-                raise ArtifactError(f"{target.path} is missing; `--force` starts anew")
-            with self._workspace.open_aside(target) as part:
-                part.verify_content()
-                digest = _chained(digest, part)
-        if digest != kept.parts_sha256:
-            raise ArtifactError(
-                f"{self._target.path}: the snapshots beside a checkpoint are not its own; "
-                "`--force` starts anew"
-            )
 
 
 def _chained(before: str, part: Artifact) -> str:
@@ -172,7 +150,6 @@ class _Book:
     """
 
     step: int = -1
-    generation: int = 0
     n_parts: int = 0
     parts_sha256: str = NO_PARTS
     pending: list[Item] = field(default_factory=list)
@@ -203,10 +180,12 @@ class Checkpoints:
         self._kept = kept = self._found()
         self._book = _Book()
         self.begin = None
-        if kept is not None:
+        if kept is None:
+            self._files.remove()
+        else:
             state = kept.state if len(kept.state) > 1 else kept.state[0]
             self.begin = RunState(kept.step, state, kept.neighbours_at, kept.seconds)
-            self._book = _Book(kept.step, kept.generation, kept.n_parts, kept.parts_sha256)
+            self._book = _Book(kept.step, kept.n_parts, kept.parts_sha256)
             artifact.add_time(kept.wall_seconds)
         self._reached: tuple[RunState, float, int, int] | None = None
         self._pending_bytes = 0
@@ -220,8 +199,8 @@ class Checkpoints:
         """Show how many of the steps are done that are still to be taken, and the time left."""
         if self.begin is not None:
             description = f"{description}, from step {self.begin.step}"
-        left = n_steps if self.begin is None else n_steps - self.begin.step
-        return self._context.report.progress(description, left)
+            n_steps -= self.begin.step
+        return self._context.report.progress(description, n_steps)
 
     def snapshots(self) -> Iterator[Item]:
         """Read back the snapshots that were done before."""
@@ -259,71 +238,48 @@ class Checkpoints:
         except UnstableError:
             raise
         except BaseException:
-            if self._artifact.removed:
-                raise  # and so is all that a checkpoint would belong to
-            if self._working:
+            if self._working and not self._artifact.removed:
                 self._write_or_warn()
-            if self._book.step >= 0:
+            if self._book.step >= 0 and not self._artifact.removed:
                 self._context.report.note(
                     f"{self._name}: checkpoint at step {self._book.step}; `--resume` goes on there"
                 )
             raise
 
     def _found(self) -> Checkpoint | None:
-        self._files.refuse_folders()
+        """Return the checkpoint to go on from; None where the run starts anew."""
         if not self._files.there:
-            self._files.remove()  # parts that no state counts on
             return None
-        report = self._context.report
+        context, report = self._context, self._context.report
         try:
             kept = self._files.latest()
         except ArtifactError as error:
-            if not self._context.force:
+            if not context.force:
                 raise
             report.warn(f"{self._name}: starts anew; {error}")
-            self._files.remove()
             return None
         where = f"step {kept.step} of {kept.n_steps}, t = {kept.time:.6g} s"
-        if self._context.resume and self._may_continue(kept):
-            report.note(f"{self._name}: goes on from its checkpoint at {where}")
-            return kept
-        if not self._context.resume and not self._context.force:
+        if not context.resume and not context.force:
             raise ArtifactError(
                 f"{self._name} was stopped, and has a checkpoint: `--resume` continues it from "
                 f"{where}; `--force` starts anew"
             )
-        report.warn(f"{self._name}: starts anew; its checkpoint at {where} is given up")
-        self._files.remove()
-        return None
-
-    def _may_continue(self, kept: Checkpoint) -> bool:
-        """Return whether a run goes on from a checkpoint that may have been computed otherwise.
-
-        Raises ArtifactError when that is not to be decided here.
-        """
-        context = self._context
-        there = dict(line.partition(": ")[::2] for line in kept.computed_with.splitlines())
-        differing = ", ".join(
-            f"{name} {there.get(name, 'unknown')} there, {value} here"
-            for name, value in computes_with().items()
-            if there.get(name) != value
-        )
-        if not differing:
-            return True
-        if context.bitwise:
-            context.report.warn(f"{self._name}: its checkpoint was computed with {differing}")
-            return False
-        if not context.force:
-            raise ArtifactError(
-                f"{self._name}: its checkpoint was computed with {differing}; going on from it may "
-                "differ in the last bits from a run that was never stopped: `--resume --force` "
-                "insists, `--force` alone starts anew"
-            )
-        context.report.warn(
-            f"{self._name}: may differ in the last bits from a run that was never stopped; "
-            f"its checkpoint was computed with {differing}"
-        )
-        return True
+        if not context.resume:
+            report.warn(f"{self._name}: starts anew; its checkpoint at {where} is given up")
+            return None
+        if differing := _computed_otherwise(kept):
+            told = f"{self._name}: its checkpoint was computed with {differing}"
+            if context.bitwise:
+                report.warn(f"{told}; it starts anew")
+                return None
+            if not context.force:
+                raise ArtifactError(
+                    f"{told}; going on from it may differ in the last bits from a run that was "
+                    "never stopped: `--resume --force` insists, `--force` alone starts anew"
+                )
+            report.warn(f"{told}; the last bits may differ from a run that was never stopped")
+        report.note(f"{self._name}: goes on from its checkpoint at {where}")
+        return kept
 
     def _write_or_warn(self) -> None:
         """Write a checkpoint; a run goes on without where that can't be done."""
@@ -356,7 +312,6 @@ class Checkpoints:
             step=run_state.step,
             n_steps=n_steps,
             time=time_reached,
-            generation=book.generation + 1,
             n_parts=n_parts,
             parts_sha256=digest,
             computed_with="\n".join(map(": ".join, computes_with().items())),
@@ -364,9 +319,18 @@ class Checkpoints:
             wall_seconds=self._artifact.age,
         )
         self._files.write(kept)
-        left = book.pending[n_pending:]
-        self._book = _Book(kept.step, kept.generation, n_parts, digest, left)
+        self._book = _Book(kept.step, n_parts, digest, book.pending[n_pending:])
         self._pending_bytes = 0
+
+
+def _computed_otherwise(kept: Checkpoint) -> str:
+    """Return, in words, what a checkpoint was computed with that differs here."""
+    there = dict(line.partition(": ")[::2] for line in kept.computed_with.splitlines())
+    return ", ".join(
+        f"{name} {there.get(name, 'unknown')} there, {value} here"
+        for name, value in computes_with().items()
+        if there.get(name) != value
+    )
 
 
 def remove_checkpoints(workspace: Workspace, target: Target) -> None:
@@ -379,14 +343,11 @@ def remove_checkpoints(workspace: Workspace, target: Target) -> None:
 
 def last_good(workspace: Workspace, target: Target) -> str:
     """Say in words where the last checkpoint of a run that became unstable is; nothing if none."""
-    files = CheckpointFiles(workspace, target)
-    if not files.there:
-        return ""
     try:
-        kept = files.latest()
+        kept = CheckpointFiles(workspace, target).latest()
     except ArtifactError:
         return ""
     return (
         f"; the last good checkpoint is of step {kept.step}, t = {kept.time:.6g} s: "
-        f"{target.path.name}.checkpoint-*"
+        f"{target.path.name}.checkpoint"
     )

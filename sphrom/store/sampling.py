@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact
 from sphrom.case.models import Case
-from sphrom.errors import CaseError
+from sphrom.errors import ArtifactError, CaseError
 from sphrom.kernels import SUPPORT_RATIO
 from sphrom.metrics.samples import Probes, Samples, grid_points, vertical_line
 from sphrom.reduction.mode_splines import ModeSplines
@@ -82,10 +82,9 @@ def sample_run(
     for i, snapshot in enumerate(chosen):
         try:
             density, velocities[i] = sample(*snapshot_fields(trajectory, snapshot))
-        except ValueError:
+        except ValueError as error:
             if trajectory.text("status") == "complete":
-                with trajectory.refused_where_it_does_not_fit():
-                    raise
+                raise ArtifactError(f"{trajectory.path}, snapshot {snapshot}: {error}") from error
             return Samples(times[chosen[:i]], velocities[:i], pressures[:i])
         pressures[i] = state_equation.pressure(density, case.plan.sound_speed)
         advance(1)

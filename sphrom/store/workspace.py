@@ -1,36 +1,101 @@
-"""The artifacts of one case: whether they are valid; opened and created, checked."""
+"""The artifacts of one case: where they are, what each depends on, whether it is valid.
+
+An artifact depends on some sections of the case and on the artifacts it was made from. The first
+are compared by a digest, the second by their content. How a single file is read and written is for
+`sphrom.artifacts`.
+"""
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 from sphrom.artifacts import (
     Artifact,
     ArtifactWriter,
     Identity,
+    Origin,
     create_artifact,
     open_artifact,
     probe,
 )
-from sphrom.case.identity import resolved_yaml
+from sphrom.case.fields import Section
+from sphrom.case.identity import VERSIONS, inputs_digest, resolved_yaml, section_inputs, stated
+from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
+from sphrom.case.studies import fast_model, sweep_model, sweep_name
 from sphrom.errors import ArtifactError
 from sphrom.kernels import ask_for_threads
 from sphrom.setup.context import StageContext
-from sphrom.store.targets import Target, Targets
+
+FULL_RUN = ("scene", "fluid", "discretization", "time", "snapshots")
+"""The sections that a full run depends on."""
 
 
-class Workspace(Targets):
-    """The folder of a case's artifacts: which are valid, to be read, and written."""
+@dataclass(frozen=True)
+class Kind:
+    """One kind of artifacts."""
+
+    schema: str
+    stage: str
+    name: str
+    """The name of its file; `{}` is the label of a point, a model or a study."""
+    sections: tuple[str, ...]
+    """The sections of the case that it depends on as a whole."""
+    partly: tuple[str, ...] = ()
+    """The sections of which it depends on some keys, that its `about` names."""
+
+
+KINDS: Mapping[str, Kind] = {
+    "packing": Kind("packing", "fom", "packing.h5", ("scene", "discretization")),
+    "spin-up": Kind("state", "fom", "spin-up-{}.h5", FULL_RUN[:3], ("time",)),
+    "fom": Kind("trajectory", "fom", "fom-{}.h5", FULL_RUN),
+    "map": Kind("reference-snapshots", "map", "map-{}.h5", ("scene", "reference")),
+    "pod": Kind("basis", "pod", "pod.h5", ("basis",), ("parameters", "rom")),
+    "psi": Kind("spline", "fit-psi", "psi.h5", ("psi",)),
+    "psi on a lattice": Kind("b-spline", "fit-psi", "psi.h5", ("psi",)),
+    "operators": Kind("operators", "operators", "operators.h5", ("operators",), ("rom",)),
+    "rom": Kind("coordinates", "rom", "rom-{}.h5", FULL_RUN, ("rom", "compare")),
+    "rom on particles": Kind("trajectory", "rom", "rom-{}.h5", FULL_RUN, ("rom",)),
+    "compare": Kind("comparison", "compare", "compare.h5", ("compare", "parameters", "rom")),
+    "sweep": Kind("sweep", "sweep", "sweep-{}.h5", FULL_RUN, ("rom", "sweep")),
+    "fit": Kind("fit", "fit", "fit-{}.h5", FULL_RUN, ("rom", "fit")),
+}
+"""The kinds of artifacts by the stage that makes them; some stages make two."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """One artifact of a case: its file, and what it must have been made with and from."""
+
+    path: Path
+    schema: str
+    stage: str
+    made_by: str
+    inputs_digest: str
+    parents: Mapping[str, Target]
+    sections: frozenset[str]
+    """Those of the case that it or a parent depends on, wholly or in part."""
+    at_least: Mapping[str, int]
+    """Lengths that datasets in it have at least: one that holds more serves as well."""
+
+
+class Workspace:
+    """The folder of a case's artifacts: which there can be, which are valid; to read and write."""
 
     def __init__(self, context: StageContext) -> None:
-        super().__init__(context.case, context.out, context.folders)
         self.context = context
-        ask_for_threads(context.threads)
+        self.case, self.out = context.case, context.out
         self.case_text = resolved_yaml(self.case)
-        self._texts: dict[frozenset[str], str] = {}
+        ask_for_threads(context.threads)
+        # Figures that a case asks for change no artifact.
+        self._without_figures = self.case.model_copy(
+            update={"compare": self.case.compare.model_copy(update={"figures": ()})}
+        )
+        self._folders = context.folders
+        self._inputs: dict[str, dict[str, object]] = {}
         self._reasons = context.known.reasons
         self._identities = context.known.identities
 
@@ -40,12 +105,6 @@ class Workspace(Targets):
         from sphrom.kernels.jit import threads_for
 
         return threads_for(self.context.threads)
-
-    def _text(self, target: Target) -> str:
-        """Return those sections of the case that an artifact depends on."""
-        if target.sections not in self._texts:
-            self._texts[target.sections] = resolved_yaml(self.case, target.sections)
-        return self._texts[target.sections]
 
     def reason_to_make(self, target: Target) -> str | None:
         """Return why an artifact has to be made, or None when it is there and valid."""
@@ -59,14 +118,7 @@ class Workspace(Targets):
         for parent in target.parents.values():
             if parent.path.exists() and (reason := self.reason_to_make(parent)) is not None:
                 return f"was made from {parent.path.name}, which {reason}"
-        return probe(
-            target.path,
-            target.schema,
-            inputs_digest=target.inputs_digest,
-            case_text=self._text(target),
-            lineage=self._lineage(target),
-            at_least=target.at_least,
-        )
+        return probe(target.path, target.schema, self._origin(target), target.at_least)
 
     def must_make(self, target: Target) -> bool:
         """Return whether a stage is to make an artifact, and say why not.
@@ -105,27 +157,18 @@ class Workspace(Targets):
             if parent.path.exists():
                 self.require(parent)
 
-    @contextmanager
-    def open(self, target: Target) -> Iterator[Artifact]:
+    def open(self, target: Target) -> AbstractContextManager[Artifact]:
         """Open an artifact for reading, checked against the case and its inputs.
 
         Raises ArtifactError when it is missing, damaged, or no longer valid.
         """
         self.require(target)
-        with self.open_aside(target) as artifact:
-            if target.n_snapshots and artifact.attributes.get("status") != "unstable":
-                artifact.require(snapshot=target.n_snapshots)
-            yield artifact
+        return self.open_aside(target)
 
     def open_aside(self, target: Target) -> AbstractContextManager[Artifact]:
         """Open a file that is no result itself, such as a checkpoint, with the same checks."""
         return open_artifact(
-            target.path,
-            target.schema,
-            made_by=target.made_by,
-            inputs_digest=target.inputs_digest,
-            case_text=self._text(target),
-            lineage=self._lineage(target),
+            target.path, target.schema, made_by=target.made_by, origin=self._origin(target)
         )
 
     @contextmanager
@@ -154,10 +197,7 @@ class Workspace(Targets):
             target.path,
             target.schema,
             stage=target.stage,
-            case_text=self.case_text,
-            case_digest=hashlib.sha256(self.case_text.encode()).hexdigest(),
-            inputs_digest=target.inputs_digest,
-            lineage=self._lineage(target),
+            origin=self._origin(target),
             threads=self.threads,
             force=force,
             attributes=attributes,
@@ -169,19 +209,198 @@ class Workspace(Targets):
         make_folder(path)
         return path
 
-    def _lineage(self, target: Target) -> dict[str, Identity]:
-        """Return the identities of those parents that are still there."""
-        return {
-            role: self._identity(parent)
-            for role, parent in target.parents.items()
-            if parent.path.exists()
-        }
+    def _origin(self, target: Target) -> Origin:
+        """Return what an artifact is made with, and from those parents that are still there."""
+        there = [item for item in target.parents.items() if item[1].path.exists()]
+        lineage = {role: self._identity(parent) for role, parent in there}
+        return Origin(target.inputs_digest, self.case_text, target.sections, lineage)
 
     def _identity(self, target: Target) -> Identity:
         if target.path not in self._identities:
             with open_artifact(target.path, target.schema, made_by=target.made_by) as artifact:
                 self._identities[target.path] = artifact.identity
         return self._identities[target.path]
+
+    def packing(self) -> Target:
+        """Packed starting positions."""
+        return self._target("packing", "", {}, {})
+
+    def spin_up(self, point: ParameterPoint) -> Target:
+        """The state at the end of a spin-up, at a parameter point."""
+        steps = self.case.plan.steps
+        about = {
+            "point": point.as_dict(),
+            "time step": steps.time_step,
+            "spin-up steps": steps.n_spin_up_steps,
+        }
+        return self._target("spin-up", point.file_label, about, self._packed())
+
+    def full_run(self, point: ParameterPoint) -> Target:
+        """The full-order trajectory at a parameter point."""
+        about = {"point": point.as_dict(), "steps": self._steps()}
+        return self._target("fom", point.file_label, about, self._start(point))
+
+    def mapped(self, point: ParameterPoint) -> Target:
+        """The reference snapshots at a parameter point."""
+        parents = {"trajectory": self.full_run(point)}
+        if self.case.reference.points == "relaxed":
+            parents["points"] = self.full_run(self.case.plan.train_points[0])
+        return self._target("map", point.file_label, {"point": point.as_dict()}, parents)
+
+    def basis(self) -> Target:
+        """The trial bases."""
+        plan = self.case.plan
+        parents = self._mapped(plan.train_points)
+        if self.case.basis.lagrangian:
+            parents |= self._full_runs(plan.train_points)
+        modes = {f"bases/{n}/modes/density": plan.basis_size(n) for n in plan.bases}
+        return self._target("pod", "", {}, parents, modes)
+
+    def splines(self) -> Target:
+        """The splines of the modes."""
+        # The section alone may leave the choice to the points.
+        kind = "psi on a lattice" if self.case.plan.lattice_splines else "psi"
+        return self._target(kind, "", {}, {"basis": self.basis()})
+
+    def operators(self) -> Target:
+        """The projected operators on the reference points."""
+        plan = self.case.plan
+        trained = dict.fromkeys(p for name in plan.reference_bases for p in plan.bases[name])
+        parents = {"basis": self.basis(), **self._mapped(trained)}
+        if self.case.scene.measured_walls:
+            parents |= self._full_runs(trained)
+        parents["splines"] = self.splines()
+        about = {
+            "bases": plan.reference_bases,
+            "closures": plan.memory_models,
+            "calibrated": plan.taught_bases,
+            "sized": plan.sized_bases,
+            "varied": plan.parameter_names[1:],
+        }
+        return self._target("operators", "", about, parents)
+
+    def reduced_run(self, model: ReducedModelSection, point: ParameterPoint) -> Target:
+        """What a reduced model gave at a parameter point."""
+        made_from = {"operators": self.operators()} if model.from_operators else {}
+        if model.on_particles or model.output == "probes":
+            made_from["splines"] = self.splines()
+        about = {"point": point.as_dict(), **_about(model, "parameters")}
+        if model.output == "probes":
+            where = self.case.compare
+            about |= {"line": where.line, "line points": where.line_points, "grid": where.grid}
+        start = self._start(self.case.plan.start_point(point))
+        return self._target(
+            "rom" if model.from_operators else "rom on particles",
+            f"{model.name}-{point.file_label}",
+            about,
+            {"basis": self.basis(), **made_from, **start},
+        )
+
+    def comparison(self) -> Target:
+        """The figures of merit of the case."""
+        plan = self.case.plan
+        parents = self._full_runs(plan.points)
+        if self.case.rom:
+            parents |= {**self._mapped(plan.points), "basis": self.basis()}
+            parents["splines"] = self.splines()
+        for model in filter(plan.ends_with_case, self.case.rom):
+            for point in filter(plan.points.__contains__, plan.rom_points(model)):
+                parents[f"rom-{model.name}-{point.file_label}"] = self.reduced_run(model, point)
+        return self._target("compare", "", {}, parents)
+
+    def sweep(self) -> Target:
+        """The runs of the case's sweep; which values it has is for who reads it to compare."""
+        model, section = sweep_model(self.case), self.case.sweep
+        values = ("reynolds", "parameters", "points", "sample", "quantiles")
+        about: dict[str, object] = {"sweep": _without(section, "name", "model", *values)}
+        parents = self._packed() if model is None or self.case.time.spin_up == 0.0 else {}
+        if model is None:
+            about["steps"] = self._steps()
+        else:
+            about |= _about(model, "parameters", "output")
+            parents["basis"] = self.basis()
+            if model.from_operators:
+                parents["operators"] = self.operators()
+            if model.on_particles or section.probes:
+                parents["splines"] = self.splines()
+        return self._target("sweep", sweep_name(self.case), about, parents)
+
+    def fit(self, name: str, measurements: str, noise: float | None) -> Target:
+        """The parameters that measurements tell, by the digest of their file."""
+        model = fast_model(self.case, self.case.fit.model)
+        about = {
+            "fit": _without(self.case.fit, "model", "noise"),
+            "noise": noise,
+            "measurements": measurements,
+            **({} if model is None else _about(model, "parameters", "output")),
+        }
+        made_from = {"basis": self.basis(), "operators": self.operators()}
+        return self._target("fit", name, about, made_from)
+
+    def _full_runs(self, points: Iterable[ParameterPoint]) -> dict[str, Target]:
+        return {f"fom-{point.file_label}": self.full_run(point) for point in points}
+
+    def _mapped(self, points: Iterable[ParameterPoint]) -> dict[str, Target]:
+        return {f"map-{point.file_label}": self.mapped(point) for point in points}
+
+    def _steps(self) -> dict[str, float]:
+        """Return the full model's steps."""
+        names = ("time_step", "n_steps", "every", "n_spin_up_steps")
+        return {name: getattr(self.case.plan.steps, name) for name in names}
+
+    def _start(self, point: ParameterPoint) -> dict[str, Target]:
+        """Return what a run starts from that has its start at a point."""
+        if self.case.time.spin_up > 0.0:
+            return {"spin-up": self.spin_up(point)}
+        return self._packed()
+
+    def _packed(self) -> dict[str, Target]:
+        return {"packing": self.packing()} if self.case.plan.packed else {}
+
+    def _target(
+        self,
+        name: str,
+        label: str,
+        about: Mapping[str, object],
+        parents: Mapping[str, Target],
+        at_least: Mapping[str, int] | None = None,
+    ) -> Target:
+        """Return a target; `about` is of what the sections of its kind don't say as a whole."""
+        kind = KINDS[name]
+        if name not in self._inputs:
+            self._inputs[name] = section_inputs(self._without_figures, kind.sections)
+        if "fluid" in kind.sections:
+            about = {**about, "largest speed": self.case.plan.max_speed}
+        inputs = {
+            "sections": self._inputs[name],
+            "about": stated(about),
+            # In their order; they may have been deleted since, or be fewer now.
+            "inputs": [[role, parent.inputs_digest] for role, parent in parents.items()],
+            "schema": kind.schema,
+        }
+        sections = frozenset({*kind.sections, *kind.partly})
+        return Target(
+            path=self._folders.get(kind.schema, self.out) / kind.name.format(label),
+            schema=f"sphrom/{kind.schema}",
+            stage=kind.stage,
+            made_by=f"sphrom {kind.stage} CASE",
+            inputs_digest=inputs_digest(inputs),
+            parents=parents,
+            sections=sections.union(*(parent.sections for parent in parents.values())),
+            at_least=at_least or {},
+        )
+
+
+def _about(model: ReducedModelSection, *names: str) -> dict[str, object]:
+    """Return what a reduced model's section says, but for some keys, and its version."""
+    return {"model": _without(model, *names), "rom version": VERSIONS["rom"]}
+
+
+def _without(section: Section, *names: str) -> dict[str, object]:
+    """Return what a section says, but for some keys."""
+    said = stated(section)
+    assert isinstance(said, dict)
+    return {name: value for name, value in said.items() if name not in names}
 
 
 def make_folder(path: Path, option: str = "--out") -> None:

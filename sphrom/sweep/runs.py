@@ -30,8 +30,7 @@ from sphrom.reduction.trial_basis import KineticEnergy, SpeedBounds
 from sphrom.store.checkpoints import remove_checkpoints
 from sphrom.store.measured_quantities import measured_of
 from sphrom.store.sampling import sample_run
-from sphrom.store.targets import Target
-from sphrom.store.workspace import Workspace
+from sphrom.store.workspace import Target, Workspace
 from sphrom.sweep.records import (
     COMPLETE,
     ERROR,

@@ -9,7 +9,7 @@ import sphrom
 
 ROOT = Path(sphrom.__file__).parent
 CONSOLE = "console.py"
-OWN_TEXTS = {"cli/commands.py": 3}
+OWN_TEXTS = {"cli/cases.py": 3}
 """Where the program prints a template and a schema."""
 WRITERS = ("print", "echo", "secho", "print_exc", "print_exception")
 STREAMS = ("stdout", "stderr")

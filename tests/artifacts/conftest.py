@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from sphrom.artifacts import create_artifact, open_artifact, probe, write_record
+from sphrom.artifacts import Origin, create_artifact, open_artifact, probe, write_record
 from sphrom.artifacts.records.runs import Trajectory
 from sphrom.declaration import DECLARED, Field, Record, fields_of_record
 from sphrom.errors import ArtifactError
@@ -26,7 +27,7 @@ PHYSICS = {
     "box_length": (1.0, 1.0),
     "parameters/reynolds": 100.0,
 }
-CASE_TEXT = "name: demo\nfluid:\n  reynolds: 100\n"
+ORIGIN = Origin("inputs", "name: demo\nfluid:\n  reynolds: 100\n", ("name", "fluid"))
 MADE_BY = "sphrom fom CASE"
 LENGTHS = {
     "component": 2, "snapshot": 4, "particle": 7, "viscosity_power": 3, "iteration": 1, "field": 2,
@@ -58,21 +59,21 @@ def fields() -> Fields:
 @pytest.fixture
 def arguments() -> dict[str, object]:
     """The arguments with which `create_artifact` writes a trajectory."""
-    return {
-        "stage": "fom",
-        "case_text": CASE_TEXT,
-        "case_digest": "case",
-        "inputs_digest": "inputs",
-        "attributes": PHYSICS,
-    }
+    return {"stage": "fom", "origin": ORIGIN, "attributes": PHYSICS}
 
 
 @pytest.fixture
 def write_trajectory(tmp_path: Path, fields: Fields, arguments: dict[str, object]) -> Write:
-    """Write the trajectory to a file, with changed fields or arguments."""
+    """Write the trajectory to a file, with changed fields, arguments or lineage."""
 
-    def write(path: Path | None = None, changed: Fields | None = None, **other: object) -> Path:
+    def write(
+        path: Path | None = None,
+        changed: Fields | None = None,
+        lineage: Any = None,
+        **other: object,
+    ) -> Path:
         path = path or tmp_path / "fom.h5"
+        other["origin"] = replace(ORIGIN, lineage=lineage or {})
         with create_artifact(path, "sphrom/trajectory", **(arguments | other)) as artifact:
             for name, array in (fields | (changed or {})).items():
                 artifact.write(name, array)
@@ -92,13 +93,14 @@ def write_large(write_trajectory) -> Callable[[], Path]:
 def refusal() -> Callable[..., str]:
     """Return why a file is refused, having checked the message and `probe` along the way."""
 
-    def refused(path: Path, schema: str = "sphrom/trajectory", **expected: object) -> str:
+    def refused(path: Path, schema: str = "sphrom/trajectory", **changed: Any) -> str:
+        origin = replace(ORIGIN, **changed)
         with (
             pytest.raises(ArtifactError) as caught,
-            open_artifact(path, schema, made_by=MADE_BY, **expected),
+            open_artifact(path, schema, made_by=MADE_BY, origin=origin),
         ):
             pass
-        reason = probe(path, schema, **expected)
+        reason = probe(path, schema, origin)
         assert reason is not None
         assert str(caught.value).startswith(f"{path} {reason}; make it ")
         assert f"`{MADE_BY}" in str(caught.value)
@@ -153,9 +155,7 @@ def written(tmp_path: Path) -> Callable[[Record], Path]:
         path = tmp_path / "x.h5"
         path.unlink(missing_ok=True)
         kind = next(kind for kind, declared in DECLARED.items() if declared is type(record))
-        with create_artifact(
-            path, kind, stage="test", case_text="name: x\n", case_digest="a", inputs_digest="b"
-        ) as artifact:
+        with create_artifact(path, kind, stage="test", origin=ORIGIN) as artifact:
             write_record(artifact, record)
         return path
 
@@ -166,9 +166,7 @@ def written(tmp_path: Path) -> Callable[[Record], Path]:
 def unstable(tmp_path: Path) -> Path:
     """A run that became unstable after two of four snapshots."""
     path, run = tmp_path / "unstable.h5", _invented(Trajectory)
-    with create_artifact(
-        path, "sphrom/trajectory", stage="t", case_text="", case_digest="", inputs_digest=""
-    ) as artifact:
+    with create_artifact(path, "sphrom/trajectory", stage="test", origin=ORIGIN) as artifact:
         for name, field in fields_of_record(Trajectory).items():
             value = getattr(run, name)
             if field.axes[:1] == ("snapshot",):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import uuid
 from collections.abc import Callable
 from pathlib import Path
 
@@ -27,17 +26,12 @@ def test_datasets_and_attributes_carry_what_the_table_says(write_trajectory, fie
         velocity = file["velocity"]
         assert velocity.attrs["axes"] == b"snapshot,particle,component"
         assert velocity.attrs["units"] == b"m/s"
-        assert velocity.attrs["symbol"] == b"u"
         assert velocity.attrs["equation"] == b"Eq. 2.7"
         assert velocity.chunks == (1, 5, 2)
         assert file.attrs["schema"] == b"sphrom/trajectory"
-        assert file.attrs["schema_version"] == b"1.1"
         assert file.attrs["stage"] == b"fom"
-        assert file.attrs["case_sha256"] == b"case"
         assert file.attrs["inputs_sha256"] == b"inputs"
         assert file.attrs["wall_seconds"] > 0
-        assert file.attrs["date"].endswith(b"+00:00")
-        assert uuid.UUID(file.attrs["uuid"].decode()).version == 4
         assert file["parameters"].attrs["reynolds"] == 100.0
         assert file["case"][()].decode().startswith("name: demo")
 
@@ -48,15 +42,16 @@ def test_lineage_is_stored_and_nothing_without_a_checksum(write_trajectory) -> N
     HDF5 keeps there which scale belongs to which axis: other programs read it, artifacts' don't.
     """
     given = Identity("some/folder/packing.h5", "its-uuid", "its-content")
+    kinds = set()
+
+    def note(_: str, item: h5py.HLObject) -> None:
+        kinds.update(item.attrs.get_id(key).dtype.kind for key in item.attrs if key not in AXES)
+
     with h5py.File(write_trajectory(lineage={"packing": given})) as file:
-        kinds = [file.attrs.get_id(key).dtype.kind for key in file.attrs]
-        file.visititems(
-            lambda _, item: kinds.extend(
-                item.attrs.get_id(key).dtype.kind for key in item.attrs if key not in AXES
-            )
-        )
+        note("", file)
+        file.visititems(note)
         stored = dict(file["lineage/packing"].attrs)
-    assert set(kinds) <= set("fiS")
+    assert kinds <= set("fiS")
     assert stored == {
         "path": b"packing.h5",
         "uuid": b"its-uuid",
@@ -77,8 +72,7 @@ def test_streamed_and_whole_writing_give_the_same_content(
         open_artifact(write_trajectory(), SCHEMA, made_by="fom") as whole,
     ):
         assert streamed.content_sha256 == whole.content_sha256
-        assert streamed.uuid != whole.uuid
-        streamed.verify_content()
+        assert streamed.identity != whole.identity
 
 
 @pytest.mark.parametrize(
@@ -104,31 +98,20 @@ def test_digest_tells_contents_apart_but_for_the_time_spent(
     assert len(digests) == n_digests
 
 
-def test_unstable_run_keeps_what_it_has(tmp_path: Path, fields, arguments) -> None:
-    path = tmp_path / "rom.h5"
-    with create_artifact(path, SCHEMA, **arguments) as artifact:
-        streams = {name: artifact.stream(name, a.shape[1:], 3) for name, a in fields.items()}
-        for snapshot in range(2):
-            for name, stream in streams.items():
-                stream.append(fields[name][snapshot])
-        artifact.annotate("status", "unstable")
-        artifact.annotate("status_detail", "density beyond its limit at t = 0.7 s")
-    with open_artifact(path, SCHEMA, made_by="rom") as artifact:
+def test_unstable_run_keeps_what_it_has(unstable: Path) -> None:
+    with open_artifact(unstable, SCHEMA, made_by="rom") as artifact:
         assert artifact.text("status") == "unstable"
-        np.testing.assert_array_equal(artifact.read("velocity"), fields["velocity"][:2])
+        assert artifact.length("velocity") == 2
         artifact.verify_content()
 
 
 @pytest.mark.parametrize("bad", [np.nan, -np.inf])
 def test_values_that_are_not_finite_are_refused(tmp_path: Path, arguments, bad: float) -> None:
-    def run() -> None:
-        with create_artifact(tmp_path / "fom.h5", SCHEMA, **arguments) as artifact:
-            stream = artifact.stream("pressure", (5,), 3)
-            stream.append(np.zeros(5))
-            stream.append(np.array([0, 0, 0, 0, bad]))
-
-    with pytest.raises(ArtifactError, match=r"pressure holds .* at snapshot 1, particle 4"):
-        run()
+    with (
+        pytest.raises(ArtifactError, match=r"pressure holds .* at snapshot 1, particle 4"),
+        create_artifact(tmp_path / "fom.h5", SCHEMA, **arguments) as artifact,
+    ):
+        artifact.stream("pressure", (5,), 3).extend(np.array([5 * [0.0], [0, 0, 0, 0, bad]]))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -151,22 +134,22 @@ def test_what_is_not_in_the_table_is_a_programming_error(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_incomplete_artifacts_are_programming_errors(tmp_path: Path, fields, arguments) -> None:
+@pytest.mark.parametrize(
+    ("write", "message"),
+    [
+        (lambda artifact: None, "time is missing"),
+        (lambda artifact: artifact.stream("time", (), 3).append(0.0), "time has 1 of 3 items"),
+        (lambda artifact: artifact.stream("time", (), 1).extend(np.zeros(2)), "can't take"),
+    ],
+)
+def test_incomplete_artifacts_are_programming_errors(
+    tmp_path: Path, arguments, write, message: str
+) -> None:
     with (
-        pytest.raises(ValueError, match="time is missing"),
-        create_artifact(tmp_path / "fom.h5", SCHEMA, **arguments),
-    ):
-        pass
-    with (
-        pytest.raises(ValueError, match="time has 1 of 3 items"),
+        pytest.raises(ValueError, match=message),
         create_artifact(tmp_path / "fom.h5", SCHEMA, **arguments) as artifact,
     ):
-        artifact.stream("time", (), 3).append(0.0)
-    with (
-        pytest.raises(ValueError, match="can't take"),
-        create_artifact(tmp_path / "fom.h5", SCHEMA, **arguments) as artifact,
-    ):
-        artifact.stream("time", (), 1).extend(np.zeros(2))
+        write(artifact)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -192,7 +175,7 @@ def test_no_garbage_is_collected_while_hdf5_calls_the_file(write_trajectory, mon
 
         return called
 
-    for name in ("readinto", "write", "truncate"):
+    for name in ("readinto", "write"):
         monkeypatch.setattr(TemporaryFile, name, spied(getattr(TemporaryFile, name)))
     write_trajectory()
     assert collected
@@ -202,32 +185,19 @@ def test_no_garbage_is_collected_while_hdf5_calls_the_file(write_trajectory, mon
 
 def test_a_thousand_datasets_are_written_and_read(tmp_path: Path, arguments) -> None:
     """As for many models and sizes of basis: HDF5 holds open what is being written alone."""
-    path = tmp_path / "compare.h5"
-    line = {"coordinate": 0.0, "reference_value": 1.0, "value": 2.0, "scatter": 3.0}
-    along = {
-        "time": np.arange(2.0),
-        "position": np.zeros((3, 2)),
-        "velocity": np.zeros((2, 3, 2)),
-        "pressure": np.zeros((2, 3)),
-    }
+    path = tmp_path / "sweep.h5"
+    names = ("coordinate", "reference_value", "value", "scatter")
     before = open_datasets()
-    with create_artifact(
-        path, "sphrom/comparison", **(arguments | {"stage": "compare", "attributes": {}})
-    ) as artifact:
-        for name, values in along.items():
-            artifact.write(f"centreline/full/reynolds100/{name}", values)
+    with create_artifact(path, "sphrom/comparison", **(arguments | {"attributes": {}})) as artifact:
         for i in range(250):
-            for name, value in line.items():
-                artifact.write(f"reference/full/reynolds{i}/{name}", np.array([value, i]))
+            for name in names:
+                artifact.write(f"reference/full/reynolds{i}/{name}", np.array([1.0, i]))
         assert open_datasets() == before
     with open_artifact(path, "sphrom/comparison", made_by="") as artifact:
-        assert len(artifact.datasets) == 1004
+        assert len(artifact.datasets) == 1000
         for name in artifact.datasets:
-            if name.startswith("reference/"):
-                _, _, point, field = name.split("/")
-                expected = [line[field], float(point.removeprefix("reynolds"))]
-                assert artifact.read(name).tolist() == expected
-    assert open_datasets() == before
+            assert artifact.read(name)[1] == float(name.split("/")[2].removeprefix("reynolds"))
+        assert open_datasets() == before
 
 
 def open_datasets() -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -9,10 +10,11 @@ import pytest
 from sphrom.case.hints import case_warnings
 from sphrom.case.loader import load_case, parameter_point
 from sphrom.case.models import Case
-from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import sweep_points
+from sphrom.console import SilentReporter
 from sphrom.errors import CaseError
-from sphrom.stages import selected_points
+from sphrom.setup.context import StageContext
+from sphrom.stages import selected
 
 LID = {"kind": "lid-driven-cavity"}
 GRID = {"train": {"reynolds": [50, 200], "lid": [0.5, 1.0]}}
@@ -98,14 +100,14 @@ def test_several_reynolds_numbers_are_no_value_of_their_own():
 
 
 def test_some_values_choose_all_points_that_have_them():
-    found = case(GRID)
-    assert labels(selected_points(found, "fom", ["lid=0.5"]) or ()) == [
-        "reynolds=50, lid=0.5", "reynolds=200, lid=0.5",
-    ]  # fmt: skip
-    (one,) = selected_points(found, "fom", ["lid=1.0, reynolds=200"]) or ()
-    assert one == ParameterPoint(200.0, (("lid", 1.0),))
-    with pytest.raises(CaseError, match=r"the case has no lid=0\.7, reynolds=50; it has"):
-        selected_points(found, "fom", ["lid=0.7,reynolds=50"])
+    context = StageContext(case(GRID), Path(), False, None, SilentReporter())
+    for text, chosen in {
+        "lid=0.5": ["reynolds=50, lid=0.5", "reynolds=200, lid=0.5"],
+        "lid=1.0, reynolds=200": ["reynolds=200, lid=1"],
+    }.items():
+        assert labels(selected(context, "fom", [text]).only or ()) == chosen
+    with pytest.raises(CaseError, match=r"got 'lid=0\.7,reynolds=50'; this command runs"):
+        selected(context, "fom", ["lid=0.7,reynolds=50"])
 
 
 def test_values_by_name_in_python():

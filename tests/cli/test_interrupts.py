@@ -76,7 +76,7 @@ def test_such_an_interrupt_is_told_as_one(sphrom, monkeypatch):
         except KeyboardInterrupt as error:
             raise SystemError("a result with an exception set") from error
 
-    monkeypatch.setattr("sphrom.cli.commands.run_stage", interrupted)
+    monkeypatch.setattr("sphrom.cli.stages.run_stage", interrupted)
     result = sphrom("pod", "case.yaml")
     assert result.exit_code == 130
     assert result.stderr == "interrupted\n"
@@ -92,7 +92,7 @@ def test_signals_have_exit_codes_of_their_own(sphrom, monkeypatch, number, code,
         time.sleep(10.0)
 
     before = signal.getsignal(signal.SIGTERM)
-    monkeypatch.setattr("sphrom.cli.commands.run_stage", work)
+    monkeypatch.setattr("sphrom.cli.stages.run_stage", work)
     result = sphrom("pod", "case.yaml")
     assert result.exit_code == code
     assert result.stderr == f"{word}\n"

@@ -9,9 +9,9 @@ import pytest
 
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange import instants
-from sphrom.exchange.foreign_files import Stored
-from sphrom.exchange.instants import Source, at_instants, find_sources, interpolated, series
-from sphrom.exchange.meaning import Meaning
+from sphrom.exchange.foreign_files import Source
+from sphrom.exchange.import_options import ImportOptions
+from sphrom.exchange.instants import choose, find_sources, interpolated
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.time_loop import Snapshot, TimeSteps
 
@@ -37,59 +37,48 @@ def test_motion_by_a_cubic_polynomial_is_exact_across_periodic_edges(time: float
     np.testing.assert_allclose(found.density_fluctuation, expected.density_fluctuation, rtol=1e-12)
 
 
-def test_particles_in_another_order_are_refused() -> None:
-    first, last = at(0.1), at(0.2)
-    slow = 0.01 * last.velocity
-    swapped = Snapshot(last.position[:, ::-1], last.density_fluctuation, slow)
-    near = [(0.1, Snapshot(first.position, first.density_fluctuation, slow)), (0.2, swapped)]
-    with pytest.raises(CaseError, match="--sort-by"):
-        interpolated(near, 0.15, BOX, 0.01)
-
-
 @pytest.fixture
-def stored(monkeypatch: pytest.MonkeyPatch):
+def hold(monkeypatch: pytest.MonkeyPatch):
     """Return a function that lets files, by name, hold one snapshot each at some times."""
 
     def hold(times: dict[str, float]) -> list[Path]:
-        monkeypatch.setattr(instants, "snapshots_in", lambda path: [Stored(path, times[str(path)])])
+        monkeypatch.setattr(instants, "snapshots_in", lambda path: [Source(path, times[str(path)])])
         return [Path(name) for name in times]
 
     return hold
 
 
-def test_snapshots_before_the_start_are_left_out_and_times_counted_from_it(stored) -> None:
-    files = stored({"a_2": 20.0, "a_10": 30.0, "a_1": 10.0})
-    found = find_sources(files, Meaning(start=20.0, units="time=ms"))
-    assert [(str(source.path), source.time) for source in found] == [
-        ("a_2", 0.0), ("a_10", pytest.approx(0.01)),
-    ]  # fmt: skip
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ({"start": 20.0, "units": "time=ms"}, [("a_2", 0.0), ("a_10", 0.01)]),
+        ({"time_step": 0.5}, [("a_1", 0.0), ("a_2", 0.5), ("a_10", 1.0)]),
+    ],
+)
+def test_times_are_counted_from_the_start_in_the_unit_of_the_files(hold, options, expected) -> None:
+    files = hold({"a_2": 20.0, "a_10": 30.0, "a_1": 10.0})
+    found = find_sources(files, ImportOptions(**options))
+    assert [str(source.path) for source in found] == [name for name, _ in expected]
+    assert [source.time for source in found] == pytest.approx([time for _, time in expected])
 
 
-def test_a_time_step_counts_files_in_the_order_of_their_names(stored) -> None:
-    files = stored({"a_10": 7.0, "a_9": 8.0, "b": 9.0})
-    found = find_sources(files, Meaning(time_step=0.5))
-    assert [(str(source.path), source.time) for source in found] == [
-        ("a_9", 0.0), ("a_10", 0.5), ("b", 1.0),
-    ]  # fmt: skip
-
-
-def test_files_that_begin_later_than_the_case_say_how_to_begin_with_them(stored) -> None:
+def test_files_that_begin_later_than_the_case_say_how_to_begin_with_them(hold) -> None:
     with pytest.raises(CaseError, match=r"--start 5\.0 makes it begin with them"):
-        find_sources(stored({"a": 5.0, "b": 6.0}), Meaning())
-    with pytest.raises(ArtifactError, match="is of the same time, 5"):
-        find_sources(stored({"a": 5.0, "b": 5.0}), Meaning())
+        find_sources(hold({"a": 5.0, "b": 6.0}), ImportOptions())
+    with pytest.raises(ArtifactError, match="is of the same time"):
+        find_sources(hold({"a": 5.0, "b": 5.0}), ImportOptions())
 
 
-def test_the_nearest_snapshots_are_taken_where_all_instants_have_one() -> None:
+def test_the_nearest_snapshots_are_taken_or_four_around_an_instant() -> None:
     steps = TimeSteps(time_step=0.1, n_steps=4, every=2)
     sources = [Source(Path(f"{k}"), time) for k, time in enumerate((0.0, 0.1, 0.201, 0.3, 0.4))]
-    assert at_instants(sources, steps) == [sources[0], sources[2], sources[4]]
-    assert at_instants(sources[:4], steps) is None
-
-
-def test_series_are_told_by_their_ends_and_what_is_between() -> None:
-    even = [Source(Path(), 1.0 + 0.5 * k) for k in range(5)]
-    assert series(even) == "5 snapshots from t = 1 s to 3 s, 0.5 s apart"
-    uneven = [Source(Path(), time) for time in (0.0, 1.0, 4.0)]
-    assert series(uneven) == "3 snapshots from t = 0 s to 4 s, 1 to 3 s apart"
-    assert [series(even[:n]) for n in (0, 1)] == ["0 snapshots", "1 snapshot"]
+    assert choose(sources, steps) == [
+        (0.0, [sources[0]]), (0.201, [sources[2]]), (0.4, [sources[4]]),
+    ]  # fmt: skip
+    uneven = [Source(Path(f"{k}"), 0.09 * k) for k in range(6)]
+    times, nodes = zip(*choose(uneven, steps), strict=True)
+    assert times == pytest.approx((0.0, 0.2, 0.4))
+    assert nodes == ([uneven[0]], uneven[1:5], uneven[2:6])
+    for too_few in (sources[:4], [sources[0], sources[4]]):
+        with pytest.raises(CaseError, match="--write-case"):
+            choose(too_few, TimeSteps(time_step=0.1, n_steps=4, every=1))

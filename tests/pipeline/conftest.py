@@ -16,7 +16,7 @@ import pytest
 import yaml
 from typer.testing import CliRunner, Result
 
-from sphrom.artifacts import open_artifact, schema_of
+from sphrom.artifacts import open_artifact
 from sphrom.case.loader import load_case
 from sphrom.cli.app import app
 from sphrom.setup.context import StageContext
@@ -228,7 +228,7 @@ def digests() -> Callable[[Path], dict[str, str]]:
     def digest(path: Path) -> str:
         whole = hashlib.sha256(path.read_bytes()).hexdigest()
         if whole not in known:
-            with open_artifact(path, schema_of(path), made_by="") as artifact:
+            with open_artifact(path, None, made_by="") as artifact:
                 artifact.verify_content()
                 known[whole] = artifact.content_sha256
         return known[whole]

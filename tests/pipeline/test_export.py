@@ -23,15 +23,6 @@ def flat(vectors: np.ndarray) -> np.ndarray:
     return np.pad(vectors, ((0, 0), (0, 1)))
 
 
-def opened(path):
-    """Return VTK's reader of a file."""
-    hdf = pytest.importorskip("vtkmodules.vtkIOHDF", reason="VTK is not installed")
-    reader = hdf.vtkHDFReader()
-    reader.SetFileName(str(path))
-    reader.UpdateInformation()
-    return reader
-
-
 def arrays_of(data) -> dict[str, np.ndarray]:
     """Return the points and fields of what VTK read."""
     from vtkmodules.util.numpy_support import vtk_to_numpy
@@ -44,13 +35,6 @@ def arrays_of(data) -> dict[str, np.ndarray]:
     return {**found, "points": vtk_to_numpy(data.GetPoints().GetData()).copy()}
 
 
-def step_of(reader, step: int) -> dict[str, np.ndarray]:
-    """Return the points and fields of one step."""
-    reader.SetStep(step)
-    reader.Update()
-    return arrays_of(reader.GetOutputDataObject(0))
-
-
 def vtu_of(path) -> dict[str, np.ndarray]:
     """Return the points and fields of a VTU file."""
     xml = pytest.importorskip("vtkmodules.vtkIOXML", reason="VTK is not installed")
@@ -61,25 +45,38 @@ def vtu_of(path) -> dict[str, np.ndarray]:
     return arrays_of(reader.GetOutput())
 
 
+def listed(path) -> dict[float, str]:
+    """Return the files that a .pvd file lists, by time."""
+    entries = ElementTree.parse(path).getroot().iter("DataSet")
+    return {float(entry.attrib["timestep"]): entry.attrib["file"] for entry in entries}
+
+
 def test_every_artifact_of_a_case_with_fields_opens_as_it_is(place, made_by) -> None:
+    hdf = pytest.importorskip("vtkmodules.vtkIOHDF", reason="VTK is not installed")
     for name, (schema, _) in made_by.items():
         if schema in ("spline", "comparison"):
             continue
         with h5py.File(place / name) as file:
             has_points = "position" if "position" in file else "reference_position"
             stored = file[has_points][...]
-        points = step_of(opened(place / name), 0)["points"]
+        reader = hdf.vtkHDFReader()
+        reader.SetFileName(str(place / name))
+        reader.Update()
+        points = arrays_of(reader.GetOutputDataObject(0))["points"]
         np.testing.assert_array_equal(points, flat(stored[0] if stored.ndim == 3 else stored))
 
 
 def test_vtu_files_hold_the_same_numbers_and_their_times(place, sphrom) -> None:
-    result = sphrom("export", place / "rom-galerkin-reynolds150.h5", "--to", "vtu", "--into", "vtu")
+    result = sphrom("export", "tiny.yaml", "--only", "galerkin", "--into", "vtu")
     assert result.exit_code == 0, result.output
+    assert {path.stem for path in Path("vtu").glob("*.pvd")} == {
+        f"rom-galerkin-reynolds{value}" for value in (100, 150, 200)
+    }
     with h5py.File(place / "rom-galerkin-reynolds150.h5") as file:
         stored = {name: file[name][...] for name in ("time", "position", "velocity", "pressure")}
-    listed = ElementTree.parse("vtu/rom-galerkin-reynolds150.pvd").getroot().iter("DataSet")
-    entries = {float(entry.attrib["timestep"]): entry.attrib["file"] for entry in listed}
+    entries = listed("vtu/rom-galerkin-reynolds150.pvd")
     assert list(entries) == list(stored["time"])
+    assert len({len(name) for name in entries.values()}) == 1
     for step in (0, len(entries) - 1):
         seen = vtu_of(f"vtu/{entries[stored['time'][step]]}")
         np.testing.assert_array_equal(seen["points"], flat(stored["position"][step]))
@@ -101,52 +98,38 @@ def fast(place, sphrom) -> Path:
 
 
 def test_runs_of_coordinates_alone_are_exported_with_the_fields_they_would_store(
-    fast, sphrom
+    fast, sphrom, monkeypatch
 ) -> None:
-    assert sphrom("export", "tiny.yaml", "--set", FAST).exit_code == 0
-    assert sphrom("export", fast, "--into", "alone").exit_code == 0
-    with h5py.File(fast) as file:
-        assert "velocity" not in file
-    result = sphrom("rom", "tiny.yaml", "--set", KEPT, "--force", "--threads", 1)
-    assert result.exit_code == 0, result.output
-    with h5py.File(fast) as file:
-        names = ("time", "velocity", "pressure", "density_fluctuation", "reference_position")
-        stored = {name: file[name][...] for name in names}
-    folder = fast.parent / "export"
-    listed = ElementTree.parse(folder / f"{fast.stem}.pvd").getroot().iter("DataSet")
-    files = {float(entry.attrib["timestep"]): entry.attrib["file"] for entry in listed}
-    assert list(files) == list(stored["time"])
-    for step in (len(files) - 1, 0):
-        for place in (folder, Path("alone")):
-            seen = vtu_of(place / files[stored["time"][step]])
-            np.testing.assert_array_equal(seen["points"], flat(stored["reference_position"]))
-            np.testing.assert_array_equal(seen["velocity"], flat(stored["velocity"][step]))
-            for name in ("pressure", "density_fluctuation"):
-                np.testing.assert_array_equal(seen[name], stored[name][step])
-
-
-def test_fields_are_rebuilt_one_snapshot_at_a_time(fast, sphrom, monkeypatch) -> None:
     calls = []
     state = StoredRun.rebuilt
     monkeypatch.setattr(
         StoredRun, "rebuilt", lambda run, snapshot: calls.append(snapshot) or state(run, snapshot)
     )
-    assert sphrom("export", fast).exit_code == 0
+    about = ("--only", "fast", "--only", "reynolds=150")
+    assert sphrom("export", "tiny.yaml", "--set", FAST, *about).exit_code == 0
     with h5py.File(fast) as file:
-        assert calls == list(range(len(file["time"])))
+        assert "velocity" not in file
+        assert calls == list(range(len(file["time"])))  # one at a time
+    result = sphrom("rom", "tiny.yaml", "--set", KEPT, "--force", "--threads", 1)
+    assert result.exit_code == 0, result.output
+    with h5py.File(fast) as file:
+        names = ("time", "velocity", "pressure", "density_fluctuation", "reference_position")
+        stored = {name: file[name][...] for name in names}
+    files = listed(fast.parent / "export" / f"{fast.stem}.pvd")
+    assert list(files) == list(stored["time"])
+    for step in (len(files) - 1, 0):
+        seen = vtu_of(fast.parent / "export" / files[stored["time"][step]])
+        np.testing.assert_array_equal(seen["points"], flat(stored["reference_position"]))
+        np.testing.assert_array_equal(seen["velocity"], flat(stored["velocity"][step]))
+        for name in ("pressure", "density_fluctuation"):
+            np.testing.assert_array_equal(seen[name], stored[name][step])
 
 
 def test_fields_that_can_not_be_rebuilt_are_told_with_what_does(fast, sphrom) -> None:
-    other = fast.rename(fast.with_name("best.h5"))
-    refused = sphrom("export", other)
-    assert refused.exit_code == 3
-    assert "best.h5: holds coordinates alone" in refused.stderr
-    other.rename(fast)
     (fast.parent / "pod.h5").unlink()
-    refused = sphrom("export", fast)
+    refused = sphrom("export", "tiny.yaml", "--set", FAST, "--only", "fast")
     assert refused.exit_code == 3
     assert "pod.h5 is missing; make it with `sphrom pod CASE`" in refused.stderr
-    assert sphrom("pod", "tiny.yaml", "--set", FAST).exit_code == 0
 
 
 LOOK = """
@@ -199,23 +182,15 @@ def test_paraview_opens_what_is_exported(fast, sphrom) -> None:
 @pytest.mark.parametrize(
     ("arguments", "code", "says"),
     [
-        (("runs/tiny/psi.h5",), 3, "psi.h5 (sphrom/spline) holds no fields to export"),
-        (("runs/tiny/nothing.h5",), 3, "nothing.h5 is missing"),
-        (
-            ("runs/tiny/pod.h5", "--to", "stl"),
-            2,
-            "--to: must be vtu, or for a case csv; got 'stl'",
-        ),
-        (("runs/tiny/pod.h5", "--at", "0,0"), 2, "--at: goes with a case file"),
-        (("tiny.yaml", "--at", "0,0"), 2, "--at: goes with --to csv"),
-        (("tiny.yaml", "--to", "csv", "--at", "1"), 2, "--at: must be like 0.5,0.5; got '1'"),
-        (("tiny.yaml", "--to", "csv", "--at", "nan,0"), 2, "--at: (nan, 0) m is not in the fluid"),
-        (("runs/tiny/pod.h5", "--set", "name=x"), 2, "--set: goes with a case file"),
-        (("tiny.yaml", "--out", "elsewhere"), 3, "there is no artifact with fields"),
+        (("--to", "stl"), 2, "--to: must be vtu or csv; got 'stl'"),
+        (("--at", "0,0"), 2, "--at: goes with --to csv"),
+        (("--to", "csv", "--at", "1"), 2, "--at: must be like 0.5,0.5; got '1'"),
+        (("--to", "csv", "--at", "nan,0"), 2, "is not in the fluid"),
+        (("--out", "elsewhere"), 3, "there is nothing to export"),
     ],
 )
 def test_what_cannot_be_exported_is_said(place, sphrom, arguments, code, says) -> None:
-    result = sphrom("export", *arguments)
+    result = sphrom("export", "tiny.yaml", *arguments)
     assert result.exit_code == code
     assert says in result.stderr
 

@@ -97,43 +97,6 @@ def test_values_under_valid_checksums_are_refused(place, sphrom, refused, stage)
     assert not list(place.glob(RESULT_OF[stage]))
 
 
-def without_last(values):
-    return values[:-1]
-
-
-MISFITS = {
-    "another number of cells": (
-        "rom", "psi.h5", "bases/all/cell_shape", lambda shape: shape + 1, "are not those of",
-    ),
-    "fewer snapshots": (
-        "pod", "map-reynolds200.h5", "time density_fluctuation velocity", without_last,
-        "along snapshot, not",
-    ),
-    "fewer particles than a flow has": (
-        "compare", "rom-galerkin-reynolds150.h5", "position velocity density_fluctuation pressure",
-        lambda values: values[:, :9], "too few particles",
-    ),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("misfit", MISFITS)
-def test_what_does_not_fit_is_refused_whoever_signed_it(place, sphrom, refused, signed, misfit):
-    """Another program that stores digests, too, may have made it."""
-    stage, name, datasets, change, reason = MISFITS[misfit]
-    with h5py.File(place / name, "r+") as file:
-        for dataset in datasets.split():
-            values, attributes = change(file[dataset][...]), dict(file[dataset].attrs)
-            del file[dataset]
-            file[dataset] = values
-            file[dataset].attrs.update(attributes)
-    signed(place / name)
-    remove(place, RESULT_OF[stage])
-    line = refused(sphrom(stage, "tiny.yaml"))
-    assert line.startswith(f"error: {place}/{name} is damaged: ")
-    assert reason in line
-    assert not list(place.glob(RESULT_OF[stage]))
-
-
 def is_main(path):
     """Whether it is the dataset of an artifact that matters most."""
     return re.search(r"^velocity$|modes/velocity$|polynomial_weights$", path) is not None

@@ -36,7 +36,7 @@ def test_a_disk_that_fills_up_while_a_run_writes(empty, small_disk, sphrom, room
     change = ("--set", "discretization.initial_particles=lattice", "--set", "snapshots.every=1")
     result = sphrom("fom", "tiny.yaml", *LONG, *change, "--out", small_disk / "runs")
     line = told(result)
-    assert line.startswith(f"error: {small_disk}/runs/{FULL} was not written: no room is left")
+    assert line.startswith(f"error: {small_disk}/runs/{FULL} was not written: No space")
     assert not list((small_disk / "runs").glob("*.h5"))
     assert not list((small_disk / "runs").glob(".*.tmp"))
 
@@ -52,7 +52,7 @@ def test_a_run_goes_on_after_its_disk_was_full(empty, small_disk, sphrom, digest
     stopped = sphrom(*run, "--out", out, "--checkpoint-every", 0)
     if stopped.exit_code == 0:
         pytest.skip("the disk was large enough")
-    assert "no room is left" in told(stopped)
+    assert "No space" in told(stopped)
     hog.unlink()
     resumed = sphrom(*run, "--out", out, "--resume")
     assert resumed.exit_code == 0, resumed.output
@@ -74,13 +74,13 @@ def test_two_processes_on_one_folder(empty, sphrom):
     )  # fmt: skip
     try:
         deadline = time.monotonic() + 60.0
-        while not list(empty.glob(f".{FULL}.*.tmp")):
+        while not list(empty.glob(f".{FULL}.tmp")):
             assert first.poll() is None
             assert time.monotonic() < deadline
             time.sleep(0.02)
         for options in ((), ("--force",), ("--resume",)):
             line = told(sphrom("fom", "tiny.yaml", *LONG, *options))
-            assert f"{FULL} is being written by another process (pid {first.pid})" in line
+            assert f"{FULL} is being written by another process" in line
         first.send_signal(signal.SIGINT)
         assert first.wait(timeout=30) == 130
     finally:

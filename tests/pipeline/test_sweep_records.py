@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sphrom.artifacts import create_artifact, open_artifact
+from sphrom.artifacts import Origin, create_artifact, open_artifact
 from sphrom.case.points import ParameterPoint
 from sphrom.sweep.records import (
     COMPLETE,
@@ -67,10 +67,8 @@ def write(tmp_path: Path) -> Callable[[list[RunRecord]], Path]:
 
     def write(records: list[RunRecord]) -> Path:
         path = tmp_path / "sweep-fast.h5"
-        digests = {"case_digest": "case", "inputs_digest": "inputs"}
-        with create_artifact(
-            path, "sphrom/sweep", stage="sweep", case_text="name: x\n", **digests
-        ) as artifact:
+        origin = Origin("inputs", "name: x\n")
+        with create_artifact(path, "sphrom/sweep", stage="sweep", origin=origin) as artifact:
             write_records(artifact, "fast", records, PLACES)
         return path
 

@@ -73,9 +73,8 @@ def test_the_last_good_checkpoint_is_named(empty, sphrom):
     result = sphrom("fom", "tiny.yaml", *TOO_FAST, "--checkpoint-every", 0)
     assert result.exit_code == 4
     assert result.stderr.splitlines()[-1].endswith(
-        "; the last good checkpoint is of step 2, t = 0.08 s: fom-reynolds100.h5.checkpoint-*"
+        "; the last good checkpoint is of step 2, t = 0.08 s: fom-reynolds100.h5.checkpoint"
     )
-    for slot in "ab":
-        path = empty / f"fom-reynolds100.h5.checkpoint-{slot}"
-        with open_artifact(path, "sphrom/checkpoint", made_by="") as checkpoint:
-            checkpoint.verify_content()
+    path = empty / "fom-reynolds100.h5.checkpoint"
+    with open_artifact(path, "sphrom/checkpoint", made_by="") as checkpoint:
+        checkpoint.verify_content()

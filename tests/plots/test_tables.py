@@ -70,7 +70,7 @@ def test_what_is_not_finite_is_refused_and_the_old_file_kept(tmp_path: Path, bad
 
 
 def test_a_folder_that_is_not_there_is_an_artifact_error(tmp_path: Path) -> None:
-    with pytest.raises(ArtifactError, match="its folder is missing"):
+    with pytest.raises(ArtifactError, match="No such file"):
         write_csv(tmp_path / "missing" / "table.csv", ROWS)
 
 

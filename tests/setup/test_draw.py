@@ -72,7 +72,7 @@ def test_without_a_name_it_is_the_case_s(sphrom_case) -> None:
     [
         (["-o", "a.pdf"], 2, "--output: must end in .png or .svg; got a.pdf"),
         (["-o", "a"], 2, "--output: must end in .png or .svg"),
-        (["-o", "no/a.png"], 3, "no/a.png was not written: its folder is missing"),
+        (["-o", "no/a.png"], 3, "no/a.png was not written: No such file"),
         (["--set", "discretization.resolution=1000"], 2, "try --set discretization.resolution=250"),
     ],
 )

@@ -13,8 +13,7 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection, SplineSection
 from sphrom.setup.context import StageContext
-from sphrom.store.targets import Target
-from sphrom.store.workspace import Workspace
+from sphrom.store.workspace import Target, Workspace
 
 GIVEN = {
     "name": "x",

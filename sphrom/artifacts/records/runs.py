@@ -188,7 +188,6 @@ class Checkpoint(Record, kind="sphrom/checkpoint"):
     step: int = attribute("", "steps taken")
     n_steps: int = attribute("", "steps of the whole run")
     time: float = attribute("s", "time of the state")
-    generation: int = attribute("", "checkpoints of the run up to this one")
     n_parts: int = attribute("", "files of snapshots that belong to it")
     parts_sha256: str = attribute("", "digest of what they hold")
     computed_with: str = attribute("", "versions and processor that its last bits depend on")

@@ -22,13 +22,13 @@ from sphrom.whole_files import locked, write_whole
 WRITER = """
 import resource, sys
 import numpy as np
-from sphrom.artifacts import create_artifact
+from sphrom.artifacts import Origin, create_artifact
 from sphrom.errors import ArtifactError
 if len(sys.argv) > 2:
     resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), resource.RLIM_INFINITY))
 try:
-    with create_artifact(sys.argv[1], "sphrom/trajectory", stage="fom", case_text="",
-                         case_digest="", inputs_digest="") as artifact:
+    with create_artifact(sys.argv[1], "sphrom/trajectory", stage="fom", origin=Origin("", "")
+                         ) as artifact:
         stream = artifact.stream("position", (10_000, 2), 100)
         stream.append(np.zeros((10_000, 2)))
         print("writing", flush=True)
@@ -106,38 +106,23 @@ def test_folder_is_no_target_and_a_file_no_folder(write_trajectory, tmp_path: Pa
         write_trajectory(tmp_path / "runs" / "fom.h5")
 
 
-@pytest.mark.parametrize(
-    ("number", "message"),
-    [
-        (errno.EACCES, "no permission to write in"),
-        (errno.EROFS, "is read-only"),
-        (errno.ENOSPC, "no room is left"),
-    ],
-)
+@pytest.mark.parametrize("number", [errno.EACCES, errno.EROFS, errno.ENOSPC])
 def test_folder_that_refuses_files(
-    write_trajectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, message: str
+    write_trajectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
     def refuse(*_: object) -> int:
         raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr("sphrom.whole_files.os.open", refuse)
-    with pytest.raises(ArtifactError, match=f"{message}.*--out"):
+    with pytest.raises(ArtifactError, match=f"{os.strerror(number)}.*--out"):
         write_trajectory()
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    ("number", "message"),
-    [(errno.ENOSPC, "no room"), (errno.EDQUOT, "no room"), (errno.EIO, os.strerror(errno.EIO))],
-)
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EIO])
 @pytest.mark.parametrize("successes", [0, 5])
 def test_disk_that_fails_at_any_time(
-    write_trajectory,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    number: int,
-    message: str,
-    successes: int,
+    write_trajectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, successes: int
 ) -> None:
     left = successes
 
@@ -150,7 +135,7 @@ def test_disk_that_fails_at_any_time(
 
     before = write_trajectory().read_bytes()
     monkeypatch.setattr("sphrom.whole_files.os.write", write)
-    with pytest.raises(ArtifactError, match=rf"fom\.h5 was not written: {message}"):
+    with pytest.raises(ArtifactError, match=rf"not written: {os.strerror(number)}"):
         write_trajectory(force=True)
     assert left < 0
     assert (tmp_path / "fom.h5").read_bytes() == before
@@ -178,28 +163,22 @@ def test_full_disk_or_limit_on_file_size_ends_the_process_in_order(
     place = request.getfixturevalue(folder)
     command = [sys.executable, "-c", WRITER, str(place / "fom.h5"), str(limit)]
     process = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
-    assert "no room is left" in process.stdout
+    assert "was not written" in process.stdout
     assert (process.returncode, process.stderr) == (3, "")
     assert list(place.iterdir()) == []
-
-
-def test_read_only_disk(small_disk: Path, write_trajectory) -> None:
-    subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True, timeout=30)
-    with pytest.raises(ArtifactError, match="read-only"):
-        write_trajectory(small_disk / "fom.h5")
 
 
 def test_second_process_is_told_of_the_first(write_trajectory, tmp_path: Path) -> None:
     path = tmp_path / "fom.h5"
     with other_writer(path) as process:
-        with pytest.raises(ArtifactError, match=rf"another process \(pid {process.pid}\)"):
+        with pytest.raises(ArtifactError, match="another process"):
             write_trajectory()
         write_trajectory(tmp_path / "other.h5")
         assert not path.exists()
         process.send_signal(signal.SIGKILL)
         process.wait(timeout=30)
         # What a killed process left neither blocks the next one nor stays.
-        assert list(tmp_path.glob(".fom.h5.*.tmp"))
+        assert list(tmp_path.glob(".fom.h5.tmp"))
     write_trajectory()
     assert {entry.name for entry in tmp_path.iterdir()} == {"fom.h5", "other.h5"}
 
@@ -217,11 +196,9 @@ def test_file_system_without_locks_is_used(
     def refuse(*_: object) -> None:
         raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 
-    foreign = tmp_path / ".fom.h5.1.tmp"
-    foreign.write_text("maybe of a running process")
     monkeypatch.setattr("sphrom.whole_files.fcntl.flock", refuse)
     assert write_trajectory().is_file()
-    assert foreign.exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["fom.h5"]
 
 
 def test_later_of_two_writers_of_a_whole_file_waits_and_wins(tmp_path: Path) -> None:
@@ -239,6 +216,7 @@ def test_later_of_two_writers_of_a_whole_file_waits_and_wins(tmp_path: Path) -> 
 
 def test_a_write_that_was_killed_leaves_nothing_in_the_end(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
-    (tmp_path / ".table.csv.123.tmp").write_text("{")
+    (tmp_path / ".table.csv.tmp").write_text("{...")
     write_whole(path, b"1")
     assert list(tmp_path.iterdir()) == [path]
+    assert path.read_bytes() == b"1"

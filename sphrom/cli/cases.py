@@ -1,0 +1,173 @@
+"""The commands `case ...`: write, check and describe case files."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sphrom.cli import completion
+from sphrom.cli.options import Options, command, run_stage
+from sphrom.console import tell
+from sphrom.errors import CaseError
+from sphrom.whole_files import open_to_write
+
+cases = typer.Typer(
+    no_args_is_help=True, rich_markup_mode=None, help="Write, check and describe case files."
+)
+KINDS = "One of taylor-green, lid-driven-cavity, open-cavity, or custom: a flow of your own."
+Output = Annotated[
+    Path | None,
+    typer.Option("--output", "-o", metavar="FILE", help="Write there, not to the terminal."),
+]
+Force = Annotated[bool, typer.Option("--force", help="Write over a file.")]
+
+
+def write_new(target: Path, text: str, next_step: str, *, force: bool) -> None:
+    """Write a file, over another with `force` only, and tell so."""
+    try:
+        with open_to_write(target, "w" if force else "x") as file:
+            file.write(text)
+    except FileExistsError as error:
+        raise CaseError(f"{target}: is there already; --force writes over it") from error
+    tell(f"wrote {target}{next_step}")
+
+
+@command(cases, "check", ("case", "out", "overrides", "force"))
+def check(options: Options) -> None:
+    """Check a case, and tell what it would cost; exit code 5 if it would not fit this machine.
+
+    \b
+    Example, with a step to try:
+      sphrom case check cases/taylor_green_demo.yaml --set time.step=1e-3
+    """
+    run_stage("check", options)
+
+
+@command(cases, "draw", ("case", "overrides", "force"))
+def draw(
+    options: Options,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="Where to, PNG or SVG by how it ends.  [default: <name of the case>.png]",
+        ),
+    ] = None,
+) -> None:
+    """Draw a case before it runs: particles, ghosts, walls and their velocities, compared line.
+
+    \b
+    Example:
+      sphrom case draw cases/gallery/cylinder.yaml -o cylinder.svg
+    """
+    run_stage("draw", options, output=output)
+
+
+@command(cases, "show", ("case", "overrides", "force"))
+def show(options: Options) -> None:
+    """Print every key of a case with its value, defaults and outlines of files included.
+
+    \b
+    Example:
+      sphrom case show cases/lid_driven_cavity_demo.yaml
+    """
+    from sphrom.case.identity import resolved_yaml
+    from sphrom.case.loader import load_case
+
+    case = load_case(options.case, options.overrides or (), options.force)
+    print(resolved_yaml(case), end="")
+
+
+@cases.command()
+def new(
+    kind: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="KIND", help=KINDS, show_default=False, autocompletion=completion.kinds
+        ),
+    ] = None,
+    output: Output = None,
+    full: Annotated[
+        bool, typer.Option("--full", help="With every key, at its default, and its meaning.")
+    ] = False,
+    force: Force = False,
+) -> None:
+    """Write a short case file to start from, with a fast model, that runs in a minute or so.
+
+    \b
+    Example:
+      sphrom case new lid-driven-cavity -o cavity.yaml
+    """
+    from sphrom.case import template
+
+    text = template.new_case(template.require_kind(kind), full=full)
+    if output is None:
+        print(text, end="")
+        return
+    write_new(output, text, f"; next: sphrom case check {output}", force=force)
+    schema = output.with_name(template.SCHEMA_FILE)
+    if not schema.exists():
+        tell(f"for completion and checks in an editor: sphrom case schema -o {schema}")
+
+
+@cases.command()
+def examples(
+    name: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[NAME]",
+            help="The case to write; without it, all are listed.",
+            show_default=False,
+            autocompletion=completion.examples,
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="FILE", help="Write there.  [default: NAME.yaml]"),
+    ] = None,
+    force: Force = False,
+) -> None:
+    """List the cases that come with sphrom, or write one into a file.
+
+    \b
+    Example:
+      sphrom case examples taylor_green_demo
+      sphrom run taylor_green_demo.yaml
+    """
+    from sphrom.case import template
+
+    if name is None:
+        known = template.examples()
+        width = max(map(len, known))
+        for each, path in known.items():
+            tell(f"{each:{width}}  {template.title(path)}")
+        return
+    source = template.example(name)
+    target = output or Path(source.name)
+    text = source.read_text(encoding="utf-8")
+    write_new(target, text, f"; next: sphrom run {target}", force=force)
+
+
+@cases.command()
+def schema(output: Output = None, force: Force = False) -> None:
+    """Print the JSON schema of case files, by which editors complete and check them.
+
+    An editor with the YAML language server finds it by a line at the top of a case file, which case
+    new writes: # yaml-language-server: $schema=sphrom.schema.json
+
+    \b
+    Example, beside the case files:
+      sphrom case schema -o sphrom.schema.json
+    """
+    from sphrom.case.schema import json_schema
+
+    text = json.dumps(json_schema(), indent=2)
+    if output is None:
+        print(text)
+    else:
+        write_new(output, text + "\n", "", force=force)
