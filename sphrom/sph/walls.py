@@ -10,7 +10,6 @@ flow at 50x50 is then off by up to 0.02 of its speed, extrapolated by 0.004.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -32,15 +31,6 @@ CLOSEST, TOUCHING, FELT = 0.25, 0.5, 1.5
 """Distances from a wall over the spacing: nothing moves closer; the first layer's; the second's."""
 NEAREST = 0.5
 """Least distance from a wall, over the spacing, that velocities are extrapolated from."""
-ROUNDING = 1e-9
-"""Slack for what is equal but for rounding."""
-
-
-def n_layers(discretization: Discretization) -> int:
-    """Return how many layers of ghosts the kernel's support needs."""
-    return math.ceil(
-        discretization.support_radius / discretization.particle_spacing * (1.0 - ROUNDING)
-    )
 
 
 def build_walls(

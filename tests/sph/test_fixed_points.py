@@ -12,7 +12,7 @@ from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.sph.fluid import Discretization, FlowConditions, Fluid
 from sphrom.sph.functional import Functional
-from sphrom.sph.walls import build_walls, n_layers
+from sphrom.sph.walls import build_walls
 
 SPACING = 0.0625
 FLUID = Fluid(reference_density=800.0, sound_speed=7.0, kinematic_viscosity=0.013, max_speed=0.9)
@@ -61,7 +61,7 @@ class Setting:
         if self.scene is None:
             return None
         walls = build_walls(
-            self.domain, SPACING, n_layers(self.discretization), self.scene.wall_velocity
+            self.domain, SPACING, self.discretization.n_layers, self.scene.wall_velocity
         )
         return replace(walls, velocity=speed * walls.velocity)
 

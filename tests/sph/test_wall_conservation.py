@@ -14,7 +14,7 @@ from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
 from sphrom.sph.time_loop import runge_kutta_step
-from sphrom.sph.walls import build_walls, n_layers
+from sphrom.sph.walls import build_walls
 
 SPACING = 0.0625
 FLUID = Fluid(800.0, 7.0, 0.013, 0.9)
@@ -81,7 +81,7 @@ def test_a_lid_that_starts_moves_no_mass(lid: str, continuity: str, is_a_sink: b
         2.0 * SPACING,
         wall_continuity=continuity,  # type: ignore[arg-type]
     )
-    walls = build_walls(scene.domain, SPACING, n_layers(discretization), scene.wall_velocity)
+    walls = build_walls(scene.domain, SPACING, discretization.n_layers, scene.wall_velocity)
     functional = Functional(Fluid(1.0, 10.0, 0.01, 1.0), discretization, scene.domain, walls)
     position = scene.domain.fill(SPACING)
     state = np.zeros((5, len(position)))
@@ -240,7 +240,7 @@ def hydrostatic(n: int, gravity: float, **options) -> tuple[Functional, np.ndarr
     def force(position: np.ndarray, _: float) -> np.ndarray:
         return np.outer([0.0, -gravity], np.ones(position.shape[1]))
 
-    walls = build_walls(box, spacing, n_layers(discretization))
+    walls = build_walls(box, spacing, discretization.n_layers)
     position = box.fill(spacing)
     state = np.zeros((5, len(position)))
     state[:2] = position.T
