@@ -26,8 +26,6 @@ from sphrom.sph.time_loop import TimeSteps
 if TYPE_CHECKING:
     from sphrom.case.models import Case
 
-ROUNDING = 1e-9
-"""Slack for what is equal but for rounding."""
 MLS_SMOOTHING_LENGTH_RATIO = 2.0
 """Smoothing length of moving least squares over the spacing: they need no wider support."""
 MODES_WITHOUT_ROM = 10
