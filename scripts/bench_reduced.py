@@ -174,7 +174,7 @@ def commands(path: Path, n_modes: int) -> Row:
     """Time whole `rom` commands, once the first has compiled."""
     model = f"{{name: fast, evaluation: operators, calibrated: true, n_modes: {n_modes}"
     row = {}
-    for output in ("none", "probes", "snapshots"):
+    for output in ("none", "snapshots"):
         option = ("--force", "--set", f"rom=[{model}, output: {output}}}]")
         row[f"command_{output}"] = min(sphrom("rom", path, *option) for _ in range(3))
     return row

@@ -28,8 +28,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import Region, fast_model, trained_at
 from sphrom.console import SilentReporter
 from sphrom.setup.context import StageContext
-from sphrom.train.stage_model import StageModel
-from sphrom.train.train import make
+from sphrom.train.train import StageModel, make
 
 VELOCITY = 0
 BUDGET = 9

@@ -25,8 +25,8 @@ from sphrom.compare.figures import FOLDER
 from sphrom.compare.stored_comparison import StoredComparison
 from sphrom.console import Reporter
 from sphrom.machine import physical_ram
-from sphrom.metrics.discrepancy import compression_factor
-from sphrom.metrics.series import dominant_frequency, phase_lead
+from sphrom.metrics.histories import compression_factor
+from sphrom.metrics.series import dominant_frequency
 from sphrom.plots.page import Html, element, picture, render, table
 from sphrom.plots.tables import MISSING, format_figure, read_json
 from sphrom.setup.context import StageContext
@@ -246,6 +246,36 @@ def _frequency(result: Result, claim: Mapping[str, Any], run: str | None) -> str
         return str(error)
     off = 100.0 * (found / expected - 1.0)
     return f"{found:.3f} Hz, {off:+z.3f} % from {expected:.3f} Hz"
+
+
+def phase_lead(time: Array, signal: Array, reference: Array, frequency: float) -> Array:
+    """Return by how many periods a signal is ahead of a reference, at windows of one period.
+
+    Both are (n_samples,) and oscillate at a frequency [Hz]; a sine is fitted to each in the window
+    that begins at each sample and has all of its samples. Leads are (n_windows,), continuous over
+    time, and the first is between -0.5 and 0.5.
+
+    Raises ValueError for a record shorter than a period.
+    """
+    interval = float(np.diff(time).mean())
+    n_window = round(1.0 / (frequency * interval))
+    if not 8 <= n_window <= len(time):
+        raise ValueError("a phase needs a period or more, of 8 samples or more")
+    angle = 2.0 * np.pi * frequency * (time - time[0])
+    phases = [_phases(values, angle, n_window) for values in (signal, reference)]
+    lead = np.unwrap(phases[0] - phases[1]) / (2.0 * np.pi)
+    return np.asarray(lead - np.round(lead[0]))
+
+
+def _phases(values: Array, angle: Array, n_window: int) -> Array:
+    """Return the phases of sines that are fitted to the windows of a record, ahead positive."""
+    phases = []
+    for first in range(len(values) - n_window + 1):
+        window = slice(first, first + n_window)
+        waves = np.stack((np.cos(angle[window]), np.sin(angle[window]), np.ones(n_window)), axis=1)
+        cosine, sine, _ = np.linalg.lstsq(waves, values[window], rcond=None)[0]
+        phases.append(np.arctan2(-sine, cosine))
+    return np.array(phases)
 
 
 def _phase(result: Result, claim: Mapping[str, Any], run: str | None) -> str:

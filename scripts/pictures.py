@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from small_picture import write_small
+from small_picture import WIDTH, write_small
 
 ROOT = Path(__file__).parents[1]
 CASES = ROOT / "cases"
@@ -51,6 +51,7 @@ class Picture:
     case: Path
     source: str
     commands: tuple[str, ...] = ("run --force",)
+    width: int = WIDTH
 
     @property
     def folder(self) -> Path:
@@ -81,7 +82,7 @@ def pictures() -> Iterator[Picture]:
             yield Picture("gallery-drag", case, f"plots/force-drag-{place}.png", run)
     for kind in ("quantiles", "indices"):
         source, commands = f"sweep-fast-{kind}.png", ("run --force", "sweep")
-        yield Picture(f"uncertainty-{kind}", CASES / "uncertain_lid.yaml", source, commands)
+        yield Picture(f"uncertainty-{kind}", CASES / "uncertain_lid.yaml", source, commands, 900)
     vortex = tutorial_case("first-result", "vortex.yaml")
     yield Picture("tutorial-vortex", vortex, "plots/overview-reynolds150.png")
     channel = tutorial_case("own-flow", "channel.yaml")
@@ -103,7 +104,7 @@ def draw(picture: Picture) -> None:
         call = [sys.executable, "-m", "sphrom", *words, str(picture.case), *place]
         subprocess.run(call, check=True, cwd=ROOT, stdout=subprocess.DEVNULL)
     path = FIGURES / f"{picture.name}.png"
-    write_small(picture.folder / picture.source, path)
+    write_small(picture.folder / picture.source, path, picture.width)
     print(f"{path.relative_to(ROOT)}: {path.stat().st_size / 1000:.0f} kB")
 
 

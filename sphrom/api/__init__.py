@@ -9,10 +9,9 @@ the axes snapshot, point, component or mode last; units are SI. What the command
 refused here in the same words, as an error of `sphrom.errors`.
 """
 
-from sphrom.api.artifacts import open, open_tree
 from sphrom.api.model import Model
 from sphrom.api.result import ErrorEstimate, Result, Sensitivities
-from sphrom.api.study import Study
+from sphrom.api.study import Study, open, open_tree
 from sphrom.artifacts.records.fit import FittedHistory
 from sphrom.fit.estimates import Estimate, Fit
 

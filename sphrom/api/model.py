@@ -34,8 +34,8 @@ from sphrom.reduction.polynomial_model import SteadyState, steady_state
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup.context import StageContext
 from sphrom.signals import guarded
-from sphrom.store.measured_quantities import measured_of
 from sphrom.store.sampling import Probes, Samples, sample_run
+from sphrom.store.trajectory import measured_of
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:
@@ -48,7 +48,12 @@ class Model:
     """A reduced model at a parameter point; made by `Study.model`.
 
     One that is evaluated by operators is a set of equations da/dt = f(a, t) in its generalized
-    coordinates a: `rates`, `jacobian` and `steady` are for those.
+    coordinates a. Only such a model has a `start`, `rates`, a `jacobian`, `steady` states,
+    `measures` of coordinates, `sensitivities` and a `fit`.
+
+    Methods raise CaseError for arguments that can't be (unknown parameters, arrays of another shape
+    or not finite, times between snapshots), UnstableError when a run became unstable, and
+    ArtifactError when artifacts that they need are missing, damaged, or of another case.
     """
 
     def __init__(
@@ -88,18 +93,12 @@ class Model:
 
     @property
     def start(self) -> Array:
-        """The coordinates (n_modes,) that a run starts from.
-
-        Raises CaseError for a model on particles.
-        """
+        """The coordinates (n_modes,) that a run starts from."""
         return self._by_operators("start").start.copy()
 
     @guarded()
     def at(self, **parameters: float) -> Model:
-        """Return the same model at other parameter values; nothing is read again.
-
-        Raises CaseError as `Study.model` does.
-        """
+        """Return the same model at other parameter values; nothing is read again."""
         point, other = parameter_point(self._workspace.case, parameters), copy(self)
         other._move(point)
         return other
@@ -115,15 +114,6 @@ class Model:
         ----------
         final_time : [s], a whole number of snapshot intervals after the first snapshot; by default
             the case's. For models on the reference points.
-
-        Raises
-        ------
-        CaseError
-            When a run can't end at `final_time`.
-        UnstableError
-            When the run became unstable.
-        ArtifactError
-            When artifacts that it needs are missing, damaged, or of another case.
         """
         if self._fast is None:
             if final_time is not None:
@@ -162,13 +152,6 @@ class Model:
         names : parameters, such as `"reynolds", "lid"`; by default all that vary in the case.
         final_time : as for `run`.
         step_factor : length of the steps over that of automatic ones.
-
-        Raises
-        ------
-        CaseError
-            When there is no such parameter, or the model isn't evaluated by operators.
-        UnstableError
-            When the run became unstable.
         """
         case, reduced = self._workspace.case, self._by_operators("sensitivities")
         fast = self._fast
@@ -213,14 +196,6 @@ class Model:
         -------
         Estimates with 95 % intervals, in which the model's own errors count beside the noise:
         `found["reynolds"].value`, `.low`, `.high`, and `found.problems` to read first.
-
-        Raises
-        ------
-        CaseError
-            When the measurements can't be read, there is no such parameter, or the model isn't
-            evaluated by operators.
-        UnstableError
-            When the model is unstable at all starts of the search.
         """
         case, section = self._workspace.case, self._section
         self._by_operators("fit")
@@ -250,11 +225,6 @@ class Model:
         Parameters
         ----------
         time : [s], for what drives the flow, where that changes; by default the end of the run.
-
-        Raises
-        ------
-        CaseError
-            When coordinates have another shape or aren't finite, or the model is on particles.
         """
         reduced = self._by_operators("rates")
         state = self._state(reduced, coordinates)
@@ -263,8 +233,7 @@ class Model:
     def jacobian(self, coordinates: ArrayLike, time: float | None = None) -> Array:
         """Return the derivative (n_modes, n_modes) [1/s] of the rates at coordinates (n_modes,).
 
-        Entry (i, j) is that of rate i by coordinate j. Parameters and errors are those of `rates`;
-        the model has to be evaluated by operators.
+        Entry (i, j) is that of rate i by coordinate j. Parameters are those of `rates`.
         """
         reduced = self._by_operators("jacobian")
         state = self._state(reduced, coordinates)
@@ -275,13 +244,7 @@ class Model:
 
         Returns its `coordinates` (n_modes,), the `residual` (norm of the rates there, [1/s]),
         `n_steps`, and whether it has `converged`. Whether the flow stays there is told by the
-        eigenvalues of the Jacobian.
-
-        Raises
-        ------
-        CaseError
-            When coordinates have another shape or aren't finite, the model isn't evaluated by
-            operators, or the scene's body force changes with time.
+        eigenvalues of the Jacobian. There is none where the body force changes with time.
         """
         reduced = self._by_operators("steady")
         if (problem := steady_problem(self._workspace.case)) is not None:
@@ -300,11 +263,6 @@ class Model:
         Parameters
         ----------
         time : [s], for what drives the flow, where that changes; by default the end of the run.
-
-        Raises
-        ------
-        CaseError
-            When coordinates have another shape or aren't finite, or the model is on particles.
         """
         reduced = self._by_operators("measures")
         state, at = self._state(reduced, coordinates)[None], np.array([self._time(time)])

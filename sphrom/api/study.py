@@ -1,4 +1,4 @@
-"""A case with the folder of its artifacts: run its stages, and take models from it."""
+"""A case with the folder of its artifacts: run its stages, take models, open artifacts."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sphrom import stages
 from sphrom.api.model import Model
@@ -17,6 +17,9 @@ from sphrom.console import Reporter
 from sphrom.errors import CaseError
 from sphrom.setup.context import StageContext
 from sphrom.signals import guarded
+
+if TYPE_CHECKING:
+    import xarray
 
 
 class Study:
@@ -37,8 +40,14 @@ class Study:
     Raises
     ------
     CaseError
-        With a line for each problem of the case; of a key that is unknown or ambiguous, with the
-        keys that may be meant.
+        With a line for each problem of the case or of arguments; of a key or a name that is unknown
+        or ambiguous, with those that may be meant.
+    ArtifactError
+        When an artifact is missing, damaged, or of another case and may not be written over.
+    UnstableError
+        When a run became unstable.
+    ResourceError
+        When the case would not fit this machine.
     """
 
     @guarded()
@@ -97,17 +106,6 @@ class Study:
         until : the last stage to run: fom, map, pod, fit-psi, operators, rom or compare, the
             default.
         checkpoint_every : seconds from one checkpoint of a run to the next.
-
-        Raises
-        ------
-        CaseError
-            When there is no such stage.
-        ArtifactError
-            When an artifact is damaged, or of another case and may not be written over.
-        UnstableError
-            When a run became unstable.
-        ResourceError
-            When the case would not fit this machine.
         """
         context = self._with(resume, checkpoint_every)
         stages.run_all(context, until)
@@ -134,8 +132,6 @@ class Study:
             `scheduler` of sweep and train; `shard` and `collect` of sweep; `budget` and
             `write_case` of train; `measurements`, `noise` and `name` of fit; `to`, `into` and `at`
             of export.
-
-        Raises what `run` raises.
         """
         known = [name for name in stages.STAGES if name != "import"]
         name = stage.replace("_", "-")
@@ -155,13 +151,6 @@ class Study:
         name : of a model in the case's section `rom`.
         parameters : the value of each parameter, such as `reynolds=137`; one that isn't given has
             the scene's own value.
-
-        Raises
-        ------
-        CaseError
-            When there is no such model or parameter, or none of its bases is for the values.
-        ArtifactError
-            When artifacts that it needs are missing, damaged, or of another case.
         """
         sections = {section.name: section for section in self.case.rom}
         if name not in sections:
@@ -171,3 +160,38 @@ class Study:
 
     def _with(self, resume: bool, checkpoint_every: float) -> StageContext:
         return stages.with_checkpoints(self._context, resume=resume, every=checkpoint_every)
+
+
+@guarded(computes=False)
+def open(path: str | os.PathLike[str], group: str = "") -> xarray.Dataset:
+    """Open an artifact, or a group of one such as `bases/all`, as a dataset with named axes.
+
+    Variables are called as in `sphrom/artifacts.md`, `_` in place of `/`, and carry their units
+    and meaning. Snapshots can be selected by time: `run.velocity.sel(time=0.1, method="nearest")`.
+    The attribute `groups` lists the groups of an artifact that has some; a group comes with what
+    belongs to all of them.
+
+    Opening checks that the file is a whole artifact, and verifies datasets of up to 1 MiB. A larger
+    one is verified, block by block, when values of it are first used. Values are read when they
+    are used, so the file stays open until the dataset is closed; use `with`, or `load`.
+
+    Raises ArtifactError when the file is missing, damaged or no artifact, CaseError when it has no
+    such group.
+    """
+    from sphrom.artifacts.labelled import open_labelled
+
+    return open_labelled(Path(path), group)
+
+
+@guarded(computes=False)
+def open_tree(path: str | os.PathLike[str]) -> xarray.DataTree:
+    """Open an artifact with all of its groups, such as every basis of `pod.h5`.
+
+    Each node is a dataset as `open` gives it, without what belongs to all groups: that is at the
+    root.
+
+    Raises ArtifactError when the file is missing, damaged or no artifact.
+    """
+    from sphrom.artifacts.labelled import open_labelled_tree
+
+    return open_labelled_tree(Path(path))

@@ -254,10 +254,10 @@ class ReducedModelSection(Section):
         "predict the others, for evaluation: operators, where it is corrected; auto takes as many "
         "as predict training runs best that are held out in turn, all where it isn't calibrated",
     )
-    output: Literal["none", "probes", "snapshots"] = key(
+    output: Literal["none", "snapshots"] = key(
         "none",
         "fields to keep beside the coordinates, unless evaluated on particles: none, or those of "
-        "every snapshot, where runs are compared or at all reference points",
+        "every snapshot at all reference points",
     )
     until: Positive | None = key(
         None,

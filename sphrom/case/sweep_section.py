@@ -198,12 +198,6 @@ class SweepSection(Section):
     quantiles: Annotated[
         tuple[Share, ...], Field(min_length=1, max_length=99), AfterValidator(rising)
     ] = key((0.05, 0.25, 0.5, 0.75, 0.95), "the quantiles of outputs of draws, rising, such as 0.5")
-    coordinates: Flag = key(True, "whether to store the generalized coordinates of reduced runs")
-    error_estimate: Flag = key(
-        True,
-        "whether to estimate errors of reduced models on the reference points, where operators "
-        "allow it; this takes longer than the runs",
-    )
     sensitivities: Flag = key(
         False,
         "whether to differentiate the kinetic energy, forces, flow rates and probes at the end by "

@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import os
 import re
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
 from sphrom.artifacts import write_record
-from sphrom.artifacts.records.fit import FittedHistory
 from sphrom.case.fields import NAME_PATTERN
 from sphrom.case.messages import show as quoted
 from sphrom.case.studies import fast_model, fit_ranges, fit_values, percent
@@ -22,16 +16,14 @@ from sphrom.errors import CaseError
 from sphrom.fit.estimates import Estimate, Fit, box_of, fit
 from sphrom.fit.measurements import read_measurements
 from sphrom.online.fast_model import FastModel
-from sphrom.plots.canvas import COLOURS, INK, label_axes, legend_below, new_figure, save, styled
+from sphrom.plots.canvas import save
+from sphrom.plots.panels import Curve, Panel, draw_grid
 from sphrom.plots.tables import format_figure, write_csv
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-Array = NDArray[np.float64]
 
 UNITS = {"kinematic_viscosity": "m2/s", "reynolds": "-"}
 """Of estimates; others are as the case has them."""
@@ -39,8 +31,7 @@ SHOWN_DIGITS = 5
 MOST_SHOWN = 12
 """Histories in the terminal, and in the figure."""
 COLUMNS = 2
-BAND = 0.3
-"""How opaque intervals are."""
+"""Histories beside one another in the figure."""
 
 
 def run(
@@ -141,51 +132,22 @@ def _shown(estimate: Estimate) -> tuple[str, ...]:
 
 def draw(fit: Fit, path: Path) -> None:
     """Draw data, fit and intervals of every history."""
-    # One below the other: a figure of one history is narrow.
-    found = [
-        f"{each.parameter} {format_figure(each.value, 4)} "
-        f"({format_figure(each.low, 4)} to {format_figure(each.high, 4)})"
-        for each in fit.estimates
-    ]
-    title = "\n".join((f"{fit.model} fitted to {fit.measurements}, 95 % intervals", *found))
-    save(draw_fit(fit.histories, fit.time, title=title), path)
+    save(draw_fit(fit), path)
 
 
-def draw_fit(histories: Sequence[FittedHistory], time: Array, *, title: str) -> Figure:
-    """Return each measured history with the fitted one, and below it the residual over noise."""
-    shown = histories[:MOST_SHOWN]
-    columns = min(COLUMNS, len(shown))
-    rows = math.ceil(len(shown) / columns)
-    with styled():
-        figure = new_figure(5.2 * columns + 0.8, 3.1 * rows + 1.2)
-        grid = figure.subplots(
-            2 * rows, columns, squeeze=False, sharex="col", height_ratios=[3.0, 1.0] * rows
-        )
-        pairs = [pair for row in range(rows) for pair in grid[2 * row : 2 * row + 2].T]
-        for (upper, lower), each in zip(pairs, shown, strict=False):
-            _draw_history(upper, lower, time, each)
-        for axes in np.ravel(pairs[len(shown) :]):
-            axes.set_visible(False)
-        left_out = len(histories) - len(shown)
-        more = f"\n{left_out} more histories are not shown" if left_out else ""
-        figure.suptitle(title + more, fontsize=9.5)
-        legend_below(figure, grid[0, 0])
-        return figure
-
-
-def _draw_history(upper: Axes, lower: Axes, time: Array, each: FittedHistory) -> None:
-    upper.errorbar(
-        each.instant, each.measured, each.noise, fmt="o", color=COLOURS[1], markersize=3.0,
-        linewidth=0.8, label="measured, with the noise's standard deviation",
-    )  # fmt: skip
-    low, high = each.curve - each.half_width, each.curve + each.half_width
-    upper.fill_between(
-        time, low, high, color=COLOURS[0], alpha=BAND, linewidth=0.0, label="95 % interval"
-    )
-    upper.plot(time, each.curve, color=INK, linewidth=1.2, label="fitted model")
-    label_axes(upper, "", f"{each.name} [{each.units}]")
-    left = (each.measured - each.fitted) / each.noise
-    lower.plot(each.instant, left, "o", color=COLOURS[1], markersize=2.5)
-    lower.axhspan(-2.0, 2.0, color="#eeeeee", zorder=0)
-    lower.axhline(0.0, color=INK, linewidth=0.8)
-    label_axes(lower, "time [s]", "residual\nover noise")
+def draw_fit(fit: Fit) -> Figure:
+    """Return a panel for each measured history, with the fitted one and its 95 % interval."""
+    panels = []
+    for each in fit.histories[:MOST_SHOWN]:
+        ends = (each.curve - each.half_width, each.curve + each.half_width)
+        curves = [
+            Curve("measured", each.instant, each.measured),
+            Curve("fitted model", fit.time, each.curve, "full"),
+            Curve("95 % interval, low end", fit.time, ends[0], "level"),
+            Curve("high end", fit.time, ends[1], "level"),
+        ]
+        panels.append(Panel(each.name, "time [s]", f"[{each.units}]", curves))
+    rows = [panels[k : k + COLUMNS] for k in range(0, len(panels), COLUMNS)]
+    shown = f", {MOST_SHOWN} of {len(fit.histories)} histories"
+    more = shown if len(fit.histories) > MOST_SHOWN else ""
+    return draw_grid(rows, title=f"{fit.model} fitted to {fit.measurements}{more}")

@@ -1,8 +1,7 @@
 """Draws of independent parameters: their distributions, and statistics of outputs of many runs.
 
 A distribution is a name in scipy.stats with its arguments: its shape parameters, `loc` and `scale`.
-Draws are its quantile function at points of a unit cube, so that any design of such points can be
-had: sequences that fill the cube, or Saltelli's for Sobol indices.
+Draws are its quantile function at points of a unit cube.
 
 The truth y* of a run is known up to the model's error: |y* - y| <= e. With y_(k) the k-th of n
 sorted values, the p-quantile of the truth lies with a confidence of 95 % in
@@ -10,30 +9,24 @@ sorted values, the p-quantile of the truth lies with a confidence of 95 % in
     [ (y - e)_(l), (y + e)_(u) ],
 
 where l and u - 1 are the 2.5 % and 97.5 % quantiles of the binomial distribution of n draws with
-probability p. Such an interval holds for any distribution: order statistics enclose the quantile
-whatever the distribution is, and the quantile is monotonic in the values. Without e it is that of
-sampling alone. The mean and the standard deviation s lie in
+probability p, whatever the distribution of y is. Without e it is that of sampling alone. The mean
+and the standard deviation s lie by the central limit theorem in
 
     mean(y) +- (z s / sqrt(n) + mean(e)),    s +- (z sqrt((m4 - s^4) / n) / 2 s + sqrt(mean(e^2))),
 
-z = 1.96 and m4 the fourth moment about the mean, by the central limit theorem; the deviation is a
-seminorm, so that it changes by no more than the root mean square of the error.
+z = 1.96 and m4 the fourth moment about the mean. Intervals are for independent draws: of draws
+that fill a box, as Sobol's, they are too wide.
 
-Errors that are estimates and no bounds make intervals that are no better than the estimates.
-Intervals are for independent draws: of draws that fill a box, as Sobol's, they are too wide.
-
-Sobol indices tell which share of an output's variance a parameter causes. Of an output y of
-independent parameters the index of first order of parameter i is the variance of the mean of y
-given x_i, over that of y: what x_i causes alone. The total one is the mean of the
-variance given all parameters but x_i, over that of y: what x_i has any part in. In Saltelli's
-design (2010) two samples A and B of n points are mixed: in AB_i, column i of A is that of B. Then
+A Sobol index is the share of an output's variance that a parameter causes alone (first order), or
+has any part in (total). In Saltelli's design (2010) two samples A and B of n points are mixed: in
+AB_i, column i of A is that of B. Then
 
     V = var(y_A, y_B),  S_i = mean(y_B (y_ABi - y_A)) / V,  T_i = mean((y_A - y_ABi)^2) / 2 V,
 
-with the mean of y_A and y_B taken out of all. It takes n (d + 2) runs for d parameters.
-`scipy.stats.sobol_indices` computes the indices. Intervals are those of a bootstrap: the same sums
-over n points that are drawn anew from the n, with replacement, between whose percentiles the index
-lies. Scipy's own takes memory that grows with the square of n; a resample here is a row of counts.
+with the mean of y_A and y_B taken out of all, from n (d + 2) runs for d parameters, computed by
+`scipy.stats.sobol_indices`. Intervals are those of a bootstrap: percentiles of the same sums over n
+points that are drawn anew from the n. Scipy's own takes memory that grows with the square of n; a
+resample here is a row of counts.
 """
 
 from __future__ import annotations

@@ -246,7 +246,8 @@ def uncertainty(derivatives: Array, weights: Weights) -> Uncertainty:
     _, eigenvalues, directions = _inverse(weighted.T @ weighted)
     gain = weights.gain(derivatives)
     noise = (gain * weights.deviation**2) @ gain.T
-    noise += _unknown(eigenvalues, directions)
+    # Of what no data tell, the width of the box is left.
+    noise += (directions.T * np.maximum(0.0, 1.0 - eigenvalues)) @ directions
     biases = np.array(
         [weights.without(k).gain(derivatives) @ weights.samples[k] for k in range(n_samples)]
     ).reshape(n_samples, derivatives.shape[1])
@@ -269,12 +270,6 @@ def undetermined_shares(found: Sequence[Minimum], weights: Weights) -> Array:
     likelihood = np.exp([0.5 * (found[0].chi_square - each.chi_square) for each in found])
     shares = [np.diag(uncertainty(each.derivatives, weights).undetermined) for each in found]
     return np.asarray(np.average(shares, axis=0, weights=likelihood))
-
-
-def _unknown(eigenvalues: Array, directions: Array) -> Array:
-    """Return the covariance of what no data tell, up to the width of the box."""
-    lacking = np.maximum(0.0, 1.0 - eigenvalues)
-    return np.asarray((directions.T * lacking) @ directions)
 
 
 def _half_width(known: Array, sampled: Array, n_samples: int) -> Array:

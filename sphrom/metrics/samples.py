@@ -99,32 +99,18 @@ class Samples:
 
 
 def midpoints(lower: float, upper: float, n_points: int) -> Array:
-    """Return the middles (n_points,) [m] of equal intervals between two bounds.
-
-    Raises ValueError when there is no point or no interval.
-    """
-    if n_points < 1 or not upper > lower:
-        raise ValueError(f"no {n_points} points fit between {lower} and {upper}")
+    """Return the middles (n_points,) [m] of equal intervals between two bounds."""
     return lower + (np.arange(n_points) + 0.5) * (upper - lower) / n_points
 
 
 def spread(spans: Sequence[tuple[float, float]], n_points: int) -> Array:
-    """Return points (n_points,) [m], evenly spread over intervals that follow one another.
-
-    Raises ValueError when there is no point or no interval.
-    """
+    """Return points (n_points,) [m], evenly spread over intervals that follow one another."""
     starts = np.array([low for low, _ in spans])
     lengths = np.array([high - low for low, high in spans])
     ends = np.cumsum(lengths)
-    along = midpoints(0.0, float(ends[-1]) if spans else 0.0, n_points)
+    along = midpoints(0.0, float(ends[-1]), n_points)
     piece = np.minimum(np.searchsorted(ends, along), len(spans) - 1)
     return np.asarray(starts[piece] + (along - (ends - lengths)[piece]))
-
-
-def vertical_line(x: float, spans: Sequence[tuple[float, float]], n_points: int) -> Array:
-    """Return points (n_points, 2) [m] on the parts of a vertical line, from below."""
-    y = spread(spans, n_points)
-    return np.stack((np.full(n_points, float(x)), y), axis=1)
 
 
 def grid_points(
@@ -134,7 +120,6 @@ def grid_points(
 
     A field there takes its picture's form by `reshape(shape)`, with shape (ny, nx).
     """
-    y = midpoints(lower[1], upper[1], shape[0])
-    x = midpoints(lower[0], upper[0], shape[1])
+    x, y = (midpoints(lower[i], upper[i], shape[1 - i]) for i in (0, 1))
     columns, rows = np.meshgrid(x, y)
     return np.stack((columns.ravel(), rows.ravel()), axis=1)

@@ -1,4 +1,4 @@
-"""Series over time: averages, fits of an order, a rate or a frequency; a run's flow."""
+"""Series over time: averages, fits of a rate or a frequency; a run's flow."""
 
 from __future__ import annotations
 
@@ -46,20 +46,15 @@ def kinetic_energy(velocity: Array, mass: Array | float) -> Array:
     return 0.5 * np.sum(mass * np.sum(velocity**2, axis=-1), axis=-1)
 
 
-def order_of_convergence(spacing: Array, error: Array) -> float:
-    """Return the slope of log(error) over log(spacing), by least squares.
-
-    Raises ValueError for fewer than two different spacings or values that are not positive.
-    """
-    return _slope(_logarithm(spacing, "spacing"), _logarithm(error, "error"))
-
-
 def exponential_rate(time: Array, value: Array) -> float:
     """Return the slope of log(value) over time [1/s], by least squares: negative for a decay.
 
     Raises ValueError for fewer than two different times or values that are not positive.
     """
-    return _slope(np.asarray(time, dtype=float), _logarithm(value, "value"))
+    value = np.asarray(value, dtype=float)
+    if not np.all(np.isfinite(value) & (value > 0.0)):
+        raise ValueError("a rate needs values that are positive and finite")
+    return _slope(np.asarray(time, dtype=float), np.log(value))
 
 
 def dominant_frequency(time: Array, signal: Array) -> float:
@@ -75,7 +70,8 @@ def dominant_frequency(time: Array, signal: Array) -> float:
     interval = _interval(time, signal)
     window = np.hanning(len(signal) + 2)[1:-1]
     n_padded = ZERO_PADDING * len(signal)
-    amplitude = np.abs(np.fft.rfft(_without_trend(time, signal) * window, n_padded))
+    trend = _slope(time, signal) * (time - time.mean())
+    amplitude = np.abs(np.fft.rfft((signal - signal.mean() - trend) * window, n_padded))
     frequency = np.fft.rfftfreq(n_padded, interval)
     slowest = FEWEST_PERIODS / (interval * len(signal))
     first = max(1, int(np.searchsorted(frequency, slowest)))
@@ -88,62 +84,16 @@ def dominant_frequency(time: Array, signal: Array) -> float:
     return float((peak + offset) / (n_padded * interval))
 
 
-def phase_lead(time: Array, signal: Array, reference: Array, frequency: float) -> Array:
-    """Return by how many periods a signal is ahead of a reference, at windows of one period.
-
-    Both are (n_samples,) and oscillate at a frequency [Hz]; a sine is fitted to each in the window
-    that begins at each sample and has all of its samples. Leads are (n_windows,), continuous over
-    time, and the first is between -0.5 and 0.5.
-
-    Raises ValueError for times that aren't evenly spaced, values that aren't finite, and a record
-    shorter than a period.
-    """
-    interval = max(_interval(time, signal), _interval(time, reference))
-    n_window = round(1.0 / (frequency * interval))
-    if not FEWEST_SAMPLES <= n_window <= len(time):
-        raise ValueError("a phase needs a period or more, of 8 samples or more")
-    angle = 2.0 * np.pi * frequency * (time - time[0])
-    phases = [_phases(values, angle, n_window) for values in (signal, reference)]
-    lead = np.unwrap(phases[0] - phases[1]) / (2.0 * np.pi)
-    return np.asarray(lead - np.round(lead[0]))
-
-
-def _phases(values: Array, angle: Array, n_window: int) -> Array:
-    """Return the phases of sines that are fitted to the windows of a record, ahead positive."""
-    phases = []
-    for first in range(len(values) - n_window + 1):
-        window = slice(first, first + n_window)
-        waves = np.stack((np.cos(angle[window]), np.sin(angle[window]), np.ones(n_window)), axis=1)
-        cosine, sine, _ = np.linalg.lstsq(waves, values[window], rcond=None)[0]
-        phases.append(np.arctan2(-sine, cosine))
-    return np.array(phases)
-
-
 def _interval(time: Array, signal: Array) -> float:
     """Return the interval between the samples of a record [s]."""
     if time.shape != signal.shape or len(time) < FEWEST_SAMPLES:
         raise ValueError(f"a spectrum needs {FEWEST_SAMPLES} samples or more, and as many times")
-    if not np.all(np.isfinite(signal)):
-        raise ValueError("a signal with values that are not finite has no spectrum")
     intervals = np.diff(time)
     mean = float(intervals.mean())
-    if not (mean > 0.0 and np.allclose(intervals, mean, rtol=UNIFORM_TOLERANCE, atol=0.0)):
-        raise ValueError("a spectrum needs samples at equal intervals")
+    even = mean > 0.0 and np.allclose(intervals, mean, rtol=UNIFORM_TOLERANCE, atol=0.0)
+    if not (even and np.all(np.isfinite(signal))):
+        raise ValueError("a spectrum needs finite samples at equal intervals")
     return mean
-
-
-def _without_trend(time: Array, signal: Array) -> Array:
-    """Return a signal less the straight line that fits it best."""
-    centred = time - time.mean()
-    fluctuation = signal - signal.mean()
-    return np.asarray(fluctuation - _slope(time, signal) * centred)
-
-
-def _logarithm(values: Array, name: str) -> Array:
-    values = np.asarray(values, dtype=float)
-    if not np.all(np.isfinite(values) & (values > 0.0)):
-        raise ValueError(f"a logarithmic fit needs every {name} positive and finite")
-    return np.log(values)
 
 
 def _slope(abscissa: Array, ordinate: Array) -> float:

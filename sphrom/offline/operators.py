@@ -1,47 +1,80 @@
-"""Stage `operators`: right-hand sides on the reference points, projected once (Eq. 3.21-3.22)."""
+"""Stage `operators`: right-hand sides on the reference points, projected once (Eq. 3.21-3.22).
+
+Beside the operators it stores the data of error estimates, with which no run needs the points: the
+factor of the residual, and products of some training snapshots with the basis, from which the
+errors of reduced training runs follow. Training runs that are held out also choose how many modes
+to have, and how many of them to integrate.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts import ArtifactWriter, write_record
-from sphrom.artifacts.records.reduced_models import BasisOperators, HeldOut, WallForce
+from sphrom.artifacts import Artifact, ArtifactWriter, write_record
+from sphrom.artifacts.records.reduced_models import BasisOperators, Estimate, HeldOut, WallForce
+from sphrom.case.plan import MAX_STEPS
 from sphrom.case.sections import AUTO
-from sphrom.offline.training_data import held_out, residual_and_estimate
+from sphrom.errors import CaseError
 from sphrom.plots.tables import format_figure
-from sphrom.reduction.held_out import best_size
+from sphrom.reduction import reference_model
+from sphrom.reduction.decomposition import N_FIELD_VALUES
+from sphrom.reduction.error_calibration import compared_snapshots
+from sphrom.reduction.held_out import (
+    TrainedSizes,
+    UnheldShares,
+    best_size,
+    choose_integrated,
+    held_out_errors,
+    snapshot_products,
+    unheld_shares,
+)
 from sphrom.reduction.memory_operators import project_memory_operators
-from sphrom.reduction.mode_splines import ModeSplines, first_modes
-from sphrom.reduction.operator_projection import project_forces, project_operators
+from sphrom.reduction.mode_fields import BLOCK_VALUES, FieldProjections, blocks, mode_fields
+from sphrom.reduction.mode_splines import first_modes
+from sphrom.reduction.operator_projection import project_forces, project_operators, residual_factor
 from sphrom.reduction.polynomial_model import step_limit
 from sphrom.reduction.reduced_measures import project_measures
-from sphrom.reduction.reduced_operators import MemoryOperators, ReducedOperators
+from sphrom.reduction.reduced_operators import MemoryOperators, ResidualFactor
 from sphrom.reduction.reduced_rates import spectrum
+from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.trial_basis import (
-    TrialBasis,
+    kept_modes,
     mean_density_fluctuation,
     project,
     truncate,
 )
 from sphrom.setup import particles
+from sphrom.setup.assembly import amplitude_of, output_times_of, places_of
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import require_room
 from sphrom.setup.particles import MeasuredFields
 from sphrom.sph.fixed_points import FixedPoints
-from sphrom.store.bases import mapped_runs, read_basis, read_points, read_splines
-from sphrom.store.measured_quantities import read_forces
+from sphrom.store.reduced_models import (
+    calibrated,
+    mapped_runs,
+    memory_timing,
+    read_basis,
+    read_points,
+    read_splines,
+    training_runs,
+)
 from sphrom.store.starts import starts_record
-from sphrom.store.trained_operators import memory_timing, training_runs
+from sphrom.store.trajectory import read_forces
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
 
 N_STATES = 10
 """Training snapshots of a run, about, around which the step limit is looked at."""
+N_AT_ONCE = 10
+"""Snapshots that are read at once."""
+LEAST_SNAPSHOTS = 3
+"""Of training runs that models can be calibrated with."""
 
 
 def run(context: StageContext) -> None:
@@ -59,156 +92,267 @@ def run(context: StageContext) -> None:
     with workspace.create(target, {"walls_driven": int(points.walls_driven)}) as artifact:
         started = time.perf_counter()
         for name in names:
-            _project(workspace, artifact, points, name)
+            projection = _Projection(workspace, points, name)
+            write_record(artifact, projection.stored(artifact), f"bases/{name}")
         write_record(artifact, starts_record(workspace), "starts")
         artifact.annotate("timing/projection", time.perf_counter() - started)
 
 
-def _project(
-    workspace: Workspace, artifact: ArtifactWriter, points: FixedPoints, name: str
-) -> None:
-    case = workspace.case
-    basis = read_basis(workspace, name)
-    splines = read_splines(workspace, name)
-    with workspace.context.report.progress(f"operators, basis {name}", points.n_points) as advance:
-        operators = project_operators(points, basis, splines, advance=advance)
-    sizes = [n_modes for used, n_modes in case.plan.memory_models if used == name]
-    fields = MeasuredFields.of(case)
-    closures = _project_memory(workspace, artifact, points, name, basis, splines, sizes)
-    states = _training_states(workspace, basis, name)
-    taught = training_runs(workspace, basis, name) if name in case.plan.taught_bases else None
-    residual, estimate = residual_and_estimate(
-        workspace, points, name, basis, splines, operators, states
-    )
-    chosen = held_out(workspace, name, basis, operators, states, taught, estimate)
-    stored = BasisOperators(
-        rates=operators,
-        states=states,
-        training_runs=taught,
-        residual=residual,
-        estimate=estimate,
-        held_out=chosen,
-        memory=closures,
-        training_means=_training_means(workspace, basis, name),
-        wall_force=_wall_forces(workspace, points, basis, name),
-        measure={}
-        if fields is None
-        else project_measures(basis, lambda *state: fields(points.position, *state)),
-        skewness=operators.skewness,
-    )
-    write_record(artifact, stored, f"bases/{name}")
-    _report(workspace, name, operators, states)
-    if chosen is not None:
-        _report_choice(workspace, name, chosen)
+class _Projection:
+    """The projection onto one basis, and what its training runs tell of models."""
 
+    def __init__(self, workspace: Workspace, points: FixedPoints, name: str) -> None:
+        self.workspace, self.points, self.name = workspace, points, name
+        self.case, self.report = workspace.case, workspace.context.report
+        self.trained = self.case.plan.bases[name]
+        self.basis, self.splines = read_basis(workspace, name), read_splines(workspace, name)
+        with self.report.progress(f"operators, basis {name}", points.n_points) as advance:
+            self.operators = project_operators(points, self.basis, self.splines, advance=advance)
+        self.compared = compared_snapshots(self.case.plan.steps.n_snapshots)
 
-def _wall_forces(
-    workspace: Workspace, points: FixedPoints, basis: TrialBasis, name: str
-) -> dict[str, WallForce]:
-    """Project the forces that a case measures, beside those that training runs recorded."""
-    case = workspace.case
-    walls = particles.driven_measured_walls(case)
-    loads: dict[str, list[Array]] = {measured: [] for measured in walls}
-    for point in case.plan.bases[name] if walls else ():
-        with workspace.open(workspace.full_run(point)) as run:
-            for measured, recorded in loads.items():
-                recorded.append(read_forces(run, measured))
-    found = {}
-    for measured, (wall, circulations) in walls.items():
-        force = project_forces(points, basis, wall, circulations)
-        found[measured] = WallForce(**vars(force), training_loads=np.stack(loads[measured]))
-    return found
-
-
-def _training_means(workspace: Workspace, basis: TrialBasis, name: str) -> Array | None:
-    """Return means (n_runs, n_snapshots) of mapped densities, where forces are calibrated."""
-    if not workspace.case.scene.measured_walls:
-        return None
-    runs = mapped_runs(workspace, name)
-    return np.stack([mean_density_fluctuation(basis, density[...]) for _, density, _ in runs])
-
-
-def _project_memory(
-    workspace: Workspace,
-    artifact: ArtifactWriter,
-    points: FixedPoints,
-    name: str,
-    basis: TrialBasis,
-    splines: ModeSplines,
-    sizes: Sequence[int],
-) -> dict[str, MemoryOperators]:
-    """Project the closure's term, for every number of modes that a model with it has."""
-    case, found = workspace.case, dict[str, MemoryOperators]()
-    if not sizes:
+    def stored(self, artifact: ArtifactWriter) -> BasisOperators:
+        """Project everything, report it, and return what is stored; times go to the artifact."""
+        closures = self._closures(artifact)
+        # Around them steps have to be stable.
+        self.states = self._training_states()
+        taught = None
+        if self.name in self.case.plan.taught_bases:
+            taught = training_runs(self.workspace, self.basis, self.name)
+        residual, estimate = self._error_data()
+        chosen = self._held_out(taught, estimate)
+        fields, basis = MeasuredFields.of(self.case), self.basis
+        found = BasisOperators(
+            rates=self.operators,
+            states=self.states,
+            training_runs=taught,
+            residual=residual,
+            estimate=estimate,
+            held_out=chosen,
+            memory=closures,
+            training_means=self._training_means(),
+            wall_force=self._wall_forces(),
+            measure={}
+            if fields is None
+            else project_measures(basis, lambda *state: fields(self.points.position, *state)),
+            skewness=self.operators.skewness,
+        )
+        self._report_operators()
+        if chosen is not None:
+            self._report_choice(chosen)
         return found
-    text = f"memory operators, basis {name}"
-    with workspace.context.report.progress(text, len(sizes)) as advance:
-        for n_modes in sizes:
-            started = time.perf_counter()
-            found[str(n_modes)] = project_memory_operators(
-                points,
-                truncate(basis, n_modes),
-                first_modes(splines, basis, n_modes),
-                largest_viscosity=case.plan.largest_viscosity,
+
+    def _closures(self, artifact: ArtifactWriter) -> dict[str, MemoryOperators]:
+        """Project the closure's term, for every number of modes that a model with it has."""
+        sizes = [n_modes for used, n_modes in self.case.plan.memory_models if used == self.name]
+        found: dict[str, MemoryOperators] = {}
+        if not sizes:
+            return found
+        with self.report.progress(f"memory operators, basis {self.name}", len(sizes)) as advance:
+            for n_modes in sizes:
+                started = time.perf_counter()
+                found[str(n_modes)] = project_memory_operators(
+                    self.points,
+                    truncate(self.basis, n_modes),
+                    first_modes(self.splines, self.basis, n_modes),
+                    largest_viscosity=self.case.plan.largest_viscosity,
+                )
+                taken = time.perf_counter() - started
+                artifact.annotate(memory_timing(self.name, n_modes), taken)
+                advance(1)
+        return found
+
+    def _training_states(self) -> Array:
+        """Return coordinates (n_states, n_modes) of some training snapshots."""
+        states = []
+        for _, densities, velocities in mapped_runs(self.workspace, self.name):
+            every = max(1, (len(densities) - 1) // N_STATES)
+            states.append(project(self.basis, densities[::every], velocities[::every]))
+        return np.concatenate(states)
+
+    def _wall_forces(self) -> dict[str, WallForce]:
+        """Project the forces that a case measures, beside those that training runs recorded."""
+        walls = particles.driven_measured_walls(self.case)
+        loads: dict[str, list[Array]] = {measured: [] for measured in walls}
+        for point in self.trained if walls else ():
+            with self.workspace.open(self.workspace.full_run(point)) as run:
+                for measured, recorded in loads.items():
+                    recorded.append(read_forces(run, measured))
+        found = {}
+        for measured, (wall, circulations) in walls.items():
+            force = project_forces(self.points, self.basis, wall, circulations)
+            found[measured] = WallForce(**vars(force), training_loads=np.stack(loads[measured]))
+        return found
+
+    def _training_means(self) -> Array | None:
+        """Return means (n_runs, n_snapshots) of mapped densities, where forces are calibrated."""
+        if not self.case.scene.measured_walls:
+            return None
+        densities = (density[...] for _, density, _ in mapped_runs(self.workspace, self.name))
+        return np.stack([mean_density_fluctuation(self.basis, density) for density in densities])
+
+    def _error_data(self) -> tuple[ResidualFactor | None, Estimate | None]:
+        """Return the data for error estimates of models with the basis, if the case has any."""
+        plan, name = self.case.plan, self.name
+        if not plan.has_error_estimate(name):
+            return None, None
+        # How large the factors of the parameters are, by part.
+        scales = {"viscosity": plan.largest_viscosity, "walls": plan.largest_viscosity}
+        for parameter in plan.parameter_names[1:]:
+            largest = max(abs(point.factors[parameter]) for point in plan.train_points) or 1.0
+            scales[f"walls/{parameter}"] = plan.largest_viscosity * largest
+            scales[f"force/{parameter}"] = largest
+        with self.report.progress(f"residual, basis {name}", self.points.n_points) as advance:
+            factor = residual_factor(
+                self.points,
+                self.basis,
+                self.operators,
+                self.splines,
+                largest=np.max(np.abs(self.states), axis=0),
+                scales=scales,
+                advance=advance,
             )
-            artifact.annotate(memory_timing(name, n_modes), time.perf_counter() - started)
-            advance(1)
-    return found
+        return factor, self._estimate()
 
-
-def _training_states(workspace: Workspace, basis: TrialBasis, name: str) -> Array:
-    """Return coordinates (n_states, n_modes) of some training snapshots."""
-    states = []
-    for _, densities, velocities in mapped_runs(workspace, name):
-        every = max(1, (len(densities) - 1) // N_STATES)
-        states.append(project(basis, densities[::every], velocities[::every]))
-    return np.concatenate(states)
-
-
-def _report(workspace: Workspace, name: str, operators: ReducedOperators, states: Array) -> None:
-    """Report the growth of sound in the operators, and the limit of steps."""
-    case = workspace.case
-    rows = []
-    for point in case.plan.bases[name]:
-        viscosity = case.plan.kinematic_viscosity(point)
-        polynomial = operators.at(viscosity, factors=point.factors)
-        at_rest = spectrum(polynomial.at_rest())
-        limit = step_limit(polynomial, states)
-        rows.append(
-            (
-                point.label,
-                f"{at_rest.largest_real_part:.3g}",
-                f"{at_rest.radius:.3g}",
-                f"{limit:.3g}",
-            )
+    def _estimate(self) -> Estimate:
+        """Return products of training snapshots with the basis, and where their runs start."""
+        projections_of = FieldProjections(self.basis, mode_fields(self.basis, self.points))
+        starts, projections, squares = [], [], []
+        for _, densities, velocities in mapped_runs(self.workspace, self.name):
+            starts.append(project(self.basis, densities[0], velocities[0]))
+            found = []
+            for first in range(0, len(self.compared), N_AT_ONCE):
+                some = self.compared[first : first + N_AT_ONCE]
+                density, velocity = (
+                    np.stack([field[int(k)] for k in some]) for field in (densities, velocities)
+                )
+                scaled = self.points.density_scale * density
+                found.append(projections_of.products(scaled, velocity))
+            projections.append(np.concatenate([p for p, _ in found]))
+            squares.append(np.concatenate([s for _, s in found]))
+        return Estimate(
+            unheld=self._unheld(),
+            start=np.stack(starts),
+            gram=projections_of.gram,
+            projections=np.stack(projections),
+            squares=np.stack(squares),
         )
-    workspace.context.report.table(
-        f"operators of basis {name}, {operators.n_modes} modes: acoustic part skew to "
-        f"{operators.skewness:.1e}",
-        ("parameters", "largest real part [1/s]", "spectral radius [1/s]", "step limit [s]"),
-        rows,
-    )
 
+    def _unheld(self) -> UnheldShares:
+        """Return the shares of unseen training snapshots that bases cannot represent."""
+        n_snapshots, scale = len(self.trained) * len(self.compared), self.points.density_scale
 
-def _report_choice(workspace: Workspace, name: str, chosen: HeldOut) -> None:
-    """Say how many modes models have, and integrate, that leave it to the training runs."""
-    case, told = workspace.case, workspace.context.report
-    size = 0 if chosen.error is None else best_size(chosen.error)
-    if chosen.error is not None:
-        velocity, pressure = 100.0 * chosen.error[size - 1]
-        told.info(
-            f"basis {name}: {size} modes of {len(chosen.error)} predict training runs held out "
-            f"best, velocity to {format_figure(velocity)} % and pressure to "
-            f"{format_figure(pressure)} %"
-        )
-    for model in case.rom:
-        is_chosen = model.n_modes == AUTO and chosen.error is not None
-        n_modes = size if is_chosen else model.size
-        chosen_here = model.integrated_modes == AUTO and model.is_calibrated
-        used = name in {case.plan.basis_for(model, point) for point in case.plan.rom_points(model)}
-        n_integrated = int(chosen.integrated[n_modes - 1])
-        if used and chosen_here and case.plan.is_corrected(model, name) and n_integrated < n_modes:
-            told.info(
-                f"{model.name}, basis {name}: integrates {n_integrated} of {n_modes} modes; "
-                "training runs predict the others"
+        def read(runs: list[Artifact]) -> Iterator[tuple[slice, Array, Array]]:
+            for rows in blocks(
+                self.points.n_points, BLOCK_VALUES // (N_FIELD_VALUES * n_snapshots)
+            ):
+                density, velocity = (
+                    np.stack([r.dataset(field)[int(k), rows] for r in runs for k in self.compared])
+                    for field in ("density_fluctuation", "velocity")
+                )
+                yield rows, density, velocity
+
+        with ExitStack() as stack:
+            mapped = map(self.workspace.mapped, self.trained)
+            runs = [stack.enter_context(self.workspace.open(target)) for target in mapped]
+            products = snapshot_products(self.basis, n_snapshots, scale, read(runs))
+        return unheld_shares(products, places_of(self.case, self.trained), self.basis.n_modes)
+
+    def _held_out(self, runs: Array | None, estimate: Estimate | None) -> HeldOut | None:
+        """Return what training runs choose for calibrated models with the basis.
+
+        They are projected (n_runs, n_snapshots, n_modes), if they are kept. None where nothing is
+        known of their errors, or they are too short to calibrate with.
+
+        Raises CaseError when a model needs it all the same.
+        """
+        asked = self.name in self.case.plan.sized_bases
+        if runs is None or estimate is None or runs.shape[1] < LEAST_SNAPSHOTS:
+            if asked:
+                raise CaseError(
+                    f"rom.n_modes: auto needs training runs of {LEAST_SNAPSHOTS} snapshots or "
+                    "more; see snapshots.every"
+                )
+            return None
+        places = places_of(self.case, self.trained)
+        sizes = TrainedSizes(places, runs, products=estimate, compared=self.compared)
+        integrated, every = np.arange(1, sizes.largest + 1), range(len(self.trained))
+        if len(self.trained) > 1:
+            repeated = [self._repeated(runs, int(n), every) for n in integrated]
+            integrated = choose_integrated(sizes, repeated)
+        error = None
+        if asked:
+            # Calibrated on all other runs; on itself where there is one.
+            learnt = [[other for other in every if other != run] or [run] for run in every]
+            errors = [
+                held_out_errors(
+                    sizes, n_modes, [self._repeated(runs, int(n), some) for some in learnt]
+                )
+                for n_modes, n in enumerate(integrated, 1)
+            ]
+            error = np.stack(errors)
+        return HeldOut(integrated=integrated, error=error)
+
+    def _repeated(self, runs: Array, n_modes: int, learnt: Sequence[int]) -> Array:
+        """Return training runs (n_runs, n_snapshots, n_modes) by a model calibrated on some.
+
+        NaN where they aren't stable.
+        """
+        case, modes = self.case, kept_modes(self.basis, n_modes)
+        operators, runs = self.operators.of_modes(modes), runs[..., modes]
+        points = [self.trained[k] for k in learnt]
+        calibration = calibrated(case, points, operators, runs[list(learnt)])
+        basis, states = truncate(self.basis, n_modes), self.states[:, modes]
+        found = []
+        for point, own in zip(self.trained, runs, strict=True):
+            around = case.plan.kinematic_viscosity(point), point.factors
+            model = ReferenceModel(
+                polynomial=operators.at(*around).plus(calibration.at(*around)),
+                basis=basis,
+                start=own[0],
+                output_times=output_times_of(case, case.plan.steps, basis),
+                amplitude=amplitude_of(case, point),
             )
+            (model,) = reference_model.with_limits([model], states)
+            if model.output_times.duration > MAX_STEPS * model.step_limit:
+                found.append(np.full_like(own, np.nan))
+            else:
+                found.append(reference_model.automatic(model).run().coordinates)
+        return np.stack(found)
+
+    def _report_operators(self) -> None:
+        """Report the growth of sound in the operators, and the limit of steps."""
+        rows = []
+        for point in self.trained:
+            viscosity = self.case.plan.kinematic_viscosity(point)
+            polynomial = self.operators.at(viscosity, point.factors)
+            at_rest = spectrum(polynomial.at_rest())
+            limit = step_limit(polynomial, self.states)
+            figures = at_rest.largest_real_part, at_rest.radius, limit
+            rows.append((point.label, *(f"{figure:.3g}" for figure in figures)))
+        self.report.table(
+            f"operators of basis {self.name}, {self.operators.n_modes} modes: acoustic part skew "
+            f"to {self.operators.skewness:.1e}",
+            ("parameters", "largest real part [1/s]", "spectral radius [1/s]", "step limit [s]"),
+            rows,
+        )
+
+    def _report_choice(self, chosen: HeldOut) -> None:
+        """Say how many modes models have, and integrate, that leave it to the training runs."""
+        plan, name, size = self.case.plan, self.name, 0
+        if chosen.error is not None:
+            size = best_size(chosen.error)
+            velocity, pressure = (format_figure(100.0 * e) for e in chosen.error[size - 1])
+            self.report.info(
+                f"basis {name}: {size} modes of {len(chosen.error)} predict training runs held "
+                f"out best, velocity to {velocity} % and pressure to {pressure} %"
+            )
+        for model in self.case.rom:
+            n_modes = size if model.n_modes == AUTO and size else model.size
+            chosen_here = model.integrated_modes == AUTO and model.is_calibrated
+            used = name in {plan.basis_for(model, point) for point in plan.rom_points(model)}
+            n_integrated = int(chosen.integrated[n_modes - 1])
+            if used and chosen_here and plan.is_corrected(model, name) and n_integrated < n_modes:
+                self.report.info(
+                    f"{model.name}, basis {name}: integrates {n_integrated} of {n_modes} modes; "
+                    "training runs predict the others"
+                )

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,18 +40,21 @@ from sphrom.reduction.trial_basis import (
     truncate,
 )
 from sphrom.setup.assembly import amplitude_of, drives, memory_length_of, output_times_of, places_of
-from sphrom.store.bases import read_basis
-from sphrom.store.measured_quantities import totals
-from sphrom.store.starts import Fields
-from sphrom.store.trained_operators import (
+from sphrom.store.reduced_models import (
     calibrated,
+    read_basis,
     read_force_records,
     read_measure,
     read_operators,
     read_wall_force,
     sized_in,
 )
+from sphrom.store.starts import Fields
+from sphrom.store.trajectory import totals
 from sphrom.store.workspace import Workspace
+
+if TYPE_CHECKING:
+    from sphrom.reduction.mode_splines import ModeSplines
 
 Array = NDArray[np.float64]
 Start = Callable[[ParameterPoint], Fields]
@@ -135,6 +139,13 @@ class BasisModel:
         change = {"n_modes": self.n_integrated, "corrected": False}
         section = self.section.model_copy(update=change)
         return BasisModel(self.workspace, section, self.name, self._start)
+
+    @cached_property
+    def splines(self) -> ModeSplines:
+        """The splines of the model's modes."""
+        from sphrom.store.reduced_models import read_modes  # they load their kernels
+
+        return read_modes(self.workspace, self.name, self.section.size)[1]
 
     @cached_property
     def trained_errors(self) -> TrainedErrors | None:

@@ -9,7 +9,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +22,8 @@ from sphrom.online.basis_model import BasisModel, quantities_of
 from sphrom.online.error_estimates import Estimate, estimate
 from sphrom.reduction.polynomial_model import Run
 from sphrom.reduction.reference_model import Integrator, ReferenceModel
-from sphrom.store.starts import Fields, MappedStarts
+from sphrom.store.starts import MappedStarts
 from sphrom.store.workspace import Workspace
-
-if TYPE_CHECKING:
-    from sphrom.reduction.mode_splines import ModeSplines
 
 Array = NDArray[np.float64]
 
@@ -45,7 +41,6 @@ class FastModel:
         self.workspace, self.section = workspace, section
         self._on_basis: dict[str, BasisModel] = {}
         self._prepared: dict[ParameterPoint, ReferenceModel] = {}
-        self._splines: dict[str, ModeSplines] = {}
 
     def basis_at(self, point: ParameterPoint) -> str:
         """Return the name of the model's basis at a parameter point."""
@@ -54,15 +49,13 @@ class FastModel:
     def on_basis(self, name: str) -> BasisModel:
         """Return the model with one of its bases."""
         if name not in self._on_basis:
-            self._on_basis[name] = BasisModel(self.workspace, self.section, name, self._start)
+            start = self._starts.at
+            self._on_basis[name] = BasisModel(self.workspace, self.section, name, start)
         return self._on_basis[name]
 
     def at_point(self, point: ParameterPoint) -> BasisModel:
         """Return the model with its basis at a parameter point."""
         return self.on_basis(self.basis_at(point))
-
-    def _start(self, point: ParameterPoint) -> Fields:
-        return self._starts.at(point)
 
     @cached_property
     def _starts(self) -> MappedStarts:
@@ -100,31 +93,17 @@ class FastModel:
             found = self.on_basis(name).projected(those)
             self._prepared |= dict(zip(those, found, strict=True))
 
-    def splines(self, point: ParameterPoint) -> ModeSplines:
-        """Return the splines of the modes at a parameter point."""
-        # They load their kernels.
-        from sphrom.store.bases import read_model_splines
-
-        name = self.basis_at(point)
-        if name not in self._splines:
-            size = self.on_basis(name).section.size
-            self._splines[name] = read_model_splines(self.workspace, name, size)
-        return self._splines[name]
-
     def sampled(
-        self,
-        point: ParameterPoint,
-        probes: Probes,
-        time: Array,
-        coordinates: Array,
-        mean_density_fluctuation: float,
+        self, point: ParameterPoint, probes: Probes, time: Array, coordinates: Array, mean: float
     ) -> Samples:
-        """Return velocity and pressure at probes of coordinates (n_snapshots, n_modes)."""
+        """Return velocity and pressure at probes of coordinates (n_snapshots, n_modes).
+
+        `mean` is the density fluctuation that is carried apart [kg/m3].
+        """
         from sphrom.store.sampling import expand
 
-        case, basis, splines = self.workspace.case, self.at_point(point).basis, self.splines(point)
-        means = np.full(len(time), mean_density_fluctuation)
-        return expand(case, basis, splines, probes.all, time, coordinates, means)
+        case, model, means = self.workspace.case, self.at_point(point), np.full(len(time), mean)
+        return expand(case, model.basis, model.splines, probes.all, time, coordinates, means)
 
 
 @dataclass(frozen=True)

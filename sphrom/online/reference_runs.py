@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import ArtifactWriter, write_record
-from sphrom.artifacts.records.coordinates import Converged, Probes, Steady, SteadyMeasured
+from sphrom.artifacts.records.coordinates import Converged, Steady, SteadyMeasured
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.console import Reporter
@@ -32,15 +32,15 @@ from sphrom.online.error_estimates import (
 )
 from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.plots.tables import format_figure
-from sphrom.reduction.polynomial_model import EXPONENTIAL, SteadyState, steady_state
+from sphrom.reduction.polynomial_model import EXPONENTIAL, steady_state
 from sphrom.reduction.reduced_rates import Polynomial, spectrum
 from sphrom.reduction.reference_model import Integrator
 from sphrom.reduction.trial_basis import reconstruct
 from sphrom.setup import assembly
 from sphrom.setup.assembly import field_measures
 from sphrom.sph import state_equation
-from sphrom.store.bases import read_points
-from sphrom.store.measured_quantities import field_datasets, force_datasets, write_positions
+from sphrom.store.reduced_models import read_points
+from sphrom.store.trajectory import field_datasets, force_datasets, write_positions
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -74,7 +74,12 @@ def seek_steady_state(
     estimated : returns the estimated errors of a steady state (n_modes,).
     measured : returns what is measured in states (n_states, n_modes), by name.
     """
-    found, seconds = _timed(polynomial, state, amplitude)
+    taken = []
+    for _ in range(N_TIMED):
+        started = time.perf_counter()
+        found = steady_state(polynomial, state, amplitude=amplitude)
+        taken.append(time.perf_counter() - started)
+    seconds = float(np.median(taken))
     growth = spectrum(polynomial.jacobian(found.coordinates, amplitude)).largest_real_part
     status: Converged = "converged" if found.converged else "not converged"
     stored = Steady.of(found, status=status, largest_real_part=growth)
@@ -117,9 +122,7 @@ def seek_steady_state(
 
 def _at_once(quantities: Quantities) -> SteadyMeasured:
     """Return what is measured in one state (1, ...)."""
-    given: dict[str, Any] = {
-        name: float(v[0]) if v.ndim == 1 else v[0] for name, v in quantities.items()
-    }
+    given: dict[str, Any] = {q: v[0] if v.ndim > 1 else float(v[0]) for q, v in quantities.items()}
     return SteadyMeasured(**given)
 
 
@@ -131,15 +134,6 @@ def _figures(quantities: Quantities) -> str:
         for component, values in components(quantity, vectors).items()
         if values.size == 1
     )
-
-
-def _timed(polynomial: Polynomial, state: Array, amplitude: float) -> tuple[SteadyState, float]:
-    seconds = []
-    for _ in range(N_TIMED):
-        started = time.perf_counter()
-        found = steady_state(polynomial, state, amplitude=amplitude)
-        seconds.append(time.perf_counter() - started)
-    return found, float(np.median(seconds))
 
 
 def run_point(workspace: Workspace, section: ReducedModelSection, point: ParameterPoint) -> None:
@@ -163,22 +157,20 @@ def run_point(workspace: Workspace, section: ReducedModelSection, point: Paramet
         if run.failure is None:
             estimate_errors(run, artifact)
             if section.steady:
-                _seek_steady_state(run, artifact)
-
-
-def _seek_steady_state(run: FastRun, artifact: ArtifactWriter) -> None:
-    amplitude, case = run.reduced.amplitude, run.model.workspace.case
-    seek_steady_state(
-        artifact,
-        run.model.workspace.context.report,
-        run.name,
-        run.reduced.polynomial,
-        run.coordinates[-1],
-        0.0 if amplitude is None else float(amplitude(run.time)[-1]),
-        trained=run.model.at_point(run.point).states,
-        estimated=lambda state: steady_errors(run, state),
-        measured=lambda states: quantities_of(case, run.point, run.reduced, run.time[-1:], states),
-    )
+                amplitude, last = reduced.amplitude, run.time[-1:]
+                seek_steady_state(
+                    artifact,
+                    workspace.context.report,
+                    run.name,
+                    reduced.polynomial,
+                    run.coordinates[-1],
+                    0.0 if amplitude is None else float(amplitude(run.time)[-1]),
+                    trained=model.at_point(point).states,
+                    estimated=lambda state: steady_errors(run, state),
+                    measured=lambda states: quantities_of(
+                        workspace.case, point, reduced, last, states
+                    ),
+                )
 
 
 def _tell(run: FastRun, integrator: Integrator, seconds: float) -> None:
@@ -219,18 +211,16 @@ def _write(run: FastRun, artifact: ArtifactWriter) -> None:
         artifact.annotate("memory_length", reduced.memory_length)
     growth = spectrum(reduced.polynomial.jacobian(reduced.start)).largest_real_part
     artifact.annotate("largest_real_part", growth)
-    about = reduced.forces, reduced.mean_density_fluctuation, done.time, done.coordinates
+    mean = reduced.mean_density_fluctuation
+    about = reduced.forces, mean, done.time, done.coordinates
+    datasets = field_datasets(fields_of(reduced.measures, mean, done.coordinates))
     for name, loads in forces_of(workspace.case, run.point, *about).items():
-        for path, values in force_datasets(name, loads).items():
-            artifact.write(path, values)
-    fields = fields_of(reduced.measures, reduced.mean_density_fluctuation, done.coordinates)
+        datasets |= force_datasets(name, loads)
     write_positions(artifact, field_measures(workspace.case))
-    for path, values in field_datasets(fields).items():
+    for path, values in datasets.items():
         artifact.write(path, values)
     if section.output == "snapshots":
         _write_fields(done, artifact)
-    elif section.output == "probes":
-        _write_probes(done, artifact)
 
 
 def _write_fields(run: FastRun, artifact: ArtifactWriter) -> None:
@@ -246,15 +236,3 @@ def _write_fields(run: FastRun, artifact: ArtifactWriter) -> None:
         densities.append(density)
         velocities.append(velocity)
         pressures.append(state_equation.pressure(density, workspace.case.plan.sound_speed))
-
-
-def _write_probes(run: FastRun, artifact: ArtifactWriter) -> None:
-    """Write velocity and pressure where runs are compared."""
-    from sphrom.store.sampling import probes_of
-
-    began = time.perf_counter()
-    probes = probes_of(run.model.workspace.case)
-    samples = run.sampled(probes)
-    stored = Probes(position=probes.all, velocity=samples.velocity, pressure=samples.pressure)
-    write_record(artifact, stored, "probes")
-    artifact.annotate("timing/probes", time.perf_counter() - began)

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.case.models import Case
-from sphrom.case.points import REYNOLDS, ParameterPoint
+from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
 from sphrom.online.basis_model import fields_of, forces_of
 from sphrom.online.fast_model import FastModel
@@ -150,16 +150,15 @@ def _completed(
     reduced: ReferenceModel, sides: Sequence[_Sides], integrator: Integrator
 ) -> tuple[Array, Array]:
     """Return a run and its derivatives, with what training runs add to the coordinates."""
-    leading, whole = None, None
+    leading = whole = correction = None
     if integrator.leading is not None:
         leading = _integrated(integrator.leading, [side.leading for side in sides])
     if integrator.whole is not None:
         whole = _integrated(integrator.whole, sides)
-    correction = reduced.correction
-    if correction is not None:
+    if reduced.correction is not None:
         # The run first, then its derivatives.
         slopes = [side.slope(lambda model: model.correction) for side in sides]
-        correction = np.stack((correction, *slopes))
+        correction = np.stack((reduced.correction, *slopes))
     found, _ = reduced.completed(leading, whole, correction)
     return found[0], found[1:]
 
@@ -169,31 +168,22 @@ def _integrated(steps: Steps, sides: Sequence[_Sides]) -> Array:
     system, model = steps.system, steps.model
     if not isinstance(system, ExponentialModel):
         raise UnstableError("a model without training states has no exponential steps")
+    changes = [side.change for side in sides]
+    begin = model.start, model.output_times, changes, model.amplitude
     with np.errstate(all="ignore"):
-        run, changes = system.tangents(
-            steps.n_steps,
-            model.start,
-            model.output_times,
-            [side.change for side in sides],
-            model.amplitude,
-        )
-    return np.concatenate((run[None], changes))
+        run, slopes = system.tangents(steps.n_steps, *begin)
+    return np.concatenate((run[None], slopes))
 
 
 def _sides(model: FastModel, point: ParameterPoint, name: str, basis: str) -> _Sides:
-    value = point.as_dict()[name]
-    step = STEP * (abs(value) or 1.0)
-    points = _with(point, name, value - step), _with(point, name, value + step)
-    below, above = (model.on_basis(basis).equations(each) for each in points)
-    width = points[1].as_dict()[name] - points[0].as_dict()[name]
-    return _Sides(below, above, points, width)
-
-
-def _with(point: ParameterPoint, name: str, value: float) -> ParameterPoint:
-    if name == REYNOLDS:
-        return replace(point, reynolds=value)
-    others = tuple((other, value if other == name else v) for other, v in point.others)
-    return replace(point, others=others)
+    values = point.as_dict()
+    step = STEP * (abs(values[name]) or 1.0)
+    low, high = (
+        model.workspace.case.plan.point({**values, name: values[name] + change})
+        for change in (-step, step)
+    )
+    below, above = (model.on_basis(basis).equations(each) for each in (low, high))
+    return _Sides(below, above, (low, high), high.as_dict()[name] - low.as_dict()[name])
 
 
 def _energy(case: Case, reduced: ReferenceModel, run: Array, changes: Array) -> Array:

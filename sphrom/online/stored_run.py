@@ -19,10 +19,9 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.measures import Quantities
 from sphrom.reduction.trial_basis import TrialBasis, reconstruct, truncate
 from sphrom.sph import state_equation
-from sphrom.store.bases import read_basis, read_modes, read_points
-from sphrom.store.measured_quantities import read_quantities
+from sphrom.store.reduced_models import read_basis, read_modes, read_points, sized
 from sphrom.store.sampling import Samples, expand, sample_run
-from sphrom.store.trained_operators import sized
+from sphrom.store.trajectory import read_quantities
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -120,9 +119,6 @@ class StoredRun:
         chosen = range(len(self.time)) if snapshots is None else snapshots
         if self._rebuilt is None:
             return sample_run(case, run, points, advance, chosen)
-        if "probes/position" in run and np.array_equal(run.read("probes/position"), points):
-            velocity, pressure = run.read("probes/velocity"), run.read("probes/pressure")
-            return Samples(self.time[chosen], velocity[chosen], pressure[chosen])
         basis, splines = read_modes(self._workspace, self._basis_name, self._n_modes)
         means = np.full(len(chosen), run.number("mean_density_fluctuation"))
         coordinates = self._coordinates[chosen]

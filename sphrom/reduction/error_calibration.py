@@ -37,7 +37,7 @@ from products of snapshots with the basis, |x - Phi a|^2 = x.x - 2 a.(Phi^T x) +
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,22 +85,18 @@ class Calibration:
     def at(self, place: Array) -> LocalCalibration:
         """Return the calibration at a parameter point (n_parameters,)."""
         weights, distance = interpolation_weights(self.places, place)
-        outside = distance > 0.0
+        logarithms = np.log(self.constants)
+        apart = np.linalg.norm(self.places[:, None] - self.places, axis=2).max()
+        # Beyond the hull of the training points they may go on changing.
+        share = min(1.0, distance / apart) if apart > 0.0 else 0.0
         return LocalCalibration(
             self.decay_rate,
-            np.exp(weights @ np.log(self.constants) + self._widening(distance)),
-            None if outside else self.factors,
+            np.exp(weights @ logarithms + share * np.ptp(logarithms, axis=0)),
+            None if distance > 0.0 else self.factors,
             self.time,
             np.tensordot(weights, self.coordinates, 1),
-            self.shares.between(weights),
+            replace(self.shares, time=np.tensordot(weights, self.shares.time, 1)),
         )
-
-    def _widening(self, distance: float) -> Array:
-        """Return the increase of log C (2,) at a distance from the hull of the training points."""
-        apart = np.linalg.norm(self.places[:, None] - self.places, axis=2).max()
-        if apart == 0.0:
-            return np.zeros(2)
-        return np.asarray(min(1.0, distance / apart) * np.ptp(np.log(self.constants), axis=0))
 
 
 @dataclass(frozen=True)
@@ -224,10 +220,12 @@ def calibrate(
     best = None
     for rate in np.geomspace(SLOWEST / length, (len(time) - 1) / length, N_RATES):
         integrals = accumulated(time, residuals[usable], np.full(len(usable), rate))
-        of_runs = [
-            _ratios(integral[compared][late], error[late])
-            for integral, error in zip(integrals, errors[usable], strict=True)
-        ]
+        of_runs = []
+        for integral, error in zip(
+            integrals[:, compared[late]], errors[usable][:, late], strict=True
+        ):
+            some = (integral > 0.0) & (error > 0.0).all(axis=1)
+            of_runs.append(np.log(error[some] / integral[some, None]))
         spread = sum(float(ratios.var(axis=0).sum()) * len(ratios) for ratios in of_runs)
         if best is None or spread < best[0]:
             best = spread, rate, of_runs
@@ -243,7 +241,7 @@ def calibrate(
         places,
         time,
         coordinates[usable],
-        shares.only(usable),
+        replace(shares, time=shares.time[usable]),
     )
 
 
@@ -257,9 +255,3 @@ def _factors(ratios: Sequence[Array], middle: Array, places: Array) -> Array:
             expected = interpolation_weights(places[others], places[run])[0] @ middle[others]
         misses.append(np.abs(each - expected))
     return np.asarray(np.exp(np.quantile(np.concatenate(misses), WITHIN, axis=0)))
-
-
-def _ratios(integrals: Array, errors: Array) -> Array:
-    """Return the logarithms (n, 2) of error over E, where both are there."""
-    some = (integrals > 0.0) & (errors > 0.0).all(axis=1)
-    return np.asarray(np.log(errors[some] / integrals[some, None]))

@@ -152,14 +152,9 @@ def _parabola(at: Array, step: float) -> Array:
 def _krogstad(half: Array, whole: Array, step: float) -> tuple[Array, Array]:
     """Return the weights of the start in the other stages, and of these stages in one another."""
     to_third, to_fourth = 4.0 * half[2] / step, 2.0 * whole[2] / step
-    stages = np.array(
-        [
-            [half[0], half[1]],
-            [half[0], half[1] - to_third],
-            [whole[0], whole[1] - to_fourth],
-        ]
-    )
-    return stages, np.array([to_third, to_fourth])
+    second, third = [half[0], half[1]], [half[0], half[1] - to_third]
+    fourth = [whole[0], whole[1] - to_fourth]
+    return np.array([second, third, fourth]), np.array([to_third, to_fourth])
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ errors, and the least product of both decides. The basis stays that of all runs.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -181,14 +181,6 @@ class UnheldShares(Record):
     def of_size(self, n_modes: int) -> UnheldShares:
         """Return the shares (2,) and (n_runs, 2) of a number of modes."""
         return self.mapped(lambda shares: shares[..., n_modes - 1, :])
-
-    def only(self, runs: Indices) -> UnheldShares:
-        """Return the shares of some runs."""
-        return replace(self, time=self.time[runs])
-
-    def between(self, weights: Array) -> UnheldShares:
-        """Return the shares between runs, with the `time` of one run, from weights (n_runs,)."""
-        return replace(self, time=np.tensordot(weights, self.time, 1))
 
 
 def unheld_shares(products: SnapshotProducts, places: Array, n_modes: int) -> UnheldShares:

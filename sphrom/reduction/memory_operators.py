@@ -59,18 +59,9 @@ class _States:
 
     def only(self, k: int) -> _States:
         """Return one of the states."""
-        one = slice(k, k + 1)
-        terms = self.terms
-        return _States(
-            self.scaled_density[:, one],
-            self.velocity[..., one],
-            self.slopes[..., one],
-            Terms(
-                terms.divergence[:, one],
-                terms.pressure_gradient[..., one],
-                terms.laplacian[..., one],
-            ),
-        )
+        one, t = (..., slice(k, k + 1)), self.terms
+        terms = Terms(t.divergence[one], t.pressure_gradient[one], t.laplacian[one])
+        return _States(self.scaled_density[one], self.velocity[one], self.slopes[one], terms)
 
 
 class _Rates:
@@ -103,23 +94,17 @@ class _Rates:
 
     def linear(self, states: _States, power: int) -> Array:
         """Return L of states (3, n_points, n_states) [m/s2]."""
-        share = states.scaled_density / self.points.sound_speed
-        out = self._linear_force(share) if power == 1 else self._linear_inertia(states)
+        points, terms, speed = self.points, states.terms, self.points.sound_speed
+        share, out = states.scaled_density / speed, np.zeros_like(states.slopes[:, 0])
+        if power == 0:
+            out[0] = points.diffusion(states.scaled_density) - speed * terms.divergence
+            out[0] = self._kept(out[0])
+            out[1:] = self.viscosity * terms.laplacian - speed * terms.pressure_gradient
+        elif self.head is not None and points.body_force is not None:
+            out[1:] = points.head_push(points.body_force[..., None] * share)
+            out[1:] -= self.head[..., None] * share
         if (drag := self._dragged(power)) is not None:
             out[1:] -= drag[..., None] * share
-        return out
-
-    def _linear_inertia(self, states: _States) -> Array:
-        terms, speed = states.terms, self.points.sound_speed
-        continuity = self.points.diffusion(states.scaled_density) - speed * terms.divergence
-        push = self.viscosity * terms.laplacian - speed * terms.pressure_gradient
-        return np.concatenate((self._kept(continuity)[None], push))
-
-    def _linear_force(self, share: Array) -> Array:
-        out = np.zeros((3, *share.shape))
-        if self.head is not None and self.points.body_force is not None:
-            out[1:] = self.points.head_push(self.points.body_force[..., None] * share)
-            out[1:] -= self.head[..., None] * share
         return out
 
     def products(self, one: _States, others: _States) -> Array:
@@ -190,32 +175,23 @@ def _all_states(points: FixedPoints, fields: ModeFields, splines: ModeSplines | 
 
 
 def _left_over(
-    rates: _Rates,
-    states: _States,
-    pairs: Pairs,
-    power: int,
-    weights: Array,
-    fields: ModeFields,
+    rates: _Rates, states: _States, pairs: Pairs, power: int, weights: Array, fields: ModeFields
 ) -> Array:
     """Return R of pairs (3, n_points, n_pairs) in q and the velocity, Pi' F (Alg. 3.5)."""
-    out = np.stack([_pair_rates(rates, states, *pair, power) for pair in pairs], axis=2)
+    out = np.zeros((3, rates.points.n_points, len(pairs)))
+    for column, (k, l) in enumerate(pairs):
+        first, second = states.only(k), states.only(l)
+        if power == 0:
+            products = rates.products(first, second)[..., 0]
+            out[..., column] += products * (0.5 if k == l else 1.0)
+        if k == 0:
+            out[..., column] += rates.linear(second, power)[..., 0]
+        if l == 0:
+            out[..., column] += rates.source(power)
     coordinates = _projected(weights, out)
     modes = slice(fields.n_modes)
     out[0] -= fields.scaled_density[:, modes] @ coordinates
     out[1:] -= fields.velocity[..., modes] @ coordinates
-    return out
-
-
-def _pair_rates(rates: _Rates, states: _States, k: int, l: int, power: int) -> Array:
-    """Return F of a pair (3, n_points)."""
-    first, second = states.only(k), states.only(l)
-    out = np.zeros((3, rates.points.n_points))
-    if power == 0:
-        out += rates.products(first, second)[..., 0] * (0.5 if k == l else 1.0)
-    if k == 0:
-        out += rates.linear(second, power)[..., 0]
-    if l == 0:
-        out += rates.source(power)
     return out
 
 

@@ -56,11 +56,7 @@ class AdjointPetrovGalerkin:
     """tau [s]."""
 
     def reduced_rates(
-        self,
-        projection: Projector,
-        rates: Array,
-        fluctuation: Array,
-        derivative: Derivative,
+        self, projection: Projector, rates: Array, fluctuation: Array, derivative: Derivative
     ) -> Array:
         """Return the reduced rates (n_vectors,) [1/s], with the effect of the residual.
 
@@ -79,12 +75,11 @@ def relative_step(state: Array, direction: Array) -> float:
     Density and velocity differ by orders of magnitude, so that one constant (Eq. 3.22 has 1e-5)
     would mean nothing.
     """
-    sizes = [
-        (float(np.linalg.norm(state[f])), float(np.linalg.norm(direction[f])))
+    norms = [
+        [float(np.linalg.norm(fields[f])) for fields in (state, direction)]
         for f in (slice(0, 1), slice(1, 3))
     ]
-    steps = [size / length for size, length in sizes if size > 0.0 and length > 0.0]
-    return min(steps, default=0.0)
+    return min((size / length for size, length in norms if size > 0.0 < length), default=0.0)
 
 
 class Projector:

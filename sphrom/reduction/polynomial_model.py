@@ -36,10 +36,8 @@ def step_limit(polynomial: Polynomial, states: Array, amplitude: float = 0.0) ->
 
 def step_limits(systems: Sequence[tuple[Polynomial, Array, float]]) -> list[float]:
     """Return the limits [s] of some systems, given with as many states and an amplitude each."""
-    jacobians = [
-        polynomial.jacobians(states, amplitude) for polynomial, states, amplitude in systems
-    ]
-    return [float(limit) for limit in largest_steps(np.stack(jacobians))]
+    jacobians = np.stack([p.jacobians(states, amplitude) for p, states, amplitude in systems])
+    return [float(limit) for limit in largest_steps(jacobians)]
 
 
 def steps_within(duration: float, limit: float, safety: float = SAFETY) -> int:

@@ -26,7 +26,7 @@ left out in turn; where there is none, every fourth snapshot of all runs.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -201,24 +201,17 @@ class ReducedMeasure(Record):
 
 def project_measures(basis: TrialBasis, measured: Measuring) -> dict[str, ReducedMeasure]:
     """Project what is measured onto a basis; `measured` is linear in its fields."""
-    found = [measured(*fields) for fields in _fields(basis)]
+    density, velocity = reconstruct(basis, np.zeros(basis.n_modes))
+    mean = np.ones_like(density), np.zeros_like(velocity)
+    modes = zip(
+        basis.density_modes / basis.inner_product.density_scale, basis.velocity_modes, strict=True
+    )
+    found = [measured(*fields) for fields in ((density, velocity), mean, *modes)]
     return {
         name: ReducedMeasure(**{q: np.stack([each[name][q] for each in found], -1) for q in first})
         for name, first in found[0].items()
     }
 
-
-def _fields(basis: TrialBasis) -> Iterator[tuple[Array, Array]]:
-    """Yield density fluctuation [kg/m3] and velocity [m/s] of each term."""
-    constant = reconstruct(basis, np.zeros(basis.n_modes))
-    yield constant
-    yield np.ones_like(constant[0]), np.zeros_like(constant[1])
-    scale = basis.inner_product.density_scale
-    for density, velocity in zip(basis.density_modes, basis.velocity_modes, strict=True):
-        yield density / scale, velocity
-
-
-Mask = NDArray[np.bool_]
 
 PENALTIES = (1e-2, math.inf)
 """Penalties over the mean squares of the terms; the last leaves the force as it is.
@@ -260,73 +253,47 @@ def calibrate_force(force: ReducedForce, runs: Sequence[ForceRecord]) -> Reduced
     """
     if max((len(run.loads) for run in runs), default=0) < 2:
         return force
-    samples = _Samples(force, runs)
-    squares = np.zeros((len(PENALTIES), samples.errors.shape[1]))
-    for left_out in samples.folds():
-        fitted = samples.fit(~left_out)
-        wrong = samples.errors[left_out] - samples.features(left_out) @ fitted
+    terms = np.concatenate(
+        [correction_terms(run.coordinates, run.wall_speed, run.amplitude) for run in runs]
+    )
+    errors = np.concatenate([_errors(force, run) for run in runs])
+    size = np.sqrt(np.mean(terms**2, axis=0))
+    scale = np.where(size > 0.0, size, 1.0)
+    viscosity = np.array([run.kinematic_viscosity for run in runs])
+    mean_viscosity = float(viscosity.mean())
+    of_run = np.repeat(np.arange(len(runs)), [len(run.loads) for run in runs])
+    offset = viscosity[of_run] / mean_viscosity - 1.0
+    features = np.hstack((terms / scale, offset[:, None] * (terms / scale)))
+    squares = np.zeros((len(PENALTIES), errors.shape[1]))
+    for left_out in _folds(viscosity, of_run):
+        fitted = _ridge(features[~left_out], errors[~left_out])
+        wrong = errors[left_out] - features[left_out] @ fitted
         squares += np.sum(wrong**2, axis=1)
     best = np.argmin(squares, axis=0)
-    everything = np.ones(len(samples.errors), dtype=bool)
-    fitted = np.take_along_axis(samples.fit(everything), best[None, None, :], axis=0)[0]
-    return replace(force, correction=samples.correction(fitted))
+    fitted = np.take_along_axis(_ridge(features, errors), best[None, None, :], axis=0)[0]
+    mean, slope = ((half / scale[:, None]).T.reshape(2, 3, -1) for half in np.split(fitted, 2))
+    return replace(force, correction=ForceCorrection(mean, slope, mean_viscosity))
 
 
-class _Samples:
-    """The snapshots of all runs: terms, and the errors of a force (n_samples, 6)."""
+def _folds(viscosity: Array, of_run: NDArray[np.int64]) -> list[NDArray[np.bool_]]:
+    """Return which samples (n_samples,) to leave out in turn, from the run that each is of."""
+    between = np.flatnonzero((viscosity.min() < viscosity) & (viscosity < viscosity.max()))
+    if between.size:
+        return [of_run == run for run in between]
+    return [np.arange(len(of_run)) % N_PARTS == part for part in range(N_PARTS)]
 
-    def __init__(self, force: ReducedForce, runs: Sequence[ForceRecord]) -> None:
-        parts = [
-            (correction_terms(run.coordinates, run.wall_speed, run.amplitude), _errors(force, run))
-            for run in runs
-        ]
-        terms, errors = (np.concatenate(part) for part in zip(*parts, strict=True))
-        self.errors: Array = errors
-        size = np.sqrt(np.mean(terms**2, axis=0))
-        self._scale = np.where(size > 0.0, size, 1.0)
-        self._terms = terms / self._scale
-        self._viscosity = np.array([run.kinematic_viscosity for run in runs])
-        self._mean_viscosity = float(self._viscosity.mean())
-        self._run = np.repeat(np.arange(len(runs)), [len(run.loads) for run in runs])
 
-    def folds(self) -> Iterator[Mask]:
-        """Yield which samples (n_samples,) to leave out."""
-        low, high = self._viscosity.min(), self._viscosity.max()
-        between = np.flatnonzero((low < self._viscosity) & (self._viscosity < high))
-        if between.size:
-            yield from (self._run == run for run in between)
-        else:
-            place = np.arange(len(self._run))
-            yield from (place % N_PARTS == part for part in range(N_PARTS))
-
-    def features(self, kept: Mask) -> Array:
-        """Return the terms, and their products with the viscosity's offset, of some samples."""
-        offset = self._viscosity[self._run[kept]] / self._mean_viscosity - 1.0
-        return np.hstack((self._terms[kept], offset[:, None] * self._terms[kept]))
-
-    def fit(self, kept: Mask) -> Array:
-        """Return coefficients (n_penalties, n_features, 6), fitted to some samples."""
-        features = self.features(kept)
-        left, size, right = np.linalg.svd(features, full_matrices=False)
-        shrunk = size / (size**2 + len(features) * np.array(PENALTIES)[:, None])
-        sides = left.T @ self.errors[kept]
-        return np.asarray(right.T @ (shrunk[..., None] * sides))
-
-    def correction(self, coefficients: Array) -> ForceCorrection:
-        """Return the correction that coefficients (n_features, 6) mean."""
-        mean, slope = (
-            (half / self._scale[:, None]).T.reshape(2, 3, -1) for half in np.split(coefficients, 2)
-        )
-        return ForceCorrection(mean, slope, self._mean_viscosity)
+def _ridge(features: Array, errors: Array) -> Array:
+    """Return coefficients (n_penalties, n_features, 6), fitted to some samples."""
+    left, size, right = np.linalg.svd(features, full_matrices=False)
+    shrunk = size / (size**2 + len(features) * np.array(PENALTIES)[:, None])
+    return np.asarray(right.T @ (shrunk[..., None] * (left.T @ errors)))
 
 
 def _errors(force: ReducedForce, run: ForceRecord) -> Array:
     """Return recorded loads less those of a force (n_snapshots, 6)."""
+    around = run.kinematic_viscosity, run.wall_speed, run.amplitude
     found = force.with_drives(run.factors).at(
-        run.coordinates,
-        run.mean_density_fluctuation,
-        run.kinematic_viscosity,
-        run.wall_speed,
-        run.amplitude,
+        run.coordinates, run.mean_density_fluctuation, *around
     )
     return (run.loads - found).reshape(len(found), -1)

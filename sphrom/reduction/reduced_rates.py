@@ -126,15 +126,12 @@ class Polynomial:
 
     def packed(self) -> tuple[Array, Indices]:
         """Return the coefficients of monomials, as `sphrom.kernels.polynomial` wants them."""
-        n_columns = [
-            sum(len(_exponents(self.n_modes, d)[1]) for d in range(len(tensors)))
-            for tensors in self.powers
-        ]
+        packed = [pack(tensors) for tensors in self.powers]
         width = sum(len(_exponents(self.n_modes, d)[1]) for d in range(self.degree + 1))
-        coefficients = np.zeros((len(self.powers), self.n_modes, width))
-        for row, tensors, n in zip(coefficients, self.powers, n_columns, strict=True):
-            row[:, :n] = pack(tensors)
-        return coefficients, np.array(n_columns, dtype=np.int64)
+        coefficients = np.zeros((len(packed), self.n_modes, width))
+        for row, columns in zip(coefficients, packed, strict=True):
+            row[:, : columns.shape[1]] = columns
+        return coefficients, np.array([columns.shape[1] for columns in packed], dtype=np.int64)
 
 
 def _contracted(tensor: Array, coordinates: Array, times: int) -> Array:
@@ -210,10 +207,8 @@ def largest_steps(jacobians: Array) -> Array:
 def spectrum(jacobian: Array) -> Spectrum:
     """Return the spectrum of a Jacobian (n_modes, n_modes) [1/s]."""
     eigenvalues = np.linalg.eigvals(jacobian).astype(np.complex128)
-    radius = float(np.max(np.abs(eigenvalues)))
-    moving = eigenvalues[np.abs(eigenvalues) > 0.0]
-    limit = float(np.min(stability_limits(moving))) if moving.size else math.inf
-    return Spectrum(eigenvalues, float(np.max(eigenvalues.real)), radius, limit)
+    radius, limit = float(np.abs(eigenvalues).max()), float(stability_limits(eigenvalues).min())
+    return Spectrum(eigenvalues, float(eigenvalues.real.max()), radius, limit)
 
 
 def stability_limits(eigenvalues: NDArray[np.complex128]) -> Array:

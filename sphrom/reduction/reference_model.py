@@ -313,21 +313,15 @@ def runge_kutta(model: ReferenceModel, n_steps: int) -> Steps:
     return Steps(model, PolynomialModel(model.polynomial), n_steps)
 
 
-def automatic_runge_kutta(model: ReferenceModel) -> Steps:
-    """Return Runge-Kutta steps that are stable, and fine enough for the basis."""
-    n_stable = steps_within(model.output_times.duration, model.step_limit)
-    return accurate(runge_kutta(model, n_stable), step_tolerance(model.basis))
-
-
 def automatic_whole(model: ReferenceModel) -> Steps:
     """Return steps of all modes that are fine enough for the basis: exponential ones if it can.
 
     The first that are tried are from snapshot to snapshot at least: that is enough where it is
     something other than sound that is stiff.
     """
-    if model.linear is None:
-        return automatic_runge_kutta(model)
     n_stable = steps_within(model.output_times.duration, model.step_limit)
+    if model.linear is None:
+        return accurate(runge_kutta(model, n_stable), step_tolerance(model.basis))
     n_first = max(1, min(math.ceil(n_stable / LONGER), model.output_times.n_snapshots - 1))
     first = Steps(model, ExponentialModel(model.polynomial, model.linear), n_first)
     return accurate(first, step_tolerance(model.basis), n_stable)

@@ -11,7 +11,7 @@ from sphrom.artifacts import Artifact
 from sphrom.case.models import Case
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.kernels import SUPPORT_RATIO
-from sphrom.metrics.samples import Probes, Samples, grid_points, vertical_line
+from sphrom.metrics.samples import Probes, Samples, grid_points, spread
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.trial_basis import TrialBasis, mean_density_fluctuation, project
@@ -39,7 +39,7 @@ def probes_of(case: Case) -> Probes:
     spans = domain.sections(x)
     if not spans:
         raise CaseError(f"compare.line: there is no fluid at x = {x:g} m")
-    shape = _grid_shape(domain, case.compare.grid)
+    n_line, shape = case.compare.line_points, _grid_shape(domain, case.compare.grid)
     points = grid_points(domain.lower, domain.upper, shape)
     in_fluid, near_walls = None, None
     if domain.has_walls:
@@ -48,7 +48,7 @@ def probes_of(case: Case) -> Probes:
         in_fluid = distance > ON_WALL * case.plan.particle_spacing
         near_walls = distance[in_fluid] < SUPPORT_RATIO * case.plan.smoothing_length
     return Probes(
-        line=vertical_line(x, spans, case.compare.line_points),
+        line=np.stack((np.full(n_line, float(x)), spread(spans, n_line)), axis=1),
         grid=points if in_fluid is None else points[in_fluid],
         grid_shape=shape,
         in_fluid=in_fluid,

@@ -282,12 +282,9 @@ class Workspace:
     def reduced_run(self, model: ReducedModelSection, point: ParameterPoint) -> Target:
         """What a reduced model gave at a parameter point."""
         made_from = {"operators": self.operators()} if model.from_operators else {}
-        if model.on_particles or model.output == "probes":
+        if model.on_particles:
             made_from["splines"] = self.splines()
         about = {"point": point.as_dict(), **_about(model, "parameters")}
-        if model.output == "probes":
-            where = self.case.compare
-            about |= {"line": where.line, "line points": where.line_points, "grid": where.grid}
         start = self._start(self.case.plan.start_point(point))
         return self._target(
             "rom" if model.from_operators else "rom on particles",

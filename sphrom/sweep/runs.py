@@ -7,18 +7,23 @@ The records of a task become a part on disk, which is there as a whole or not at
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import hashlib
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.artifacts import SCHEMAS, Artifact, ArtifactWriter, write_record
+from sphrom.artifacts.records.sweep import Statistics
 from sphrom.case.points import ParameterPoint
-from sphrom.case.studies import sweep_model
-from sphrom.errors import SphromError, UnstableError
+from sphrom.case.studies import sweep_model, sweep_name
+from sphrom.case.study_sections import FULL
+from sphrom.errors import ArtifactError, SphromError, UnstableError
 from sphrom.metrics.measures import PLACED, Quantities, components, of_a_run
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.metrics.series import kinetic_energy
@@ -28,18 +33,9 @@ from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.online.sensitivities import tangents
 from sphrom.reduction.trial_basis import KineticEnergy, SpeedBounds
 from sphrom.store.checkpoints import remove_checkpoints
-from sphrom.store.measured_quantities import measured_of
 from sphrom.store.sampling import sample_run
+from sphrom.store.trajectory import measured_of
 from sphrom.store.workspace import Target, Workspace
-from sphrom.sweep.records import (
-    COMPLETE,
-    ERROR,
-    UNSTABLE,
-    RunRecord,
-    probe_places,
-    require_folder,
-    write_part,
-)
 from sphrom.sweep.workers import Failure, Task
 
 Array = NDArray[np.float64]
@@ -48,6 +44,24 @@ LOADS = ("force_x", "force_y", "torque")
 """What columns call the loads on a wall."""
 TOGETHER = 64
 """Models that are built together."""
+COMPLETE, UNSTABLE, FAILED, NOT_RUN = 0, 1, 2, 3
+STATES = ("complete", "unstable", "failed", "not run")
+"""Words for them."""
+ERROR = "error_estimate/"
+"""Prefix of the datasets of error estimates, which not all runs have."""
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    """One run of a sweep: its values, or why there are none."""
+
+    point: ParameterPoint
+    status: int
+    reason: str = ""
+    values: Mapping[str, Any] = field(default_factory=dict)
+    """Of a complete run, by the names of datasets of a sweep, such as `probes/velocity`."""
+    derivative_names: tuple[str, ...] = ()
+    """Of its value `derivatives`."""
 
 
 def make_runs(task: Task) -> tuple[Failure, ...]:
@@ -124,7 +138,7 @@ class SweptModel:
             energies = np.array([kinetic_energy(velocity, mass) for velocity in velocities])
             step = trajectory.number("time_step")
             values = _values(trajectory.read("time"), step, energies, speed)
-            if case.sweep.coordinates and self._model is not None:
+            if self._model is not None:
                 values["generalized_coordinates"] = trajectory.read("generalized_coordinates")
             if len(self._probes.all):
                 values |= _at_probes(sample_run(case, trajectory, self._probes.all))
@@ -136,17 +150,15 @@ class SweptModel:
         """Return the record of a run of a model from operators."""
         if run.failure is not None:
             return RunRecord(run.point, UNSTABLE, str(run.failure))
-        sweep, basis = self.workspace.case.sweep, run.reduced.basis
-        name = run.model.basis_at(run.point)
+        name, basis = run.model.basis_at(run.point), run.reduced.basis
         if name not in self._of_bases:
             energy = KineticEnergy(basis, self.workspace.case.plan.mass)
             self._of_bases[name] = SpeedBounds(basis), energy
         bounds, energy = self._of_bases[name]
         energies, speed = energy.of(run.coordinates), bounds.largest(run.coordinates)
         values = _values(run.time, run.time_step, energies, speed)
-        if sweep.coordinates:
-            values["generalized_coordinates"] = run.coordinates
-        if sweep.error_estimate and (found := run.estimate) is not None:
+        values["generalized_coordinates"] = run.coordinates
+        if (found := run.estimate) is not None:
             velocity, pressure = found.velocity_and_pressure.T
             values |= {
                 f"{ERROR}velocity": float(found.percent[0]),
@@ -158,7 +170,7 @@ class SweptModel:
         if len(self._probes.all):
             values |= _at_probes(run.sampled(self._probes))
         values |= _kept(run.measured)
-        derivatives = _derivatives(run) if sweep.sensitivities else {}
+        derivatives = _derivatives(run) if self.workspace.case.sweep.sensitivities else {}
         if derivatives:
             values["derivatives"] = np.array([*derivatives.values()])
         return RunRecord(run.point, COMPLETE, "", values, tuple(derivatives))
@@ -205,3 +217,119 @@ def _derivatives(run: FastRun) -> dict[str, float]:
         for column, values in columns.items()
         for parameter, value in zip(found.parameters, values, strict=True)
     }
+
+
+def write_records(
+    artifact: ArtifactWriter,
+    model: str,
+    records: Sequence[RunRecord],
+    places: Array,
+    statistics: Statistics | None = None,
+) -> None:
+    """Write runs of a model in their order; `places` (n_probes, 2) [m] are those of the probes."""
+    artifact.annotate("model", model)
+    artifact.annotate("parameter_names", ",".join(records[0].point.as_dict()))
+    artifact.write("parameters", np.array([[*r.point.as_dict().values()] for r in records]))
+    artifact.write("status", np.array([record.status for record in records], dtype=np.int64))
+    for k, record in enumerate(records):
+        if record.reason:
+            artifact.annotate(f"failures/{k}", record.reason)
+    if statistics is not None:
+        write_record(artifact, statistics, "statistics")
+    complete = [k for k, record in enumerate(records) if record.values]
+    estimated = [k for k in complete if f"{ERROR}velocity" in records[k].values]
+    artifact.write("complete", np.array(complete, dtype=np.int64))
+    if not complete:
+        for name in ("time_step", "kinetic_energy", "largest_speed"):
+            artifact.write(name, np.zeros(0))
+        return
+    first = records[complete[0]]
+    if first.derivative_names:
+        artifact.annotate("derivative_names", ",".join(first.derivative_names))
+    artifact.write("time", first.values["time"])
+    if len(places):
+        artifact.write("probes/position", places)
+    if estimated:
+        artifact.write(f"{ERROR}run", np.array(estimated, dtype=np.int64))
+    for name in records[(estimated or complete)[0]].values:
+        if name != "time":
+            those = estimated if name.startswith(ERROR) else complete
+            artifact.write(name, np.stack([records[k].values[name] for k in those]))
+
+
+def read_points(
+    artifact: Artifact, states: Sequence[int] = (COMPLETE, UNSTABLE)
+) -> list[ParameterPoint]:
+    """Return the points of the runs that ended in one of some ways."""
+    names = artifact.text("parameter_names").split(",")
+    rows = artifact.read("parameters")[np.isin(artifact.read("status"), states)].tolist()
+    return [ParameterPoint(row[0], tuple(zip(names[1:], row[1:], strict=True))) for row in rows]
+
+
+def read_records(artifact: Artifact) -> list[RunRecord]:
+    """Read all runs of an artifact."""
+    numbers = {"complete_run": artifact.read("complete").tolist()}
+    if f"{ERROR}run" in artifact:
+        numbers["estimated_run"] = artifact.read(f"{ERROR}run").tolist()
+    values: dict[int, dict[str, Any]] = {
+        k: {"time": artifact.read("time")} for k in numbers["complete_run"]
+    }
+    for name in artifact.datasets:
+        described = SCHEMAS["sphrom/sweep"].dataset(name)
+        axis = "" if described is None else described.axes[0]
+        if axis in numbers and name not in ("complete", f"{ERROR}run"):
+            for k, value in zip(numbers[axis], artifact.read(name), strict=True):
+                values[k][name] = value
+    names = str(artifact.attributes.get("derivative_names", ""))
+    points = read_points(artifact, range(len(STATES)))
+    return [
+        RunRecord(
+            point,
+            status,
+            str(artifact.attributes.get(f"failures/{k}", "")),
+            values.get(k, {}),
+            tuple(names.split(",")) if names and k in values else (),
+        )
+        for k, (point, status) in enumerate(
+            zip(points, artifact.read("status").tolist(), strict=True)
+        )
+    ]
+
+
+def probe_places(workspace: Workspace) -> Array:
+    """Return where a sweep keeps velocity and pressure (n_probes, 2) [m]."""
+    return np.array(workspace.case.sweep.probes, dtype=float).reshape(-1, 2)
+
+
+def require_folder(workspace: Workspace) -> None:
+    """Raise ArtifactError when somebody has removed the folder of the artifacts meanwhile."""
+    if not workspace.out.is_dir():
+        raise ArtifactError(f"{workspace.out} was removed while the sweep ran")
+
+
+def parts_folder(workspace: Workspace) -> Path:
+    """Return the folder of the parts of a sweep."""
+    return workspace.out / f"sweep-{sweep_name(workspace.case)}"
+
+
+def write_part(workspace: Workspace, records: Sequence[RunRecord]) -> None:
+    """Write a part, named by its points: made with the same and from the same as the whole."""
+    require_folder(workspace)
+    text = "\n".join(record.point.label for record in records)
+    name = f"part-{hashlib.sha256(text.encode()).hexdigest()[:16]}.h5"
+    path = parts_folder(workspace) / name
+    write_sweep(workspace, replace(workspace.sweep(), path=path), records)
+
+
+def write_sweep(
+    workspace: Workspace,
+    target: Target,
+    records: Sequence[RunRecord],
+    statistics: Statistics | None = None,
+) -> None:
+    """Write runs of a sweep, over an earlier file."""
+    model = sweep_model(workspace.case)
+    over = Workspace(replace(workspace.context, force=True))
+    with over.create(target) as artifact:
+        name = FULL if model is None else model.name
+        write_records(artifact, name, records, probe_places(workspace), statistics)

@@ -25,21 +25,12 @@ from sphrom.case.studies import sweep_model, sweep_points
 from sphrom.console import Reporter
 from sphrom.metrics.draws import fewest_runs, sobol_indices, spread
 from sphrom.metrics.measures import PLACED, UNITS, components
-from sphrom.plots.canvas import (
-    COLOURS,
-    INK,
-    label_axes,
-    legend_below,
-    line_of,
-    new_figure,
-    save,
-    styled,
-)
+from sphrom.plots.canvas import save
+from sphrom.plots.panels import Curve, Panel, draw_grid
 from sphrom.plots.tables import format_figure, rows_of_columns, write_csv
-from sphrom.sweep.records import ERROR, RunRecord
+from sphrom.sweep.runs import ERROR, RunRecord
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
@@ -50,8 +41,8 @@ Along = Literal["time", "line"]
 SALTELLI = "saltelli"
 FIGURES = {
     "quantiles": "Quantiles of outputs over draws of the parameters.",
-    "indices": "Sobol indices of outputs at the end: the share of their variance that a parameter "
-    "causes alone (first order), or has any part in (total).",
+    "indices": "Sobol indices of outputs: the share of their variance that a parameter causes "
+    "alone (first order), or has any part in (total).",
 }
 """Captions, by how the names of files end."""
 FINAL = "final_"
@@ -60,10 +51,6 @@ TIME: Along = "time"
 LINE: Along = "line"
 COLUMNS = 3
 """Panels beside one another."""
-BAND, PALEST, DARKEST = COLOURS[0], 0.12, 0.4
-"""Colour of quantiles, and the opacities of their outermost and their innermost band."""
-BAR = 0.8
-"""Width of all bars of a parameter."""
 
 
 @dataclass(frozen=True)
@@ -160,11 +147,6 @@ def _indices(case: Case, records: Sequence[RunRecord]) -> dict[str, OutputIndice
     }
 
 
-def instant_of(along: str, n_instants: int) -> int:
-    """Return which instant tables and bars are of: the last in time, or a line's middle."""
-    return n_instants // 2 if along == LINE else n_instants - 1
-
-
 def publish(case: Case, path: Path, records: Sequence[RunRecord], found: Statistics | None) -> None:
     """Write tables and figures of statistics beside a sweep's artifact, or remove old ones."""
     for kind in FIGURES:
@@ -182,7 +164,7 @@ def publish(case: Case, path: Path, records: Sequence[RunRecord], found: Statist
     if case.compare.plots:
         save(draw_quantiles(found, time), beside(path, "quantiles", "png"))
         if found.indices:
-            save(draw_indices(found, names), beside(path, "indices", "png"))
+            save(draw_indices(found, names, time), beside(path, "indices", "png"))
 
 
 def beside(path: Path, kind: str, suffix: str) -> Path:
@@ -237,75 +219,36 @@ def _index_rows(found: Statistics, names: Sequence[str], time: Array) -> Iterato
 
 
 def draw_quantiles(found: Statistics, time: Array) -> Figure:
-    """Return a panel of quantiles over time, or along a line, for every output.
-
-    Bands lie between quantiles that are as far from the middle; dotted lines are the outer ends of
-    the outermost quantiles' intervals.
-    """
-    with styled():
-        figure, panels = _grid(len(found.outputs), 2.7)
-        for axes, (name, each) in zip(panels, found.outputs.items(), strict=True):
-            _draw_quantiles(axes, found.levels, each, _instants(each.along, len(each.mean), time))
-            along = "place along the line [–]" if each.along == LINE else "time [s]"
-            label_axes(axes, along, f"{_words(name)} [{each.unit}]")
-            axes.margins(x=0.01)
-        legend_below(figure, panels[0])
-        return figure
+    """Return a panel of quantiles over time, or along a line, for every output."""
+    panels = []
+    for name, each in found.outputs.items():
+        x = _instants(each.along, len(each.mean), time)
+        levels = zip(found.levels, each.quantiles, strict=True)
+        curves = [Curve(f"{100.0 * level:g} %", x, values) for level, values in levels]
+        curves += [Curve("mean", x, each.mean, "full")]
+        for end, values in (("lowest", each.interval[0, 0]), ("highest", each.interval[1, -1])):
+            curves.append(Curve(f"{end} end of the quantiles' intervals", x, values, "level"))
+        panels.append(Panel(_words(name), _along(each), f"[{each.unit}]", curves))
+    return draw_grid([panels[k : k + COLUMNS] for k in range(0, len(panels), COLUMNS)])
 
 
-def _draw_quantiles(axes: Axes, levels: Array, each: OutputStatistics, along: Array) -> None:
-    n_bands = len(levels) // 2
-    for k in range(n_bands):
-        opacity = PALEST + (DARKEST - PALEST) * k / max(1, n_bands - 1)
-        label = f"{100.0 * levels[k]:g} to {100.0 * levels[-1 - k]:g} %"
-        low, high = each.quantiles[k], each.quantiles[-1 - k]
-        axes.fill_between(along, low, high, color=BAND, alpha=opacity, lw=0, label=label)
-    if len(levels) % 2:
-        middle = f"{100.0 * levels[n_bands]:g} %"
-        axes.plot(along, each.quantiles[n_bands], color=BAND, label=middle)
-    axes.plot(along, each.mean, color=INK, lw=1.0, ls="--", label="mean")
-    look: dict[str, Any] = {"color": BAND, "lw": 0.9, "ls": ":"}
-    axes.plot(along, each.interval[0, 0], label="ends of the outer intervals", **look)
-    axes.plot(along, each.interval[1, -1], **look)
+def draw_indices(found: Statistics, parameters: Sequence[str], time: Array) -> Figure:
+    """Return a panel of Sobol indices over time, or along a line, for every output."""
+    panels = []
+    for name, each in found.indices.items():
+        output = found.outputs[name]
+        x = _instants(output.along, each.first.shape[1], time)
+        curves = [
+            Curve(f"{parameter}, {order}", x, values[k])
+            for k, parameter in enumerate(parameters)
+            for order, values in (("first order", each.first), ("total", each.total))
+        ]
+        panels.append(Panel(_words(name), _along(output), "Sobol index [–]", curves))
+    return draw_grid([panels[k : k + COLUMNS] for k in range(0, len(panels), COLUMNS)])
 
 
-def draw_indices(found: Statistics, parameters: Sequence[str]) -> Figure:
-    """Return a panel of Sobol indices for every output at the end, with their intervals."""
-    with styled():
-        figure, panels = _grid(len(found.indices), 2.4)
-        for axes, (name, each) in zip(panels, found.indices.items(), strict=True):
-            at = instant_of(found.outputs[name].along, each.first.shape[1])
-            orders = {
-                "first order": (each.first[:, at], each.first_interval[..., at]),
-                "total": (each.total[:, at], each.total_interval[..., at]),
-            }
-            width = BAR / len(orders)
-            for k, (order, (values, ends)) in enumerate(orders.items()):
-                place = np.arange(len(parameters)) + (k + 0.5) * width - BAR / 2
-                # An interval of percentiles need not hold the estimate.
-                reach = np.maximum(np.stack((values - ends[0], ends[1] - values)), 0.0)
-                axes.bar(
-                    place, values, 0.9 * width, color=line_of(k).color, alpha=0.75, label=order,
-                    yerr=reach, error_kw={"ecolor": INK, "elinewidth": 1.0, "capsize": 2.5},
-                )  # fmt: skip
-            label_axes(axes, "", "Sobol index [–]")
-            axes.set_title(_words(name))
-            axes.set_xticks(range(len(parameters)), [_words(each) for each in parameters])
-            axes.axhline(0.0, color=INK, lw=0.6)
-            axes.set_ylim(min(0.0, axes.get_ylim()[0]), max(1.05, axes.get_ylim()[1]))
-        legend_below(figure, panels[0])
-        return figure
-
-
-def _grid(n_panels: int, height: float) -> tuple[Figure, list[Axes]]:
-    """Return a figure with so many panels, in rows of some."""
-    columns = min(COLUMNS, n_panels)
-    rows = -(-n_panels // columns)
-    figure = new_figure(4.2 * columns, height * rows + 0.4)
-    panels = list(figure.subplots(rows, columns, squeeze=False).flat)
-    for axes in panels[n_panels:]:
-        axes.set_visible(False)
-    return figure, panels[:n_panels]
+def _along(output: OutputStatistics) -> str:
+    return "place along the line [–]" if output.along == LINE else "time [s]"
 
 
 def _words(name: str) -> str:
@@ -318,7 +261,7 @@ def show(report: Reporter, found: Statistics) -> None:
     levels = [f"{100.0 * level:g} %" for level in found.levels]
     rows = []
     for name, each in found.outputs.items():
-        at = instant_of(each.along, len(each.mean))
+        at = len(each.mean) // 2 if each.along == LINE else -1
         half = 0.5 * float(np.ptp(each.interval[:, middle, at]))
         cells = [each.mean[at], each.deviation[at], *each.quantiles[:, at], half]
         shown = [format_figure(float(cell)) for cell in cells]

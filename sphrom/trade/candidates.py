@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from itertools import product
 from typing import Any, Literal
@@ -25,8 +25,8 @@ from sphrom.offline import fom, operators
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.sph.time_loop import Clock, TimeSteps, march
-from sphrom.store.measured_quantities import read_quantities
 from sphrom.store.sampling import sample_run
+from sphrom.store.trajectory import read_quantities
 from sphrom.store.workspace import Workspace
 
 FOLDER = "trade"
@@ -45,26 +45,6 @@ REYNOLDS_FACTORS = (0.1, 0.3, 1.0, 3.0, 10.0)
 """Of maps of stability: below 1 over the least trained Reynolds number, else over the greatest."""
 SAME_STEP = 1e-9
 """Steps that differ by less, relatively, are one."""
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """A reduced model to weigh, of some time step."""
-
-    model: ReducedModelSection
-    step_factor: int
-    """Its time step over the automatic one."""
-
-    @property
-    def family(self) -> str:
-        """The name in tables of its models of all sizes and steps."""
-        return "APG" if self.model.projection == "apg" else "Galerkin, calibrated"
-
-    @property
-    def label(self) -> str:
-        """Its name in tables."""
-        step = "" if self.step_factor == 1 else f", {self.step_factor} dt"
-        return f"{self.family}, M = {self.model.size}{step}"
 
 
 def trade_points(case: Case) -> tuple[ParameterPoint, ...]:
@@ -90,7 +70,7 @@ def extreme_points(case: Case) -> tuple[ParameterPoint, ...]:
     return tuple(replace(high, reynolds=float(f"{value:.12g}")) for value in products)
 
 
-def candidates(case: Case, points: Sequence[ParameterPoint]) -> list[Candidate]:
+def candidates(case: Case, points: Sequence[ParameterPoint]) -> list[ReducedModelSection]:
     """Return the reduced models to weigh at parameter points, in the basis of the case's first one.
 
     Raises CaseError when the basis has fewer modes than are listed, or there is no local one.
@@ -103,7 +83,7 @@ def candidates(case: Case, points: Sequence[ParameterPoint]) -> list[Candidate]:
     models = models_of_sizes(case, "galerkin", basis, available)
     if not case.plan.driving:  # The closure has operators for the viscosity alone.
         models += models_of_sizes(case, "apg", basis, available)
-    return [Candidate(model, factor) for model in models for factor in STEP_FACTORS]
+    return models
 
 
 def models_of_sizes(

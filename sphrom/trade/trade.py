@@ -15,6 +15,7 @@ import numpy as np
 
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
 from sphrom.compare.costs import is_imported, known_seconds, offline_seconds
 from sphrom.errors import CaseError
 from sphrom.metrics.histories import EXACT, Errors, compare, errors_of
@@ -33,7 +34,7 @@ from sphrom.store.trajectory import require_complete
 from sphrom.store.workspace import Workspace
 from sphrom.text import counted
 from sphrom.trade import candidates as weighed_models
-from sphrom.trade.candidates import FOLDER, N_TIMED_STEPS, Candidate, candidates, trade_points
+from sphrom.trade.candidates import FOLDER, N_TIMED_STEPS, STEP_FACTORS, candidates, trade_points
 from sphrom.trade.weighing import (
     FRONTS,
     NO_MEASURED,
@@ -59,9 +60,7 @@ GAIN = 0.95
 """The largest error over that of the point named before, for a point to be named."""
 ON_FRONT = "*"
 """Marks an error that no model gives in less time."""
-HEADINGS = ("offline [s]", "online [s]", "speed-up", "break-even")
-MOST_NAMES = 6
-"""Models that one line names."""
+HEADINGS = ("offline [s]", "online [s]", "speed-up", "break-even", "no better than")
 
 
 @dataclass(frozen=True)
@@ -100,9 +99,8 @@ class _Trade:
     def __init__(self, context: StageContext) -> None:
         self.workspace, self.case = Workspace(context), context.case
         points = context.chosen(trade_points(self.case))
-        self.listed = candidates(self.case, points)
-        models = {each.model.name: each.model for each in self.listed}
-        self.wider = weighed_models.prepared(context, [*models.values()])
+        self.models = candidates(self.case, points)
+        self.wider = weighed_models.prepared(context, self.models)
         self.probes = probes_of(self.case)
         self.full: dict[ParameterPoint, Samples] = {}
         for point in points:
@@ -161,22 +159,25 @@ class _Trade:
     def _reduced(self) -> list[Rows]:
         """Run all reduced models; where rounding gives several one step, keep the first."""
         found: dict[tuple[object, ...], Rows] = {}
-        with self.workspace.context.report.progress("reduced models", len(self.listed)) as advance:
-            for candidate in self.listed:
-                rows = self._of(candidate)
-                steps = tuple(run.time_step for run in rows[1])
-                found.setdefault((candidate.model.name, steps), rows)
+        with self.workspace.context.report.progress("reduced models", len(self.models)) as advance:
+            for model in self.models:
+                for factor in STEP_FACTORS:
+                    rows = self._of(model, factor)
+                    steps = tuple(run.time_step for run in rows[1])
+                    found.setdefault((model.name, steps), rows)
                 advance(1)
         return list(found.values())
 
-    def _of(self, candidate: Candidate) -> Rows:
-        """Run a reduced model at all points, and return its rows."""
-        section, fast = candidate.model, FastModel(self.wider, candidate.model)
-        runs = [self._fast(fast, candidate, point) for point in self.full]
+    def _of(self, section: ReducedModelSection, factor: int) -> Rows:
+        """Run a reduced model at all points, in steps over automatic ones; return its rows."""
+        fast = FastModel(self.wider, section)
+        family = "APG" if section.projection == "apg" else "Galerkin, calibrated"
+        label = f"{family}, M = {section.size}" + (f", {factor} dt" if factor > 1 else "")
+        runs = [self._fast(fast, label, factor, point) for point in self.full]
         offline, training = offline_seconds(self.wider, section, list(self.full))
         row = ModelRow.of(
             runs,
-            family=candidate.family,
+            family=family,
             kind=section.evaluation,
             basis=section.basis,
             projection=section.projection,
@@ -188,18 +189,18 @@ class _Trade:
         )
         return row, runs
 
-    def _fast(self, fast: FastModel, candidate: Candidate, point: ParameterPoint) -> RunRow:
+    def _fast(self, fast: FastModel, label: str, factor: int, point: ParameterPoint) -> RunRow:
         """Run and time a model at a point."""
         measure, role = self.case.trade.measure, role_of(self.case, fast.basis_at(point), point)
         reduced = fast.at(point)
-        steps = reference_model.automatic(reduced).with_steps(candidate.step_factor)
+        steps = reference_model.automatic(reduced).with_steps(factor)
         found, seconds = steps.timed(self.case.trade.repeats)
         run, samples = FastRun(fast, point, reduced, found), None
         if run.failure is None:
             samples = run.sampled(self.probes)
             if measure is not None:
                 samples = replace(samples, measured=run.measured[measure])
-        return self._row(candidate.label, role, point, run.time_step, seconds, samples)
+        return self._row(label, role, point, run.time_step, seconds, samples)
 
     def _row(
         self,
@@ -250,18 +251,10 @@ def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None)
     tables["doing_nothing"] = without
     for name, each in tables.items():
         write_csv(folder / f"{name}.csv", each)
-    conclusions = []
-    for rival in dict.fromkeys(row.beaten_by for row in rows if row.beaten_by is not None):
-        models = [row.model for row in rows if row.beaten_by == rival]
-        more = f" and {len(models) - MOST_NAMES} more" if len(models) > MOST_NAMES else ""
-        conclusions.append(
-            f"{rival} is no slower and nowhere worse than {'; '.join(models[:MOST_NAMES])}{more}: "
-            "don't take these"
-        )
+    words = ""
     if tolerance is not None:
         advice, words = recommend(rows, without, tolerance, measure)
         tables["recommendation"] = [advice]
-        conclusions.append(words)
     case, seconds = workspace.case, timed_words(workspace.case)
     origin = about(case.name, workspace.threads)
     write_json(
@@ -270,7 +263,8 @@ def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None)
     save(draw_trade(results), folder / "trade.png")
     report.table(
         f"speed against accuracy: {measure.words} in %, overall / at the worst instant, pressure "
-        f"less its mean; {ON_FRONT} on the Pareto front of seconds and this error; {seconds}",
+        f"less its mean; {ON_FRONT} on the Pareto front of seconds and this error; a model is no "
+        f"better than one that is no slower and nowhere worse; {seconds}",
         ("model", "step [s]", *(q.replace("_", " ") for q in measure.quantities), *HEADINGS),
         [
             _cells(rows[0], measure),
@@ -278,8 +272,8 @@ def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None)
             *(_cells(row, measure) for row in rows[1:]),
         ],
     )
-    for line in conclusions:
-        report.info(line)
+    if words:
+        report.info(words)
     report.info(f"tables, trade.json and trade.png are in {folder}")
 
 
@@ -304,9 +298,10 @@ def _cells(row: ModelRow, measure: Measure) -> tuple[str, ...]:
         _known(row.offline_seconds) if reduced else "",
         *map(_known, (row.online_seconds, row.speed_up)),
         pays if reduced else "",
+        row.beaten_by or "",
     ]
     if not row.stable:
-        gains[1:] = ["unstable", "", ""]
+        gains[1:] = ["unstable", "", "", ""]
     return row.model, format_figure(row.time_step), *_errors(row.errors, measure, row), *gains
 
 

@@ -5,6 +5,9 @@ the region, the full model is run where it is worst, and the model learns from t
 runs and maps are those of the case and stay; bases, splines and operators are made anew each time,
 in a folder of their own, which takes a small part of the time of a full run. So the full runs on
 disk are the journal: the same command makes the same choices again, and none of these runs.
+
+Errors are root mean squares over the reference points and the instants that count, over those of
+the field [%]: of the velocity, and of the pressure less its mean.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sphrom.case.checks import case_problems
 from sphrom.case.identity import resolved_yaml
@@ -21,22 +25,39 @@ from sphrom.case.loader import case_of_text
 from sphrom.case.messages import show_path
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import Region, fast_model, percent, trained_at
 from sphrom.errors import ArtifactError, CaseError, UnstableError, error_of
+from sphrom.metrics.histories import TIME_TOLERANCE
 from sphrom.offline import fit_psi, fom, operators, pod
 from sphrom.offline import map as map_stage
+from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.reduction.greedy import Ending, choose, ending
+from sphrom.reduction.trial_basis import (
+    TrialBasis,
+    mean_density_fluctuation,
+    project,
+    reconstruct,
+    weighted_mean,
+)
 from sphrom.setup.context import KnownArtifacts, StageContext
 from sphrom.setup.cost import require_room, runs_that_fit
 from sphrom.store.workspace import Workspace
 from sphrom.sweep.workers import Failure, Task, check_options, start_workers
 from sphrom.text import exact
 from sphrom.train.outcome import FOLDER, HeldOut, Outcome, Stage, publish
-from sphrom.train.stage_model import NONE, StageModel
 from sphrom.whole_files import require_writable, write_whole
+
+Array = NDArray[np.float64]
 
 CASE_FILE = "case.yaml"
 """What the case with the chosen points is called, in the training's folder."""
+MADE_HERE = ("basis", "spline", "b-spline", "operators")
+"""Kinds of artifacts that every stage makes anew, in a folder of its own."""
+N_BLOCK_SNAPSHOTS = 16
+"""Snapshots that are read at once."""
+NONE = np.full(2, np.inf)
+"""The errors of a run that diverged, and estimates where there are none."""
 
 
 def run(
@@ -72,8 +93,6 @@ def run(
         changed["budget"] = budget
     section = context.case.training.model_copy(update=changed)
     case = context.case.model_copy(update={"training": section})
-    if write_case is not None:
-        _check_case_path(write_case)
     training = _Training(replace(context, case=case), workers, scheduler)
     path = write_case or training.folder / CASE_FILE
     _check_case_file(path, case, training.starts)
@@ -89,20 +108,15 @@ def run(
         )
 
 
-def _check_case_path(path: Path) -> None:
-    """Raise CaseError unless a file can be written there."""
+def _check_case_file(path: Path, case: Case, points: Sequence[ParameterPoint]) -> None:
+    """Raise CaseError unless a case, trained at some points, can be written and read there."""
     if not path.parent.is_dir():
         raise CaseError(f"--write-case: {path.parent} is no folder")
     try:
         require_writable(path)
+        case_of_text(resolved_yaml(trained_at(case, points)), path.parent)
     except ArtifactError as error:
         raise CaseError(f"--write-case: {error}") from error
-
-
-def _check_case_file(path: Path, case: Case, points: Sequence[ParameterPoint]) -> None:
-    """Raise CaseError unless a case, trained at some points, can be read there."""
-    try:
-        case_of_text(resolved_yaml(trained_at(case, points)), path.parent)
     except CaseError as error:
         raise CaseError(
             "--write-case: the case names files beside it, so name a file in "
@@ -306,3 +320,110 @@ def make_run(task: Task) -> tuple[Failure, ...]:
     """Make the full run of a task."""
     fom.run(task.context(only=task.points, keep_valid=True, resume=True))
     return ()
+
+
+class StageModel:
+    """A model that was trained at some points, whose full runs are mapped."""
+
+    def __init__(
+        self,
+        context: StageContext,
+        model: ReducedModelSection,
+        points: Sequence[ParameterPoint],
+        folder: Path,
+    ) -> None:
+        """Make bases, splines and operators where they aren't those of the points."""
+        context = replace(
+            context,
+            case=trained_at(context.case, points),
+            force=True,
+            keep_valid=True,
+            known=KnownArtifacts(),
+            folders=dict.fromkeys(MADE_HERE, folder),
+            report=context.report.brief(progress=True),
+        )
+        for stage in (pod, fit_psi, operators):
+            stage.run(context)
+        self.workspace = Workspace(context)
+        self._points, self._fast = points, FastModel(self.workspace, model)
+
+    def estimate(self, point: ParameterPoint) -> Array:
+        """Return the estimated errors (2,) of the model at a point, infinite if there are none."""
+        run = self._run(point)
+        found = None if run is None else run.estimate
+        if run is None or found is None:
+            return NONE
+        late = self._counted(run.time)
+        squares = np.sum(found.errors[late] ** 2, axis=0), np.sum(found.sizes[late] ** 2, axis=0)
+        return _percent(*squares)
+
+    def floor(self) -> Array:
+        """Return the largest errors (2,) of the best approximations of the training runs."""
+        found = [self.compared(point, approximation=True)[1] for point in self._points]
+        return np.asarray(np.max(found, axis=0))
+
+    def compared(
+        self, point: ParameterPoint, *, approximation: bool = False
+    ) -> tuple[Array, Array]:
+        """Return the errors of the model at a point whose full run is mapped.
+
+        They are (2,) [%]: of the model's run, infinite where it diverged, and of the best
+        approximation in its basis; with `approximation` of that alone.
+        """
+        basis = self._fast.at_point(point).basis
+        run = None if approximation else self._run(point)
+        error, floor, size = np.zeros((3, 2))
+        with self.workspace.open(self.workspace.mapped(point)) as mapped:
+            counted = np.flatnonzero(self._counted(mapped.read("time")))
+            densities, velocities = (
+                mapped.dataset("density_fluctuation"),
+                mapped.dataset("velocity"),
+            )
+            for begin in range(counted[0], counted[-1] + 1, N_BLOCK_SNAPSHOTS):
+                some = slice(begin, min(begin + N_BLOCK_SNAPSHOTS, counted[-1] + 1))
+                density, velocity = densities[some], velocities[some]
+                fields = _fields(basis, density, velocity)
+                size += _squares(basis, *fields)
+                mean = mean_density_fluctuation(basis, density)
+                best = reconstruct(basis, project(basis, density, velocity), mean)
+                floor += _distance(basis, _fields(basis, *best), fields)
+                if run is not None:
+                    mean = np.full(len(density), run.reduced.mean_density_fluctuation)
+                    state = reconstruct(basis, run.coordinates[some], mean)
+                    error += _distance(basis, _fields(basis, *state), fields)
+        return NONE if run is None else _percent(error, size), _percent(floor, size)
+
+    def _run(self, point: ParameterPoint) -> FastRun | None:
+        """Return the run at a point; None where it diverges or takes steps without end."""
+        try:
+            run = self._fast.run(point)
+        except CaseError:
+            return None
+        return None if run.failure is not None else run
+
+    def _counted(self, time: Array) -> NDArray[np.bool_]:
+        """Return which instants count, as in a comparison."""
+        return time >= self.workspace.case.compare.from_time - TIME_TOLERANCE
+
+
+def _fields(basis: TrialBasis, density: Array, velocity: Array) -> tuple[Array, Array]:
+    """Return velocities (n_snapshots, n_points, 2), and densities less their means."""
+    return velocity, density - weighted_mean(density, basis.weights)[:, None]
+
+
+def _squares(basis: TrialBasis, velocity: Array, density: Array) -> Array:
+    """Return sums of squares (2,) over points and snapshots."""
+    of_velocity = np.sum(np.sum(velocity**2, axis=2) @ basis.weights)
+    return np.array([of_velocity, np.sum(density**2 @ basis.weights)])
+
+
+def _distance(basis: TrialBasis, fields: tuple[Array, Array], others: tuple[Array, Array]) -> Array:
+    """Return sums of squares (2,) of how far fields are from others."""
+    return _squares(basis, *(a - b for a, b in zip(fields, others, strict=True)))
+
+
+def _percent(squares: Array, sizes: Array) -> Array:
+    """Return roots of sums of squares over those of the fields [%]."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shares = 100.0 * np.sqrt(squares / sizes)
+    return np.where(np.isfinite(shares), shares, np.inf)

@@ -21,9 +21,7 @@ from sphrom.reduction.memory_operators import project_memory
 from sphrom.reduction.reduced_operators import MemoryOperators
 from sphrom.setup import cost, particles
 from sphrom.sph import state_equation
-from sphrom.store.bases import read_basis, read_points, read_splines
-from sphrom.store.sampling import probes_of
-from sphrom.store.trained_operators import read_operators
+from sphrom.store.reduced_models import read_basis, read_operators, read_points, read_splines
 
 FAST: dict[str, Any] = {
     "evaluation": "operators",
@@ -54,10 +52,7 @@ LID: dict[str, Any] = {
     "discretization": {"resolution": 16},
     "time": {"final_time": 3.0},
     "snapshots": {"every": 8},
-    "rom": [
-        {"name": "fast", **FAST, "n_modes": 8, "steady": True},
-        {"name": "probed", **FAST, "n_modes": 8, "output": "probes", "parameters": [100, 120]},
-    ],
+    "rom": [{"name": "fast", **FAST, "n_modes": 8, "steady": True}],
     "compare": {**COMPARE, "from_time": 1.0},
 }
 OPEN: dict[str, Any] = {
@@ -311,38 +306,6 @@ def test_a_steady_state_is_one(made, workspace_of):
         assert 1 <= run.number("steady/n_steps") < 50
         assert run.number("timing/steady") > 0.0
     assert "fast, reynolds=100: steady state converged in" in told(out)
-
-
-@pytest.mark.parametrize("reynolds", [100, 120])
-def test_fields_are_kept_at_the_probes(made, workspace_of, reynolds):
-    """Also where nothing is compared."""
-    probes = probes_of(workspace_of(made(LID)).case)
-    with run_of(made(LID), f"probed-reynolds{reynolds}") as run:
-        assert np.array_equal(run.read("probes/position"), probes.all)
-        velocity, pressure = run.read("probes/velocity"), run.read("probes/pressure")
-        assert velocity.shape == (len(run.read("time")), len(probes.all), 2)
-        assert pressure.shape == velocity.shape[:2]
-        assert np.isfinite(pressure).all()
-        assert "velocity" not in run
-    assert 0.5 < np.linalg.norm(velocity[-1], axis=1).max() < 1.1  # the lid's is one
-
-
-def test_errors_at_the_probes_are_those_of_the_fields(made):
-    rows = json.loads((made(LID) / "compare.json").read_text())["errors"]
-    plain, probed = (
-        [row for row in rows if row["compared"] == name] for name in ("fast", "probed")
-    )
-    assert len(plain) == len(probed) > 0
-    for one, other in zip(plain, probed, strict=True):
-        assert one | {"compared": ""} == other | {"compared": ""}
-
-
-def test_other_probes_are_another_run_s(copied, sphrom, refused):
-    """Runs that keep nothing there don't mind."""
-    copied(LID)
-    line = refused(sphrom("rom", "lid.yaml", "--set", "compare.grid=10"))
-    assert "rom-probed-reynolds100.h5" in line
-    assert "rom-fast" not in line
 
 
 def test_stale_operators_are_refused(place, sphrom, refused):

@@ -86,8 +86,8 @@ def test_what_the_model_has_gives_its_parameters(study, columns, tmp_path):
     assert exact.covariance[1, 1] == pytest.approx(lid.standard_deviation**2)
     assert exact["lid"] == lid
     assert "noise is smaller than stated" in exact.problems[-1]
-    exact.draw(tmp_path / "fit.svg")
-    assert "there_pressure [Pa]" in (tmp_path / "fit.svg").read_text()
+    exact.draw(tmp_path / "fit.png")
+    assert (tmp_path / "fit.png").stat().st_size > 10_000
 
 
 def test_gradients_are_differences(study, columns):
@@ -98,7 +98,7 @@ def test_gradients_are_differences(study, columns):
     table |= {name: instants for name in columns if name != "time"}
 
     data = read_measurements(table, study.case, study.case.plan.steps, 1.0)
-    box = Box({"reynolds": 50.0, "lid": 0.5}, {"reynolds": 200.0, "lid": 1.0}, {})
+    box = Box({"reynolds": (50.0, 200.0), "lid": (0.5, 1.0)}, {})
     model, place = FittedModel(fast, box, data.histories), np.array([0.6, 0.4])
     model.prepare([place])
     found = model(place)

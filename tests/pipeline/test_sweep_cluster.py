@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -64,14 +65,12 @@ def address(tmp_path_factory) -> Iterator[str]:
         )  # fmt: skip
         yield found[0]
     finally:
-        for process in (workers, scheduler):
-            if process is not None:
-                os.killpg(process.pid, signal.SIGTERM)
-                try:
-                    process.communicate(timeout=20)
-                except subprocess.TimeoutExpired:
-                    os.killpg(process.pid, signal.SIGKILL)
-                    process.communicate(timeout=20)
+        for process in filter(None, (workers, scheduler)):
+            os.killpg(process.pid, signal.SIGTERM)
+            with suppress(subprocess.TimeoutExpired):
+                process.communicate(timeout=20)
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
 
 
 @pytest.fixture
@@ -157,11 +156,13 @@ def test_a_task_that_kills_its_workers_is_given_up(address, client, monkeypatch)
     client.wait_for_workers(N_WORKERS, timeout=60)
 
 
-def test_a_scheduler_that_does_not_answer(sphrom, empty, monkeypatch):
+@pytest.mark.parametrize("library", [True, False])
+def test_a_scheduler_that_is_not_there(sphrom, empty, monkeypatch, library):
     monkeypatch.setattr(sweep_workers, "PATIENCE", 0.5)
-    result = sphrom(
-        "sweep", "tiny.yaml", "--set", "sweep={model: full, reynolds: [100]}", "--scheduler",
-        "tcp://127.0.0.1:1",
-    )  # fmt: skip
+    if not library:
+        monkeypatch.setitem(sys.modules, "distributed", None)
+    full = ("--set", "sweep={model: full, reynolds: [100]}")
+    result = sphrom("sweep", "tiny.yaml", *full, "--scheduler", "tcp://127.0.0.1:1")
     assert result.exit_code == 2
-    assert "error: --scheduler: no scheduler answers at tcp://127.0.0.1:1; start" in result.stderr
+    said = "no scheduler answers at tcp://127.0.0.1:1; start" if library else "needs the library"
+    assert f"error: --scheduler: {said}" in result.stderr

@@ -12,10 +12,6 @@ from sphrom.errors import UnstableError
 from sphrom.trade import candidates, extremes
 
 FEW = ("trade.repeats=1", "trade.n_modes=[2,3]", "trade.resolutions=[12,16]", "compare.plots=false")
-FIGURES = {
-    "velocity_field_relative_l2", "training_seconds", "offline_seconds", "online_seconds",
-    "speed_up",
-}  # fmt: skip
 REFERENCE = {"name": "fast", "evaluation": "operators", "n_modes": 3}
 
 
@@ -40,14 +36,6 @@ def written(place: Path, pattern: str = "*.h5") -> dict[Path, int]:
     return {path: path.stat().st_mtime_ns for path in place.glob(pattern)}
 
 
-def one_line(text: str) -> str:
-    return " ".join(text.split())
-
-
-def families(place: Path) -> list[tuple[str, str]]:
-    return [(r["family"], r["n_modes"]) for r in rows_of(place) if r["kind"] != "full"]
-
-
 @pytest.fixture
 def weigh(sphrom):
     """Weigh the models of a case with some keys, and return the words in one line."""
@@ -55,7 +43,7 @@ def weigh(sphrom):
     def command(keys: tuple[str, ...] = (), *arguments: str) -> str:
         result = sphrom("trade", *options(*keys), *arguments)
         assert result.exit_code == 0, result.output
-        return one_line(result.stdout)
+        return " ".join(result.stdout.split())
 
     return command
 
@@ -64,30 +52,24 @@ def test_models_are_weighed(weigh, place):
     """Measured: reduced runs off by 1.0 % at most."""
     words = weigh((), "--tolerance", "90%,1000%")
     rows = rows_of(place)
-    full = [row for row in rows if row["kind"] == "full"]
+    own, *full = [row for row in rows if row["kind"] == "full"]
     reduced = [row for row in rows if row["kind"] == "operators"]
-    assert {row["n_modes"] for row in reduced} == {"2", "3"}
-    assert {row["family"] for row in reduced} == {"Galerkin, calibrated", "APG"}
+    assert {(row["family"], row["n_modes"]) for row in reduced} == {
+        (family, n_modes) for family in ("Galerkin, calibrated", "APG") for n_modes in "23"
+    }
     assert (place / "trade" / "operators.h5").exists()
     assert not (place / "operators.h5").exists()
+    assert {"APG, M = 2", "Galerkin, calibrated, M = 3"} <= {row["model"] for row in reduced}
     assert {row["resolution"] for row in full} == {"12", "16"}
     assert len({(row["resolution"], row["time_step"]) for row in full}) == len(full)
-
-    own = full[0]
     assert (own["model"], own["velocity_line_relative_l2_peak"]) == ("full, as in the case", "0.0")
-    assert float(own["speed_up"]) == 1.0
-    own_seconds = float(own["online_seconds"])
-    for row in full[1:]:
-        assert 0.0 < float(row["velocity_field_relative_l2"]) < 12.0
-        assert row["break_even_runs"] == ""
+    assert all(0.0 < float(row["velocity_field_relative_l2"]) < 12.0 for row in full)
     for row in reduced:
-        figures = {name: float(value) for name, value in row.items() if name in FIGURES}
         assert row["stable"] == "True"
-        assert 0.0 < figures["velocity_field_relative_l2"] < 2.2
-        assert figures["training_seconds"] < figures["offline_seconds"]
-        seconds = figures["online_seconds"]
-        assert figures["speed_up"] == pytest.approx(own_seconds / seconds, rel=1e-6)
-        assert row["break_even_runs"] == "" or int(row["break_even_runs"]) >= 1
+        assert 0.0 < float(row["velocity_field_relative_l2"]) < 2.2
+        assert float(row["training_seconds"]) < float(row["offline_seconds"])
+        gain = float(own["online_seconds"]) / float(row["online_seconds"])
+        assert float(row["speed_up"]) == pytest.approx(gain, rel=1e-6)
     fastest = min(rows, key=lambda row: float(row["online_seconds"]))
     assert (fastest["velocity_front"], fastest["pressure_front"]) == ("True", "True")
     assert "online is a run of 0.08 s" in words
@@ -99,9 +81,7 @@ def test_models_are_weighed(weigh, place):
     assert [row["model"] for row in stored["models"]] == [row["model"] for row in rows]
     # In so short a run few modes are no better than a flow that doesn't change.
     nothing = {row["name"]: row for row in stored["doing_nothing"]}
-    assert list(nothing) == [
-        "nearest training run", "training runs, interpolated", "the start, unchanged",
-    ]  # fmt: skip
+    assert len(nothing) == 3
     judged = ("velocity_field_relative_l2", "pressure_field_relative_l2")
     for row in stored["models"][1:]:
         better = [n for n, other in nothing.items() if all(other[f] <= row[f] for f in judged)]
@@ -112,7 +92,6 @@ def test_models_are_weighed(weigh, place):
     cheapest = min(free, key=lambda row: row["online_seconds"])
     assert stored["recommendation"][0]["model"] == cheapest["model"]
     assert f"the cheapest is {cheapest['model']}:" in words
-    assert stored["about"]["judged_by"] == "relative L2 error over the field and time"
     assert (place / "trade" / "trade.png").stat().st_size > 10_000
 
 
@@ -221,29 +200,22 @@ def test_extremes_are_of_calibrated_models_where_the_case_has_some(sphrom, weigh
     assert found == {("time step", "True"), ("memory length", "False"), ("Mach number", "True")}
 
 
+ONE = "basis.subsets={one: {reynolds: [100]}}"
+
+
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("keys", "others", "words"),
     [
-        (("rom=[]",), "error: rom: the case has no reduced models"),
-        (("--tolerance", "1%", "--extremes"), "error: --tolerance: is not for --extremes"),
-        (
-            (
-                "basis.subsets={one: {reynolds: [100]}}",
-                "basis.n_modes=8",
-                "trade.n_modes=[8]",
-                "rom.0.basis=one",
-                "rom.0.n_modes=6",
-            ),
-            "error: trade.n_modes: the basis one has 6 modes; got 8",
-        ),
+        (("rom=[]",), (), "rom: the case has no reduced models"),
+        ((), ("--tolerance", "1%", "--extremes"), "--tolerance: is not for --extremes"),
+        ((ONE, "basis.n_modes=8", "trade.n_modes=[8]", "rom.0.basis=one", "rom.0.n_modes=6"), (),
+         "trade.n_modes: the basis one has 6 modes; got 8"),
     ],
-)
-def test_refusals(sphrom, place, arguments, words):
-    settings = [argument for argument in arguments if "=" in argument]
-    others = [argument for argument in arguments if "=" not in argument]
-    result = sphrom("trade", *options("trade.n_modes=null", *settings), *others)
+)  # fmt: skip
+def test_refusals(sphrom, place, keys, others, words):
+    result = sphrom("trade", *options("trade.n_modes=null", *keys), *others)
     assert result.exit_code == 2
-    assert result.stderr.startswith(words)
+    assert result.stderr.startswith(f"error: {words}")
     assert not (place / "trade").exists()
 
 
@@ -252,14 +224,11 @@ def test_operators_of_the_case_serve_where_they_are_enough(sphrom, weigh, place)
     assert sphrom("operators", *options()).exit_code == 0
     few = ("trade.full_runs=false", "trade.n_modes=[2]")
     weigh(few)
-    assert families(place) == [("Galerkin, calibrated", "2"), ("APG", "2")]
     assert not (place / "trade" / "operators.h5").exists()
     galerkin, apg = rows_of(place)[1:]
     assert float(galerkin["offline_seconds"]) < float(apg["offline_seconds"])
     weigh((*few, "trade.n_modes=null"))
-    assert families(place) == [
-        ("Galerkin, calibrated", "2"), ("Galerkin, calibrated", "3"), ("APG", "2"), ("APG", "3"),
-    ]  # fmt: skip
+    assert {row["n_modes"] for row in rows_of(place)[1:]} == {"2", "3"}
     assert (place / "trade" / "operators.h5").exists()
 
 

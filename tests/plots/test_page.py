@@ -8,7 +8,7 @@ from html.parser import HTMLParser
 import numpy as np
 
 from sphrom.plots.page import animation, element, headline, legend, listing, picture, render, table
-from sphrom.report.animation import GAP, Scale, arranged, as_png, paint
+from sphrom.report.report import GAP, Scale, arranged, as_png, paint
 
 HOSTILE = '<script>alert("1")</script> & "quoted"'
 PNG = as_png(np.zeros((2, 2, 3), dtype=np.uint8))

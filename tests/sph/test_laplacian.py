@@ -7,7 +7,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from sphrom.metrics.series import order_of_convergence
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
 from sphrom.sph.fixed_points import FixedPoints
@@ -52,7 +51,7 @@ def test_plane_waves_to_fourth_order(wave: tuple[int, int]) -> None:
     """On a lattice at h = 4 dx: measured, orders 4.2 and 3.7; with plain weights it was 2."""
     counts = np.array([24, 32, 48])
     errors = np.array([wave_error(n, 4.0, wave) for n in counts])
-    assert order_of_convergence(1.0 / counts, errors) > 3.5
+    assert np.polyfit(np.log(1.0 / counts), np.log(errors), 1)[0] > 3.5
     assert errors[-1] < 0.005
 
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sphrom.metrics.discrepancy import relative_discrepancy
-from sphrom.metrics.samples import vertical_line
+from sphrom.metrics.histories import relative_discrepancy
+from sphrom.metrics.samples import midpoints
 from sphrom.reduction.decomposition import decompose
 from sphrom.reduction.mode_splines import basis_columns
 from sphrom.reduction.particle_model import AdjointPetrovGalerkin, ParticleModel, reduced_jacobian
@@ -26,7 +26,7 @@ from sphrom.sph.time_loop import runge_kutta_step
 Array = NDArray[np.float64]
 
 RESOLUTION, RATIO, TIME, EVERY, N_MODES = 32, 4.0, 0.5, 2, 5
-LINE = vertical_line(0.5, [(0.0, 1.0)], 64)
+LINE = np.stack((np.full(64, 0.5), midpoints(0.0, 1.0, 64)), axis=1)
 
 
 def mapped(run, points: Array, method: str = "mls") -> tuple[Array, Array]:

@@ -16,17 +16,6 @@ _FACTOR = (
 )
 
 
-class Probes(Record):
-    """The fields where runs are compared."""
-
-    position: Array = dataset(
-        "probe component", "m",
-        "where runs are compared: the line's points, the grid's, then the stations", "x",
-    )
-    velocity: Array = dataset("snapshot probe component", "m/s", "velocity there", "u", "Eq. 2.7")
-    pressure: Array = dataset("snapshot probe", "Pa", "pressure there", "p", "Eq. 2.8")
-
-
 class ErrorEstimate(Record):
     """The errors of a run, estimated without a full run."""
 
@@ -137,7 +126,6 @@ class Coordinates(Settings, kind="sphrom/coordinates"):
     pressure: Array | None = dataset(
         "snapshot particle", "Pa", "pressure", "p", "Eq. 2.8", default=None
     )
-    probes: Probes | None = part(default=None)
     status: Status = attribute("", "how the run ended")
     status_detail: str | None = attribute("", "what went wrong, and when", default=None)
     memory_length: float | None = attribute("s", "tau of Eq. 3.22", default=None)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +10,7 @@ import pytest
 
 from sphrom.artifacts import Origin, create_artifact, open_artifact
 from sphrom.case.points import ParameterPoint
-from sphrom.sweep.records import (
+from sphrom.sweep.runs import (
     COMPLETE,
     ERROR,
     FAILED,
@@ -21,6 +20,7 @@ from sphrom.sweep.records import (
     read_records,
     write_records,
 )
+from sphrom.sweep.sweep import _summary
 
 PLACES = np.array([[0.25, 0.5], [0.75, 0.5]])
 
@@ -61,40 +61,34 @@ MIXED = [
 ]
 
 
-@pytest.fixture
-def write(tmp_path: Path) -> Callable[[list[RunRecord]], Path]:
+def written(path: Path, records: list[RunRecord]) -> Path:
     """Write records to a sweep's artifact."""
-
-    def write(records: list[RunRecord]) -> Path:
-        path = tmp_path / "sweep-fast.h5"
-        origin = Origin("inputs", "name: x\n")
-        with create_artifact(path, "sphrom/sweep", stage="sweep", origin=origin) as artifact:
-            write_records(artifact, "fast", records, PLACES)
-        return path
-
-    return write
-
-
-def same(found: RunRecord, given: RunRecord) -> bool:
-    if replace(found, values={}) != replace(given, values={}):
-        return False
-    return found.values.keys() == given.values.keys() and all(
-        np.array_equal(found.values[name], value) for name, value in given.values.items()
-    )
+    origin = Origin("inputs", "name: x\n")
+    with create_artifact(path, "sphrom/sweep", stage="sweep", origin=origin) as artifact:
+        write_records(artifact, "fast", records, PLACES)
+    return path
 
 
 @pytest.mark.parametrize("order", [slice(None), slice(None, None, -1), slice(3), slice(3, 4)])
-def test_records_come_back_as_they_were(write, order: slice) -> None:
-    path: Path = write(MIXED[order])
+def test_records_come_back_as_they_were(tmp_path, order: slice) -> None:
+    path = written(tmp_path / "sweep-fast.h5", MIXED[order])
     with open_artifact(path, "sphrom/sweep", made_by="") as artifact:
-        found = read_records(artifact)
-    assert len(found) == len(MIXED[order])
+        found, done = read_records(artifact), read_points(artifact)
     for one, given in zip(found, MIXED[order], strict=True):
-        assert same(one, given), given.point
+        assert replace(one, values={}) == replace(given, values={})
+        assert one.values.keys() == given.values.keys()
+        for name, value in given.values.items():
+            np.testing.assert_array_equal(one.values[name], value)
+    assert done == [record.point for record in MIXED[order] if record.status != FAILED]
 
 
-def test_points_by_how_their_runs_ended(write) -> None:
-    with open_artifact(write(MIXED), "sphrom/sweep", made_by="") as artifact:
-        done, failed = read_points(artifact), read_points(artifact, (FAILED,))
-    assert [p.reynolds for p in done] == [100.0, 110.0, 120.0, 140.0, 150.0, 160.0, 170.0]
-    assert [p.reynolds for p in failed] == [130.0]
+def test_a_figure_has_its_extremes_where_they_are_and_its_mean() -> None:
+    values = {100.0: 2.0, 200.0: 7.0, 300.0: 3.0, 400.0: None}
+    records = [RunRecord(ParameterPoint(reynolds), 0) for reynolds in values]
+    rows = [{"kinetic_energy": value} for value in values.values()]
+    ((words, least, at_least, mean, greatest, at_greatest),) = _summary(
+        records, rows, {"kinetic_energy": "J/m"}
+    )
+    assert words == "kinetic energy [J/m]"
+    assert (least, mean, greatest) == ("2.00", "4.00", "7.00")
+    assert (at_least, at_greatest) == ("reynolds 100", "reynolds 200")

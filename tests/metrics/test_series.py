@@ -1,0 +1,118 @@
+"""Series: fitted rates and frequencies, moving averages, kinetic energy by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sphrom.metrics.series import (
+    dominant_frequency,
+    exponential_rate,
+    hat,
+    kinetic_energy,
+    moving_average,
+)
+
+
+@given(rate=st.floats(-50.0, 5.0), constant=st.floats(1e-6, 1e6))
+def test_rate_of_an_exponential(rate: float, constant: float) -> None:
+    time = np.linspace(0.0, 1.0, 20)
+    assert exponential_rate(time, constant * np.exp(rate * time)) == pytest.approx(rate, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("time", "value", "word"),
+    [([0.1, 0.2], [1.0, np.nan], "positive"), ([0.1, 0.2], [0.0, 1.0], "positive"),
+     ([0.1, 0.1], [1.0, 2.0], "two different"), ([0.1, 0.2], [1.0], "as many")],
+)  # fmt: skip
+def test_fits_without_meaning_are_refused(time, value, word) -> None:
+    with pytest.raises(ValueError, match=word):
+        exponential_rate(np.array(time), np.array(value))
+
+
+def test_kinetic_energy_of_snapshots() -> None:
+    velocity = np.array([[[3.0, 4.0], [0.0, 2.0]], [[0.0, 0.0], [1.0, 0.0]]])
+    np.testing.assert_allclose(kinetic_energy(velocity, 2.0), [29.0, 1.0])
+    np.testing.assert_allclose(kinetic_energy(velocity, np.array([2.0, 4.0])), [33.0, 2.0])
+
+
+@given(
+    frequency=st.floats(4.0, 5.0),
+    phase=st.floats(0.0, 2.0 * np.pi),
+    trend=st.floats(-3.0, 3.0),
+    n_samples=st.integers(60, 300),
+)
+def test_frequency_of_a_record_of_some_periods(
+    frequency: float, phase: float, trend: float, n_samples: int
+) -> None:
+    """Whatever the phase and the trend, to far less than the one period that a record resolves."""
+    time = 5.0 + np.linspace(0.0, 1.0, n_samples)
+    signal = 2.0 + trend * time + np.sin(2.0 * np.pi * frequency * time + phase)
+    assert dominant_frequency(time, signal) == pytest.approx(frequency, rel=2e-3)
+
+
+def test_the_strongest_of_several_frequencies_is_found_beneath_noise() -> None:
+    time = np.linspace(0.0, 1.0, 201)
+    noise = 0.1 * np.random.default_rng(0).normal(size=time.size)
+    harmonics = np.sin(29.2 * time) + 0.4 * np.sin(58.4 * time + 1.0)
+    assert dominant_frequency(time, harmonics + noise) == pytest.approx(
+        29.2 / 2.0 / np.pi, rel=5e-3
+    )
+
+
+@pytest.mark.parametrize(
+    "signal",
+    [
+        np.zeros(100),
+        np.full(100, 3.3),
+        np.linspace(0.0, 1.0, 100),
+        np.linspace(0.0, 1.0, 100) ** 2,
+        np.sin(np.linspace(0.0, 8.0, 100)),
+    ],
+    ids=["nothing", "constant", "straight", "curved", "less than two periods"],
+)
+def test_a_record_without_two_periods_has_no_frequency(signal: np.ndarray) -> None:
+    with pytest.raises(ValueError, match="no oscillation"):
+        dominant_frequency(np.linspace(0.0, 1.0, 100), signal)
+
+
+@pytest.mark.parametrize(
+    ("time", "signal"),
+    [
+        (np.arange(7.0), np.arange(7.0)),
+        (np.arange(20.0) ** 2, np.arange(20.0)),
+        (np.arange(20.0), np.full(20, np.nan)),
+    ],
+    ids=["short", "uneven", "not finite"],
+)
+def test_records_without_a_spectrum_are_refused(time, signal) -> None:
+    with pytest.raises(ValueError, match="samples"):
+        dominant_frequency(time, signal)
+
+
+@pytest.mark.parametrize("n_half", [1, 2, 7])
+def test_a_hat_is_symmetric_and_sums_up_to_one(n_half):
+    weights = hat(n_half)
+    assert weights.shape == (2 * n_half - 1,)
+    assert weights.sum() == pytest.approx(1.0)
+    np.testing.assert_allclose(weights, weights[::-1])
+    assert weights.argmax() == n_half - 1
+
+
+def test_straight_lines_are_kept():
+    values = np.stack([np.arange(20.0), 3.0 - 2.0 * np.arange(20.0)], axis=1)
+    np.testing.assert_allclose(moving_average(values, hat(4)), values[3:-3])
+
+
+@pytest.mark.parametrize("period", [8.0, 4.0, 8.0 / 3.0])
+def test_oscillations_that_fit_into_half_the_hat_are_lost(period):
+    wave = np.cos(2.0 * np.pi * np.arange(100) / period + 0.3)
+    np.testing.assert_allclose(moving_average(wave, hat(8)), 0.0, atol=1e-12)
+
+
+def test_averages_are_those_of_numpy_for_any_shape():
+    values = np.random.default_rng(1).random((12, 3, 2))
+    expected = np.convolve(values[:, 1, 0], hat(3), "valid")
+    np.testing.assert_allclose(moving_average(values, hat(3))[:, 1, 0], expected)

@@ -1,0 +1,32 @@
+"""The phase of a run beside another, as the page of the paper's claims tells it."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sphrom
+
+
+@pytest.fixture
+def phase_lead(monkeypatch):
+    monkeypatch.syspath_prepend(str(Path(sphrom.__file__).parents[1] / "scripts"))
+    return importlib.import_module("paper_page").phase_lead
+
+
+def test_a_phase_that_drifts_is_followed_beyond_half_a_period(phase_lead) -> None:
+    """Ahead is positive: a wave that comes early has its crest early."""
+    time = 5.0 + np.linspace(0.0, 1.0, 801)
+    reference = 3.0 + np.sin(2.0 * np.pi * 4.6 * time + 1.0)
+    ahead = 2.0 * np.sin(2.0 * np.pi * 4.6 * (time + 0.1 / 4.6) + 1.0)
+    np.testing.assert_allclose(phase_lead(time, ahead, reference, 4.6), 0.1, atol=2e-3)
+    np.testing.assert_allclose(phase_lead(time, reference, ahead, 4.6), -0.1, atol=2e-3)
+    faster = np.sin(2.0 * np.pi * 5.4 * (time - 5.0) + 2.0 * np.pi * 4.6 * 5.0 + 1.0)
+    lead = phase_lead(time, faster, reference, 4.6)
+    assert lead[0] == pytest.approx(0.8 * 0.5 / 4.6, abs=0.03)
+    assert lead[-1] == pytest.approx(0.8 * (1.0 - 0.5 / 4.6), abs=0.03)
+    with pytest.raises(ValueError, match="a period or more"):
+        phase_lead(time, reference, reference, 0.5)
