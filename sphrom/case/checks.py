@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.case.models import Case
-from sphrom.case.plan import MAX_STEPS, ROUNDING, WHOLE_STEPS_TOLERANCE
+from sphrom.case.plan import MAX_STEPS, WHOLE_STEPS_TOLERANCE
 from sphrom.case.points import REYNOLDS, ParameterPoint, nearest_point
 from sphrom.case.scene_section import KINDS, MeasureSection
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection
@@ -22,6 +22,7 @@ from sphrom.case.study_sections import FULL, ErrorFigure, FieldFigure, ModeFigur
 from sphrom.case.yaml_reader import Problem
 from sphrom.errors import CaseError
 from sphrom.kernels import SUPPORT_RATIO
+from sphrom.sph.fluid import ROUNDING
 from sphrom.text import exact, nearest, repeated
 
 Array = NDArray[np.float64]
