@@ -123,7 +123,7 @@ def estimate(run: FastRun) -> Estimate | None:
         fitted=fitted,
         errors=fitted.errors(run.time, residual, run.coordinates),
         sizes=trained.products.sizes(run.coordinates),
-        extrapolates=fitted.extrapolates(run.time),
+        extrapolates=fitted.extrapolates(len(run.time)),
         units=trained.units,
     )
 
@@ -138,7 +138,7 @@ def steady_errors(run: FastRun, state: Array) -> SteadyErrors | None:
     if trained is None or fitted is None:
         return None
     residual = float(trained.residual(run, run.time[-1:], state[None])[0])
-    change = fitted.changes(run.time, run.coordinates)[-1]
+    change = fitted.changes(run.coordinates)[-1]
     later = float(np.linalg.norm(state - run.coordinates[-1]))
     errors = fitted.steady_errors(residual, change, later)
     relative = errors / trained.products.sizes(state[None])[0]
@@ -229,7 +229,7 @@ def _write(artifact: ArtifactWriter, run: FastRun, found: Estimate) -> None:
     stored = ErrorEstimate(
         velocity=velocity,
         pressure=pressure,
-        change=found.fitted.changes(run.time, run.coordinates),
+        change=found.fitted.changes(run.coordinates),
         decay_rate=found.fitted.decay_rate,
         training="outside" if found.extrapolates else "inside",
         velocity_constant=constants[0],

@@ -74,18 +74,18 @@ def test_changes_count_by_what_is_not_held_of_them() -> None:
     np.testing.assert_allclose(
         found**2 - known**2, np.tile((3.0 * SHARES.parameters) ** 2, (41, 1)), rtol=1e-4
     )
-    assert local.extrapolates(TIME)
+    assert local.extrapolates(41)
 
 
 def test_beyond_the_trained_time_the_change_since_then_counts() -> None:
     local = fitted().at(PLACES[0])
     longer = np.linspace(0.0, 4.0, 81)
     state = np.stack([1.0 + longer, np.full(81, 5.0)], axis=1)
-    changes = local.changes(longer, state)
+    changes = local.changes(state)
     np.testing.assert_allclose(changes[:, 0], 0.0, atol=1e-12)
     np.testing.assert_allclose(changes[:, 1], np.maximum(longer - 2.0, 0.0), atol=1e-12)
-    assert local.extrapolates(longer)
-    assert not local.extrapolates(TIME)
+    assert local.extrapolates(81)
+    assert not local.extrapolates(41)
     residual = np.ones(81)
     known = accumulated(longer, residual, RATE)[-1] * CONSTANTS[0]
     expected = np.sqrt(known**2 + (2.0 * SHARES.time[0]) ** 2)
