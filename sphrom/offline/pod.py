@@ -107,25 +107,20 @@ def _decompose(
         name: np.concatenate([of_run[point] for point in points])
         for name, points in case.plan.bases.items()
     }
-    bases: dict[str, TrialBasis] = {}
     try:
-        for size in sorted({case.plan.basis_size(name) for name in learnt}):
-            bases |= decompose(
-                read_block,
-                n_points=len(volume),
-                n_snapshots=per_run * len(runs),
-                product=inner_product(workspace),
-                volume=volume,
-                n_modes=size,
-                snapshots={
-                    k: some for k, some in learnt.items() if case.plan.basis_size(k) == size
-                },
-                mean_density=None if means is None else means.ravel(),
-                ram_limit=decomposition_ram_limit(),
-            )
+        return decompose(
+            read_block,
+            n_points=len(volume),
+            n_snapshots=per_run * len(runs),
+            product=inner_product(workspace),
+            volume=volume,
+            n_modes={name: case.plan.basis_size(name) for name in learnt},
+            snapshots=learnt,
+            mean_density=None if means is None else means.ravel(),
+            ram_limit=decomposition_ram_limit(),
+        )
     except ValueError as error:
         raise CaseError(f"basis.n_modes, rom.n_modes: {error}") from error
-    return {name: bases[name] for name in learnt}
 
 
 def _write_lagrangian(workspace: Workspace, artifact: ArtifactWriter, volume: Array) -> None:
