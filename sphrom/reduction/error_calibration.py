@@ -64,7 +64,7 @@ WITHIN = 0.95
 
 
 @dataclass(frozen=True)
-class Calibration:
+class ErrorCalibration:
     """The fitted relation of residuals and changes to errors of the velocity and of q."""
 
     decay_rate: float
@@ -80,14 +80,14 @@ class Calibration:
     shares: UnheldShares
     """Of changes: (2,) with the parameters, and (n_runs, 2) with time."""
 
-    def at(self, place: Array) -> LocalCalibration:
+    def at(self, place: Array) -> LocalErrorCalibration:
         """Return the calibration at a parameter point (n_parameters,)."""
         weights, distance = interpolation_weights(self.places, place)
         logarithms = np.log(self.constants)
         apart = np.linalg.norm(self.places[:, None] - self.places, axis=2).max()
         # Beyond the hull of the training points they may go on changing.
         share = min(1.0, distance / apart) if apart > 0.0 else 0.0
-        return LocalCalibration(
+        return LocalErrorCalibration(
             self.decay_rate,
             np.exp(weights @ logarithms + share * np.ptp(logarithms, axis=0)),
             None if distance > 0.0 else self.factors,
@@ -97,7 +97,7 @@ class Calibration:
 
 
 @dataclass(frozen=True)
-class LocalCalibration:
+class LocalErrorCalibration:
     """A calibration at one parameter point."""
 
     decay_rate: float
@@ -175,7 +175,7 @@ def accumulated(time: Array, residual: Array, decay_rate: float | Array) -> Arra
     return out
 
 
-def calibrate(
+def calibrate_errors(
     time: Array,
     coordinates: Array,
     residuals: Array,
@@ -183,7 +183,7 @@ def calibrate(
     compared: Indices,
     places: Array,
     shares: UnheldShares,
-) -> Calibration | None:
+) -> ErrorCalibration | None:
     """Fit constants and rate to training runs.
 
     Parameters
@@ -224,7 +224,7 @@ def calibrate(
     _, rate, ratios = best
     middle = np.stack([each.mean(axis=0) for each in ratios])
     places = places[usable]
-    return Calibration(
+    return ErrorCalibration(
         float(rate),
         np.exp(middle),
         _factors(ratios, middle, places),
