@@ -34,8 +34,8 @@ from sphrom.reduction.polynomial_model import SteadyState, steady_state
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup.context import StageContext
 from sphrom.signals import guarded
-from sphrom.store.measured_quantities import measured_of
 from sphrom.store.sampling import Probes, Samples, sample_run
+from sphrom.store.trajectory import measured_of
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ digest: reading an artifact never looks at it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import h5py
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from sphrom.artifacts.layout import Shape
 from sphrom.artifacts.records import SCHEMAS
+from sphrom.declaration import matches
 
 VIEW = "VTKHDF"
 """The group that VTK looks for."""
@@ -56,57 +57,38 @@ def views(schema: str, given: Mapping[str, Shape]) -> dict[str, View]:
 
     The others, such as a trajectory's ghosts, have points of their own.
     """
-    views = {
-        name: view
-        for name, points, fields in _arrangements(schema, given)
-        if (view := _view(schema, given, points, fields)) is not None
-    }
-    if views and "" not in views:
-        views = {"": views.pop(next(iter(views))), **views}
-    return views
-
-
-def _arrangements(
-    schema: str, given: Iterable[str]
-) -> Iterator[tuple[str, str, Mapping[str, str]]]:
-    """Yield the name, the points and the fields of each view that a kind of artifact may have."""
     plain = {name: name for name in ("velocity", "density_fluctuation", "pressure")}
+    arranged: dict[str, tuple[str, Mapping[str, str]]] = {}
     if schema in ("sphrom/trajectory", "sphrom/state", "sphrom/packing"):
-        yield "", "position", plain
-        yield "ghosts", "ghost/position", {"wall_velocity": "ghost/wall_velocity"}
+        ghosts = {"wall_velocity": "ghost/wall_velocity"}
+        arranged = {"": ("position", plain), "ghosts": ("ghost/position", ghosts)}
     elif schema in ("sphrom/reference-snapshots", "sphrom/coordinates"):
-        yield "", "reference_position", plain
+        arranged = {"": ("reference_position", plain)}
     elif schema == "sphrom/basis":
-        yield "", "reference_position", {"volume": "volume", **_of_bases("bases", given)}
-        yield "lagrangian", "lagrangian_position", _of_bases("lagrangian", given)
+        modes = {"volume": "volume", **_modes("bases", given)}
+        lagrangian = "lagrangian_position", _modes("lagrangian", given)
+        arranged = {"": ("reference_position", modes), "lagrangian": lagrangian}
+    return {
+        name: _view(schema, given, points, fields)
+        for name, (points, fields) in arranged.items()
+        if 0 not in given.get(points, (0,))  # an unstable run may have no snapshot
+    }
 
 
-def _of_bases(group: str, given: Iterable[str]) -> dict[str, str]:
-    """Return the fields in a group of bases by names such as `all_velocity`."""
-    fields = {}
-    for name in given:
-        parent, _, path = name.partition("/")
-        basis, _, rest = path.partition("/")
-        kind, _, part = rest.partition("/")
-        if parent == group and kind == "modes":
-            fields[f"{basis}_{part}"] = name
-    return fields
+def _modes(group: str, given: Iterable[str]) -> dict[str, str]:
+    """Return the modes in a group of bases by names such as `all_velocity`."""
+    paths = {name: name.split("/") for name in given if matches(f"{group}/*/modes/*", name)}
+    return {f"{basis}_{part}": name for name, (_, basis, _, part) in paths.items()}
 
 
-def _view(
-    schema: str, given: Mapping[str, Shape], points: str, fields: Mapping[str, str]
-) -> View | None:
-    """Return a view of the artifact; None if it has no points, or they aren't written yet."""
-    if points not in given or 0 in given[points]:
-        return None
+def _view(schema: str, given: Mapping[str, Shape], points: str, fields: Mapping[str, str]) -> View:
     there = {name: dataset for name, dataset in fields.items() if dataset in given}
-    shown = [points, *there.values()]
-    stepped = frozenset(name for name in shown if _axes(schema, name)[0] in STEP_AXES)
-    has_times = any(_axes(schema, name)[0] == "snapshot" for name in stepped)
+    first = {name: _axes(schema, name)[0] for name in (points, *there.values())}
+    stepped = frozenset(name for name, axis in first.items() if axis in STEP_AXES)
     return View(
         points=points,
         fields=there,
-        times="time" if has_times else None,
+        times="time" if "snapshot" in first.values() else None,
         n_points=given[points][-2],
         n_steps=max((given[name][0] for name in stepped), default=0),
         stepped=stepped,

@@ -16,9 +16,13 @@ from sphrom.online.basis_model import fields_of, forces_of
 from sphrom.reduction.reduced_measures import calibrate_force
 from sphrom.reduction.trial_basis import kept_modes, mean_density_fluctuation, project, truncate
 from sphrom.setup.particles import MeasuredFields
-from sphrom.store.bases import read_basis
-from sphrom.store.measured_quantities import totals
-from sphrom.store.trained_operators import read_force_records, read_measure, read_wall_force
+from sphrom.store.reduced_models import (
+    read_basis,
+    read_force_records,
+    read_measure,
+    read_wall_force,
+)
+from sphrom.store.trajectory import totals
 from sphrom.store.workspace import Workspace
 
 Measured = Mapping[str, Quantities]

@@ -31,7 +31,7 @@ from sphrom.online.stored_run import StoredRun
 from sphrom.plots.tables import write_csv
 from sphrom.setup.context import StageContext
 from sphrom.sph import state_equation
-from sphrom.store.bases import read_points
+from sphrom.store.reduced_models import read_points
 from sphrom.store.sampling import probes_of
 from sphrom.store.workspace import Target, Workspace, make_folder
 from sphrom.whole_files import replacement

@@ -19,7 +19,7 @@ from sphrom.setup.cost import describe_cost, describe_run, require_room
 from sphrom.setup.particles import MeasuredFields
 from sphrom.sph.packing import MAX_ITERATIONS, pack
 from sphrom.sph.time_loop import Clock, TimeSteps, integrate, march
-from sphrom.store.checkpoints import Checkpoints, last_good, remove_checkpoints
+from sphrom.store.checkpoints import Checkpoints, remove_checkpoints
 from sphrom.store.starts import scene_start, start
 from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Target, Workspace
@@ -38,11 +38,10 @@ def run(context: StageContext) -> None:
     ensure_packed(workspace)
     for point in context.chosen(context.case.plan.points):
         target = ensure_run(workspace, point)
+        remove_checkpoints(workspace, target)
         with workspace.open(target) as trajectory:
             if trajectory.text("status") != "complete":
-                detail = trajectory.text("status_detail") + last_good(workspace, target)
-                raise UnstableError(f"{point.label}: {detail}")
-        remove_checkpoints(workspace, target)
+                raise UnstableError(f"{point.label}: {trajectory.text('status_detail')}")
 
 
 def ensure_run(workspace: Workspace, point: ParameterPoint) -> Target:
@@ -143,8 +142,7 @@ def _spin_up(workspace: Workspace, point: ParameterPoint) -> None:
                 ):
                     end = kept
             except UnstableError as error:
-                detail = f"{error}{last_good(workspace, target)}"
-                raise UnstableError(f"{point.label}, spin-up: {detail}") from error
+                raise UnstableError(f"{point.label}, spin-up: {error}") from error
         last = Start(position=end[:2].T, density_fluctuation=end[2], velocity=end[3:].T)
         write_record(artifact, last)
         artifact.annotate("time", steps.time(n_steps))

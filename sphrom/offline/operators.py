@@ -54,10 +54,17 @@ from sphrom.setup.context import StageContext
 from sphrom.setup.cost import require_room
 from sphrom.setup.particles import MeasuredFields
 from sphrom.sph.fixed_points import FixedPoints
-from sphrom.store.bases import mapped_runs, read_basis, read_points, read_splines
-from sphrom.store.measured_quantities import read_forces
+from sphrom.store.reduced_models import (
+    calibrated,
+    mapped_runs,
+    memory_timing,
+    read_basis,
+    read_points,
+    read_splines,
+    training_runs,
+)
 from sphrom.store.starts import starts_record
-from sphrom.store.trained_operators import calibrated, memory_timing, training_runs
+from sphrom.store.trajectory import read_forces
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from sphrom.artifacts import Artifact, ArtifactWriter, write_record
 from sphrom.case.hints import few_snapshots
 from sphrom.errors import CaseError
-from sphrom.metrics.discrepancy import cumulative_singular_value_share, energy
+from sphrom.metrics.histories import cumulative_singular_value_share, energy
 from sphrom.reduction.decomposition import decompose
 from sphrom.reduction.trial_basis import JOINT, Modes, TrialBasis, weighted_mean
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import decomposition_ram_limit, require_room
-from sphrom.store.bases import inner_product
+from sphrom.store.reduced_models import inner_product
 from sphrom.store.trajectory import require_complete
 from sphrom.store.workspace import Workspace
 

@@ -40,17 +40,17 @@ from sphrom.reduction.trial_basis import (
     truncate,
 )
 from sphrom.setup.assembly import amplitude_of, drives, memory_length_of, output_times_of, places_of
-from sphrom.store.bases import read_basis
-from sphrom.store.measured_quantities import totals
-from sphrom.store.starts import Fields
-from sphrom.store.trained_operators import (
+from sphrom.store.reduced_models import (
     calibrated,
+    read_basis,
     read_force_records,
     read_measure,
     read_operators,
     read_wall_force,
     sized_in,
 )
+from sphrom.store.starts import Fields
+from sphrom.store.trajectory import totals
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:
@@ -143,9 +143,9 @@ class BasisModel:
     @cached_property
     def splines(self) -> ModeSplines:
         """The splines of the model's modes."""
-        from sphrom.store.bases import read_model_splines  # they load their kernels
+        from sphrom.store.reduced_models import read_modes  # they load their kernels
 
-        return read_model_splines(self.workspace, self.name, self.section.size)
+        return read_modes(self.workspace, self.name, self.section.size)[1]
 
     @cached_property
     def trained_errors(self) -> TrainedErrors | None:

@@ -19,8 +19,8 @@ from sphrom.setup import assembly, particles
 from sphrom.setup.assembly import memory_length_of
 from sphrom.setup.particles import MeasuredFields
 from sphrom.sph.time_loop import TimeSteps, integrate
-from sphrom.store.bases import read_modes, read_points
 from sphrom.store.checkpoints import Checkpoints
+from sphrom.store.reduced_models import read_modes, read_points
 from sphrom.store.starts import start
 from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Workspace

@@ -39,8 +39,8 @@ from sphrom.reduction.trial_basis import reconstruct
 from sphrom.setup import assembly
 from sphrom.setup.assembly import field_measures
 from sphrom.sph import state_equation
-from sphrom.store.bases import read_points
-from sphrom.store.measured_quantities import field_datasets, force_datasets, write_positions
+from sphrom.store.reduced_models import read_points
+from sphrom.store.trajectory import field_datasets, force_datasets, write_positions
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]

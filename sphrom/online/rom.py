@@ -12,7 +12,7 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import require_room
-from sphrom.store.checkpoints import last_good, remove_checkpoints
+from sphrom.store.checkpoints import remove_checkpoints
 from sphrom.store.workspace import Target, Workspace
 
 
@@ -30,12 +30,11 @@ def run(context: StageContext) -> None:
         context.report.info("no reduced model to run")
     for model, point in runs:
         target = ensure_run(workspace, model, point)
+        remove_checkpoints(workspace, target)
         with workspace.open(target) as trajectory:
             if trajectory.text("status") != "complete":
-                detail = trajectory.text("status_detail") + last_good(workspace, target)
+                detail = trajectory.text("status_detail")
                 unstable.append(f"{model.name}, {point.label}: {detail}")
-                continue
-        remove_checkpoints(workspace, target)
     if unstable:
         raise UnstableError("\n".join(unstable))
 

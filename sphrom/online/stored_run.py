@@ -19,10 +19,9 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.measures import Quantities
 from sphrom.reduction.trial_basis import TrialBasis, reconstruct, truncate
 from sphrom.sph import state_equation
-from sphrom.store.bases import read_basis, read_modes, read_points
-from sphrom.store.measured_quantities import read_quantities
+from sphrom.store.reduced_models import read_basis, read_modes, read_points, sized
 from sphrom.store.sampling import Samples, expand, sample_run
-from sphrom.store.trained_operators import sized
+from sphrom.store.trajectory import read_quantities
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]

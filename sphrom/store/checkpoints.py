@@ -334,20 +334,8 @@ def _computed_otherwise(kept: Checkpoint) -> str:
 
 
 def remove_checkpoints(workspace: Workspace, target: Target) -> None:
-    """Remove the checkpoints of an artifact that is complete, unless somebody makes it anew."""
+    """Remove the checkpoints of an artifact that is there, unless somebody makes it anew."""
     files = CheckpointFiles(workspace, target)
     if files.left:
         with suppress(ArtifactError), locked(target.path):
             files.remove()
-
-
-def last_good(workspace: Workspace, target: Target) -> str:
-    """Say in words where the last checkpoint of a run that became unstable is; nothing if none."""
-    try:
-        kept = CheckpointFiles(workspace, target).latest()
-    except ArtifactError:
-        return ""
-    return (
-        f"; the last good checkpoint is of step {kept.step}, t = {kept.time:.6g} s: "
-        f"{target.path.name}.checkpoint"
-    )

@@ -14,7 +14,7 @@ from sphrom.artifacts.records.runs import Start
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.setup import assembly
-from sphrom.store.bases import read_points
+from sphrom.store.reduced_models import read_points
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -45,14 +45,9 @@ def start(workspace: Workspace, point: ParameterPoint) -> Start:
         return read_record(artifact, Start)
 
 
-def scene_start(
-    workspace: Workspace, point: ParameterPoint, position: Array | None = None
-) -> Start:
-    """Return the scene's state, from which a spin-up or a run without one starts.
-
-    `position` (n_particles, 2) [m] is that of the particles, where it is known.
-    """
-    position = initial_positions(workspace) if position is None else position
+def scene_start(workspace: Workspace, point: ParameterPoint) -> Start:
+    """Return the scene's state, from which a spin-up or a run without one starts."""
+    position = initial_positions(workspace)
     density, velocity = assembly.initial_fields(workspace.case, point, position)
     return Start(position=position, density_fluctuation=density, velocity=velocity)
 
@@ -83,8 +78,6 @@ class MappedStarts:
         self._stored = None
         if operators is not None and "starts/parameters" in operators:
             self._stored = read_record(operators, Starts, "starts")
-        self._position: Array | None = None
-        self._last: tuple[Start, Fields] | None = None
         self._latest: tuple[object, Fields] | None = None
 
     def at(self, point: ParameterPoint) -> Fields:
@@ -93,34 +86,21 @@ class MappedStarts:
         begin = case.plan.start_point(point)
         key: object = begin if case.time.spin_up > 0.0 else begin.others
         if self._latest is None or self._latest[0] != key:
-            self._latest = key, self._found(begin)
+            self._latest = key, self._stored_at(begin) or self._mapped(begin)
         return self._latest[1]
 
-    def _found(self, begin: ParameterPoint) -> Fields:
+    def _stored_at(self, begin: ParameterPoint) -> Fields | None:
         if self._stored is not None:
             for k, values in enumerate(self._stored.parameters):
                 if _starts_alike(self._workspace.case, begin, values, self._points):
                     return self._stored.density_fluctuation[k], self._stored.velocity[k]
-        return self._mapped(self._start(begin))
+        return None
 
-    def _mapped(self, begin: Start) -> Fields:
+    def _mapped(self, begin: ParameterPoint) -> Fields:
         from sphrom.setup.particles import map_onto
 
-        if self._last is None or not all(
-            np.array_equal(one, other)
-            for one, other in zip(vars(self._last[0]).values(), vars(begin).values(), strict=True)
-        ):
-            to_points = map_onto(self._workspace.case, self._points)
-            self._last = begin, to_points(**vars(begin))
-        return self._last[1]
-
-    def _start(self, point: ParameterPoint) -> Start:
-        """Return the start of a run; particles are read once."""
-        if self._workspace.case.time.spin_up > 0.0:
-            return start(self._workspace, point)
-        if self._position is None:
-            self._position = initial_positions(self._workspace)
-        return scene_start(self._workspace, point, self._position)
+        to_points = map_onto(self._workspace.case, self._points)
+        return to_points(**vars(start(self._workspace, begin)))
 
 
 def _starts_alike(case: Case, point: ParameterPoint, values: Array, positions: Array) -> bool:

@@ -33,8 +33,8 @@ from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.online.sensitivities import tangents
 from sphrom.reduction.trial_basis import KineticEnergy, SpeedBounds
 from sphrom.store.checkpoints import remove_checkpoints
-from sphrom.store.measured_quantities import measured_of
 from sphrom.store.sampling import sample_run
+from sphrom.store.trajectory import measured_of
 from sphrom.store.workspace import Target, Workspace
 from sphrom.sweep.workers import Failure, Task
 

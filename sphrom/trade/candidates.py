@@ -25,8 +25,8 @@ from sphrom.offline import fom, operators
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.sph.time_loop import Clock, TimeSteps, march
-from sphrom.store.measured_quantities import read_quantities
 from sphrom.store.sampling import sample_run
+from sphrom.store.trajectory import read_quantities
 from sphrom.store.workspace import Workspace
 
 FOLDER = "trade"

@@ -16,7 +16,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.setup import particles
 from sphrom.setup.cost import needs
 from sphrom.sph.fluid import FlowConditions
-from sphrom.store.bases import read_modes, read_points
+from sphrom.store.reduced_models import read_modes, read_points
 
 COMPARE = {"plots": False, "grid": 12, "line_points": 21}
 FAST: dict[str, Any] = {"evaluation": "operators", "n_modes": 4, "calibrated": False}

@@ -21,8 +21,7 @@ from sphrom.reduction.memory_operators import project_memory
 from sphrom.reduction.reduced_operators import MemoryOperators
 from sphrom.setup import cost, particles
 from sphrom.sph import state_equation
-from sphrom.store.bases import read_basis, read_points, read_splines
-from sphrom.store.trained_operators import read_operators
+from sphrom.store.reduced_models import read_basis, read_operators, read_points, read_splines
 
 FAST: dict[str, Any] = {
     "evaluation": "operators",

@@ -9,7 +9,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import h5py
 import pytest
 
 NEXT = {  # a stage, the file it can't do without, and the command that makes that
@@ -80,40 +79,6 @@ def test_an_input_is_damaged(place, sphrom, refused, flip, stage, damage):
     assert line.startswith(f"error: {place}/{name} is ")
     assert line.endswith(f"; make it again with `sphrom {command} CASE --force`")
     assert not list(place.glob(RESULT_OF[stage]))
-
-
-@pytest.mark.parametrize("stage", NEXT)
-def test_values_under_valid_checksums_are_refused(place, sphrom, refused, stage):
-    """HDF5 itself finds nothing wrong with them."""
-    remove(place, RESULT_OF[stage])
-    name, command = NEXT[stage]
-    with h5py.File(place / name, "r+") as file:
-        found = []
-        file.visititems(lambda path, _: found.append(path) if is_main(path) else None)
-        file[found[0]][0] = 0
-    line = refused(sphrom(stage, "tiny.yaml"))
-    assert line.startswith(f"error: {place}/{name} is damaged: {found[0]} ")
-    assert line.endswith(f"; make it again with `sphrom {command} CASE --force`")
-    assert not list(place.glob(RESULT_OF[stage]))
-
-
-def is_main(path):
-    """Whether it is the dataset of an artifact that matters most."""
-    return re.search(r"^velocity$|modes/velocity$|polynomial_weights$", path) is not None
-
-
-@pytest.mark.parametrize("share", [0.02, 0.3, 0.99])
-def test_a_flipped_bit_is_found_wherever_it_is_or_changes_nothing(
-    place, sphrom, refused, flip, digests, share
-):
-    before = digests(place)
-    flip(place / "pod.h5", share)
-    remove(place, "psi.h5")
-    result = sphrom("fit-psi", "tiny.yaml", "--threads", 1)
-    if result.exit_code == 0:
-        assert digests(place)["psi.h5"] == before["psi.h5"]
-    else:
-        assert "make it again with `sphrom pod CASE --force`" in refused(result)
 
 
 def test_run_with_force_makes_a_damaged_artifact_anew(place, sphrom, refused, flip, digests):
@@ -244,7 +209,7 @@ def test_a_damaged_summary_is_told(place, sphrom, content):
 def test_a_case_that_does_not_fit(empty, sphrom, refused):
     large = ("--set", "discretization.resolution=100000")
     line = refused(sphrom("run", "tiny.yaml", *large), 5)
-    assert re.search(r"needs about [\d.e+]+ TB of memory in [a-z-]+, this machine has [\d.]+", line)
+    assert re.search(r"needs about \d+ GiB of memory in [a-z-]+, this machine has [\d.]+", line)
     assert "lower discretization.resolution" in line
     result = sphrom("case", "check", "tiny.yaml", *large)
     assert "3 full runs and 6 reduced runs" in result.stdout

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import math
 import time
 import zipfile
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -50,35 +48,13 @@ Content = str | bytes | Callable[[Path], object]
 # Texts of files.
 
 
-def vtp(
-    numbers: str = "0", kind: str = "Float64", n: object = 1, about: str = "", more: str = ""
-) -> str:
+def vtp(numbers: str = "0", kind: str = "Float64", n: object = 1) -> str:
     """PolyData of points and one field."""
     return (
-        f'<VTKFile type="PolyData" {about}><PolyData><Piece NumberOfPoints="{n}">'
+        f'<VTKFile type="PolyData"><PolyData><Piece NumberOfPoints="{n}">'
         '<Points><DataArray type="Float64" NumberOfComponents="3">0 0 0</DataArray></Points>'
-        f'<PointData><DataArray type="{kind}" Name="id">{numbers}</DataArray>{more}</PointData>'
+        f'<PointData><DataArray type="{kind}" Name="id">{numbers}</DataArray></PointData>'
         "</Piece></PolyData></VTKFile>"
-    )
-
-
-def legacy(*lines: str, points: str = "POINTS 1 float\n0 0 0") -> str:
-    """PolyData of the legacy format."""
-    head = ("# vtk DataFile Version 3.0", "", "ASCII", "DATASET POLYDATA", points)
-    return "\n".join((*head, *lines, ""))
-
-
-def compressed(last: int, n_bytes: int = 24, copies: int = 1) -> str:
-    """Points that are compressed: their claim of the last block, and what they unpack to."""
-    packed = zlib.compress(bytes(n_bytes), 9)
-    about = np.array([1, n_bytes, last, len(packed)], dtype="<u8").tobytes()
-    stored = base64.b64encode(about).decode() + base64.b64encode(packed).decode()
-    array = '<DataArray type="Int8" Name="{}" format="appended" offset="0"/>'
-    arrays = "".join(array.format(f"a{i}") for i in range(copies))
-    return (
-        '<VTKFile type="PolyData" header_type="UInt64" compressor="vtkZLibDataCompressor">'
-        f'<PolyData><Piece NumberOfPoints="{n_bytes}"><PointData>{arrays}</PointData></Piece>'
-        f'</PolyData><AppendedData encoding="base64">_{stored}</AppendedData></VTKFile>'
     )
 
 
@@ -139,38 +115,14 @@ def sparse(file: h5py.Group, name: str, shape: tuple[int, ...], kind: str = "<f8
     h5py.h5d.create(file.id, name.encode(), type_, space, properties, links)
 
 
-def vtkhdf(fill: Callable[[h5py.Group], object], n: int = 1) -> Callable[[Path], None]:
-    def write(path: Path) -> None:
-        with h5py.File(path, "w") as file:
-            group = file.create_group("VTKHDF")
-            group.attrs["Type"] = np.bytes_("PolyData")
-            group.attrs["Version"] = np.array([2, 0])
-            group["NumberOfPoints"] = np.array([n])
-            for kind in ("Vertices", "Lines", "Polygons", "Strips"):
-                group[f"{kind}/NumberOfCells"] = np.array([0])
-                group[f"{kind}/NumberOfConnectivityIds"] = np.array([0])
-                group[f"{kind}/Offsets"] = np.array([0])
-                group[f"{kind}/Connectivity"] = np.zeros(0, int)
-            fill(group)
-
-    return write
-
-
-def times(values: np.ndarray) -> Callable[[Path], None]:
-    def fill(group: h5py.Group) -> None:
-        group["Steps/Values"] = values
-        group["Steps"].attrs["NSteps"] = len(values)
-
-    return vtkhdf(fill)
-
-
-def huge_steps(group: h5py.Group) -> None:
-    sparse(group, "Steps/Values", (10**10,))
-    group["Steps"].attrs["NSteps"] = 10**10
-
-
-def huge_points(group: h5py.Group) -> None:
-    sparse(group, "Points", (4 * 10**9, 3))
+def sparse_points(path: Path) -> None:
+    """VTK's HDF format, with points that take no space on disk."""
+    with h5py.File(path, "w") as file:
+        group = file.create_group("VTKHDF")
+        group.attrs["Type"] = np.bytes_("PolyData")
+        group.attrs["Version"] = np.array([2, 0])
+        group["NumberOfPoints"] = np.array([4 * 10**9])
+        sparse(group, "Points", (4 * 10**9, 3))
 
 
 def pvd(file: str, *times: object) -> str:
@@ -189,31 +141,15 @@ def huge(start: bytes = b"") -> Callable[[Path], None]:
     return write
 
 
-def feature(*geometries: object) -> str:
-    features = [{"type": "Feature", "geometry": each} for each in geometries]
-    return json.dumps({"type": "FeatureCollection", "features": features})
-
-
-def square(x: float, y: float, width: float = 1.0) -> dict[str, Any]:
-    right, top = x + width, y + width
-    corners = [[x, y], [right, y], [right, top], [x, top], [x, y]]
-    return {"type": "Polygon", "coordinates": [corners]}
-
-
 def wkt(corners: np.ndarray) -> str:
     inner = ",".join(f"{x!r} {y!r}" for x, y in np.vstack((corners, corners[:1])).tolist())
     return f"POLYGON(({inner}))"
 
 
-def ring(n: int, radius: float = 1.0, wave: float = 0.0) -> np.ndarray:
-    """Corners around (3, 2); with a wave, those of a star."""
+def ring(n: int) -> np.ndarray:
+    """Corners of a circle around (3, 2)."""
     turn = np.arange(n) * 2.0 * math.pi / n
-    distance = radius * (1.0 + wave * (-1.0) ** np.arange(n))
-    return np.stack((3.0 + distance * np.cos(turn), 2.0 + distance * np.sin(turn)), axis=1)
-
-
-def points_csv(*rows: str, head: str = "x,y,u,v") -> str:
-    return "\n".join((head, *rows))
+    return np.stack((3.0 + np.cos(turn), 2.0 + np.sin(turn)), axis=1)
 
 
 # Each with its exit code.
@@ -221,18 +157,9 @@ def points_csv(*rows: str, head: str = "x,y,u,v") -> str:
 IMPORTED: list[tuple[str, int, str, Content]] = [
     ("integer-of-5000-digits", 3, "a.vtp", vtp("9" * 5000, "Int64")),
     ("huge-number-of-points", 3, "a.vtp", vtp(n=10**30)),
-    ("long-type", 3, "a.vtp", f'<VTKFile type="{"x" * 10_000}"/>'),
     ("entities", 3, "a.vtp", laughs()),
-    ("last-block-of-gigabytes", 3, "a.vtp", compressed(2**40)),
-    ("one-block-a-thousand-times", 3, "a.vtp", compressed(0, 10**8, 1000)),
     ("deep-elements", 3, "a.vtu", "<VTKFile>" + "<a>" * 200_000),
-    ("many-names", 2, "a.vtp", vtp(more="".join(
-        f'<DataArray type="Int8" Name="field_number_{i}">1</DataArray>' for i in range(5000)
-    ))),
-    ("count-10**30", 3, "a.vtk", legacy(points=f"POINTS {10**30} float\n0 0 0")),
-    ("count-2**62", 3, "a.vtk", legacy(points=f"POINTS {2**62} float\n0 0 0")),
-    ("count-of-cells", 3, "a.vtk", legacy(f"CELLS {10**30} {10**30}\n1 0")),
-    ("long-section", 3, "a.vtk", legacy("x" * 100_000)),
+    ("long-section", 3, "a.vtk", "# vtk DataFile Version 3.0\n\nASCII\n" + "x" * 100_000),
     ("members-name", 3, "a.npz", member("x" * 5000 + ".npy", b"no")),
     (
         "claim-of-an-array",
@@ -245,47 +172,28 @@ IMPORTED: list[tuple[str, int, str, Content]] = [
     ("far-away", 2, "a.npz", particles(x=np.full(100, 1e99))),
     ("late", 2, "a.npz", particles(t=1e308)),
     ("sparse-datasets", 3, "a.h5", pysph(x=(10**10,), y=(10**10,))),
-    ("names-of-particles", 3, "a.h5", lambda path: write_names(path)),
-    ("sparse-points", 3, "a.vtkhdf", vtkhdf(huge_points, 4 * 10**9)),
-    ("sparse-times", 3, "a.vtkhdf", vtkhdf(huge_steps)),
-    ("times-that-are-no-numbers", 3, "a.vtkhdf", times(np.full(3, np.nan))),
-    ("lists-a-long-name", 3, "a.pvd", pvd("x" * 10_000 + ".vtp")),
+    ("sparse-points", 3, "a.vtkhdf", sparse_points),
     ("lists-itself", 3, "a.pvd", pvd("a.pvd")),
-    ("lists-one-file-100000-times", 3, "a.pvd", pvd("a.vtp", *(100_000 * (0,)))),
+    ("lists-one-file-100000-times", 3, "a.pvd", pvd("x" * 10_000 + ".vtp", *(100_000 * (0,)))),
     *(
         (f"100-gigabytes-{name}", 3, name, huge(start))
         for name, start in (
-            ("a.vtk", b"# vtk DataFile"), ("a.vtp", b"<VTKFile"), ("a.npz", b"PK\3\4"),
-            ("a.pvd", b"<VTKFile"), ("a.h5", b"\x89HDF\r\n\x1a\n"),
+            ("a.vtp", b"<VTKFile"), ("a.npz", b"PK\3\4"), ("a.pvd", b"<VTKFile"),
+            ("a.h5", b"\x89HDF\r\n\x1a\n"),
         )
     ),
 ]  # fmt: skip
 
 
-def write_names(path: Path) -> None:
-    with h5py.File(path, "w") as file:
-        for i in range(1000):
-            file[f"particles/fluid_number_{i}/arrays/x"] = np.zeros(1)
-
-
 OUTLINES: list[tuple[str, Content]] = [
     ("half.geojson", '{"type": "\\ud800"}'),
-    ("long-type.geojson", json.dumps({"type": "x" * 10_000})),
     ("long-number.geojson", '{"type": "Polygon", "coordinates": ' + "9" * 10_000 + "}"),
     ("deep.geojson", '{"type": "Polygon", "coordinates": ' + "[" * 50_000 + "]" * 50_000 + "}"),
-    ("squares.geojson", feature(*(square(i % 100 / 30, i // 100 / 30) for i in range(10_000)))),
     ("corners.wkt", wkt(ring(100_000))),
     ("crossing.wkt", wkt(np.random.default_rng(0).random((60_000, 2)))),
     ("holes.wkt", "POLYGON((0 0,9 0,9 9,0 9,0 0)" + ",(1 1,2 1,2 2,1 1)" * 100_000 + ")"),
     ("brackets.wkt", "POLYGON" + "(" * 1_000_000),
     *((f"100-gigabytes{suffix}", huge()) for suffix in (".geojson", ".wkt")),
-]
-STARTS: list[tuple[str, Content]] = [
-    ("head.csv", points_csv(head=",".join(f"column_{i}" for i in range(50_000)))),
-    ("rows.csv", points_csv(*(f"{i},0,0,0" for i in range(1_500_000)))),
-    ("one-place.csv", points_csv("0,0,0,0", "1e-300,0,0,0", "0,1e-300,0,0")),
-    ("halves.csv", b"x,y,u,v,\xed\xa0\x80\n0,0,0,0\n"),
-    ("100-gigabytes.csv", huge(b"x,y,u,v\n")),
 ]
 MEASURED: list[tuple[str, Content]] = [
     ("long-head.csv", "time," + "x" * 100_000),
@@ -310,7 +218,6 @@ def given(
 ROWS: list[Any] = [
     *((*row, TAYLOR_GREEN, ()) for row in IMPORTED),
     *given(OUTLINES, OWN, "scene", "solids", "part", "file"),
-    *given(STARTS, OWN, "scene", "initial", "file"),
     *given(MEASURED, LID),
     *given(CASES, {}),
 ]

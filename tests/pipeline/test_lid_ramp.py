@@ -12,8 +12,7 @@ import pytest
 from sphrom.artifacts import open_artifact
 from sphrom.setup import particles
 from sphrom.sph.fluid import FlowConditions
-from sphrom.store.bases import read_basis, read_points, read_splines
-from sphrom.store.trained_operators import read_operators
+from sphrom.store.reduced_models import read_basis, read_operators, read_points, read_splines
 
 RAMP = 0.6
 FAST: dict[str, Any] = {"evaluation": "operators", "n_modes": 6}

@@ -287,34 +287,25 @@ def test_runs_that_nobody_can_insist_on_start_anew(place, digests, stopped_elsew
     assert leftovers(place) == []
 
 
-def test_snapshots_that_no_checkpoint_takes_are_not_kept_in_memory(place, monkeypatch) -> None:
-    """A warning says so, once, and no checkpoint follows."""
+@pytest.mark.parametrize("most_pending", [0, 2**26])
+def test_a_disk_that_is_full_at_a_checkpoint_does_not_end_a_run(
+    place, digests, monkeypatch, most_pending
+) -> None:
+    """A warning says so; snapshots that no checkpoint takes are not kept in memory."""
     tried = []
 
     def refuse(*_: object) -> None:
         tried.append(True)
-        raise ArtifactError("no room is left")
-
-    (place / FULL).unlink()
-    monkeypatch.setattr(CheckpointFiles, "write", refuse)
-    monkeypatch.setattr("sphrom.store.checkpoints.MOST_PENDING", 0)
-    result = again("full", "--checkpoint-every", 0)
-    assert result.exit_code == 0
-    assert result.stderr.count("no checkpoint was written") == len(tried) == 1
-
-
-def test_a_disk_that_is_full_at_a_checkpoint_does_not_end_a_run(
-    place, digests, monkeypatch
-) -> None:
-    def refuse(*_: object) -> None:
-        raise ArtifactError("no room is left")
+        raise ArtifactError("the disk is full")
 
     before = digests(place)
     (place / FULL).unlink()
     monkeypatch.setattr(CheckpointFiles, "write", refuse)
+    monkeypatch.setattr(checkpoints, "MOST_PENDING", most_pending)
     result = again("full", "--checkpoint-every", 0)
     assert result.exit_code == 0
-    assert "warning: no checkpoint was written: no room is left" in result.stderr
+    assert result.stderr.count("no checkpoint was written: the disk is full") == len(tried)
+    assert (len(tried) == 1) == (most_pending == 0)
     assert digests(place) == before
 
 

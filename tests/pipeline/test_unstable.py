@@ -67,14 +67,3 @@ def test_an_unstable_reduced_run_does_not_keep_the_others(place, sphrom, peaks, 
     again = sphrom("run", "tiny.yaml", *change, "--verbose")
     assert again.exit_code == 4
     assert "rom-apg-reynolds100.h5: there, and of this case: kept" in again.stdout
-
-
-def test_the_last_good_checkpoint_is_named(empty, sphrom):
-    result = sphrom("fom", "tiny.yaml", *TOO_FAST, "--checkpoint-every", 0)
-    assert result.exit_code == 4
-    assert result.stderr.splitlines()[-1].endswith(
-        "; the last good checkpoint is of step 2, t = 0.08 s: fom-reynolds100.h5.checkpoint"
-    )
-    path = empty / "fom-reynolds100.h5.checkpoint"
-    with open_artifact(path, "sphrom/checkpoint", made_by="") as checkpoint:
-        checkpoint.verify_content()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from sphrom.case.models import Case
-from sphrom.store.trained_operators import snapshot_times
+from sphrom.store.reduced_models import snapshot_times
 
 
 @pytest.mark.parametrize("spin_up", [0.0, 0.5])

@@ -1,4 +1,4 @@
-"""Projected operators in their artifact, and training runs in generalized coordinates.
+"""Reduced models in their artifacts: bases, splines of modes, operators, training runs projected.
 
 Modes are orthonormal, so that the coordinates of fewer modes are the first of those that are kept,
 and a model of any size is calibrated when it is built. The closure of Eq. 3.22 is stored by the
@@ -8,8 +8,9 @@ those of fewer modes are no part of it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
+import h5py
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,17 +20,82 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.reduction.calibration import Calibration, TrainingRun, calibrate
 from sphrom.reduction.held_out import best_size
+from sphrom.reduction.mode_splines import ModeSplines, first_modes
 from sphrom.reduction.reduced_measures import ForceRecord, ReducedForce, ReducedMeasure
 from sphrom.reduction.reduced_operators import ReducedOperators
-from sphrom.reduction.trial_basis import TrialBasis, project
-from sphrom.setup.assembly import amplitude_of, drives
-from sphrom.store.bases import mapped_runs
+from sphrom.reduction.trial_basis import InnerProduct, TrialBasis, project, truncate
+from sphrom.setup import assembly
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
 
 N_BLOCK_SNAPSHOTS = 16
 """Snapshots that are projected at once."""
+
+
+def inner_product(workspace: Workspace) -> InnerProduct:
+    """Return the product in which the modes of the case are orthonormal."""
+    product = assembly.inner_product(workspace.case)
+    return product.without_mean() if workspace.case.plan.separate_mean_density else product
+
+
+def read_points(workspace: Workspace) -> Array:
+    """Read the points of the reference space (n_points, 2) [m]."""
+    with workspace.open(workspace.basis()) as artifact:
+        return artifact.read("reference_position")
+
+
+def read_basis(workspace: Workspace, name: str) -> TrialBasis:
+    """Read one trial basis."""
+    product = inner_product(workspace)
+    with workspace.open(workspace.basis()) as artifact:
+        return read_record(
+            artifact,
+            TrialBasis,
+            f"bases/{name}",
+            inner_product=product,
+            weights=product.weights(artifact.read("volume")),
+            separate_mean=workspace.case.plan.separate_mean_density,
+        )
+
+
+def mapped_runs(
+    workspace: Workspace, name: str
+) -> Iterator[tuple[ParameterPoint, h5py.Dataset, h5py.Dataset]]:
+    """Yield the training points of a basis, with their mapped density fluctuations and velocities.
+
+    These are open until the next one is asked for.
+    """
+    for point in workspace.case.plan.bases[name]:
+        with workspace.open(workspace.mapped(point)) as mapped:
+            yield point, mapped.dataset("density_fluctuation"), mapped.dataset("velocity")
+
+
+def read_splines(workspace: Workspace, name: str) -> ModeSplines:
+    """Read the splines of one basis."""
+    domain, group = workspace.case.scene.domain, f"bases/{name}"
+    with workspace.open(workspace.splines()) as artifact:
+        # Kernels of splines take long to load, and few runs need them.
+        if workspace.case.plan.lattice_splines:
+            from sphrom.reduction.lattice_splines import LatticeSplines
+
+            return read_record(artifact, LatticeSplines, group, domain=domain)
+        from sphrom.reduction.spline import LocalSplines
+
+        return read_record(
+            artifact,
+            LocalSplines,
+            group,
+            order=int(artifact.number("spline_order")),
+            polynomial_degree=int(artifact.number("polynomial_degree")),
+            domain=domain,
+        )
+
+
+def read_modes(workspace: Workspace, name: str, n_modes: int) -> tuple[TrialBasis, ModeSplines]:
+    """Read the first modes of a basis, and their splines."""
+    whole, splines = read_basis(workspace, name), read_splines(workspace, name)
+    return truncate(whole, n_modes), first_modes(splines, whole, n_modes)
 
 
 def training_runs(workspace: Workspace, basis: TrialBasis, name: str) -> Array:
@@ -52,7 +118,8 @@ def calibrated(
     """
     times, known = snapshot_times(case), []
     for point, coordinates in zip(points, runs, strict=True):
-        viscosity, amplitude = case.plan.kinematic_viscosity(point), amplitude_of(case, point)
+        viscosity = case.plan.kinematic_viscosity(point)
+        amplitude = assembly.amplitude_of(case, point)
         rates = operators.at(viscosity, factors=point.factors)
         driven = None if amplitude is None else amplitude(times)
         known.append(TrainingRun(rates, coordinates, viscosity, driven, point.factors))
@@ -101,8 +168,12 @@ def read_force_records(
     coordinates = artifact.read(f"bases/{basis}/training_runs")[:, :, modes]
     times, records = snapshot_times(case), []
     for run, point in enumerate(case.plan.bases[basis]):
-        around = case.plan.kinematic_viscosity(point), *drives(case, point, times), point.factors
-        records.append(ForceRecord(loads[run], coordinates[run], means[run], *around))
+        viscosity, drives = (
+            case.plan.kinematic_viscosity(point),
+            assembly.drives(case, point, times),
+        )
+        known = loads[run], coordinates[run], means[run]
+        records.append(ForceRecord(*known, viscosity, *drives, point.factors))
     return records
 
 
