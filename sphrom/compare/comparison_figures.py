@@ -22,7 +22,7 @@ from sphrom.compare.measured import named_components
 from sphrom.compare.mode_figures import draw_modes, draw_spectrum, frame_of, model_sizes
 from sphrom.compare.stored_comparison import StoredComparison
 from sphrom.compare.tables import BEST, Tables
-from sphrom.metrics.discrepancy import without_mean
+from sphrom.metrics.histories import without_mean
 from sphrom.metrics.measures import UNITS
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.online.stored_run import StoredRun

@@ -11,7 +11,7 @@ from sphrom.artifacts import Artifact, open_artifact
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.metrics.discrepancy import compression_factor, field_compression_factor
+from sphrom.metrics.histories import compression_factor, field_compression_factor
 from sphrom.store.reduced_models import memory_timing
 from sphrom.store.workspace import Target, Workspace
 

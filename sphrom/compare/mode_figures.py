@@ -13,7 +13,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.compare.tables import SpectrumRow
 from sphrom.errors import ArtifactError
-from sphrom.metrics.discrepancy import cumulative_singular_value_share, energy
+from sphrom.metrics.histories import cumulative_singular_value_share, energy
 from sphrom.plots.panels import Curve, Field, Frame, Panel, draw_grid
 from sphrom.setup.draw import solids_within
 from sphrom.store.reduced_models import sized

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sphrom.metrics.discrepancy import relative_discrepancy
+from sphrom.metrics.histories import relative_discrepancy
 from sphrom.metrics.samples import midpoints
 from sphrom.reduction.decomposition import decompose
 from sphrom.reduction.mode_splines import basis_columns
