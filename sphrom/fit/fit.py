@@ -8,7 +8,6 @@ from pathlib import Path
 
 from sphrom.artifacts import write_record
 from sphrom.case.fields import NAME_PATTERN
-from sphrom.case.messages import show as quoted
 from sphrom.case.studies import fast_model, fit_ranges, fit_values, percent
 from sphrom.console import Reporter
 from sphrom.errors import CaseError
@@ -18,6 +17,7 @@ from sphrom.online.fast_model import FastModel
 from sphrom.plots.tables import format_figure, write_csv
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
+from sphrom.text import quoted
 
 UNITS = {"kinematic_viscosity": "m2/s", "reynolds": "-"}
 """Of estimates; others are as the case has them."""
