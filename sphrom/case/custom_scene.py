@@ -97,10 +97,6 @@ class CustomScene(SceneSection):
         _ = self.domain, self._force, self._initial
         return self
 
-    def __eq__(self, other: object) -> bool:
-        """Whether the keys are the same, whatever has been built of them."""
-        return isinstance(other, CustomScene) and self.model_dump() == other.model_dump()
-
     @cached_property
     def _shapes(self) -> dict[str, BaseGeometry]:
         shapes = {}

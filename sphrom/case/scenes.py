@@ -40,6 +40,7 @@ class TaylorGreenScene(SceneSection):
     """The Taylor-Green vortex in a periodic square (Eq. 4.4)."""
 
     title: ClassVar[str] = "The Taylor-Green vortex"
+    has_exact_solution: ClassVar[bool] = True
 
     kind: Literal["taylor-green"] = key(..., "which flow")
     length: Positive = key(1.0, "side of the periodic square", unit="m")
@@ -62,11 +63,6 @@ class TaylorGreenScene(SceneSection):
             kinematic_viscosity=scales.kinematic_viscosity,
             pressure_sign=-1.0 if self.pressure_sign == "paper" else 1.0,
         )
-
-    @property
-    def has_exact_solution(self) -> bool:
-        """Whether an exact solution is known: it is."""
-        return True
 
 
 class LidDrivenCavityScene(SceneSection):
