@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, model_validator
 
 from sphrom.case.fields import Coordinate, SafeName, Section, Whole, key, only_one
+from sphrom.scenes.flows import Channel, Scales, Scene
 from sphrom.scenes.reference_profiles import ReferenceProfile
-from sphrom.scenes.scene import Channel, Scales, Scene
 from sphrom.sph.domain import Domain
 
 Array = NDArray[np.float64]

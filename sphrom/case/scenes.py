@@ -13,9 +13,16 @@ from numpy.typing import NDArray
 from sphrom.case.custom_scene import CustomScene
 from sphrom.case.fields import Duration, Number, Positive, Section, key
 from sphrom.case.scene_section import NONE, Defaults, Measures, SceneSection, measures
-from sphrom.scenes.flows import LidDrivenCavity, LogisticForce, OpenCavity, TaylorGreen
+from sphrom.scenes.flows import (
+    Channel,
+    LidDrivenCavity,
+    LogisticForce,
+    OpenCavity,
+    Scales,
+    Scene,
+    TaylorGreen,
+)
 from sphrom.scenes.reference_profiles import OPEN_CAVITY_SPEED, ReferenceProfile, profiles_for
-from sphrom.scenes.scene import Channel, Scales, Scene
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
 from sphrom.text import exact

@@ -11,7 +11,7 @@ from sphrom.artifacts import Artifact, ArtifactWriter
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
 from sphrom.reduction.reference_space import ReferenceMap, error_share, relative_error
-from sphrom.scenes.scene import ExactFlow
+from sphrom.scenes.flows import ExactFlow
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import require_room
