@@ -133,7 +133,8 @@ class Training:
             len(self.density),
             acoustic if name == "acoustic" else InnerProduct.raw(density),
             np.full(len(self.position), self.flow.discretization.particle_spacing**2),
-            n_modes,
+            {"all": n_modes},
+            {"all": np.arange(len(self.density))},
             mean_density=self.density.mean(axis=1) if separate_mean else None,
         )["all"]
 
