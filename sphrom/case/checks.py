@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.case.messages import Problem, nearest
 from sphrom.case.models import Case
 from sphrom.case.plan import MAX_STEPS, WHOLE_STEPS_TOLERANCE
 from sphrom.case.points import REYNOLDS, ParameterPoint, nearest_point
@@ -20,10 +19,11 @@ from sphrom.case.scene_section import KINDS, MeasureSection
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection
 from sphrom.case.studies import at_resolution, fast_model, rows_of, sweep_model, sweep_points
 from sphrom.case.study_sections import FULL, ErrorFigure, FieldFigure, ModeFigure, OfModes, OfRuns
+from sphrom.case.yaml_reader import Problem
 from sphrom.errors import CaseError
 from sphrom.kernels import SUPPORT_RATIO
 from sphrom.sph.fluid import ROUNDING
-from sphrom.text import exact, repeated
+from sphrom.text import exact, nearest, repeated
 
 Array = NDArray[np.float64]
 Found = Iterator[tuple[str, str]]
