@@ -17,7 +17,6 @@ from sphrom.api.result import ErrorEstimate, Result, Sensitivities, finite_array
 from sphrom.case.checks import require_basis, steady_problem
 from sphrom.case.hints import beyond_training, extrapolation
 from sphrom.case.loader import parameter_point
-from sphrom.case.messages import nearest, show
 from sphrom.case.plan import lengthened
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
@@ -37,6 +36,7 @@ from sphrom.signals import guarded
 from sphrom.store.sampling import Probes, Samples, sample_run
 from sphrom.store.trajectory import measured_of
 from sphrom.store.workspace import Workspace
+from sphrom.text import nearest, quoted
 
 if TYPE_CHECKING:
     import xarray
@@ -216,7 +216,7 @@ class Model:
         for name in names:
             if name not in known:
                 raise CaseError(
-                    f"{show(name)}: does not vary in the case; {nearest(str(name), known)}"
+                    f"{quoted(name)}: does not vary in the case; {nearest(str(name), known)}"
                 )
 
     def rates(self, coordinates: ArrayLike, time: float | None = None) -> Array:

@@ -12,17 +12,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.case.messages import Problem, nearest
 from sphrom.case.models import Case
-from sphrom.case.plan import MAX_STEPS, ROUNDING, WHOLE_STEPS_TOLERANCE
+from sphrom.case.plan import MAX_STEPS, WHOLE_STEPS_TOLERANCE
 from sphrom.case.points import REYNOLDS, ParameterPoint, nearest_point
 from sphrom.case.scene_section import KINDS, MeasureSection
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection
 from sphrom.case.studies import at_resolution, fast_model, rows_of, sweep_model, sweep_points
 from sphrom.case.study_sections import FULL, ErrorFigure, FieldFigure, ModeFigure, OfModes, OfRuns
+from sphrom.case.yaml_reader import Problem
 from sphrom.errors import CaseError
 from sphrom.kernels import SUPPORT_RATIO
-from sphrom.text import exact, repeated
+from sphrom.sph.fluid import ROUNDING
+from sphrom.text import exact, nearest, repeated
 
 Array = NDArray[np.float64]
 Found = Iterator[tuple[str, str]]

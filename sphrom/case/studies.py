@@ -9,13 +9,13 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.case.messages import show
 from sphrom.case.models import Case
 from sphrom.case.points import REYNOLDS, ParameterPoint, TrainValues
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.study_sections import FULL, N_CANDIDATES, OfRuns, percentage
 from sphrom.errors import CaseError
 from sphrom.reduction.greedy import MOST_CORNERED, candidate_places, first_corners
+from sphrom.text import quoted
 
 Array = NDArray[np.float64]
 Ranges = dict[str, tuple[float, float]]
@@ -100,7 +100,7 @@ def percent(given: str | float, option: str) -> float:
     try:
         return percentage(given)
     except ValueError as error:
-        raise CaseError(f"{option}: {error}; got {show(given)}") from error
+        raise CaseError(f"{option}: {error}; got {quoted(given)}") from error
 
 
 class Region:

@@ -76,8 +76,8 @@ def show(options: Options) -> None:
     Example:
       sphrom case show cases/lid_driven_cavity_demo.yaml
     """
-    from sphrom.case.identity import resolved_yaml
     from sphrom.case.loader import load_case
+    from sphrom.case.models import resolved_yaml
 
     case = load_case(options.case, options.overrides or (), options.force)
     print(resolved_yaml(case), end="")

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 from sphrom.artifacts import write_record
 from sphrom.case.fields import NAME_PATTERN
-from sphrom.case.messages import show as quoted
 from sphrom.case.studies import fast_model, fit_ranges, fit_values, percent
 from sphrom.console import Reporter
 from sphrom.errors import CaseError
@@ -21,6 +20,7 @@ from sphrom.plots.panels import Curve, Panel, draw_grid
 from sphrom.plots.tables import format_figure, write_csv
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
+from sphrom.text import quoted
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

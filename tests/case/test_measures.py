@@ -7,9 +7,8 @@ from typing import Any
 import pytest
 import yaml
 
-from sphrom.case.identity import resolved_yaml
 from sphrom.case.loader import case_of_text, load_case
-from sphrom.case.models import Case
+from sphrom.case.models import Case, resolved_yaml
 from sphrom.errors import CaseError
 
 SCENE: dict[str, Any] = {

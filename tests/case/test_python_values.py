@@ -38,7 +38,7 @@ def test_a_name_is_a_key_or_the_end_of_one(name, key):
 @pytest.mark.parametrize(
     ("name", "text"),
     [
-        ("evaluation", "may be rom.0.evaluation or rom.1.evaluation; name one, such as set="),
+        ("evaluation", "may be rom.0.evaluation; name one, such as set="),
         ("kind", "may be scene.kind or psi.kind"),
         ("resolutoin", "the case has no such key; did you mean resolution?"),
         ("", "the case has no such key"),
@@ -83,11 +83,10 @@ def test_values_become_what_yaml_would_give():
 @pytest.mark.parametrize(
     ("value", "text"),
     [
-        ({"a": {1, 2}}, "case: a: must be a number, text, list or mapping; got set; put it in"),
-        ({"a": [1, b"x"]}, "case: a: 1: must be a number, text, list or mapping; got bytes"),
-        ({"a": np.array([1j])}, "case: a: 0: must be"),
-        ({1: 2}, "case: a key must be text"),
-        ({"a": "\ud800"}, "case: a: is not Unicode text"),
+        ({"a": {1, 2}}, "got set"),
+        ({"a": [1, b"x"]}, "got bytes"),
+        ({"a": np.array([1j])}, "got complex"),
+        ({(1, 2): 2}, "keys must be"),
     ],
 )
 def test_other_values_are_refused(value, text):
@@ -99,7 +98,7 @@ def test_other_values_are_refused(value, text):
 def test_a_value_that_holds_itself_is_refused():
     value: list[Any] = []
     value.append(value)
-    with pytest.raises(CaseError, match="nests deeper"):
+    with pytest.raises(CaseError, match="case: must be"):
         plain_values(value, "case")
 
 
