@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from sphrom.artifacts.records import fit as records
 from sphrom.artifacts.records.fit import FittedHistory
 from sphrom.case.points import REYNOLDS
-from sphrom.case.studies import Ranges, trained_ranges
+from sphrom.case.studies import Box, Ranges, trained_ranges
 from sphrom.errors import CaseError, UnstableError
 from sphrom.fit.measurements import Measurements
-from sphrom.fit.model import Box, FittedModel, TrainingDifferences, error_samples
+from sphrom.fit.model import FittedModel, TrainingDifferences, error_samples
 from sphrom.metrics.estimation import (
     CONFIDENCE,
     Minimum,
