@@ -22,9 +22,9 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import fit_ranges, fit_values, percent, trained_ranges
 from sphrom.errors import CaseError, UnstableError
-from sphrom.fit.estimates import Fit, box_of, fit
+from sphrom.fit.fit import Fit, fit
 from sphrom.fit.measurements import read_measurements
-from sphrom.fit.model import TrainingDifferences
+from sphrom.fit.model import TrainingDifferences, box_of
 from sphrom.online import rom
 from sphrom.online.basis_model import quantities_of
 from sphrom.online.fast_model import FastModel, FastRun
