@@ -22,7 +22,6 @@ if TYPE_CHECKING:
         Sensitivities,
         Study,
         open,
-        open_tree,
     )
 
 __all__ = [
@@ -37,7 +36,6 @@ __all__ = [
     "__version__",
     "errors",
     "open",
-    "open_tree",
 ]
 
 

@@ -109,11 +109,11 @@ class Contents:
 def inspect(file: h5py.File) -> Contents:
     """Return what the file holds. Raises Fault on anything that an artifact never holds."""
     contents = Contents(attributes=attributes_at(file, ""))
-    # The view is other programs' and never used, as are scales, their names for axes.
+    # The view is for other programs, and never used.
     for path, item in _items(file, but=VIEW):
         if isinstance(item, h5py.Group):
             contents.attributes |= attributes_at(item, path)
-        elif isinstance(item, h5py.Dataset) and not h5py.h5ds.is_scale(item.id):
+        elif isinstance(item, h5py.Dataset):
             with damage(f"dataset {path}"):
                 _require_plain(item, path)
                 contents.datasets[path] = item.shape, item.dtype

@@ -209,7 +209,7 @@ def test_a_damaged_summary_is_told(place, sphrom, content):
 def test_a_case_that_does_not_fit(empty, sphrom, refused):
     large = ("--set", "discretization.resolution=100000")
     line = refused(sphrom("run", "tiny.yaml", *large), 5)
-    assert re.search(r"needs about [\d.e+]+ TB of memory in [a-z-]+, this machine has [\d.]+", line)
+    assert re.search(r"needs about \d+ GiB of memory in [a-z-]+, this machine has [\d.]+", line)
     assert "lower discretization.resolution" in line
     result = sphrom("case", "check", "tiny.yaml", *large)
     assert "3 full runs and 6 reduced runs" in result.stdout

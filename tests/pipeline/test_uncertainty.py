@@ -155,8 +155,8 @@ def test_tables_are_beside_the_artifact(swept, folder):
     assert {row["parameter"] for row in rows["indices"]} == {"reynolds", "lid"}
     statistics = {"mean", "deviation", "quantile 0.25", "quantile 0.5", "quantile 0.75"}
     assert {row["statistic"] for row in rows["quantiles"]} == statistics
-    tree = sphrom.open_tree(folder / "sweep-whole.h5")
-    assert tree["statistics/outputs/kinetic_energy"]["quantiles"].shape[0] == 3
+    with sphrom.open(folder / "sweep-whole.h5", "statistics/outputs/kinetic_energy") as output:
+        assert output["quantiles"].shape[0] == 3
 
 
 def test_figures_are_drawn_of_all_outputs(swept, tmp_path):
@@ -188,7 +188,7 @@ def test_the_runs_are_kept_where_other_quantiles_are_asked_for(swept, told, coun
         path = swept("whole", quantiles=[0.1, 0.9])
         assert read(path)[0].levels.tolist() == [0.1, 0.9]
         with open_artifact(path, "sphrom/sweep", made_by="") as artifact:
-            identities.append(artifact.uuid)
+            identities.append(artifact.identity)
     assert identities[0] == identities[1]
     assert not counted
     assert any("statistics of 128 runs" in text for text in told)
