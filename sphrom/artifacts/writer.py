@@ -9,7 +9,7 @@ import math
 import os
 import time
 import uuid
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -152,15 +152,6 @@ class ArtifactWriter:
                 dataset.attrs[key] = fixed_text(text)
         self._streams[name] = Stream(self, name, field, dataset)
         return self._streams[name]
-
-    def series(self, names: Iterable[str], **lengths: int) -> dict[str, Stream]:
-        """Start datasets that are written one item after the other, with axes of these lengths."""
-        found = {}
-        for name in names:
-            field = self._schema.dataset(name)
-            first, *others = (lengths[axis] for axis in (field.axes if field else ()))
-            found[name] = self.stream(name, tuple(others), first)
-        return found
 
     def annotate(self, name: str, value: object) -> None:
         """Set an attribute by its path, such as `status` or `bases/all/gram_error`."""
