@@ -165,7 +165,7 @@ class Coverage:
         return holds / draws, np.sqrt(squares / draws)
 
     def _share(self, name: str, value: float) -> float:
-        low, high = self._box.lower[name], self._box.upper[name]
+        low, high = self._box.ranges[name]
         if name == "reynolds":
             return float(np.log(value / low) / np.log(high / low))
         return (value - low) / (high - low)

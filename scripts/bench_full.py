@@ -43,7 +43,7 @@ from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
 from sphrom.sph.packing import pack
 from sphrom.sph.time_loop import runge_kutta_step
-from sphrom.sph.walls import build_walls, n_layers
+from sphrom.sph.walls import build_walls
 
 TILE = 50
 """Particles along an edge of the packed square that larger sets are tiled with."""
@@ -86,7 +86,7 @@ def flow(scene: str, resolution: int, ratio: float) -> tuple[Functional, np.ndar
     discretization = Discretization(spacing, ratio * spacing)
     if walled:
         cavity = LidDrivenCavity(length=1.0, speed=1.0, lid="regularised")
-        walls = build_walls(domain, spacing, n_layers(discretization), cavity.wall_velocity)
+        walls = build_walls(domain, spacing, discretization.n_layers, cavity.wall_velocity)
         position = domain.fill(spacing)
         state = np.vstack((position.T, np.zeros((3, len(position)))))
         return Functional(fluid, discretization, domain, walls=walls), state

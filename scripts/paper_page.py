@@ -25,7 +25,7 @@ from sphrom.compare.figures import FOLDER
 from sphrom.compare.stored_comparison import StoredComparison
 from sphrom.console import Reporter
 from sphrom.machine import physical_ram
-from sphrom.metrics.discrepancy import compression_factor
+from sphrom.metrics.histories import compression_factor
 from sphrom.metrics.series import dominant_frequency
 from sphrom.plots.page import Html, element, picture, render, table
 from sphrom.plots.tables import MISSING, format_figure, read_json

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import sphrom
-from sphrom.metrics.discrepancy import cumulative_singular_value_share, energy
+from sphrom.metrics.histories import cumulative_singular_value_share, energy
 
 Array = NDArray[np.float64]
 BLOCK = 5000

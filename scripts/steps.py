@@ -23,8 +23,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.console import Reporter
 from sphrom.errors import CaseError, SphromError
 from sphrom.kernels import ask_for_threads
-from sphrom.metrics.discrepancy import relative_l2
-from sphrom.metrics.histories import compare, errors_of
+from sphrom.metrics.histories import compare, errors_of, relative_l2
 from sphrom.metrics.samples import Samples
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.setup import particles

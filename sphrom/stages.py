@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib import import_module
@@ -28,7 +28,7 @@ RUNS = Path("runs")
 """Where artifacts go unless another folder is named."""
 PIPELINE = ("fom", "map", "pod", "fit-psi", "operators", "rom", "compare")
 """The stages that `run` runs, in their order."""
-STAGES: Mapping[str, str] = {
+STAGES = {
     "check": "setup.cost",
     "draw": "setup.draw",
     "fom": "offline.fom",
@@ -55,9 +55,9 @@ def context_of(
     case: Case,
     report: Reporter,
     *,
-    out: Path | None = None,
-    force: bool = False,
-    threads: int | None = None,
+    out: Path | None,
+    force: bool,
+    threads: int | None,
 ) -> StageContext:
     """Return what a stage needs to know to run on a case, and report the case's warnings."""
     from sphrom.case.hints import case_warnings

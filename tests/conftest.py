@@ -302,6 +302,48 @@ def brute_force() -> type[BruteForce]:
     return BruteForce
 
 
+def rates_at_points(points, q, u, gradients, conditions, order=None) -> Array:
+    """Return the rates (3, n_points) [m/s2] of q and of the velocity at fixed points, unprojected.
+
+    Parameters
+    ----------
+    q, u : (n_points,) and (2, n_points) [m/s].
+    gradients : (3, 2, n_points) of q and of the velocity by x and y [1/s].
+    order : of the expansion of rho0/rho, None for none.
+    """
+    terms = points.terms(q[:, None], u[..., None])
+    continuity = points.diffusion(q[:, None])[:, 0]
+    continuity -= (points.sound_speed + q) * terms.divergence[:, 0]
+    if points.fixed_volume:
+        continuity -= continuity.mean()
+    drag = np.zeros_like(u) if points.wall_friction is None else points.wall_friction
+    force = np.zeros_like(u) if points.body_force is None else points.body_force
+    for name, drive in points.drives.items():
+        if drive.walls is not None:
+            drag = drag + conditions.factors[name] * points.friction_of(drive.walls.T)
+        if drive.force is not None:
+            force = force + conditions.factors[name] * drive.force
+    speed = conditions.wall_speed * (conditions.amplitude if points.walls_driven else 1.0)
+    push = conditions.kinematic_viscosity * (terms.laplacian[..., 0] + speed * drag)
+    push -= points.sound_speed * terms.pressure_gradient[..., 0]
+    share, own = q / points.sound_speed, conditions.amplitude * force
+    head, more = points.head_push(own), points.head_push(own * share)
+    if order is None:
+        acceleration = (push + head + more) / (1.0 + share) + own
+    elif order == 0:
+        acceleration = push + head + own
+    else:
+        acceleration = (push + head) * (1.0 - share) + more + own
+    carried = np.einsum("dn,fdn->fn", u, gradients)
+    return np.concatenate((continuity[None], acceleration)) - carried
+
+
+@pytest.fixture(scope="session")
+def point_rates() -> Callable[..., Array]:
+    """The rates at fixed points."""
+    return rates_at_points
+
+
 class UnprojectedModel:
     """Rates that are evaluated at all fixed points for each state, to compare operators with.
 
@@ -323,7 +365,8 @@ class UnprojectedModel:
     def full_rates(self, coordinates: Array, conditions: FlowConditions) -> Array:
         """Return the rates (3, n_points) [m/s2] of q and of the velocity."""
         slopes = self._slopes @ self._modes.coefficients(coordinates)
-        return self.points.rates(*self.fields(coordinates), slopes, conditions, self.order)
+        fields = self.fields(coordinates)
+        return rates_at_points(self.points, *fields, slopes, conditions, self.order)
 
     def __call__(self, coordinates: Array, conditions: FlowConditions) -> Array:
         """Return the rates (n_modes,) of the generalized coordinates."""

@@ -88,22 +88,19 @@ def test_what_the_command_line_makes_is_the_same(study, model, tmp_path):
     assert done.exit_code == 0, done.output
     assert all(path.stat().st_mtime_ns == then for path, then in before.items())
     result = model.run()
+    estimate = result.error_estimate
     with sphrom.open(study.folder / "rom-fast-reynolds150.h5") as stored:
         np.testing.assert_array_equal(result.time, stored.time)
         np.testing.assert_array_equal(result.coordinates, stored.generalized_coordinates)
-        np.testing.assert_array_equal(
-            result.error_estimate.velocity, stored.error_estimate_velocity
-        )
-        np.testing.assert_array_equal(
-            result.error_estimate.pressure, stored.error_estimate_pressure
-        )
+        np.testing.assert_array_equal(estimate.velocity, stored.error_estimate_velocity)
+        np.testing.assert_array_equal(estimate.pressure, stored.error_estimate_pressure)
         assert result.time_step == stored.attrs["time_step"]
-    assert 0.0 < result.error_estimate.velocity_percent < 10.0
-    assert not result.error_estimate.extrapolates
+    assert 0.0 < estimate.velocity_percent < 10.0
+    assert not estimate.extrapolates
     assert repr(result) == f"Result('fast', reynolds=150, {len(result.time)} snapshots)"
 
 
-def test_rates_are_those_that_a_run_integrates(model):
+def test_rates_are_those_that_a_run_integrates(study, model):
     result = model.run()
     found = solve_ivp(
         lambda time, a: model.rates(a, time),
@@ -115,11 +112,7 @@ def test_rates_are_those_that_a_run_integrates(model):
     )
     integrated = result.coordinates - result.correction
     assert np.linalg.norm(found.y.T - integrated) < 1e-4 * np.linalg.norm(integrated)
-
-
-def test_a_model_without_correction_is_its_rates_alone(study):
     assert study.model("plain", reynolds=150).run().correction is None
-    assert study.model("faithful", reynolds=150).run().correction is None
 
 
 def test_jacobian_is_the_derivative_of_rates(model):
@@ -168,13 +161,15 @@ def test_a_model_moves_to_other_values_without_reading_again(study, model, monke
     assert model.parameters == {"reynolds": 150.0}
 
 
-def test_runs_beyond_the_trained_time_are_told_apart(study):
+def test_runs_beyond_the_trained_times_and_values_are_told_apart(study):
     model = study.model("fast", reynolds=150)
     own = model.run()
     longer = model.run(final_time=2.0 * own.time[-1])
     assert longer.time[-1] == pytest.approx(2.0 * own.time[-1])
     assert longer.error_estimate.extrapolates
     assert "beyond the trained time" in TOLD[-1]
+    study.model("fast", reynolds=300)
+    assert "fast: reynolds=300 is outside of the trained range" in TOLD[-1]
     n = len(own.time)
     np.testing.assert_allclose(
         longer.coordinates[:n] - longer.correction[:n], own.coordinates - own.correction, atol=1e-4
@@ -197,20 +192,6 @@ def test_a_model_on_particles_keeps_its_trajectory(study):
         speed = float(np.abs(full.velocity).max())
     fast = study.model("fast", reynolds=150).run().fields(fields.position)
     assert np.abs(fields.velocity - fast.velocity).max() < 0.05 * speed
-
-
-def test_a_warning_where_a_model_extrapolates(study):
-    study.model("fast", reynolds=300)
-    assert TOLD[-1].startswith("warning: fast: reynolds=300 is outside of the trained range")
-
-
-def test_a_case_may_be_given_by_its_content(study, tmp_path):
-    case = tmp_path / "vortex.yaml"
-    case.write_text(study.case.model_dump_json())
-    told: list[str] = []
-    sphrom.Study(case, out=study.folder, threads=1, report=told.append).run(until="operators")
-    assert told
-    assert not [text for text in told if text.startswith("wrote")]
 
 
 def test_an_interrupted_run_is_resumed(tmp_path, monkeypatch):

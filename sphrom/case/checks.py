@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sphrom.case.messages import Problem, nearest
 from sphrom.case.models import Case
-from sphrom.case.plan import MAX_STEPS, ROUNDING, WHOLE_STEPS_TOLERANCE
+from sphrom.case.plan import MAX_STEPS, WHOLE_STEPS_TOLERANCE
 from sphrom.case.points import REYNOLDS, ParameterPoint, nearest_point
 from sphrom.case.scene_section import KINDS, MeasureSection
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection
@@ -22,6 +22,7 @@ from sphrom.case.studies import at_resolution, fast_model, rows_of, sweep_model,
 from sphrom.case.study_sections import FULL, ErrorFigure, FieldFigure, ModeFigure, OfModes, OfRuns
 from sphrom.errors import CaseError
 from sphrom.kernels import SUPPORT_RATIO
+from sphrom.sph.fluid import ROUNDING
 from sphrom.text import exact, repeated
 
 Array = NDArray[np.float64]

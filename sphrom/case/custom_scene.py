@@ -153,8 +153,8 @@ class CustomScene(SceneSection):
             here.domain,
             {name: here._wall_velocity(name) for name in here.walls},
             here._drive,
-            lambda at: here._start()[0](at),
-            lambda at: here._start()[1](at),
+            lambda at: here._initial[0](at),
+            lambda at: here._initial[1](at),
         )
 
     @cached_property
@@ -236,11 +236,6 @@ class CustomScene(SceneSection):
             for name in here.walls
         )
         return float(max(speeds, default=0.0))
-
-    def _start(self) -> tuple[Callable[[Array], Array], Callable[[Array], Array]]:
-        if self.initial.file is None:
-            return self._initial
-        return self.initial.fields.velocity, self.initial.fields.pressure
 
     @property
     def resolved_length(self) -> float:

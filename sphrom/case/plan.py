@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING
 from sphrom.case.points import REYNOLDS, GivenPoints, ParameterPoint, Values, nearest_point
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection, SubsetSection
 from sphrom.errors import CaseError
-from sphrom.kernels import SUPPORT_RATIO
 from sphrom.scenes.scene import Scales, Scene
 from sphrom.sph import fluid
 from sphrom.sph.box_domain import BoxDomain
@@ -27,8 +26,6 @@ from sphrom.sph.time_loop import TimeSteps
 if TYPE_CHECKING:
     from sphrom.case.models import Case
 
-ROUNDING = 1e-9
-"""Slack for what is equal but for rounding."""
 MLS_SMOOTHING_LENGTH_RATIO = 2.0
 """Smoothing length of moving least squares over the spacing: they need no wider support."""
 MODES_WITHOUT_ROM = 10
@@ -86,9 +83,7 @@ class Plan:
     @cached_property
     def n_wall_layers(self) -> int:
         """Layers of ghosts behind walls: as asked for, or as far as the kernel reaches."""
-        section = self._case.discretization
-        reach = SUPPORT_RATIO * section.smoothing_length_ratio
-        return section.walls.layers or math.ceil(reach * (1.0 - ROUNDING))
+        return self._case.discretization.walls.layers or self.discretization.n_layers
 
     @cached_property
     def walls_fit_lattice(self) -> bool:

@@ -48,9 +48,8 @@ OF_FILES = ("case", "out", "overrides", "force", "quiet", "only")
 def fom(options: Options) -> None:
     """Run the full model at every parameter value: fom-<parameters>.h5.
 
-    Where the case has a spin-up, its end is kept in spin-up-<parameters>.h5, and what is recorded
-    after it can be run again from there. A run that is stopped leaves a checkpoint beside its
-    artifact; --resume continues it, to the same artifact bit for bit.
+    A run that is stopped leaves a checkpoint beside its artifact; --resume continues it, to the
+    same artifact bit for bit. The end of a spin-up is kept in spin-up-<parameters>.h5.
 
     \b
     Example, one value on two threads, and the same after it was stopped:
@@ -137,8 +136,7 @@ def compare(options: Options) -> None:
 def figures(options: Options) -> None:
     """Draw the figures that a case asks for in compare.figures: figures/<name>.png.
 
-    Fields of particles as they are at an instant, profiles, errors over time by Eq. 4.1, singular
-    values and modes. Runs and their comparison have to be there.
+    Runs and their comparison have to be there.
 
     \b
     Example, the paper's figures of the Taylor-Green vortex on a coarse grid:
@@ -191,9 +189,8 @@ def trade(
 ) -> None:
     """Weigh speed against accuracy: run and time the models that the case lists.
 
-    Writes tables and a plot with the Pareto front into the folder trade of the case's artifacts,
-    which have to be there. Full runs at other steps and resolutions are kept in folders below it:
-    after a stop the same command goes on from them.
+    Writes tables and a plot with the Pareto front into the folder trade beside the artifacts, which
+    have to be there. Further full runs are kept below it: the same command goes on from them.
 
     \b
     Example, after a run of the case: the cheapest model that is wrong by no more than one percent:
@@ -222,15 +219,13 @@ def sweep(
 ) -> None:
     """Run one model at many parameter values: sweep-<name>.h5 and sweep-<name>.csv.
 
-    The section sweep of the case names the model and the values: a reduced model, whose runs on
-    reference points take milliseconds, or the full one. Finished runs are kept: the same command
-    goes on where a sweep was stopped, and with more values makes the new runs only. A run that
-    fails is recorded, and the others go on; exit code 4 says that one became unstable.
+    The section sweep of the case names the model and the values. Finished runs are kept: the same
+    command goes on where a sweep was stopped, and with more values makes the new runs only. A run
+    that fails is recorded, and the others go on; exit code 4 says that one became unstable.
 
-    With --scheduler the workers of a Dask cluster make the runs; they need sphrom, and the folder
-    of the artifacts under the same path: `dask scheduler` on one machine, `dask worker ADDRESS
-    --nworkers auto --nthreads 1` on each. With --shard, each of N jobs of a batch queue makes its
-    share, and the last one gathers the results.
+    With --scheduler the workers of a Dask cluster make the runs: `dask scheduler` on one machine,
+    `dask worker ADDRESS --nworkers auto --nthreads 1` on each. With --shard, each of N jobs of a
+    batch queue makes its share, and the last one gathers the results.
 
     \b
     Example, a thousand reduced runs after a run of the case:
@@ -275,9 +270,7 @@ def fit(
 
     A model with evaluation: operators is fitted to histories of probes, forces and flow rates: the
     case's own (time, wake_u, wake_v, drag_x, ...), or of any place (time, x, y, u, v, pressure).
-    The section fit of the case says which parameters are looked for, and in which ranges: by
-    default all that vary, where the model was trained. Estimates have 95 % intervals, in which the
-    model's own errors count beside the noise; what the data don't determine is said.
+    The section fit of the case says which parameters are looked for, and in which ranges.
 
     \b
     Example, with noise of 1 % of each history's range, the lid's speed known:
@@ -313,26 +306,17 @@ def train(
     The section training of the case has the region, such as reynolds: [50, 1000]. The model's
     error is estimated at many points, the full model is run where it is worst, and the model
     learns from it, until the estimate is within the tolerance everywhere or the budget is spent.
-    Every run is predicted before it is learnt from, which tests the estimate and corrects it.
 
-    Full runs and maps are those of the case. The same command goes on where it was stopped, also
-    with another tolerance or budget. The case that it writes has the chosen points: run, sweep and
-    trade go on with it. Exit code 4 says that a full run became unstable; that the tolerance isn't
-    reached, a warning.
+    The same command goes on where it was stopped, also with another tolerance or budget. The case
+    that it writes has the chosen points: run, sweep and trade go on with it. Exit code 4 says that
+    a full run became unstable.
 
     \b
     Example, a model that is wrong by no more than one percent, from at most eight full runs:
       sphrom train case.yaml --set 'training.reynolds=[50, 1000]' --tolerance 1% --budget 8
     """
-    run_stage(
-        "train",
-        options,
-        tolerance=tolerance,
-        budget=budget,
-        workers=workers,
-        scheduler=scheduler,
-        write_case=write_case,
-    )
+    asked = {"workers": workers, "scheduler": scheduler, "write_case": write_case}
+    run_stage("train", options, tolerance=tolerance, budget=budget, **asked)
 
 
 @command(stages, "import", (*OF_FILES, "threads"), own=parameters_of(ImportOptions).values())
@@ -404,8 +388,7 @@ def export(
     """Write fields into files of their own, for ParaView and other programs.
 
     Any ParaView opens the .pvd files: runs step through their snapshots, pod.pvd through its modes.
-    The fields of runs that store coordinates alone are computed on the way. ParaView from 5.12 on
-    opens artifacts that hold fields as they are, with its VTKHDF reader.
+    The fields of runs that store coordinates alone are computed on the way.
 
     \b
     Example, all that a case has, its runs at a point, and those of one model:

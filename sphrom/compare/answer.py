@@ -12,8 +12,7 @@ from dataclasses import dataclass
 
 from sphrom.compare.costs import break_even, offline_seconds
 from sphrom.compare.mode_figures import bases_used
-from sphrom.compare.rows import best_name
-from sphrom.compare.tables import Tables
+from sphrom.compare.tables import Tables, best_name
 from sphrom.plots.tables import format_figure
 from sphrom.store.workspace import Workspace
 from sphrom.text import counted, duration

@@ -20,10 +20,18 @@ from sphrom.compare.measured import (
 )
 from sphrom.compare.mode_figures import bases_used, spectrum_rows
 from sphrom.compare.references import compare_with_references
-from sphrom.compare.rows import best_name, error_row, estimate_row, wall_row
 from sphrom.compare.show import show
 from sphrom.compare.stored_comparison import ComparisonWriter
-from sphrom.compare.tables import FILE, MADE_BY, DecayRow, Tables
+from sphrom.compare.tables import (
+    FILE,
+    MADE_BY,
+    DecayRow,
+    Tables,
+    best_name,
+    error_row,
+    estimate_row,
+    wall_row,
+)
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.metrics.histories import compare
 from sphrom.metrics.samples import Probes, Samples
@@ -116,19 +124,15 @@ def _decay(workspace: Workspace, point: ParameterPoint, flow: ExactFlow) -> Deca
 
 def _tell_unseen(workspace: Workspace) -> None:
     """Tell which reduced runs have no full run to compare with."""
-    case = workspace.case
-    for model in case.rom:
-        if not case.plan.ends_with_case(model):
-            workspace.context.report.info(
-                f"{model.name}: no full run to compare with until {model.until:g} s"
-            )
-            continue
-        known = case.plan.points
-        unseen = [point.label for point in case.plan.rom_points(model) if point not in known]
-        if unseen:
-            workspace.context.report.info(
-                f"{model.name}: no full run to compare with at {', '.join(unseen)}"
-            )
+    plan = workspace.case.plan
+    for model in workspace.case.rom:
+        unseen = [point.label for point in plan.rom_points(model) if point not in plan.points]
+        where = f"at {', '.join(unseen)}" if unseen else ""
+        if not plan.ends_with_case(model):
+            where = f"until {model.until:g} s"
+        if where:
+            text = f"{model.name}: no full run to compare with {where}"
+            workspace.context.report.info(text)
 
 
 class _PointComparison:

@@ -20,10 +20,9 @@ from sphrom.case.studies import Row
 from sphrom.case.study_sections import FULL
 from sphrom.compare.measured import named_components
 from sphrom.compare.mode_figures import draw_modes, draw_spectrum, frame_of, model_sizes
-from sphrom.compare.rows import BEST
 from sphrom.compare.stored_comparison import StoredComparison
-from sphrom.compare.tables import Tables
-from sphrom.metrics.discrepancy import without_mean
+from sphrom.compare.tables import BEST, Tables
+from sphrom.metrics.histories import without_mean
 from sphrom.metrics.measures import UNITS
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.online.stored_run import StoredRun
@@ -287,21 +286,15 @@ def draw_lines(
                 fields = flow.velocity(where, time), flow.pressure(where, time)
                 exact = Samples(np.array([time]), fields[0][None], fields[1][None])
             lines = {m.name: comparison.line(m.name, point)[1] for m in models if m is not None}
-            panels.append(
-                [
-                    Panel(
-                        point.label,
-                        "y [m]",
-                        LABELS[quantity],
-                        list(_profiles(where[:, 1], {FULL: full, **lines}, index, quantity, exact)),
-                    )
-                    for quantity in quantities
-                ]
-            )
+            row = []
+            for quantity in quantities:
+                drawn = _along_line(where[:, 1], {FULL: full, **lines}, index, quantity, exact)
+                row.append(Panel(point.label, "y [m]", LABELS[quantity], list(drawn)))
+            panels.append(row)
     return draw_grid(panels, title=f"x = {where[0, 0]:.4g} m, t = {time:.4g} s")
 
 
-def _profiles(
+def _along_line(
     y: Array, lines: Mapping[str, Samples], snapshot: int, quantity: str, exact: Samples | None
 ) -> Iterator[Curve]:
     """Yield a quantity along a line at a snapshot; of a run that ended before, its name alone."""

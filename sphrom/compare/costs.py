@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from sphrom.artifacts import Artifact, open_artifact
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.metrics.discrepancy import compression_factor, field_compression_factor
+from sphrom.metrics.histories import compression_factor, field_compression_factor
 from sphrom.store.reduced_models import memory_timing
 from sphrom.store.workspace import Target, Workspace
 
@@ -58,25 +58,29 @@ def reduced_timing(
     full_seconds: float | None,
 ) -> RunTiming:
     """Return the cost of a reduced run's time steps, without reading and writing."""
-    steps = case.plan.steps
+    steps, n_particles = case.plan.steps, case.plan.n_particles
     reduced_step = trajectory.number("time_step")
     duration = (steps.n_snapshots - 1) * steps.snapshot_interval
     seconds = undisturbed_seconds(trajectory, round(duration / reduced_step))
     n_modes = int(trajectory.dataset("generalized_coordinates").shape[1])
-    memory = "memory_length"
     return RunTiming(
         model=model.name,
         parameters=point.label,
         n_modes=n_modes,
         full_step=steps.time_step,
         reduced_step=reduced_step,
-        memory_length=trajectory.number(memory) if memory in trajectory.attributes else None,
+        memory_length=_number(trajectory, "memory_length"),
         full_seconds=full_seconds,
         reduced_seconds=seconds,
         speed_up=full_seconds / seconds if full_seconds and seconds else None,
-        compression_factor=compression_factor(case.plan.n_particles, n_modes),
-        field_compression_factor=field_compression_factor(case.plan.n_particles, n_modes),
+        compression_factor=compression_factor(n_particles, n_modes),
+        field_compression_factor=field_compression_factor(n_particles, n_modes),
     )
+
+
+def _number(run: Artifact, name: str) -> float | None:
+    """Return an attribute of a run, None where it has none."""
+    return run.number(name) if name in run.attributes else None
 
 
 def is_imported(run: Artifact) -> bool:
@@ -86,18 +90,17 @@ def is_imported(run: Artifact) -> bool:
 
 def known_seconds(run: Artifact) -> float | None:
     """Return how long the steps of a run took [s], None where nobody knows, as of imported ones."""
-    name = "timing/integration"
-    return (run.number(name) if name in run.attributes else 0.0) or None
+    return _number(run, "timing/integration") or None
 
 
 def undisturbed_seconds(run: Artifact, n_steps: int) -> float | None:
     """Return how long the steps of a run take undisturbed [s], None where nobody knows."""
-    name = "timing/least_step"
-    return n_steps * run.number(name) if name in run.attributes else known_seconds(run)
+    least = _number(run, "timing/least_step")
+    return known_seconds(run) if least is None else n_steps * least
 
 
-def stage_timings(workspace: Workspace) -> list[StageTiming]:
-    """Return the wall-clock of every artifact that the comparison was made from.
+def stage_timings(workspace: Workspace) -> Iterator[StageTiming]:
+    """Yield the wall-clock of every artifact that the comparison was made from.
 
     The artifacts that runs were made from, such as packed particles, the end of a spin-up or
     operators, are among them if they are there.
@@ -110,17 +113,10 @@ def stage_timings(workspace: Workspace) -> list[StageTiming]:
         for parent in target.parents.values()
         if parent.path.exists() and parent.path not in read
     }
-    return [_stage_timing(target) for target in (*made_from.values(), *read.values())]
-
-
-def _stage_timing(target: Target) -> StageTiming:
-    with open_artifact(target.path, target.schema, made_by=target.made_by) as artifact:
-        return StageTiming(
-            artifact=target.path.name,
-            stage=artifact.text("stage"),
-            seconds=artifact.number("wall_seconds"),
-            threads=int(artifact.number("threads")),
-        )
+    for target in (made_from | read).values():
+        with open_artifact(target.path, target.schema, made_by=target.made_by) as artifact:
+            seconds, threads = artifact.number("wall_seconds"), int(artifact.number("threads"))
+            yield StageTiming(target.path.name, artifact.text("stage"), seconds, threads)
 
 
 def offline_seconds(
@@ -131,22 +127,32 @@ def offline_seconds(
     Spin-ups and packing count; the closures of other models, in the same artifact, don't. None
     where nobody knows, as the cost of an imported run is unknown.
     """
-    case = workspace.case
-    names = {case.plan.basis_for(model, point): None for point in points}
-    trained = {point: None for name in names for point in case.plan.bases[name]}
+    plan = workspace.case.plan
+    names = {plan.basis_for(model, point): None for point in points}
+    trained = {point: None for name in names for point in plan.bases[name]}
     runs: dict[Path, Target] = {}
     for point in trained:
         _collect(workspace.full_run(point), runs)
-    spent = [_full_seconds(workspace, run) for run in runs.values()]
-    known = [seconds for seconds in spent if seconds is not None]
-    if len(known) < len(spent):
-        return None, None
-    training = sum(known)
+    training = 0.0
+    for run in runs.values():
+        with workspace.open(run) as artifact:
+            seconds = (known_seconds if is_imported(artifact) else _wall_seconds)(artifact)
+        if seconds is None:
+            return None, None
+        training += seconds
+    offline = training
     stages = [workspace.mapped(point) for point in trained]
-    stages += [workspace.basis(), workspace.splines()]
-    offline = training + sum(_wall_seconds(workspace, stage) for stage in stages)
+    for stage in (*stages, workspace.basis(), workspace.splines()):
+        with workspace.open(stage) as artifact:
+            offline += _wall_seconds(artifact)
     if model.from_operators:
-        offline += _operator_seconds(workspace, model, names)
+        own = [(name, model.size) for name in names if model.projection == "apg"]
+        with workspace.open(workspace.operators()) as artifact:
+            offline += _wall_seconds(artifact) - sum(
+                artifact.number(memory_timing(*closure))
+                for closure in plan.memory_models
+                if closure not in own
+            )
     return offline, training
 
 
@@ -157,29 +163,8 @@ def _collect(target: Target, found: dict[Path, Target]) -> None:
         _collect(parent, found)
 
 
-def _operator_seconds(
-    workspace: Workspace, model: ReducedModelSection, names: Iterable[str]
-) -> float:
-    closures = workspace.case.plan.memory_models
-    own = [(name, model.size) for name in names if model.projection == "apg"]
-    with workspace.open(workspace.operators()) as artifact:
-        others = [
-            artifact.number(memory_timing(*closure)) for closure in closures if closure not in own
-        ]
-        return artifact.number("wall_seconds") - sum(others)
-
-
-def _full_seconds(workspace: Workspace, target: Target) -> float | None:
-    """Return the cost of a full run, or of an artifact it is made from [s]; None if unknown."""
-    with workspace.open(target) as artifact:
-        if is_imported(artifact):
-            return known_seconds(artifact)
-        return artifact.number("wall_seconds")
-
-
-def _wall_seconds(workspace: Workspace, target: Target) -> float:
-    with workspace.open(target) as artifact:
-        return artifact.number("wall_seconds")
+def _wall_seconds(artifact: Artifact) -> float:
+    return artifact.number("wall_seconds")
 
 
 def break_even(once: float | None, full_seconds: float | None, online_seconds: float) -> int | None:
@@ -187,9 +172,6 @@ def break_even(once: float | None, full_seconds: float | None, online_seconds: f
 
     None when it never is, or a cost is unknown.
     """
-    if once is None or full_seconds is None:
+    if once is None or full_seconds is None or full_seconds <= online_seconds:
         return None
-    gain = full_seconds - online_seconds
-    if gain <= 0.0:
-        return None
-    return max(1, math.ceil(once / gain))
+    return max(1, math.ceil(once / (full_seconds - online_seconds)))

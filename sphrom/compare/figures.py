@@ -133,7 +133,7 @@ def _draw_fields(workspace: Workspace, figure: FieldFigure) -> Figure:
                 told, values = f"{told}\nunstable at the start", np.full(len(values), np.nan)
             elif found.last:
                 told += f"\nunstable, its last: t = {found.time:.3g} s"
-            picture = frame.raster(shown.position).picture(values)
+            picture = frame.raster(shown.position)(values)
             row.append(Field(told, LABELS[quantity], picture))
         panels.append(row)
     scales = {}

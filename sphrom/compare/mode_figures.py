@@ -13,9 +13,8 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.compare.tables import SpectrumRow
 from sphrom.errors import ArtifactError
-from sphrom.metrics.discrepancy import cumulative_singular_value_share, energy
-from sphrom.plots.panels import Curve, Field, Panel, draw_grid
-from sphrom.plots.pictures import Frame
+from sphrom.metrics.histories import cumulative_singular_value_share, energy
+from sphrom.plots.panels import Curve, Field, Frame, Panel, draw_grid
 from sphrom.setup.draw import solids_within
 from sphrom.store.reduced_models import sized
 from sphrom.store.workspace import Workspace
@@ -133,13 +132,13 @@ def mode_fields(
                 continue
             if max(numbers) > artifact.length(name):
                 raise ArtifactError(f"{artifact.path} has no mode {max(numbers)} of {basis}")
-            raster = frame_of(workspace.case).raster(artifact.read(position))
+            picture = frame_of(workspace.case).raster(artifact.read(position))
             for number in numbers:
                 values = np.asarray(artifact.dataset(name)[number - 1])
                 if field in COMPONENTS:
                     values = values[:, COMPONENTS[field]]
                 title, label = f"{space} space\nmode {number}", f"{field} [{unit}]"
-                fields.setdefault(space, []).append(Field(title, label, raster.picture(values)))
+                fields.setdefault(space, []).append(Field(title, label, picture(values)))
     return fields
 
 

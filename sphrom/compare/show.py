@@ -19,10 +19,9 @@ Column = tuple[str, Cell]
 
 
 def show(report: Reporter, tables: Tables) -> None:
-    """Show errors, estimates and measurements; Eq. 4.1, errors near walls and costs as details."""
+    """Show errors, estimates and measurements; errors near walls and costs as details."""
     errors = [r for r in tables.errors if "full" in (r.against, r.compared)]
     _show(report, errors, *NORMS)
-    _show(report.details, errors, *EQ41)
     _show(report, tables.estimates, *ESTIMATES)
     _show(report, tables.measures, *MEASURES)
     unsettled = [r for r in tables.reference if not r.settled]
@@ -63,18 +62,14 @@ def _show_whole(report: Reporter, title: str, rows: Sequence[DataclassInstance])
         report.table(title, names, [[*map(format_figure, flat(r).values())] for r in rows])
 
 
-def _pair(name: str, first: str = "", second: str = "_peak") -> Callable[[Row], str]:
-    """Return the cell of two figures, such as all instants / the worst one."""
+def _norm(name: str) -> Callable[[Row], str]:
+    """Return the cell of an error over all instants / at the worst one."""
 
     def cell(r: Row) -> str:
-        pair = (r[name + first], r[name + second])
+        pair = (r[name], r[f"{name}_peak"])
         return MISSING if pair == (None, None) else " / ".join(map(format_figure, pair))
 
     return cell
-
-
-def _means(name: str) -> Callable[[Row], str]:
-    return _pair(name, "_mean")
 
 
 def _effectivity(quantity: str) -> Callable[[Row], str]:
@@ -84,35 +79,19 @@ def _effectivity(quantity: str) -> Callable[[Row], str]:
 
 
 RUN: tuple[Column, ...] = (("run", "compared"), ("parameters", "parameters"))
-COMPARED: tuple[Column, ...] = (
-    ("run", "compared"),
-    ("against", "against"),
-    ("parameters", "parameters"),
-    ("", lambda r: r["role"] if r["status"] == "complete" else r["status"]),
-)
 NORMS: tuple[str, tuple[Column, ...]] = (
     "errors: relative L2 norm in %, over points and time / at the worst instant; pressure less its "
     "mean",
     (
-        *COMPARED,
-        ("velocity, field", _pair("velocity_field_relative_l2")),
-        ("pressure, field", _pair("pressure_field_relative_l2")),
-        ("velocity, line", _pair("velocity_line_relative_l2")),
-        ("pressure, line", _pair("pressure_line_relative_l2")),
-        ("line, without sound", _pair("pressure_line_without_sound_relative_l2")),
-    ),
-)
-EQ41: tuple[str, tuple[Column, ...]] = (
-    "Eq. 4.1 in %, mean / peak over time: the mean error over the range on the line, or over that "
-    "of the whole field, which is larger and makes the same error look smaller",
-    (
-        *COMPARED,
-        ("velocity, line: line's range", _means("velocity_line_eq41_by_line_range")),
-        ("field's range", _means("velocity_line_eq41_by_field_range")),
-        ("pressure, line: line's range", _means("pressure_line_eq41_by_line_range")),
-        ("field's range", _means("pressure_line_eq41_by_field_range")),
-        ("velocity, field: field's range", _means("velocity_field_eq41_by_field_range")),
-        ("pressure, field: field's range", _means("pressure_field_eq41_by_field_range")),
+        ("run", "compared"),
+        ("against", "against"),
+        ("parameters", "parameters"),
+        ("", lambda r: r["role"] if r["status"] == "complete" else r["status"]),
+        ("velocity, field", _norm("velocity_field_relative_l2")),
+        ("pressure, field", _norm("pressure_field_relative_l2")),
+        ("velocity, line", _norm("velocity_line_relative_l2")),
+        ("pressure, line", _norm("pressure_line_relative_l2")),
+        ("line, without sound", _norm("pressure_line_without_sound_relative_l2")),
     ),
 )
 ESTIMATES: tuple[str, tuple[Column, ...]] = (
@@ -139,6 +118,6 @@ MEASURES: tuple[str, tuple[Column, ...]] = (
         ("mean", "mean"),
         ("least", "least"),
         ("greatest", "greatest"),
-        ("error", _pair("relative_l2")),
+        ("error", _norm("relative_l2")),
     ),
 )

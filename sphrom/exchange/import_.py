@@ -93,11 +93,6 @@ def run(context: StageContext, files: Sequence[Path], about: ImportOptions) -> N
     converter = Converter(case, about, _read(choices[0][1][0], about))
     ensure_packed(workspace)
     _write(workspace, target, points[0], choices, converter, digest)
-    if converter.left_out > ROUNDING * converter.largest_speed:
-        context.report.warn(
-            f"{converter.third}, up to {converter.left_out:.4g} m/s, is left out: the flow is "
-            f"taken as two-dimensional, in {' and '.join(converter.velocity)}"
-        )
     if any(len(nodes) > 1 for _, nodes in choices):
         context.report.warn(
             f"interpolated in time, by cubic polynomials: the files hold {series(found)}"
@@ -230,11 +225,9 @@ class Converter:
         self._origin = place("origin", about.origin)
         self._scales = about.scales
         known = next((names for names in VELOCITIES if names[0] in first.fields), VELOCITIES[0])
-        self.velocity = known if about.velocity is None else pair("velocity", about.velocity)
-        self.third = _third(self.velocity, first.fields)
-        """The component of velocity across the plane of the flow, None where there is none."""
+        self._velocity = known if about.velocity is None else pair("velocity", about.velocity)
         self.n_particles = first.n_particles
-        self.largest_speed = self.largest_fluctuation = self.left_out = 0.0
+        self.largest_speed = self.largest_fluctuation = 0.0
         if (fitting := _fitting_resolution(case, self.n_particles)) is not None:
             raise CaseError(
                 f"discretization.resolution: the case has {case.plan.n_particles} particles, "
@@ -250,10 +243,10 @@ class Converter:
         """
         order = self._order(given)
         position = self._place(given)[order]
-        velocity = np.stack([given.field(name, "--velocity")[order] for name in self.velocity])
+        velocity = np.stack([given.field(name, "--velocity")[order] for name in self._velocity])
         velocity = velocity * self._scales["velocity"]
         self.largest_speed = max(self.largest_speed, float(np.hypot(*velocity).max()))
-        self._check_third_velocity(given)
+        self._require_flat(given)
         fluctuation = self._fluctuation(given)[order]
         return Snapshot(np.ascontiguousarray(position.T), fluctuation, velocity)
 
@@ -280,13 +273,6 @@ class Converter:
     def _place(self, given: ForeignSnapshot) -> Array:
         """Return positions (n_particles, 2) [m] in the scene, checked."""
         domain = self._case.scene.domain
-        third = _third(self._position, given.fields)
-        depth = 0.0 if third is None else float(np.ptp(given.fields[third]))
-        if depth * self._scales["length"] > 0.5 * self._case.plan.particle_spacing:
-            raise CaseError(
-                f"{given.path}: is three-dimensional: {third} spans {depth:.4g}; --position and "
-                "--velocity name the two in the plane of the flow"
-            )
         columns = [given.field(name, "--position") for name in self._position]
         position = domain.wrap((np.stack(columns, axis=1) - self._origin) * self._scales["length"])
         outside = np.flatnonzero(~domain.contains(position))
@@ -300,17 +286,19 @@ class Converter:
             )
         return position
 
-    def _check_third_velocity(self, given: ForeignSnapshot) -> None:
-        """Raise CaseError where velocities leave the plane, unless its components were named."""
-        if self.third is None:
-            return
-        third = given.field(self.third, "--velocity")
-        self.left_out = max(self.left_out, float(np.abs(third).max()) * self._scales["velocity"])
-        if self.about.velocity is None and self.left_out > ROUNDING * self.largest_speed:
+    def _require_flat(self, given: ForeignSnapshot) -> None:
+        """Raise CaseError where points or velocities leave the plane; who names two leaves one."""
+        third = _third(self._position, given.fields)
+        depth = 0.0 if third is None else float(np.ptp(given.fields[third]))
+        is_flat = depth * self._scales["length"] <= 0.5 * self._case.plan.particle_spacing
+        if is_flat and self.about.velocity is None:
+            third = _third(self._velocity, given.fields)
+            depth = 0.0 if third is None else float(np.abs(given.fields[third]).max())
+            is_flat = depth * self._scales["velocity"] <= ROUNDING * self.largest_speed
+        if not is_flat:
             raise CaseError(
-                f"{given.path}: is three-dimensional: {self.third} is up to {self.left_out:.4g} "
-                f"m/s; cases are two-dimensional: --velocity {','.join(self.velocity)} takes these "
-                f"two and leaves {self.third} out"
+                f"{given.path}: is three-dimensional: {third} reaches {depth:.4g}; --position and "
+                "--velocity name the two in the plane of the flow"
             )
 
     def _fluctuation(self, given: ForeignSnapshot) -> Array:

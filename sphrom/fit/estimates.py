@@ -209,8 +209,7 @@ def box_of(ranges: Ranges, values: Mapping[str, float]) -> Box:
         )
     if not ranges:
         raise CaseError("fit.parameters: gives all values, so that there is nothing to look for")
-    lower, upper = ({n: r[end] for n, r in ranges.items()} for end in (0, 1))
-    return Box(lower, upper, values)
+    return Box(ranges, values)
 
 
 def _estimates(
@@ -222,7 +221,8 @@ def _estimates(
         at_bound = AT_BOUND if best.at_bound[k] else ""
         remark = UNDETERMINED if shares[k] > SHOWN_SHARE else at_bound
         noise, error = (float(slopes[k] * np.sqrt(c[k, k])) for c in (known.noise, known.model))
-        low, high = box.interval(name, float(best.place[k]), float(known.half_width[k]))
+        reach = best.place[k] + known.half_width[k] * np.array([-1.0, 1.0])
+        low, high = (box.value(name, end) for end in np.clip(reach, 0.0, 1.0).tolist())
         deviation = math.hypot(noise, error)
         found = Estimate(name, values[name], deviation, noise, error, low, high, remark)
         yield found
@@ -274,7 +274,7 @@ def _histories(
 def _about_the_case(model: FittedModel, samples: Array | None) -> Iterator[str]:
     case, box = model.fast.workspace.case, model.box
     for name, (low, high) in trained_ranges(case, model.fast.section).items():
-        ends = [box.lower[name], box.upper[name]] if name in box.names else [box.fixed[name]]
+        ends = box.ranges[name] if name in box.ranges else (box.fixed[name],)
         if min(ends) < low or max(ends) > high:
             yield (
                 f"fit.parameters.{name}: goes beyond the trained range, {exact(low)} to "

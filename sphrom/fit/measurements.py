@@ -26,18 +26,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sphrom.case.checks import outside_fluid
-from sphrom.case.custom_sections import content_of
 from sphrom.case.fields import LARGEST
 from sphrom.case.messages import nearest, show
 from sphrom.case.models import Case
 from sphrom.case.plan import TimeSteps
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import COMPONENTS, UNITS
-from sphrom.text import repeated, shortened
+from sphrom.text import repeated, shortened, visible
+from sphrom.whole_files import read_whole
 
 Array = NDArray[np.float64]
 Place = tuple[float, float]
 
+MOST_BYTES = 16 * 1024 * 1024
+"""The largest file that is read."""
 NOISE = "_noise"
 """The end of the names of columns with standard deviations."""
 AT_PLACE = {"u": ("velocity", 0), "v": ("velocity", 1), "pressure": ("pressure", None)}
@@ -142,11 +144,12 @@ def _text(source: Source) -> tuple[str, str]:
     """Return the name and the content of a table."""
     if isinstance(source, Path):
         try:
-            return source.name, content_of(source).decode("utf-8-sig")
+            return source.name, read_whole(source, MOST_BYTES).decode("utf-8-sig")
         except UnicodeDecodeError as error:
             raise CaseError(f"{source.name}: is not UTF-8 text") from error
-        except ValueError as error:
-            raise CaseError(str(error)) from error
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or str(error)
+            raise CaseError(f"{visible(str(source))}: can't be read: {reason}") from error
     columns = {str(name): np.atleast_1d(values) for name, values in source.items()}
     if len({values.shape for values in columns.values()}) > 1:
         raise CaseError("measurements: columns must be of one length")

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.case.points import REYNOLDS, ParameterPoint
+from sphrom.case.studies import Ranges
 from sphrom.errors import UnstableError
 from sphrom.fit.measurements import UNNAMED, History
 from sphrom.metrics.measures import PLACED, FieldMeasure, Quantities
@@ -49,41 +50,35 @@ FINER = 2
 class Box:
     """The ranges of the free parameters, and the values of the others."""
 
-    lower: Mapping[str, float]
-    upper: Mapping[str, float]
+    ranges: Ranges
     fixed: Mapping[str, float]
 
     @property
     def names(self) -> tuple[str, ...]:
         """The free parameters."""
-        return tuple(self.lower)
+        return tuple(self.ranges)
 
     def values(self, place: Array) -> dict[str, float]:
         """Return the values by name of all parameters at a place (n_free,) in the unit box.
 
         Reynolds numbers are spread by their logarithm, like viscosities.
         """
-        free = {n: self._value(n, x) for n, x in zip(self.names, place.tolist(), strict=True)}
+        free = {n: self.value(n, x) for n, x in zip(self.names, place.tolist(), strict=True)}
         return {**self.fixed, **free}
 
-    def _value(self, name: str, share: float) -> float:
-        low, high = self.lower[name], self.upper[name]
+    def value(self, name: str, share: float) -> float:
+        """Return the value of a free parameter at its place."""
+        low, high = self.ranges[name]
         if name == REYNOLDS:
             return low * (high / low) ** share
         return low + (high - low) * share
 
     def slopes(self, place: Array) -> Array:
         """Return the derivatives (n_free,) of the free values by their places."""
-        values, ends = self.values(place), [(n, self.lower[n], self.upper[n]) for n in self.names]
+        values, ends = self.values(place), self.ranges.items()
         return np.array(
-            [values[n] * math.log(h / low) if n == REYNOLDS else h - low for n, low, h in ends]
+            [values[n] * math.log(h / low) if n == REYNOLDS else h - low for n, (low, h) in ends]
         )
-
-    def interval(self, name: str, share: float, half_width: float) -> tuple[float, float]:
-        """Return the values about one, within the range."""
-        ends = (max(0.0, share - half_width), min(1.0, share + half_width))
-        low, high = (self._value(name, end) for end in ends)
-        return low, high
 
 
 class FittedModel:
@@ -147,12 +142,13 @@ class FittedModel:
 
     def integrator(self, reduced: ReferenceModel) -> Integrator:
         """Return the steps of a model, as many at all parameters."""
-        return reference_model.choose(reduced, self._steps)
 
-    def _steps(self, reduced: ReferenceModel) -> Steps:
-        assert reduced.linear is not None
-        system = ExponentialModel(reduced.polynomial, reduced.linear)
-        return Steps(reduced, system, self._n_steps)
+        def steps(reduced: ReferenceModel) -> Steps:
+            assert reduced.linear is not None
+            system = ExponentialModel(reduced.polynomial, reduced.linear)
+            return Steps(reduced, system, self._n_steps)
+
+        return reference_model.choose(reduced, steps)
 
     def __call__(self, place: Array) -> tuple[Array, Array] | None:
         """Return values (n_values,) and derivatives (n_values, n_free) at a place."""
@@ -208,9 +204,17 @@ class FittedModel:
         return unique, at, which
 
     def at_instants(self, time: Array, histories: Array) -> Array:
-        """Return histories (n_snapshots, n_histories, ...) at the instants of values."""
+        """Return histories (n_snapshots, n_histories, ...) at the instants of values.
+
+        Between snapshots they are cubic splines.
+        """
         instants, at, which = self._instants
-        return interpolated(time, histories, instants)[at, which]
+        if len(time) != len(instants) or not np.allclose(time, instants, rtol=0.0, atol=1e-12):
+            from scipy.interpolate import make_interp_spline
+
+            spline = make_interp_spline(time, histories, k=min(3, len(time) - 1))
+            histories = np.asarray(spline(np.clip(instants, time[0], time[-1])))
+        return histories[at, which]
 
 
 def _changes(run: Tangents, k: int) -> dict[str, Quantities]:
@@ -218,16 +222,6 @@ def _changes(run: Tangents, k: int) -> dict[str, Quantities]:
     loads = {name: each[k].sum(axis=1) for name, each in run.forces.items()}
     forces = {n: {"force": each[:, :2], "torque": each[:, 2]} for n, each in loads.items()}
     return {**forces, **{n: {q: v[k] for q, v in m.items()} for n, m in run.measured.items()}}
-
-
-def interpolated(time: Array, histories: Array, instants: Array) -> Array:
-    """Return histories (n_snapshots, ...) at instants, by cubic splines over time."""
-    if len(time) == len(instants) and np.allclose(time, instants, rtol=0.0, atol=1e-12):
-        return histories
-    from scipy.interpolate import make_interp_spline
-
-    spline = make_interp_spline(time, histories, k=min(3, len(time) - 1))
-    return np.asarray(spline(np.clip(instants, time[0], time[-1])))
 
 
 def error_samples(model: FittedModel, place: Array, known: TrainingDifferences) -> Array | None:

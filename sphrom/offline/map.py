@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from sphrom.artifacts import Artifact, ArtifactWriter
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
-from sphrom.reduction.reference_space import ReferenceMap, error_share, relative_error
-from sphrom.scenes.scene import ExactFlow
+from sphrom.reduction.reference_space import ReferenceMap, relative_error
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import require_room
@@ -20,9 +19,6 @@ from sphrom.store.trajectory import require_complete, snapshot_fields
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
-
-NEAR_WALLS, INTERIOR = "_near_walls", "_interior"
-"""Endings of the names of errors, within the map's reach of a wall and beyond it."""
 
 
 def run(context: StageContext) -> None:
@@ -97,64 +93,33 @@ def _report_errors(
     points: Array,
     artifact: ArtifactWriter,
 ) -> None:
-    """Store the loss of the map: of the exact solution, or there and back where there is none."""
-    flow = workspace.case.plan.flow(point).exact
-    if flow is None:
-        kind, losses = "round_trip_error", _round_trip_losses(to_reference, trajectory)
-        what = "to the reference points and back the last snapshot"
-    else:
-        kind, losses = "map_error", _exact_losses(flow, to_reference, trajectory, points)
-        what = "of the exact solution on the particles the map"
-    for name, loss in losses.items():
-        artifact.annotate(f"{kind}/{name}", loss)
-    workspace.context.report.info(
-        f"{point.label}: {what} loses {_loss_text(losses, 'velocity')} and "
-        f"{_loss_text(losses, 'pressure')}"
-    )
-
-
-def _exact_losses(
-    flow: ExactFlow, to_reference: ReferenceMap, trajectory: Artifact, points: Array
-) -> dict[str, float]:
-    """Return the relative L2 errors [%] of an exact solution, sampled where the particles ended."""
-    position = np.asarray(trajectory.dataset("position")[-1])
-    end = float(trajectory.read("time")[-1])
-    pressure, velocity = to_reference(
-        position, flow.pressure(position, end), flow.velocity(position, end)
-    )
-    return {
-        "velocity": 100.0 * relative_error(velocity, flow.velocity(points, end)),
-        "pressure": 100.0 * relative_error(pressure, flow.pressure(points, end)),
-    }
-
-
-def _round_trip_losses(to_reference: ReferenceMap, trajectory: Artifact) -> dict[str, float]:
-    """Return the loss [%] of the last snapshot there and back, near walls and in the interior.
+    """Store the loss of the map: of the exact solution, or there and back where there is none.
 
     The pressure is taken less its mean, of which no map loses anything. Noise from particle to
     particle, such as the pressure has next to a lid, counts as lost.
     """
     last = len(trajectory.read("time")) - 1
     position, density, velocity = snapshot_fields(trajectory, last)
-    density = density - density.mean()
-    try:
-        back = to_reference.round_trip(position, density, velocity)
-    except ValueError as error:
-        raise CaseError(f"reference: snapshot {last}, there and back: {error}") from error
-    near = to_reference.domain.wall_distance(position) < to_reference.support_radius
-    parts = {"": np.ones_like(near), NEAR_WALLS: near, INTERIOR: ~near}
-    if not near.any():
-        parts = {"": parts[""]}
-    return {
-        f"{name}{part}": 100.0 * error_share(mapped, exact, where)
-        for name, mapped, exact in (("velocity", back[1], velocity), ("pressure", back[0], density))
-        for part, where in parts.items()
-        if where.any()
+    flow = workspace.case.plan.flow(point).exact
+    if flow is None:
+        kind, what = "round_trip_error", "to the reference points and back the last snapshot"
+        exact = density - density.mean(), velocity
+        try:
+            found = to_reference.round_trip(position, *exact)
+        except ValueError as error:
+            raise CaseError(f"reference: snapshot {last}, there and back: {error}") from error
+    else:
+        kind, what = "map_error", "of the exact solution on the particles the map"
+        end = float(trajectory.read("time")[-1])
+        exact, sampled = (
+            (flow.pressure(there, end), flow.velocity(there, end)) for there in (points, position)
+        )
+        found = to_reference(position, *sampled)
+    losses = {
+        name: 100.0 * relative_error(found[k], exact[k])
+        for name, k in (("velocity", 1), ("pressure", 0))
     }
-
-
-def _loss_text(losses: dict[str, float], name: str) -> str:
-    """Return the loss of a field in words, by part of the fluid if there are several."""
-    parts = {"near walls": losses.get(name + NEAR_WALLS), "interior": losses.get(name + INTERIOR)}
-    known = ", ".join(f"{part} {loss:.2g} %" for part, loss in parts.items() if loss is not None)
-    return f"{losses[name]:.2g} % of the {name}" + (f" ({known})" if known else "")
+    for name, loss in losses.items():
+        artifact.annotate(f"{kind}/{name}", loss)
+    lost = " and ".join(f"{loss:.2g} % of the {name}" for name, loss in losses.items())
+    workspace.context.report.info(f"{point.label}: {what} loses {lost}")

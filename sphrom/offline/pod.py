@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact, ArtifactWriter, write_record
 from sphrom.case.hints import few_snapshots
-from sphrom.case.models import Case
 from sphrom.errors import CaseError
-from sphrom.metrics.discrepancy import cumulative_singular_value_share, energy
+from sphrom.metrics.histories import cumulative_singular_value_share, energy
 from sphrom.reduction.decomposition import decompose
 from sphrom.reduction.trial_basis import JOINT, Modes, TrialBasis, weighted_mean
 from sphrom.setup.context import StageContext
@@ -100,36 +99,28 @@ def _decompose(
     workspace.context.report.info(
         f"{description}: {per_run * len(runs)} snapshots of {len(volume)} points"
     )
-    learnt = _learnt(case, per_run)
-    bases: dict[str, TrialBasis] = {}
-    try:
-        for size in sorted({case.plan.basis_size(name) for name in learnt}):
-            bases |= decompose(
-                read_block,
-                n_points=len(volume),
-                n_snapshots=per_run * len(runs),
-                product=inner_product(workspace),
-                volume=volume,
-                n_modes=size,
-                snapshots={
-                    k: some for k, some in learnt.items() if case.plan.basis_size(k) == size
-                },
-                mean_density=None if means is None else means.ravel(),
-                ram_limit=decomposition_ram_limit(),
-            )
-    except ValueError as error:
-        raise CaseError(f"basis.n_modes, rom.n_modes: {error}") from error
-    return {name: bases[name] for name in learnt}
-
-
-def _learnt(case: Case, per_run: int) -> dict[str, NDArray[np.int64]]:
-    """Return the snapshots that each basis learns from, among those of all training runs."""
-    return {
-        name: np.concatenate(
-            [np.arange(per_run) + per_run * case.plan.train_points.index(point) for point in points]
-        )
+    of_run = {
+        point: np.arange(per_run) + per_run * run
+        for run, point in enumerate(case.plan.train_points)
+    }
+    learnt = {
+        name: np.concatenate([of_run[point] for point in points])
         for name, points in case.plan.bases.items()
     }
+    try:
+        return decompose(
+            read_block,
+            n_points=len(volume),
+            n_snapshots=per_run * len(runs),
+            product=inner_product(workspace),
+            volume=volume,
+            n_modes={name: case.plan.basis_size(name) for name in learnt},
+            snapshots=learnt,
+            mean_density=None if means is None else means.ravel(),
+            ram_limit=decomposition_ram_limit(),
+        )
+    except ValueError as error:
+        raise CaseError(f"basis.n_modes, rom.n_modes: {error}") from error
 
 
 def _write_lagrangian(workspace: Workspace, artifact: ArtifactWriter, volume: Array) -> None:

@@ -195,7 +195,7 @@ class BasisModel:
         viscosity = case.plan.kinematic_viscosity(point)
         coordinates, mean = self._initial_state(self._start(point))
         found = ReferenceModel(
-            polynomial=self.operators.at(viscosity, factors=point.factors),
+            polynomial=self.operators.at(viscosity, point.factors),
             basis=self.basis,
             start=coordinates,
             output_times=self._times[in_training],
@@ -203,17 +203,15 @@ class BasisModel:
             amplitude=amplitude_of(case, point),
             measures=self._measures,
         )
+        rates, length = found.polynomial, None
         if self._memory is not None:
-            polynomial = found.polynomial
             length = memory_length_of(
-                case, self.section, lambda: polynomial.jacobian(coordinates, found.strongest)
+                case, self.section, lambda: rates.jacobian(coordinates, found.strongest)
             )
-            closed = polynomial.plus(self._memory.at(viscosity), length)
-            found = replace(found, polynomial=closed, memory_length=length)
+            rates = rates.plus(self._memory.at(viscosity), length)
         if self._calibration is not None:
-            calibration = self._calibration.at(viscosity, point.factors)
-            found = replace(found, polynomial=found.polynomial.plus(calibration))
-        return found
+            rates = rates.plus(self._calibration.at(viscosity, point.factors))
+        return replace(found, polynomial=rates, memory_length=length)
 
     def _initial_state(self, fields: Fields) -> tuple[Array, float]:
         """Return coordinates (n_modes,) of mapped fields, and the separate mean density."""

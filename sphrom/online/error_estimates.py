@@ -20,8 +20,8 @@ from sphrom.case.points import ParameterPoint
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.error_calibration import (
     FIELDS,
-    LocalCalibration,
-    calibrate,
+    LocalErrorCalibration,
+    calibrate_errors,
     compared_snapshots,
 )
 from sphrom.reduction.held_out import UnheldShares
@@ -44,7 +44,7 @@ class Estimate:
 
     residual: Array
     """(n_snapshots,) its norm [/s]."""
-    fitted: LocalCalibration
+    fitted: LocalErrorCalibration
     errors: Array
     """(n_snapshots, 2) root mean squares of the errors of velocity and c0 rho'/rho0 [m/s]."""
     sizes: Array
@@ -123,7 +123,7 @@ def estimate(run: FastRun) -> Estimate | None:
         fitted=fitted,
         errors=fitted.errors(run.time, residual, run.coordinates),
         sizes=trained.products.sizes(run.coordinates),
-        extrapolates=fitted.extrapolates(run.time),
+        extrapolates=fitted.extrapolates(len(run.time)),
         units=trained.units,
     )
 
@@ -138,7 +138,7 @@ def steady_errors(run: FastRun, state: Array) -> SteadyErrors | None:
     if trained is None or fitted is None:
         return None
     residual = float(trained.residual(run, run.time[-1:], state[None])[0])
-    change = fitted.changes(run.time, run.coordinates)[-1]
+    change = fitted.changes(run.coordinates)[-1]
     later = float(np.linalg.norm(state - run.coordinates[-1]))
     errors = fitted.steady_errors(residual, change, later)
     relative = errors / trained.products.sizes(state[None])[0]
@@ -185,7 +185,7 @@ class TrainedErrors:
             times = reduced.output_times.time
             residuals.append(self._residual(points[k], reduced, times, held_out))
             errors.append(self.products.errors(k, held_out[compared]))
-        self.fitted = calibrate(
+        self.fitted = calibrate_errors(
             times,
             np.stack(coordinates),
             np.stack(residuals),
@@ -195,7 +195,7 @@ class TrainedErrors:
             unheld.of_size(model.section.size),
         )
 
-    def at(self, point: ParameterPoint) -> LocalCalibration | None:
+    def at(self, point: ParameterPoint) -> LocalErrorCalibration | None:
         """Return the fit at a parameter point."""
         place = places_of(self._case, [point])[0]
         return None if self.fitted is None else self.fitted.at(place)
@@ -229,7 +229,7 @@ def _write(artifact: ArtifactWriter, run: FastRun, found: Estimate) -> None:
     stored = ErrorEstimate(
         velocity=velocity,
         pressure=pressure,
-        change=found.fitted.changes(run.time, run.coordinates),
+        change=found.fitted.changes(run.coordinates),
         decay_rate=found.fitted.decay_rate,
         training="outside" if found.extrapolates else "inside",
         velocity_constant=constants[0],

@@ -1,6 +1,8 @@
-"""Models from operators, and runs with all that they give.
+"""`FastModel`, a model from operators at any parameters, and its runs with all that they give.
 
-The commands and the Python interface all run models this way.
+The commands and the Python interface all run models this way. `sphrom.online.basis_model` has the
+equations with one basis, `sphrom.reduction.reference_model` integrates them, and
+`sphrom.online.reference_runs` writes what the stage `rom` makes of them.
 """
 
 from __future__ import annotations

@@ -10,9 +10,8 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,8 +30,6 @@ FORMATS = (".png", ".svg")
 """What the names of figures may end in."""
 TITLE = 9.5
 """Size of the letters of titles."""
-N_MARKERS = 12
-"""Markers along a curve, about."""
 LETTER, MARGINS = 0.066, 0.6
 """About the width of a letter of a legend, and of what stands beside its labels [inch]."""
 FEW_DECADES = 300.0
@@ -80,8 +77,7 @@ STYLE: Any = {
 }
 
 
-@dataclass(frozen=True)
-class Line:
+class Line(NamedTuple):
     """How one series is drawn wherever it appears."""
 
     color: str
@@ -147,23 +143,6 @@ def plain_logarithmic(axis: Axis, low: float, high: float) -> None:
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
-
-
-def marked_line(axes: Axes, x: Array, y: Array, index: int, label: str) -> None:
-    """Draw a reduced model's line; markers of several models never hide one another."""
-    line, spacing = line_of(index), max(1, len(x) // N_MARKERS)
-    axes.plot(
-        x,
-        y,
-        color=line.color,
-        linestyle=line.linestyle,
-        marker=line.marker,
-        linewidth=1.3,
-        markersize=4.2,
-        markerfacecolor="white",
-        markevery=(index * spacing // 4 % spacing, spacing),
-        label=label,
-    )
 
 
 def legend_below(figure: Figure, axes: Axes) -> None:

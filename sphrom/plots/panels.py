@@ -1,41 +1,49 @@
-"""The grid of panels that figures of a comparison are: pictures of fields, and curves.
+"""The grid of panels that figures are: pictures of fields, and curves.
 
-The full model is always drawn in ink, the exact solution in grey, and a reduced model has the
-same colour, line and marker in every panel in which it has the same place.
+Pictures take fields on a regular grid as (ny, nx), from below; where there is no fluid they are
+NaN, and grey. Where a frame knows its solids, their outline is drawn as it is, not in the steps of
+a grid. The full model is always drawn in ink, the exact solution in grey, and a reduced model has
+the same colour, line and marker in every panel in which it has the same place.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+from scipy.spatial import cKDTree
 
+from sphrom.metrics.samples import grid_points
 from sphrom.plots.canvas import (
     DASHES,
     DIFFERENCE_MAP,
     EXACT_COLOUR,
     INK,
+    SIGNED_MAP,
+    SOLID_COLOUR,
+    SPEED_MAP,
     TITLE,
     label_axes,
     legend_below,
+    limits,
     line_of,
-    marked_line,
     new_figure,
     plain_logarithmic,
     styled,
     symmetric_limits,
 )
-from sphrom.plots.pictures import Frame, bar_below, scale_of, show
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
+Extent = tuple[float, float, float, float]
 Range = tuple[float, float]
 Role = Literal["run", "full", "exact", "best", "level", "reference"]
 
@@ -59,16 +67,75 @@ SHOWN = (0.5, 99.5)
 """Percentiles that a scale holds: a few points in corners would leave the rest no colour."""
 HEADROOM = 1.15
 """Of an axis of errors over the largest one of a run that ran to the end."""
-MOST_MARKERS = 26
-"""Markers along a reference that is known at many points, about."""
+N_MARKERS, MOST_MARKERS = 12, 26
+"""Markers along a run's curve, and along a reference that is known at many points, about."""
 LEAST_GAP = 0.09
 """Between the labels of two marked numbers, over the width of the axis."""
-LOOKS: dict[str, dict[str, Any]] = {
+PIXELS_PER_SPACING = 3.0
+MAX_PIXELS = 400
+"""Along the longer side of a raster."""
+EXTENDED: Any = ("neither", "min", "max", "both")
+"""The ends that a colour bar is pointed at: neither, the lower, the upper, both."""
+REACH = 1.1
+"""A pixel farther than this many spacings from any point lies outside of the fluid."""
+LOOKS: dict[Role, dict[str, Any]] = {
     "exact": {"color": EXACT_COLOUR, "linewidth": 5.0},
     "full": {"color": INK, "linewidth": 2.2},
     "level": {"color": EXACT_COLOUR},
     "best": {"color": INK, "linestyle": ":"},
 }
+"""The first curves of roles other than reduced runs and references."""
+
+
+@dataclass(frozen=True)
+class Solids:
+    """Where there is no fluid, on pixels."""
+
+    x: Array
+    """(nx,) [m]"""
+    y: Array
+    """(ny,) [m]"""
+    wall_distance: Array
+    """(ny, nx) the signed distance from walls [m], negative in the solid."""
+
+    def cover(self, axes: Axes) -> None:
+        """Draw the solids over what a picture shows there."""
+        axes.contourf(
+            self.x,
+            self.y,
+            self.wall_distance,
+            levels=(-np.inf, 0.0),
+            colors=[SOLID_COLOUR],
+            zorder=0.5,  # above images, below everything else
+        )
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What of the plane a picture shows."""
+
+    extent: Extent
+    """Left, right, lower and upper edge [m]."""
+    solids: Solids | None = None
+
+    def height(self, width: float) -> float:
+        """Return the height of a picture of a width."""
+        left, right, lower, upper = self.extent
+        return width * (upper - lower) / (right - left)
+
+    def raster(self, position: Array) -> Callable[[Array], Array]:
+        """Return the function that draws values at points (n_points, 2) [m] as a picture (ny, nx).
+
+        Each pixel shows the nearest point, NaN outside of the fluid.
+        """
+        left, right, lower, upper = self.extent
+        sides = np.array([upper - lower, right - left])
+        spacing = float(np.sqrt(np.prod(sides) / len(position)))
+        pixel = max(spacing / PIXELS_PER_SPACING, float(np.max(sides)) / MAX_PIXELS)
+        ny, nx = map(int, np.maximum(1, np.ceil(sides / pixel)))
+        points = grid_points((left, lower), (right, upper), (ny, nx)).reshape(ny, nx, 2)
+        distance, nearest = cKDTree(position).query(points)
+        return lambda values: np.where(distance <= REACH * spacing, values[nearest], np.nan)
 
 
 @dataclass(frozen=True)
@@ -88,10 +155,6 @@ class Field:
         known = self.values[np.isfinite(self.values)]
         low, high = np.percentile(known, SHOWN) if len(known) else (0.0, 1.0)
         return float(low), float(high)
-
-    def beyond(self, scale: Range) -> tuple[bool, bool]:
-        """Return whether values lie below a scale, and above it."""
-        return bool((self.values < scale[0]).any()), bool((self.values > scale[1]).any())
 
 
 @dataclass(frozen=True)
@@ -187,7 +250,7 @@ def _draw_pictures(
         fields, label = [field for _, field in group], group[0][1].label
         colours, scale = _scale(fields, scales or {})
         for axes, field in group:
-            image = show(axes, frame, field.values, colours, scale)
+            image = _show(axes, frame, field.values, colours, scale)
             if axes is not first:
                 axes.sharex(first)
                 axes.sharey(first)
@@ -196,11 +259,12 @@ def _draw_pictures(
             axes.set_xlabel("x [m]")
             axes.set_ylabel("y [m]" if scales is not None else f"{label}\n\ny [m]")
             axes.label_outer()
-        below, above = (any(ends) for ends in zip(*(f.beyond(scale) for f in fields), strict=True))
+        values = np.concatenate([field.values.ravel() for field in fields])
+        ends = 1 * bool((values < scale[0]).any()) + 2 * bool((values > scale[1]).any())
         panels = [axes for axes, _ in group]
         n_columns = len({round(axes.get_position().x0, 3) for axes in panels})
         told = label if scales is not None else ""
-        bar_below(figure, image, panels, told, 18 * n_columns, (below, above))
+        _bar_below(figure, image, panels, told, 18 * n_columns, EXTENDED[ends])
 
 
 def _scale(fields: Sequence[Field], scales: Mapping[str, Range]) -> tuple[str, Range]:
@@ -211,9 +275,72 @@ def _scale(fields: Sequence[Field], scales: Mapping[str, Range]) -> tuple[str, R
         least, most = scales[fields[0].label]
         reach = BEYOND * (most - least)
         low, high = max(low, least - reach), min(high, most + reach)
+    ends = np.array([low, high])
     if fields[0].difference:
-        return DIFFERENCE_MAP, symmetric_limits(np.array([low, high]))
-    return scale_of(low, high)
+        return DIFFERENCE_MAP, symmetric_limits(ends)
+    # Fields that change their sign are about zero.
+    return (SIGNED_MAP, symmetric_limits(ends)) if low < 0.0 < high else (SPEED_MAP, limits(ends))
+
+
+def _show(axes: Axes, frame: Frame, field: Array, colours: str, scale: Range) -> Any:
+    """Draw a field (ny, nx) into axes, with a colour map and the ends of its scale."""
+    axes.set_facecolor(SOLID_COLOUR)
+    shown = field if frame.solids is None else _continued(field)
+    image = axes.imshow(
+        shown, origin="lower", extent=frame.extent, cmap=colours, vmin=scale[0], vmax=scale[1]
+    )
+    if frame.solids is not None:
+        frame.solids.cover(axes)
+        axes.set(xlim=frame.extent[:2], ylim=frame.extent[2:])
+    return image
+
+
+def _continued(field: Array) -> Array:
+    """Return a field (ny, nx) whose NaN have the value of the nearest pixel that has one."""
+    missing = np.isnan(field)
+    if missing.all():
+        return field
+    rows, columns = distance_transform_edt(missing, return_distances=False, return_indices=True)
+    return field[rows, columns]
+
+
+def _bar_below(
+    figure: Figure, image: Any, panels: Any, label: str, aspect: int, extended: Any
+) -> None:
+    """Draw a colour bar under panels; `aspect` in proportion to their width gives one height.
+
+    Its labels are sparse, with a common factor instead of long numbers.
+    """
+    from matplotlib.ticker import MaxNLocator, ScalarFormatter
+
+    bar = figure.colorbar(
+        image,
+        ax=panels,
+        location="bottom",
+        shrink=0.8,
+        aspect=aspect,
+        pad=0.03,
+        extend=extended,
+    )
+    bar.set_label(label, loc="left")  # a common factor of the numbers stands on the right
+    numbers = ScalarFormatter(useMathText=True)
+    numbers.set_powerlimits((-2, 4))
+    bar.locator, bar.formatter = MaxNLocator(aspect // 6), numbers
+    bar.update_ticks()
+    bar.ax.xaxis.get_offset_text().set_fontsize(7.5)
+
+
+def _look(role: Role, index: int, n_points: int) -> dict[str, Any]:
+    """Return how the curve of this index among those of its role is drawn."""
+    if role in LOOKS:
+        later = {"color": "#777777", "linestyle": DASHES[index % len(DASHES)]}
+        return later if index else LOOKS[role]
+    look = line_of(index)._asdict() | {"markerfacecolor": "white", "markersize": 4.2}
+    if role == "reference":
+        return look | {"linestyle": "none", "markevery": max(1, n_points // MOST_MARKERS)}
+    # Markers of several models never hide one another.
+    spacing = max(1, n_points // N_MARKERS)
+    return look | {"linewidth": 1.3, "markevery": (index * spacing // 4 % spacing, spacing)}
 
 
 def _draw_curves(axes: Axes, panel: Panel) -> None:
@@ -221,19 +348,8 @@ def _draw_curves(axes: Axes, panel: Panel) -> None:
     for curve in panel.curves:
         # Zeros have no place on a logarithmic axis.
         y = np.where(curve.y > 0.0, curve.y, np.nan) if "log" in panel.axes else curve.y
-        index = drawn[curve.role]
+        look = _look(curve.role, drawn[curve.role], len(y))
         drawn[curve.role] += 1
-        if curve.role == "run":
-            marked_line(axes, curve.x, y, index, curve.label)
-            continue
-        look = LOOKS.get(curve.role, {})
-        if curve.role == "reference":
-            line = line_of(index)
-            look = {"color": line.color, "marker": line.marker, "linestyle": "none"}
-            look |= {"markerfacecolor": "white", "markersize": 4.2}
-            look["markevery"] = max(1, len(y) // MOST_MARKERS)
-        elif index > 0:
-            look = {"color": "#777777", "linestyle": DASHES[index % len(DASHES)]}
         axes.plot(curve.x, y, label=curve.label, **look)
     label_axes(axes, panel.x_label, panel.y_label)
     axes.set_title(panel.title)

@@ -85,24 +85,19 @@ def flat(row: DataclassInstance) -> dict[str, Any]:
     return found
 
 
-def rows_of(record: type[DataclassInstance], rows: Sequence[Mapping[str, Any]]) -> list[Any]:
-    """Return rows as instances of their record, from their values by column.
-
-    Raises ValueError for a value that is missing or of another type.
-    """
+def _rows_of(record: type[DataclassInstance], rows: Sequence[Mapping[str, Any]]) -> list[Any]:
+    """Return rows as instances of their record. Raises ValueError for one of another type."""
     types = get_type_hints(record)
     found = []
     for row in rows:
         values: dict[str, Any] = {}
         for name, parts in _columns(record).items():
-            if missing := [part for part in parts if part not in row]:
-                raise ValueError(f"a row has no {missing[0]}")
             several = get_origin(types[name]) in (dict, Mapping)
             kind = get_args(types[name])[1] if several else types[name]
+            allowed = kind | int if float in (kind, *get_args(kind)) else kind
             for part in parts:
-                allowed = kind | int if float in (kind, *get_args(kind)) else kind
-                if not isinstance(row[part], allowed):
-                    raise ValueError(f"{part} is {row[part]!r}")
+                if part not in row or not isinstance(row[part], allowed):
+                    raise ValueError(f"{part} of a row is {row.get(part, 'missing')!r}")
             values[name] = {part: row[part] for part in parts} if several else row[name]
         found.append(record(**values))
     return found
@@ -111,24 +106,28 @@ def rows_of(record: type[DataclassInstance], rows: Sequence[Mapping[str, Any]]) 
 def write_csv(path: Path, rows: Sequence[DataclassInstance]) -> None:
     """Write rows of one record as CSV, a heading first, figures to full precision.
 
-    Raises ValueError for no rows, rows of several records or a figure that is not finite,
-    ArtifactError when the file can't be written.
+    Raises ValueError for no rows or a figure that is not finite, ArtifactError when the file can't
+    be written.
     """
-    if len({type(row) for row in rows}) != 1:
-        raise ValueError("a table needs rows, all of one record")
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(headings(type(rows[0])))
-    for row in rows:
-        cells = flat(row)
-        _refuse_non_finite(cells)
-        writer.writerow([_cell(value) for value in cells.values()])
+    writer.writerows([_cell(value) for value in flat(row).values()] for row in rows)
     write_whole(path, text.getvalue().encode())
 
 
 def _cell(value: object) -> object:
     """Return a cell without control characters, which a terminal that shows the file obeys."""
+    if isinstance(value, float):
+        return _finite(repr(value))
     return visible(value) if isinstance(value, str) else value
+
+
+def _finite(text: str) -> float:
+    """Return a figure. Raises ValueError for one that isn't finite."""
+    if not math.isfinite(value := float(text)):
+        raise ValueError(f"{text} is no figure for a table; use None where there is none")
+    return value
 
 
 def write_json(
@@ -138,15 +137,11 @@ def write_json(
 ) -> None:
     """Write named tables as one JSON object, `about` (case, machine, date) before them.
 
-    Raises ValueError for a figure that is not finite or a table called `about`, ArtifactError
-    when the file can't be written.
+    Raises ValueError for a figure that is not finite, ArtifactError when the file can't be written.
     """
-    if "about" in tables:
-        raise ValueError("no table may be called 'about'")
-    document: dict[str, Any] = {"about": dict(about or {})}
-    document |= {name: [flat(row) for row in rows] for name, rows in tables.items()}
-    _refuse_non_finite(document)
-    write_whole(path, (json.dumps(document, indent=2) + "\n").encode())
+    document: dict[str, Any] = {name: [flat(row) for row in rows] for name, rows in tables.items()}
+    text = json.dumps({"about": dict(about or {}), **document}, indent=2, allow_nan=False)
+    write_whole(path, (text + "\n").encode())
 
 
 def read_csv(
@@ -161,10 +156,11 @@ def read_csv(
         head, *rows = csv.reader(io.StringIO(text, newline=""), strict=True)
         if not rows or {len(row) for row in rows} != {len(head)}:
             raise ValueError("its rows are not of one length, or there are none")
-        if len(set(head)) < len(head) or (record is not None and head != headings(record)):
+        if record is not None and head != headings(record):
             raise ValueError("its columns are not those of the table")
-        for name, column in zip(head, zip(*rows, strict=True), strict=True):
-            _check_column(name, column)
+        for name, *column in zip(head, *rows, strict=True):
+            if name.endswith("]"):
+                _ = [_finite(cell) for cell in column if cell]
     return head, rows
 
 
@@ -178,17 +174,18 @@ def read_json(
     Raises ArtifactError, naming the command that makes it, when it is missing or damaged.
     """
     with _explained(path, made_by):
-        document = json.loads(read_whole(path, MOST_BYTES).decode(), parse_constant=float)
-        _refuse_non_finite(document)
+        text = read_whole(path, MOST_BYTES).decode()
+        document = json.loads(text, parse_constant=_finite, parse_float=_finite)
         if not isinstance(document, dict) or not isinstance(document.get("about"), dict):
             raise ValueError("it does not say what it is about")
-        tables = [rows for name, rows in document.items() if name != "about"]
-        for rows in tables:
-            if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
-                raise ValueError("its tables have no rows")
+        for name, rows in document.items():
+            if name != "about" and not (
+                isinstance(rows, list) and all(isinstance(row, dict) for row in rows)
+            ):
+                raise ValueError(f"{name} has no rows")
         for name, record in (records or {}).items():
             if name in document:
-                document[name] = rows_of(record, document[name])
+                document[name] = _rows_of(record, document[name])
     return document
 
 
@@ -205,24 +202,6 @@ def _explained(path: Path, made_by: str) -> Iterator[None]:
         raise ArtifactError(f"{path} is damaged ({reason}): {remedy}") from error
 
 
-def _check_column(name: str, cells: Sequence[str]) -> None:
-    """Raise ValueError where a column of figures holds text, or one that is not finite."""
-    figures = [figure for figure in map(_figure, cells) if figure is not None]
-    has_unit = name.endswith("]")
-    if has_unit and len(figures) < sum(map(bool, cells)):
-        raise ValueError(f"{name} holds text")
-    of_figures = has_unit or any(map(math.isfinite, figures))
-    if of_figures and not all(map(math.isfinite, figures)):
-        raise ValueError(f"{name} holds a figure that is not finite")
-
-
-def _figure(cell: str) -> float | None:
-    try:
-        return float(cell)
-    except ValueError:
-        return None
-
-
 def format_figure(value: float | int | str | bool | None, digits: int = 3) -> str:
     """Return a figure as a table shows it: floats to so many significant digits.
 
@@ -236,23 +215,10 @@ def format_figure(value: float | int | str | bool | None, digits: int = 3) -> st
         return value
     if isinstance(value, int):
         return f"{value:,}"
-    if not math.isfinite(value):
-        raise ValueError(f"{value} is no figure for a table; use None where there is none")
-    rounded = float(f"{value:.{digits - 1}e}")
+    rounded = _finite(f"{value:.{digits - 1}e}")
     if rounded == 0.0:
         return "0"
     if not PLAIN_RANGE[0] <= abs(rounded) < PLAIN_RANGE[1]:
         mantissa, exponent = f"{rounded:.{digits - 1}e}".split("e")
         return f"{mantissa}e{int(exponent)}"
     return f"{rounded:,.{max(0, digits - 1 - math.floor(math.log10(abs(rounded))))}f}"
-
-
-def _refuse_non_finite(value: Any, where: str = "") -> None:
-    if isinstance(value, Mapping):
-        for key, entry in value.items():
-            _refuse_non_finite(entry, f"{where}.{key}" if where else str(key))
-    elif isinstance(value, list | tuple):
-        for index, entry in enumerate(value):
-            _refuse_non_finite(entry, f"{where}[{index}]")
-    elif isinstance(value, float) and not math.isfinite(value):
-        raise ValueError(f"{where} is {value}: use None for a figure that does not exist")

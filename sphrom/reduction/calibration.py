@@ -119,7 +119,6 @@ def calibrate(
     coordinates, residuals = (np.concatenate(parts) for parts in zip(*averages, strict=True))
     viscosities = np.array([run.kinematic_viscosity for run in runs])
     mean_viscosity = float(viscosities.mean())
-    offsets = np.repeat(viscosities / mean_viscosity - 1.0, [len(part) for part, _ in averages])
     # A flow at rest determines the constant alone.
     scale = float(np.sqrt(np.mean(coordinates**2))) or 1.0
     driven = any(run.rates.has_constant for run in runs)
@@ -127,12 +126,13 @@ def calibrate(
     energy = 1.0 / (scale**2 * np.sqrt(coordinates.shape[1]))
     first = np.ones(len(coordinates)) if driven else energy * np.sum(coordinates**2, axis=1)
     features = np.insert(coordinates / scale, 0, first, axis=1)
-    parts, lengths = [features, offsets[:, None] * features], [len(part) for part, _ in averages]
-    sizes: dict[str, tuple[float, float]] = {}
+    offsets, sizes = [viscosities / mean_viscosity - 1.0], dict[str, tuple[float, float]]()
     for name in runs[0].factors:
         values = np.array([run.factors[name] for run in runs])
         sizes[name] = mean, largest = float(values.mean()), float(np.abs(values).max()) or 1.0
-        parts.append(np.repeat((values - mean) / largest, lengths)[:, None] * features)
+        offsets.append((values - mean) / largest)
+    lengths = [len(part) for part, _ in averages]
+    parts = [features, *(np.repeat(o, lengths)[:, None] * features for o in offsets)]
     features = np.hstack(parts)
     gram = features.T @ features + penalty * len(features) * np.eye(features.shape[1])
     # Runs at one value of a parameter leave its features, and that part of the solution, zero.

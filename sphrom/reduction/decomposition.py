@@ -12,7 +12,7 @@ with the mode first.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,24 +45,23 @@ def decompose(
     n_snapshots: int,
     product: InnerProduct,
     volume: Array,
-    n_modes: int,
+    n_modes: Mapping[str, int],
+    snapshots: Mapping[str, NDArray[np.int64]],
     *,
-    snapshots: Mapping[str, Sequence[int] | NDArray[np.int64]] | None = None,
     mean_density: Array | None = None,
     ram_limit: int = DEFAULT_RAM,
 ) -> dict[str, TrialBasis]:
     """Return a trial basis for each named set of snapshots (Eq. 3.13-3.14, 3.16).
 
-    `snapshots` names the bases and the snapshots of each; by default one basis `all` has all of
-    them. Each has `n_modes` modes. `mean_density` (n_snapshots,) [kg/m3] is the weighted spatial
-    mean of each snapshot's density fluctuation, which the bases then have carried apart. `volume`
-    is (n_points,) [m2]. `ram_limit` bounds the blocks and the factors, beyond the modes themselves.
-    A mode's sign is such that the snapshot in which it is strongest has a positive coordinate.
+    `n_modes` and `snapshots` have the modes and the snapshots of each basis. `mean_density`
+    (n_snapshots,) [kg/m3] is the weighted spatial mean of each snapshot's density fluctuation,
+    which the bases then have carried apart. `volume` is (n_points,) [m2]. `ram_limit` bounds the
+    blocks and the factors, beyond the modes themselves. A mode's sign is such that the snapshot in
+    which it is strongest has a positive coordinate.
 
     Raises ValueError when a set has fewer independent snapshots than modes or a value is not
     finite, ResourceError when the limit is too small for the number of snapshots.
     """
-    sets = {"all": range(n_snapshots)} if snapshots is None else snapshots
     if mean_density is not None:
         product = product.without_mean()
     weights = product.weights(volume)
@@ -85,10 +84,9 @@ def decompose(
     if not np.isfinite(factor).all():
         raise ValueError("the snapshots contain values that are not finite")
     spectra = {
-        name: _spectrum(name, factor, np.asarray(columns, dtype=np.int64), n_modes)
-        for name, columns in sets.items()
+        name: _spectrum(name, factor, columns, n_modes[name]) for name, columns in snapshots.items()
     }
-    modes = {name: np.empty((n_modes, N_FIELD_VALUES * n_points)) for name in sets}
+    modes = {name: np.empty((n_modes[name], N_FIELD_VALUES * n_points)) for name in snapshots}
     for points, rows in blocks():
         velocities = np.arange(2 * points.start, 2 * points.stop)
         places = np.concatenate((np.arange(points.start, points.stop), n_points + velocities))
@@ -100,7 +98,7 @@ def decompose(
         density, velocity = np.split(orthonormal, [n_points], axis=1)
         bases[name] = TrialBasis(
             density_modes=density / root,
-            velocity_modes=velocity.reshape(n_modes, n_points, 2) / root[:, None],
+            velocity_modes=velocity.reshape(-1, n_points, 2) / root[:, None],
             singular_values={JOINT: singular_values},
             inner_product=product,
             weights=weights,

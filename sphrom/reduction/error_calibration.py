@@ -64,7 +64,7 @@ WITHIN = 0.95
 
 
 @dataclass(frozen=True)
-class Calibration:
+class ErrorCalibration:
     """The fitted relation of residuals and changes to errors of the velocity and of q."""
 
     decay_rate: float
@@ -75,32 +75,29 @@ class Calibration:
     """(2,) within which, either way, 95 % of the training errors are of their estimates."""
     places: Array
     """(n_runs, n_parameters) of the runs, as `interpolation_weights` measures distances."""
-    time: Array
-    """(n_snapshots,) of the training runs [s]."""
     coordinates: Array
     """(n_runs, n_snapshots, n_modes) of the training runs."""
     shares: UnheldShares
     """Of changes: (2,) with the parameters, and (n_runs, 2) with time."""
 
-    def at(self, place: Array) -> LocalCalibration:
+    def at(self, place: Array) -> LocalErrorCalibration:
         """Return the calibration at a parameter point (n_parameters,)."""
         weights, distance = interpolation_weights(self.places, place)
         logarithms = np.log(self.constants)
         apart = np.linalg.norm(self.places[:, None] - self.places, axis=2).max()
         # Beyond the hull of the training points they may go on changing.
         share = min(1.0, distance / apart) if apart > 0.0 else 0.0
-        return LocalCalibration(
+        return LocalErrorCalibration(
             self.decay_rate,
             np.exp(weights @ logarithms + share * np.ptp(logarithms, axis=0)),
             None if distance > 0.0 else self.factors,
-            self.time,
             np.tensordot(weights, self.coordinates, 1),
             replace(self.shares, time=np.tensordot(weights, self.shares.time, 1)),
         )
 
 
 @dataclass(frozen=True)
-class LocalCalibration:
+class LocalErrorCalibration:
     """A calibration at one parameter point."""
 
     decay_rate: float
@@ -108,37 +105,30 @@ class LocalCalibration:
     """C (2,)."""
     factors: Array | None
     """None outside of the training points: nothing tells them there."""
-    time: Array
-    """(n_snapshots,) of the training runs [s]."""
     expected: Array
     """(n_snapshots, n_modes) coordinates that the training runs interpolate to."""
     shares: UnheldShares
     """Of changes, (2,) each."""
 
-    def extrapolates(self, time: Array) -> bool:
-        """Return whether a run reaches beyond the training points, or their times."""
-        return self.factors is None or bool(time[-1] > self.time[-1] + self._tolerance)
+    def extrapolates(self, n_snapshots: int) -> bool:
+        """Return whether a run reaches beyond the training points, or their last snapshot."""
+        return self.factors is None or n_snapshots > len(self.expected)
 
-    @property
-    def _tolerance(self) -> float:
-        return 1e-9 * float(self.time[-1] - self.time[0])
-
-    def changes(self, time: Array, coordinates: Array) -> Array:
+    def changes(self, coordinates: Array) -> Array:
         """Return how far (n_snapshots, 2) states are from training ones: by parameters, by time."""
-        last = int(np.searchsorted(time, self.time[-1] + self._tolerance)) - 1
-        reached = np.minimum(np.arange(len(time)), last)
-        times, expected = time[: last + 1], self.expected[: last + 1]
-        if not np.array_equal(times, self.time[: last + 1]):
-            each = [np.interp(times, self.time, known) for known in self.expected.T]
-            expected = np.stack(each, axis=1)
-        by_parameters = coordinates[reached] - expected[reached]
+        last = min(len(coordinates), len(self.expected)) - 1
+        reached = np.minimum(np.arange(len(coordinates)), last)
+        by_parameters = coordinates[reached] - self.expected[reached]
         by_time = coordinates - coordinates[reached]
         return np.stack([np.linalg.norm(part, axis=1) for part in (by_parameters, by_time)], axis=1)
 
     def errors(self, time: Array, residual: Array, coordinates: Array) -> Array:
-        """Return the estimates (n_snapshots, 2) of root mean square errors [m/s] along a run."""
+        """Return the estimates (n_snapshots, 2) of root mean square errors [m/s] along a run.
+
+        Its snapshots are as far apart as those of training runs, and may go on beyond them.
+        """
         known = accumulated(time, residual, self.decay_rate)[:, None] * self.constants
-        return self._combined(known, self.changes(time, coordinates), self.shares.time)
+        return self._combined(known, self.changes(coordinates), self.shares.time)
 
     def steady_errors(self, residual: float, change: Array, steady_change: float) -> Array:
         """Return the estimates (2,) of errors [m/s] of a steady state.
@@ -185,7 +175,7 @@ def accumulated(time: Array, residual: Array, decay_rate: float | Array) -> Arra
     return out
 
 
-def calibrate(
+def calibrate_errors(
     time: Array,
     coordinates: Array,
     residuals: Array,
@@ -193,7 +183,7 @@ def calibrate(
     compared: Indices,
     places: Array,
     shares: UnheldShares,
-) -> Calibration | None:
+) -> ErrorCalibration | None:
     """Fit constants and rate to training runs.
 
     Parameters
@@ -234,12 +224,11 @@ def calibrate(
     _, rate, ratios = best
     middle = np.stack([each.mean(axis=0) for each in ratios])
     places = places[usable]
-    return Calibration(
+    return ErrorCalibration(
         float(rate),
         np.exp(middle),
         _factors(ratios, middle, places),
         places,
-        time,
         coordinates[usable],
         replace(shares, time=shares.time[usable]),
     )

@@ -15,7 +15,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,16 +85,10 @@ def integrals(linear: Array, time_step: float) -> Array:
 def after(first: Array, second: Array, time_step: float) -> Array:
     """Return integrals at the sum of two times, of which the second is a time step [s]."""
     both: Array = first[0] @ second
-    for j, factors in enumerate(_factors(time_step), 1):
-        both[j:] += factors * first[j]
-    return both
-
-
-@lru_cache(maxsize=64)
-def _factors(time_step: float) -> tuple[Array, ...]:
-    """Return t^i / i! (n, 1, 1) at a time t [s], of which each integral has one less."""
     powers = np.array([time_step**i / math.factorial(i) for i in range(N_INTEGRALS)])
-    return tuple(powers[:n, None, None] for n in range(N_INTEGRALS, 0, -1))
+    for j in range(1, N_INTEGRALS + 1):
+        both[j:] += powers[: N_INTEGRALS + 1 - j, None, None] * first[j]
+    return both
 
 
 class Propagation:

@@ -40,9 +40,9 @@ def step_limits(systems: Sequence[tuple[Polynomial, Array, float]]) -> list[floa
     return [float(limit) for limit in largest_steps(jacobians)]
 
 
-def steps_within(duration: float, limit: float, safety: float = SAFETY) -> int:
-    """Return how many equal steps of at most `safety` times a limit [s] make a duration [s]."""
-    return max(1, math.ceil(duration / (safety * limit)))
+def steps_within(duration: float, limit: float) -> int:
+    """Return how many equal steps of at most `SAFETY` times a limit [s] make a duration [s]."""
+    return max(1, math.ceil(duration / (SAFETY * limit)))
 
 
 @dataclass(frozen=True)

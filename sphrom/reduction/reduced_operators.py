@@ -33,8 +33,7 @@ Monomials are ordered as in `sphrom.kernels.polynomial`, up to the second degree
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -236,38 +235,16 @@ class MemoryOperators(Record):
         )
 
 
-@dataclass(frozen=True)
-class ResidualNorm:
-    """The residual's norm at given parameters, of the first modes of a basis or of some."""
-
-    powers: tuple[Array, ...]
-    """Coefficients (n_directions, n_monomials) that powers 0, 1 of the amplitude multiply."""
-    closure: Polynomial | None = None
-    """The rates that a closure adds, if there is one."""
-
-    def __call__(self, states: Array, amplitude: Array | None = None) -> Array:
-        """Return the norm (n_states,) [/s] at coordinates (n_states, n_modes).
-
-        `amplitude` (n_states,) is that of the body force or of driven walls; None is none.
-        """
-        values = monomials(states)
-        residual = values @ self.powers[0].T
-        if amplitude is not None:
-            for power, coefficients in enumerate(self.powers[1:], 1):
-                used = values[:, : coefficients.shape[1]]
-                residual += amplitude[:, None] ** power * (used @ coefficients.T)
-        squares = np.sum(residual**2, axis=1)
-        if self.closure is not None:
-            pushes = np.zeros(len(states)) if amplitude is None else amplitude
-            squares += np.sum(self.closure.along(states, pushes) ** 2, axis=1)
-        return np.asarray(np.sqrt(squares))
-
-
 def monomials(states: Array) -> Array:
     """Return the monomials (n_states, n_monomials) of coordinates, up to the second degree."""
     first, second = np.triu_indices(states.shape[1])
     ones = np.ones((len(states), 1))
     return np.concatenate((ones, states, states[:, first] * states[:, second]), axis=1)
+
+
+ResidualNorm = Callable[[Array, Array | None], Array]
+"""From coordinates (n_states, n_modes), and the amplitude (n_states,) of the body force or of
+driven walls, None where there is none, the residual's norm (n_states,) [/s]."""
 
 
 def residual_norm(
@@ -293,7 +270,21 @@ def residual_norm(
         others = pack(tuple(tensor[left_out] for tensor in rates))
         used = kept[: np.searchsorted(kept, own.shape[1])]
         powers.append(np.concatenate((own[:, used], others[:, used])))
-    return ResidualNorm(tuple(powers), closure)
+
+    def norm(states: Array, amplitude: Array | None = None) -> Array:
+        values = monomials(states)
+        residual = values @ powers[0].T
+        pushes = np.zeros(len(states)) if amplitude is None else amplitude
+        if amplitude is not None:
+            for power, coefficients in enumerate(powers[1:], 1):
+                used = values[:, : coefficients.shape[1]]
+                residual += amplitude[:, None] ** power * (used @ coefficients.T)
+        squares = np.sum(residual**2, axis=1)
+        if closure is not None:
+            squares += np.sum(closure.along(states, pushes) ** 2, axis=1)
+        return np.asarray(np.sqrt(squares))
+
+    return norm
 
 
 @lru_cache(maxsize=64)

@@ -12,8 +12,6 @@ layer has an error of 6e-2 at h = 2 dx, and of 0.12 at h = 4 dx.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -114,13 +112,3 @@ def relative_error(mapped: Array, exact: Array) -> float:
     """Return the relative L2 error of a mapped field; that of a zero field is its own norm."""
     scale = float(np.linalg.norm(exact))
     return float(np.linalg.norm(mapped - exact)) / (scale if scale > 0.0 else 1.0)
-
-
-def error_share(mapped: Array, exact: Array, where: NDArray[np.bool_]) -> float:
-    """Return the root mean square error at some points, over that of the whole exact field.
-
-    A zero field's error is itself. `where` (n_points,) picks at least one point.
-    """
-    scale = math.sqrt(float(np.mean(exact**2)))
-    error = math.sqrt(float(np.mean((mapped - exact)[where] ** 2)))
-    return error / (scale if scale > 0.0 else 1.0)

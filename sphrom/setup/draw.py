@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
 from sphrom.plots.canvas import COLOURS, FORMATS, INK, new_figure, save, styled
-from sphrom.plots.pictures import Extent, Solids
+from sphrom.plots.panels import Extent, Solids
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.sph.domain import SIDES, Domain, Walls

@@ -18,14 +18,12 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
-from sphrom.sph.widths import least_widths
+from sphrom.sph.polygons import ROUNDING, least_widths
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-ROUNDING = 1e-9
-"""Slack for lengths that are equal but for rounding, over the size of the box."""
 FINEST = 5e-5
 """Finer features aren't looked at when widths are measured, over the size of the box."""
 SIDES = (("left", "right"), ("bottom", "top"))
@@ -146,7 +144,7 @@ class Domain(ABC):
     def narrowest_gap(self) -> float:
         """The least width of the fluid between walls, or length of a period [m].
 
-        `sphrom.sph.widths` says which walls it is between.
+        `sphrom.sph.polygons` says which walls it is between.
         """
         periods = (n for n, p in zip(self.lengths, self.periodic, strict=True) if p)
         return min((self._least_widths[0], *periods))

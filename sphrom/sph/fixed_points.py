@@ -40,15 +40,13 @@ Scalars are (n_points, n_fields), vectors (2, n_points, n_fields): columns are s
 from __future__ import annotations
 
 from collections.abc import Mapping
-from copy import copy
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.sph.domain import Domain, Walls
-from sphrom.sph.fluid import Discretization, Drive, Factors, FlowConditions, Fluid
+from sphrom.sph.fluid import Discretization, Drive, Fluid
 from sphrom.sph.point_sums import (
     EVERYWHERE,
     GhostSums,
@@ -61,9 +59,6 @@ from sphrom.sph.point_sums import (
 )
 
 Array = NDArray[np.float64]
-Order = Literal[0, 1]
-"""To which rho0/rho is expanded in q/c0."""
-
 N_BLOCK_FIELDS = 8
 """Fields whose diffusion is computed at once."""
 
@@ -153,24 +148,6 @@ class FixedPoints:
         """Return w (2, n_points) [1/(m s)] of walls' velocities (2, n_ghosts) [m/s]."""
         drag, friction = -2.0 * self._viscous, self._beside_walls.friction
         return np.stack([drag * (friction @ u) for u in wall_velocity])
-
-    def drives_at(self, factors: Factors) -> FixedPoints:
-        """Return the points at values of all parameters that drive the flow."""
-        if not self.drives:
-            return self
-        other, walls, force = copy(self), self._ghosts, self.body_force
-        for name, drive in self.drives.items():
-            if drive.walls is not None and walls is not None:
-                velocity = walls.velocity + factors[name] * drive.walls.T
-                walls = replace(walls, velocity=velocity)
-            if drive.force is not None:
-                force = factors[name] * drive.force + (0.0 if force is None else force)
-        other._ghosts, other.body_force, other.drives = walls, force, {}
-        return other
-
-    def wall_speed(self, conditions: FlowConditions) -> float:
-        """Return s, with the amplitude where walls are driven."""
-        return conditions.wall_speed * (conditions.amplitude if self.walls_driven else 1.0)
 
     def terms(
         self,
@@ -318,51 +295,6 @@ class FixedPoints:
         if self._ghosts is None:
             raise ValueError("there are no walls")
         return self._ghosts
-
-    def rates(
-        self,
-        scaled_density: Array,
-        velocity: Array,
-        gradients: Array,
-        conditions: FlowConditions,
-        order: Order | None = None,
-    ) -> Array:
-        """Return the rates (3, n_points) [m/s2] of q and of the velocity, unprojected.
-
-        Parameters
-        ----------
-        scaled_density, velocity : q (n_points,) and (2, n_points) [m/s].
-        gradients : (3, 2, n_points) of q and of the velocity by x and y [1/s].
-        order : of the expansion of rho0/rho, None for none.
-        """
-        if self.drives:
-            there = self.drives_at(conditions.factors)
-            return there.rates(scaled_density, velocity, gradients, conditions, order)
-        q, u = scaled_density, velocity
-        terms = self.terms(q[:, None], u[..., None])
-        divergence = terms.divergence[:, 0]
-        continuity = self.diffusion(q[:, None])[:, 0] - (self.sound_speed + q) * divergence
-        if self.fixed_volume:
-            continuity -= continuity.mean()
-        friction = terms.laplacian[..., 0]
-        if self.wall_friction is not None:
-            friction = friction + self.wall_speed(conditions) * self.wall_friction
-        push = conditions.kinematic_viscosity * friction
-        push -= self.sound_speed * terms.pressure_gradient[..., 0]
-        acceleration = self._accelerated(q, push, conditions.amplitude, order)
-        carried = np.einsum("dn,fdn->fn", u, gradients)
-        return np.concatenate((continuity[None], acceleration)) - carried
-
-    def _accelerated(self, q: Array, push: Array, amplitude: float, order: Order | None) -> Array:
-        """Return the acceleration from a push per reference density, and the body force."""
-        own = amplitude * (np.zeros_like(push) if self.body_force is None else self.body_force)
-        head, more = self.head_push(own), self.head_push(own * q) / self.sound_speed
-        share = q / self.sound_speed
-        if order is None:
-            return (push + head + more) / (1.0 + share) + own
-        if order == 0:
-            return push + head + own
-        return (push + head) * (1.0 - share) + more + own
 
 
 def _check_readings(discretization: Discretization, has_walls: bool) -> None:

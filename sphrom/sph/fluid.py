@@ -24,6 +24,8 @@ class Drive(Generic[T]):
     force: T | None = None
 
 
+ROUNDING = 1e-9
+"""Slack for what is equal but for rounding."""
 COURANT_LIMIT = 1.5
 """Largest c0 dt / h (Eq. 2.19)."""
 VISCOUS_LIMIT = 0.125
@@ -52,11 +54,6 @@ class Fluid:
     def dynamic_viscosity(self) -> float:
         """mu [Pa s]."""
         return self.reference_density * self.kinematic_viscosity
-
-    @property
-    def mach_number(self) -> float:
-        """U_max over the speed of sound."""
-        return self.max_speed / self.sound_speed
 
 
 @dataclass(frozen=True)
@@ -105,6 +102,11 @@ class Discretization:
     def support_radius(self) -> float:
         """The radius of the kernel's support [m]."""
         return SUPPORT_RATIO * self.smoothing_length
+
+    @property
+    def n_layers(self) -> int:
+        """Layers of ghosts that the kernel's support needs."""
+        return math.ceil(self.support_radius / self.particle_spacing * (1.0 - ROUNDING))
 
     @property
     def n_neighbours(self) -> float:

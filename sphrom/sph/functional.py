@@ -192,7 +192,7 @@ class Functional:
             return shifting
         moving = shifting.copy()
         walls.hold_back(moving)
-        walls.limit(shifting)
+        walls.hold_back(shifting, against=0.0)
         return moving
 
     def ghost_forces(self, state: Array, time: float = 0.0) -> Array:

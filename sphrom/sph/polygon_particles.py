@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 import shapely
@@ -114,7 +114,7 @@ def pitches(domain: Domain, particle_spacing: float) -> tuple[float, float]:
     what is left.
     """
     counts = [
-        [length / n for n in _numbers_near(length / particle_spacing)] if periodic else [None]
+        _divisors(length, particle_spacing) if periodic else [None]
         for length, periodic in zip(domain.lengths, domain.periodic, strict=True)
     ]
     square = particle_spacing**2
@@ -127,10 +127,10 @@ def pitches(domain: Domain, particle_spacing: float) -> tuple[float, float]:
     return min(found, key=lambda p: abs(p[0] * p[1] / square - 1.0) + (p[0] / p[1] - 1.0) ** 2)
 
 
-def _numbers_near(ratio: float) -> Sequence[int]:
-    """Return numbers of points that a period may have, the nearest one first."""
-    nearest = max(1, round(ratio))
-    return [n for n in (nearest, nearest - 1, nearest + 1) if n > 0]
+def _divisors(length: float, spacing: float) -> list[float]:
+    """Return parts of a period near the spacing [m], the nearest one first."""
+    nearest = max(1, round(length / spacing))
+    return [length / n for n in (nearest, nearest - 1, nearest + 1) if n > 0]
 
 
 def fitted_lattice(
@@ -138,26 +138,19 @@ def fitted_lattice(
 ) -> tuple[Array, Array]:
     """Return points (n_points, 2) [m], and their signed distances from walls (n_points,) [m].
 
-    They cover the box. The first shift is taken of
-    which exactly so many points lie in the fluid, else the one that comes nearest.
+    They cover the box. The first shift is taken of which exactly so many points lie in the fluid,
+    else the one that comes nearest.
     """
-    tried = _shifts(domain, particle_spacing, n_particles)
-    shift, _ = min(tried, key=lambda one: one[1])
-    points = _shifted(domain, particle_spacing, shift)
-    return points, domain.distance_and_normal(points)[0]
-
-
-def _shifts(
-    domain: Domain, particle_spacing: float, n_particles: int
-) -> Iterator[tuple[Array, int]]:
-    """Yield shifts (2,), over the pitch, and by how many points they miss; none after a hit."""
+    best, least = (np.empty((0, 2)), np.empty(0)), math.inf
     for turn in range(N_SHIFTS):
-        shift = np.mod(0.5 + turn * SHIFT, 1.0)
-        distance = domain.distance_and_normal(_shifted(domain, particle_spacing, shift))[0]
+        points = _shifted(domain, particle_spacing, np.mod(0.5 + turn * SHIFT, 1.0))
+        distance = domain.distance_and_normal(points)[0]
         missed = abs(int(np.count_nonzero(distance > 0.0)) - n_particles)
-        yield shift, missed
+        if missed < least:
+            best, least = (points, distance), missed
         if missed == 0:
-            return
+            break
+    return best
 
 
 def _shifted(domain: Domain, particle_spacing: float, shift: Array) -> Array:

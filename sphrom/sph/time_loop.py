@@ -7,13 +7,16 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.errors import UnstableError
 from sphrom.sph.domain import Domain, first_of
+
+if TYPE_CHECKING:
+    from sphrom.sph.neighbourhood import Neighbourhood
 
 Array = NDArray[np.float64]
 Item = Mapping[str, NDArray[Any]]
@@ -38,17 +41,6 @@ class Snapshot:
     """What a reduced run carries apart from its modes [kg/m3]."""
 
 
-class NeighbourList(Protocol):
-    """A list of neighbours that serves several steps."""
-
-    @property
-    def built_at(self) -> Array | None:
-        """(2, n_particles) [m] where it was built; None where it is to be built."""
-
-    def rebuild_at(self, position: Array | None) -> None:
-        """Build it as it was at positions (2, n_particles) [m], or forget it."""
-
-
 class Model(Protocol):
     """What the loop needs of a full or a reduced model."""
 
@@ -60,7 +52,7 @@ class Model(Protocol):
         """Return the rates of a state at a time [s]."""
 
     @property
-    def neighbourhood(self) -> NeighbourList:
+    def neighbourhood(self) -> Neighbourhood:
         """The list of neighbours that rates are summed over."""
 
     def position(self, state: Array) -> Array:

@@ -10,7 +10,6 @@ flow at 50x50 is then off by up to 0.02 of its speed, extrapolated by 0.004.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -32,15 +31,6 @@ CLOSEST, TOUCHING, FELT = 0.25, 0.5, 1.5
 """Distances from a wall over the spacing: nothing moves closer; the first layer's; the second's."""
 NEAREST = 0.5
 """Least distance from a wall, over the spacing, that velocities are extrapolated from."""
-ROUNDING = 1e-9
-"""Slack for what is equal but for rounding."""
-
-
-def n_layers(discretization: Discretization) -> int:
-    """Return how many layers of ghosts the kernel's support needs."""
-    return math.ceil(
-        discretization.support_radius / discretization.particle_spacing * (1.0 - ROUNDING)
-    )
 
 
 def build_walls(
@@ -132,14 +122,11 @@ class GhostParticles:
             where = weights > 0.0
             np.divide(volume * flux, weights, out=fields[wall_sweeps.RETURN], where=where)
         else:
-            fields[wall_sweeps.NORMAL_X : wall_sweeps.NORMAL_Y + 1] = self._counted
+            as_fluid = self.discretization.wall_continuity == "paper"
+            fields[wall_sweeps.NORMAL_X : wall_sweeps.NORMAL_Y + 1] = (
+                1.0 if as_fluid else self._normal
+            )
         return WallTerms(self, sources, source, fields, weights, search)
-
-    @property
-    def _counted(self) -> Array:
-        """The components (2, n_ghosts) of ghosts' velocities that count in continuity."""
-        as_fluid = self.discretization.wall_continuity == "paper"
-        return np.ones_like(self._normal) if as_fluid else self._normal
 
     def _velocity(self, mean: Array, wall_speed: float) -> Array:
         """Return the ghosts' velocity (2, n_ghosts) from the fluid's interpolated one [m/s]."""
@@ -228,23 +215,16 @@ class WallTerms:
         )
         self._ghost = self._ghosts.gathered(fields)
 
-    def hold_back(self, shifting_velocity: Array) -> None:
-        """Change shifting velocities (2, n_particles), so that no particle passes a wall."""
-        self._ghosts.search_walls.hold_back(
-            self._particle, self._near, self._source, self._limits, shifting_velocity
-        )
+    def hold_back(self, shifting_velocity: Array, against: float = 1.0) -> None:
+        """Change shifting velocities (2, n_particles), so that no particle passes a wall.
 
-    def limit(self, shifting_velocity: Array) -> None:
-        """Change shifting velocities (2, n_particles), so that none pushes into a wall."""
-        self._ghosts.search_walls.hold_back(
-            self._particle, self._near, self._source, self._limits, shifting_velocity, against=0.0
-        )
-
-    @property
-    def _limits(self) -> tuple[float, float, float]:
-        """Distances from a wall [m], as `rectangles.hold_back` has them."""
+        With `against` = 0, only so that none pushes into a wall.
+        """
         spacing = self._ghosts.discretization.particle_spacing
-        return CLOSEST * spacing, TOUCHING * spacing, FELT * spacing
+        limits = CLOSEST * spacing, TOUCHING * spacing, FELT * spacing
+        self._ghosts.search_walls.hold_back(
+            self._particle, self._near, self._source, limits, shifting_velocity, against
+        )
 
     def add_rates(self, fluid: FluidConstants, regular: Array, out: Array) -> None:
         """Add the ghosts' part to the acceleration (2, n_particles)."""

@@ -349,9 +349,13 @@ def _summary(
             if isinstance(value := row[name], float)
         ]
         if found:
-            (least, at_least), (most, at_most) = min(found), max(found)
+            (least, first), (most, last) = min(found), max(found)
+            at_least, at_most = (
+                ", ".join(f"{n} {v:.6g}" for n, v in point.as_dict().items())
+                for point in (first, last)
+            )
             mean = sum(value for value, _ in found) / len(found)
-            cells = (least, at_least.label, mean, most, at_most.label)
+            cells = (least, at_least, mean, most, at_most)
             words = f"{name.replace('_', ' ')} [{unit}]"
             yield (words, *(format_figure(cell) for cell in cells))
 

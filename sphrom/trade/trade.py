@@ -60,9 +60,7 @@ GAIN = 0.95
 """The largest error over that of the point named before, for a point to be named."""
 ON_FRONT = "*"
 """Marks an error that no model gives in less time."""
-HEADINGS = ("offline [s]", "online [s]", "speed-up", "break-even")
-MOST_NAMES = 6
-"""Models that one line names."""
+HEADINGS = ("offline [s]", "online [s]", "speed-up", "break-even", "no better than")
 
 
 @dataclass(frozen=True)
@@ -253,18 +251,10 @@ def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None)
     tables["doing_nothing"] = without
     for name, each in tables.items():
         write_csv(folder / f"{name}.csv", each)
-    conclusions = []
-    for rival in dict.fromkeys(row.beaten_by for row in rows if row.beaten_by is not None):
-        models = [row.model for row in rows if row.beaten_by == rival]
-        more = f" and {len(models) - MOST_NAMES} more" if len(models) > MOST_NAMES else ""
-        conclusions.append(
-            f"{rival} is no slower and nowhere worse than {'; '.join(models[:MOST_NAMES])}{more}: "
-            "don't take these"
-        )
+    words = ""
     if tolerance is not None:
         advice, words = recommend(rows, without, tolerance, measure)
         tables["recommendation"] = [advice]
-        conclusions.append(words)
     case, seconds = workspace.case, timed_words(workspace.case)
     origin = about(case.name, workspace.threads)
     write_json(
@@ -273,7 +263,8 @@ def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None)
     save(draw_trade(results), folder / "trade.png")
     report.table(
         f"speed against accuracy: {measure.words} in %, overall / at the worst instant, pressure "
-        f"less its mean; {ON_FRONT} on the Pareto front of seconds and this error; {seconds}",
+        f"less its mean; {ON_FRONT} on the Pareto front of seconds and this error; a model is no "
+        f"better than one that is no slower and nowhere worse; {seconds}",
         ("model", "step [s]", *(q.replace("_", " ") for q in measure.quantities), *HEADINGS),
         [
             _cells(rows[0], measure),
@@ -281,8 +272,8 @@ def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None)
             *(_cells(row, measure) for row in rows[1:]),
         ],
     )
-    for line in conclusions:
-        report.info(line)
+    if words:
+        report.info(words)
     report.info(f"tables, trade.json and trade.png are in {folder}")
 
 
@@ -307,9 +298,10 @@ def _cells(row: ModelRow, measure: Measure) -> tuple[str, ...]:
         _known(row.offline_seconds) if reduced else "",
         *map(_known, (row.online_seconds, row.speed_up)),
         pays if reduced else "",
+        row.beaten_by or "",
     ]
     if not row.stable:
-        gains[1:] = ["unstable", "", ""]
+        gains[1:] = ["unstable", "", "", ""]
     return row.model, format_figure(row.time_step), *_errors(row.errors, measure, row), *gains
 
 

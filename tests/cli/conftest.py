@@ -24,10 +24,11 @@ def sphrom(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., Res
 def stages(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[StageContext]]:
     """Put a recorder in the place of every stage; a test may make it raise."""
     called: dict[str, list[StageContext]] = {name: [] for name in STAGES}
-    for name, module in STAGES.items():
-        stage = ModuleType(f"sphrom.{module}")
+    for name in STAGES:
+        stage = ModuleType(f"sphrom.recorder_{name}")
         stage.run = recorder(called[name])  # type: ignore[attr-defined]
         monkeypatch.setitem(sys.modules, stage.__name__, stage)
+        monkeypatch.setitem(STAGES, name, f"recorder_{name}")
     return called
 
 

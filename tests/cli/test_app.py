@@ -29,7 +29,7 @@ def test_nothing_is_told_of_overflows(sphrom, stages, case_file, monkeypatch, re
     def overflow(context: object, **asked: object) -> None:
         assert np.isinf(np.square(np.array(1e300)) - np.float64(0.0))
 
-    monkeypatch.setattr(sys.modules["sphrom.offline.fom"], "run", overflow)
+    monkeypatch.setattr(sys.modules["sphrom.recorder_fom"], "run", overflow)
     result = sphrom("fom", case_file)
     assert result.exit_code == 0, result.output
     assert result.stderr == ""
@@ -56,7 +56,7 @@ def test_each_command_runs_its_stage(sphrom, stages, case_file, tmp_path, comman
 
 def test_options_of_a_sweep(sphrom, stages, case_file, tmp_path, monkeypatch):
     asked = []
-    stage = sys.modules["sphrom.sweep.sweep"]
+    stage = sys.modules["sphrom.recorder_sweep"]
     monkeypatch.setattr(stage, "run", lambda context, **others: asked.append((context, others)))
     result = sphrom(
         "sweep", case_file, "--out", tmp_path / "here", "--workers", "3", "--shard", "2/8",
@@ -241,7 +241,7 @@ def test_exit_codes(sphrom, stages, monkeypatch, case_file, error, code, stderr)
     def fail(context):
         raise error
 
-    monkeypatch.setattr(sys.modules["sphrom.offline.fom"], "run", fail)
+    monkeypatch.setattr(sys.modules["sphrom.recorder_fom"], "run", fail)
     result = sphrom("fom", case_file)
     assert result.exit_code == code
     assert result.stderr.startswith(stderr)
@@ -251,7 +251,7 @@ def test_a_mistake_in_the_program_is_not_dressed_up(sphrom, stages, monkeypatch,
     def fail(context):
         raise ZeroDivisionError
 
-    monkeypatch.setattr(sys.modules["sphrom.offline.fom"], "run", fail)
+    monkeypatch.setattr(sys.modules["sphrom.recorder_fom"], "run", fail)
     assert isinstance(sphrom("fom", case_file).exception, ZeroDivisionError)
 
 
@@ -291,7 +291,7 @@ def test_log_is_where_it_is_asked_for(sphrom, stages, case_file, monkeypatch):
         context.report.details.info("a detail")
         raise errors.ArtifactError("no pod.h5")
 
-    monkeypatch.setattr(sys.modules["sphrom.offline.fom"], "run", say)
+    monkeypatch.setattr(sys.modules["sphrom.recorder_fom"], "run", say)
     result = sphrom("fom", case_file, "--log", "my.log")
     assert (result.exit_code, result.stdout) == (3, "")
     lines = [line.split("  ", 1)[1] for line in Path("my.log").read_text().splitlines()]

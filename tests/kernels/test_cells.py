@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -68,13 +67,3 @@ def test_any_position_may_ask(position, width, height, x, y, reach) -> None:
     candidates = found(x, y, reach, grid, cell_start)
     assert set(near) <= candidates
     assert candidates <= set(range(position.shape[1]))
-
-
-@pytest.mark.parametrize("x", [-5.0, 5.0])
-def test_beyond_the_ends_of_a_row_there_is_nothing(x: float) -> None:
-    position = np.array([[0.0, 0.5, 1.0, 0.2], [0.0, 0.0, 1.0, 1.0]])
-    grid = grid_over(position, 0.25, 0.5)
-    _, cell_start = sort_by_cell(position[0], position[1], grid)
-    for row in range(grid.n_rows):
-        low, high = plain(range_in_row)(x, 0.5, row, 0.6, grid, cell_start)
-        assert low >= high

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.metrics.discrepancy import (
+from sphrom.metrics.histories import (
     compression_factor,
     cumulative_singular_value_share,
     energy,

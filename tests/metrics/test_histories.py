@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from sphrom.compare.rows import error_row, wall_row
+from sphrom.compare.tables import error_row, wall_row
 from sphrom.metrics.histories import PLACES, History, Series, compare
 from sphrom.metrics.samples import Samples
 from sphrom.plots.tables import flat

@@ -72,23 +72,12 @@ def channel(make: Callable) -> Made:
     return make("open-cavity", 40)
 
 
-@pytest.mark.parametrize("scene", ["closed", "channel"])
-def test_the_map_reports_a_round_trip_near_walls_and_far(
-    scene: str, request: pytest.FixtureRequest
-) -> None:
-    workspace, notes = request.getfixturevalue(scene)
+def test_the_map_reports_a_round_trip(closed: Made) -> None:
+    workspace, notes = closed
     with workspace.open(workspace.mapped(workspace.case.plan.points[0])) as mapped:
-        losses = {
-            name: mapped.number(f"round_trip_error/{name}")
-            for field in ("velocity", "pressure")
-            for name in (field, f"{field}_near_walls", f"{field}_interior")
-        }
-    assert all(loss > 0.0 for loss in losses.values())
-    for field in ("velocity", "pressure"):
-        parts = losses[f"{field}_interior"], losses[f"{field}_near_walls"]
-        assert min(parts) < losses[field] < max(parts)
+        for field in ("velocity", "pressure"):
+            assert 0.0 < mapped.number(f"round_trip_error/{field}") < 100.0
     assert any("and back the last snapshot loses" in line for line in notes.lines)
-    assert any("near walls" in line for line in notes.lines)
 
 
 def test_reference_points_lie_in_the_fluid(channel: Made) -> None:

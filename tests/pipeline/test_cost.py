@@ -112,25 +112,18 @@ def test_what_is_there_needs_no_room_again(finished, limits):
         require_room(case, folder, case.plan.points[:1])
 
 
-MEASURED = ("fom", "pod", "operators")
-SIZES = (24, 40)
-"""Particles along the box."""
+@pytest.mark.slow
+def test_the_memory_that_is_estimated_is_taken(finished, tmp_path, case_text, sphrom):
+    """Growth from one size to another, estimated over measured: 0.5 (operators) to 2.1 (fom).
 
-
-@pytest.fixture(scope="module")
-def growth(finished, tmp_path_factory, case_text, sphrom):
-    """What each stage takes more on the larger grid [bytes]: measured, and as it is estimated.
-
-    Between two sizes, what doesn't grow cancels; `finished` has loaded what is loaded late.
+    Between two sizes, all else cancels; `finished` has loaded the modules that are loaded late.
     """
-    folder = tmp_path_factory.mktemp("sizes")
-    rom = [
-        {"name": "slow", "n_modes": 3},
-        {"name": "fast", "n_modes": 3, "evaluation": "operators"},
-    ]
-    peaks, estimates = {}, {}
-    for size in SIZES:
-        path = folder / f"{size}.yaml"
+    rom = [{"name": "fast", "n_modes": 3, "evaluation": "operators"}]
+    rom.append({"name": "slow", "n_modes": 3})
+    peaks: dict[str, list[int]] = {}
+    estimates: dict[str, list[int]] = {}
+    for size in (24, 40):
+        path = tmp_path / f"{size}.yaml"
         path.write_text(
             case_text(
                 discretization__resolution=size,
@@ -141,24 +134,14 @@ def growth(finished, tmp_path_factory, case_text, sphrom):
                 compare__grid=2 * size,
             )
         )
-        case = load_case(path)
         for stage in ("fom", "map", "pod", "fit-psi", "operators"):
             tracemalloc.start()
-            try:
-                made = sphrom(stage, path, "--out", folder / str(size), "--quiet", "--threads", 1)
-                peak = tracemalloc.get_traced_memory()[1]
-            finally:
-                tracemalloc.stop()
+            made = sphrom(stage, path, "--out", tmp_path / str(size), "--quiet", "--threads", 1)
+            peaks.setdefault(stage, []).append(tracemalloc.get_traced_memory()[1])
+            tracemalloc.stop()
             assert made.exit_code == 0, made.output
-            peaks.setdefault(stage, []).append(peak)
-            if stage in MEASURED:
-                estimates.setdefault(stage, []).append(needs(case)[stage].ram)
-    return {s: (peaks[s][1] - peaks[s][0], estimates[s][1] - estimates[s][0]) for s in MEASURED}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("stage", MEASURED)
-def test_the_memory_that_is_estimated_is_taken(growth, stage):
-    """Estimates over what was measured: 0.5 (operators) to 2.1 (fom)."""
-    measured, estimated = growth[stage]
-    assert 0.25 < estimated / measured < 4.0, (estimated, measured)
+            if stage in ("fom", "pod", "operators"):
+                estimates.setdefault(stage, []).append(needs(load_case(path))[stage].ram)
+    for stage, (small, large) in estimates.items():
+        measured = peaks[stage][1] - peaks[stage][0]
+        assert 0.25 < (large - small) / measured < 4.0, stage

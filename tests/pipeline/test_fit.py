@@ -98,7 +98,7 @@ def test_gradients_are_differences(study, columns):
     table |= {name: instants for name in columns if name != "time"}
 
     data = read_measurements(table, study.case, study.case.plan.steps, 1.0)
-    box = Box({"reynolds": 50.0, "lid": 0.5}, {"reynolds": 200.0, "lid": 1.0}, {})
+    box = Box({"reynolds": (50.0, 200.0), "lid": (0.5, 1.0)}, {})
     model, place = FittedModel(fast, box, data.histories), np.array([0.6, 0.4])
     model.prepare([place])
     found = model(place)

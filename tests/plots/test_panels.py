@@ -14,8 +14,7 @@ import pytest
 from sphrom.errors import ArtifactError
 from sphrom.metrics.samples import grid_points
 from sphrom.plots.canvas import line_of, save
-from sphrom.plots.panels import Curve, Field, Panel, draw_grid
-from sphrom.plots.pictures import Frame, Solids
+from sphrom.plots.panels import Curve, Field, Frame, Panel, Solids, draw_grid
 
 FRAME = Frame((0.0, 1.0, 0.0, 1.0))
 X = np.linspace(0.0, 1.0, 31)
@@ -103,7 +102,7 @@ def test_a_round_solid_is_drawn_by_its_outline_not_in_the_steps_of_the_grid() ->
 def test_scattered_points_leave_the_outside_of_the_fluid_empty() -> None:
     points = grid_points((0.0, 0.0), (1.0, 1.0), (40, 40))
     points = points[~((points[:, 0] > 0.5) & (points[:, 1] < 0.5))]
-    empty = np.isnan(FRAME.raster(points).picture(points[:, 0]))
+    empty = np.isnan(FRAME.raster(points)(points[:, 0]))
     ny, nx = empty.shape
     assert empty[: int(0.4 * ny), int(0.6 * nx) :].all()
     assert not empty[int(0.6 * ny) :].any()

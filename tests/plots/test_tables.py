@@ -23,24 +23,16 @@ class Row:
 ROWS = [Row("Galerkin, M = 5", 5, 0.1 + 0.2), Row("APG", 10, None)]
 
 
-def test_csv_round_trip(tmp_path: Path) -> None:
+def test_files_hold_what_was_written(tmp_path: Path) -> None:
     path = tmp_path / "errors.csv"
     write_csv(path, ROWS)
-    head, rows = read_csv(path, MADE_BY, Row)
+    head, rows = read_csv(path, MADE_BY)
     assert head == headings(Row) == ["model", "n_modes", "velocity_peak [%]"]
     assert rows == [["Galerkin, M = 5", "5", repr(0.1 + 0.2)], ["APG", "10", ""]]
-    assert list(tmp_path.iterdir()) == [path]
-
-
-def test_json_round_trip(tmp_path: Path) -> None:
     path = tmp_path / "compare.json"
     write_json(path, {"errors": ROWS}, {"cores": 2})
-    document = json.loads(path.read_text())
-    assert document["about"] == {"cores": 2}
-    assert document["errors"][0]["velocity_peak"] == 0.1 + 0.2
-    assert document["errors"][1]["velocity_peak"] is None
-    with pytest.raises(ValueError, match="'about'"):
-        write_json(path, {"about": ROWS})
+    found = read_json(path, MADE_BY, {"errors": Row})
+    assert found == {"about": {"cores": 2}, "errors": ROWS}
 
 
 MADE_BY = "sphrom compare CASE"
@@ -62,16 +54,11 @@ def test_no_file_holds_what_a_terminal_obeys(tmp_path: Path) -> None:
 def test_what_is_not_finite_is_refused_and_the_old_file_kept(tmp_path: Path, bad: float) -> None:
     path = tmp_path / "table"
     path.write_text("old")
-    with pytest.raises(ValueError, match=r"errors\[0\]\.velocity_peak is"):
+    with pytest.raises(ValueError, match=str(bad)):
         write_json(path, {"errors": [Row("x", 1, bad)]})
-    with pytest.raises(ValueError, match="velocity_peak is"):
+    with pytest.raises(ValueError, match=str(bad)):
         write_csv(path, [Row("x", 1, bad)])
     assert path.read_text() == "old"
-
-
-def test_a_folder_that_is_not_there_is_an_artifact_error(tmp_path: Path) -> None:
-    with pytest.raises(ArtifactError, match="No such file"):
-        write_csv(tmp_path / "missing" / "table.csv", ROWS)
 
 
 def test_figures_have_three_significant_digits() -> None:
@@ -90,37 +77,33 @@ HEAD = b"model,n_modes,velocity_peak [%]\n"
 DAMAGED_TABLES = [
     b"", HEAD, HEAD + b"a,1,2,3\n", HEAD + b"a,1,nan\n", HEAD + b"\xff,1,2\n",
     HEAD + b'"a,1,2\n', HEAD + b"a" * 200_000 + b",1,2\n", HEAD + b"\0,\0,\0",
-    b"n_modes,model,velocity_peak [%]\n1,a,2\n", bytes(range(256)) * 9,
+    bytes(range(256)) * 9,
 ]  # fmt: skip
 DAMAGED_DOCUMENTS = [
     b"", b"[]", b"{}", b'{"about": 3}', b'{"about": {}, "errors": [3]}',
     b'{"about": {}, "errors": [{"velocity": NaN}]}', b'{"about": {"date": "\xff"}}',
     b"[" * 100_000, b'{"about": {', b'{"about": ' + b"9" * 5000 + b"}",
+    b'{"about": {}, "errors": [{"velocity": 1e999}]}',
+    b'{"about": {}, "errors": [{"model": 1, "n_modes": 1, "velocity_peak": 2.0}]}',
 ]  # fmt: skip
 
 
-def test_table_that_is_damaged_or_foreign_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "errors.csv"
-    for content in DAMAGED_TABLES:
-        path.write_bytes(content)
-        with pytest.raises(ArtifactError) as caught:
-            read_csv(path, MADE_BY, Row)
-        assert str(caught.value).startswith(f"{path} is damaged (")
-        assert str(caught.value).endswith(": make it again with `sphrom compare CASE --force`")
-        assert len(str(caught.value).splitlines()) == 1
+def _read_rows(path: Path, made_by: str) -> object:
+    return read_json(path, made_by, {"errors": Row})
 
 
-def test_json_that_is_damaged_or_foreign_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "compare.json"
-    for content in DAMAGED_DOCUMENTS:
-        path.write_bytes(content)
-        with pytest.raises(ArtifactError) as caught:
-            read_json(path, MADE_BY)
-        assert str(caught.value).startswith(f"{path} is damaged (")
-        assert len(str(caught.value).splitlines()) == 1
-
-
-def test_table_that_is_no_file_is_refused(tmp_path: Path) -> None:
-    for read in (read_csv, read_json):
-        with pytest.raises(ArtifactError, match="is missing, or not a file: make it again with"):
-            read(tmp_path, MADE_BY)
+@pytest.mark.parametrize(
+    ("read", "content"),
+    [*((read_csv, c) for c in DAMAGED_TABLES), *((_read_rows, c) for c in DAMAGED_DOCUMENTS)],
+)
+def test_what_is_damaged_or_foreign_is_refused(tmp_path: Path, read, content: bytes) -> None:
+    path = tmp_path / "table"
+    path.write_bytes(content)
+    with pytest.raises(ArtifactError) as caught:
+        read(path, MADE_BY)
+    assert str(caught.value).startswith(f"{path} is damaged (")
+    assert str(caught.value).endswith(": make it again with `sphrom compare CASE --force`")
+    assert len(str(caught.value).splitlines()) == 1
+    path.unlink()
+    with pytest.raises(ArtifactError, match="is missing"):
+        read(path, MADE_BY)

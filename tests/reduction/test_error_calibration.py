@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sphrom.reduction.error_calibration import Calibration, accumulated, calibrate
+from sphrom.reduction.error_calibration import ErrorCalibration, accumulated, calibrate_errors
 from sphrom.reduction.held_out import UnheldShares
 
 TIME = np.linspace(0.0, 2.0, 41)
@@ -24,11 +24,11 @@ def runs() -> np.ndarray:
     return np.stack([np.stack([k + TIME, np.full(41, 5.0)], axis=1) for k in (1.0, 2.0)])
 
 
-def fitted(shift: float = 0.0) -> Calibration:
+def fitted(shift: float = 0.0) -> ErrorCalibration:
     errors = CONSTANTS[:, None] * accumulated(TIME, RESIDUALS, np.full(2, RATE))[..., None]
     errors[:, 1::2] *= np.exp(shift)
     errors[:, ::2] *= np.exp(-shift)
-    found = calibrate(TIME, runs(), RESIDUALS, errors, np.arange(41), PLACES, SHARES)
+    found = calibrate_errors(TIME, runs(), RESIDUALS, errors, np.arange(41), PLACES, SHARES)
     assert found is not None
     return found
 
@@ -74,18 +74,18 @@ def test_changes_count_by_what_is_not_held_of_them() -> None:
     np.testing.assert_allclose(
         found**2 - known**2, np.tile((3.0 * SHARES.parameters) ** 2, (41, 1)), rtol=1e-4
     )
-    assert local.extrapolates(TIME)
+    assert local.extrapolates(41)
 
 
 def test_beyond_the_trained_time_the_change_since_then_counts() -> None:
     local = fitted().at(PLACES[0])
     longer = np.linspace(0.0, 4.0, 81)
     state = np.stack([1.0 + longer, np.full(81, 5.0)], axis=1)
-    changes = local.changes(longer, state)
+    changes = local.changes(state)
     np.testing.assert_allclose(changes[:, 0], 0.0, atol=1e-12)
     np.testing.assert_allclose(changes[:, 1], np.maximum(longer - 2.0, 0.0), atol=1e-12)
-    assert local.extrapolates(longer)
-    assert not local.extrapolates(TIME)
+    assert local.extrapolates(81)
+    assert not local.extrapolates(41)
     residual = np.ones(81)
     known = accumulated(longer, residual, RATE)[-1] * CONSTANTS[0]
     expected = np.sqrt(known**2 + (2.0 * SHARES.time[0]) ** 2)
@@ -115,9 +115,9 @@ def test_runs_that_diverged_are_left_out() -> None:
     residuals = RESIDUALS.copy()
     residuals[1, 30:] = np.nan
     errors = np.ones((2, 41, 2))
-    found = calibrate(TIME, some, residuals, errors, np.arange(41), PLACES, SHARES)
+    found = calibrate_errors(TIME, some, residuals, errors, np.arange(41), PLACES, SHARES)
     assert found is not None
     assert len(found.constants) == len(found.places) == 1
     np.testing.assert_array_equal(found.shares.time, SHARES.time[:1])
     some[0, 30:] = np.nan
-    assert calibrate(TIME, some, residuals, errors, np.arange(41), PLACES, SHARES) is None
+    assert calibrate_errors(TIME, some, residuals, errors, np.arange(41), PLACES, SHARES) is None

@@ -38,7 +38,8 @@ def made(density: Array, velocity: Array, n_modes: int) -> TrialBasis:
         len(density),
         InnerProduct.acoustic(DENSITY, SPEED),
         VOLUME,
-        n_modes,
+        {"all": n_modes},
+        {"all": np.arange(len(density))},
     )["all"]
 
 

@@ -192,15 +192,6 @@ def test_closure_is_the_dense_jacobians_action(
     assert np.max(np.abs(memory * expected)) > 1e-2 * np.max(np.abs(inverse @ rates))
 
 
-def test_without_memory_the_closure_is_galerkin_exactly(
-    splines: LocalSplines, points: np.ndarray
-) -> None:
-    galerkin = build(splines)
-    closed = build(splines, closure=AdjointPetrovGalerkin(0.0))
-    state = galerkin.initial_state(COORDINATES, points)
-    assert np.array_equal(closed.rates(state), galerkin.rates(state))
-
-
 def test_raw_and_acoustic_states_have_the_same_fields(
     splines: LocalSplines, points: np.ndarray
 ) -> None:

@@ -13,8 +13,15 @@ from sphrom.reduction.polynomial_model import (
     Run,
     steady_state,
     step_limit,
+    step_limits,
 )
-from sphrom.reduction.reduced_rates import Polynomial, spectrum, stability_limits
+from sphrom.reduction.reduced_rates import (
+    LEAST_SHARE,
+    Polynomial,
+    memory_length,
+    spectrum,
+    stability_limits,
+)
 from sphrom.sph.time_loop import runge_kutta_step
 
 N_MODES = 4
@@ -202,3 +209,50 @@ def test_newton_says_when_there_is_no_steady_state() -> None:
         found = steady_state(polynomial, np.full(N_MODES, 0.7))
         assert not found.converged
         assert found.residual > 1.0
+
+
+@pytest.mark.parametrize("n_modes", [1, 3, 8])
+@pytest.mark.parametrize("degree", [1, 2, 3])
+def test_jacobians_at_many_states_are_bitwise_those_at_one(n_modes: int, degree: int) -> None:
+    """Steps follow from them."""
+    random = np.random.default_rng(n_modes)
+    parts = tuple(random.standard_normal((n_modes,) * (d + 1)) for d in range(degree + 1))
+    rates = Polynomial((parts, parts[:2]))
+    states = random.standard_normal((13, n_modes))
+    expected = np.stack([rates.jacobian(state, 0.3) for state in states])
+    assert rates.jacobians(states, 0.3).tobytes() == expected.tobytes()
+
+
+def test_limits_of_many_systems_are_those_of_each() -> None:
+    systems = [(damped(seed), RANDOM.standard_normal((7, N_MODES)), 0.0) for seed in range(5)]
+    still = Polynomial((tuple(0.0 * tensor for tensor in tensors(2)),))
+    limits = step_limits([*systems, (still, np.zeros((7, N_MODES)), 0.0)])
+    assert limits[:-1] == [step_limit(*system) for system in systems]
+    assert limits[-1] == np.inf
+
+
+def test_rays_leave_the_region_of_stability_at_about_one_distance() -> None:
+    """So that of eigenvalues of a size only the largest set the step's limit."""
+    rays = np.exp(1j * np.linspace(0.5 * np.pi, np.pi, 20_001))
+    rays.real = np.minimum(rays.real, 0.0)
+    limits = stability_limits(rays)
+    assert 2.61 < limits.min() < limits.max() < 2.97
+    assert limits.min() / limits.max() > LEAST_SHARE
+
+
+SOUND_TIME = 5e-3
+"""What sound of 10 m/s takes to cross a smoothing length of 5 cm [s]."""
+
+
+@pytest.mark.parametrize(
+    ("rate", "expected"),
+    [
+        (1e4, 0.2e-4),
+        (0.5 / SOUND_TIME, 0.4 * SOUND_TIME),
+        (0.3 / SOUND_TIME, 0.5 * SOUND_TIME),
+        (0.0, 0.5 * SOUND_TIME),
+    ],
+)
+def test_memory_is_as_long_as_rates_let_it_up_to_half_of_sound_s_way(rate, expected) -> None:
+    jacobian = rate * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -0.9]])
+    assert memory_length(jacobian, 0.05, 10.0) == pytest.approx(expected, rel=1e-12)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from sphrom.reduction.reference_space import ReferenceMap, error_share, relative_error
+from sphrom.reduction.reference_space import ReferenceMap, relative_error
 from sphrom.scenes.flows import TaylorGreen
 from sphrom.sph.box_domain import BoxDomain, Rectangle
 from sphrom.sph.domain import Domain
@@ -205,12 +205,3 @@ def test_a_round_trip_loses_what_the_map_does_not_reproduce() -> None:
     assert 3e-4 < losses["mls"][1] < 1e-3
     assert losses["shepard"][0] > 3e-3
     assert losses["shepard"][1] > 50.0 * losses["mls"][1]
-
-
-def test_error_share_is_over_the_whole_field() -> None:
-    exact = np.array([3.0, 4.0, 0.0, 0.0])
-    mapped = np.array([3.0, 4.0, 0.5, 0.0])
-    at_end = np.array([False, False, True, True])
-    assert error_share(mapped, exact, at_end) == pytest.approx(np.sqrt(0.125) / 2.5)
-    assert error_share(mapped, exact, ~at_end) == 0.0
-    assert error_share(mapped, 0.0 * exact, ~at_end) == pytest.approx(np.sqrt(12.5))

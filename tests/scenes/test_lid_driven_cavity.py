@@ -55,12 +55,6 @@ def test_uniform_lid_moves_at_its_speed_beside_corners_that_stand() -> None:
     assert not velocity[corner].any()
 
 
-def test_a_lid_without_a_ramp_starts_at_once() -> None:
-    scene = LidDrivenCavity(LENGTH, SPEED)
-    assert scene.wall_amplitude is None
-    assert scene.amplitude is None
-
-
 def test_a_ramp_is_smooth_at_both_ends() -> None:
     scene = LidDrivenCavity(LENGTH, SPEED, ramp=0.4)
     share = scene.wall_amplitude

@@ -30,15 +30,6 @@ def test_few_modes_give_the_stored_profiles():
     for name, line in zip(("u along y", "v along x"), cavity.profiles(state, places), strict=True):
         expected = np.interp(places, stored[name].coordinate, stored[name].value)
         assert np.abs(line - expected).max() < 1e-4, name
-
-
-def test_a_flow_starts_at_rest():
-    sys.path.insert(0, str(SCRIPTS))
-    try:
-        from lid_transient import Cavity
-    finally:
-        sys.path.remove(str(SCRIPTS))
     cavity = Cavity(28, 0.01)
-    u, v = cavity.profiles(cavity.start(), np.linspace(0.0, 0.5, 6))
-    assert np.abs(u).max() < 1e-2
-    assert np.abs(v[:5]).max() < 1e-2
+    for line in cavity.profiles(cavity.start(), np.linspace(0.0, 0.4, 5)):
+        assert np.abs(line).max() < 1e-2  # it starts at rest

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import json
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,7 +10,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import yaml
-from PIL import Image
 
 import sphrom
 from sphrom.case.loader import load_case
@@ -99,18 +97,6 @@ def test_what_it_costs_is_told_and_refused_where_it_is_too_much(tmp_path, monkey
     assert "--keep results" in capsys.readouterr().err
 
 
-def test_what_is_as_printed_can_be_coarser(tmp_path, monkeypatch):
-    reproduce = _script("reproduce")
-    sizes = ["--coarser", "5", "--printed-coarser", "10"]
-    monkeypatch.setattr(
-        sys, "argv", ["reproduce.py", "taylor-green", *sizes, "--out", str(tmp_path)]
-    )
-    arguments = reproduce._arguments()
-    found = [run.case.discretization.resolution for run in reproduce._runs(arguments)]
-    assert found == [60, 30]
-    assert reproduce._command(arguments).endswith("taylor-green --coarser 5 --printed-coarser 10")
-
-
 def test_amplitudes_and_troughs_are_those_of_the_line_at_a_time():
     page = _script("paper_page")
     y = np.linspace(0.0, 1.0, 101)
@@ -132,57 +118,3 @@ def test_amplitudes_and_troughs_are_those_of_the_line_at_a_time():
     assert page._trough(result, claim, "short") == "unstable before"
     assert page._amplitude(result, claim, "model") == f"{0.9 * (0.7123 / 0.7) ** 2:.3f}"
     assert page._amplitude(result, claim, "short") == "unstable before"
-
-
-def test_the_page_of_the_documentation_has_table_readings_and_small_pictures(tmp_path, monkeypatch):
-    paper_docs = _script("paper_docs")
-    source, made, pages = tmp_path / "made", tmp_path / "made" / "corrected", tmp_path / "docs"
-    (made / "figures").mkdir(parents=True)
-    Image.new("RGB", (3000, 1500), "red").save(made / "figures" / "figure-04.png")
-    about = {"software": "sphrom 1", "date": "2026-01-01", "threads": 2}
-    stages = [{"stage": "fom", "seconds": 2.0}, {"stage": "fom", "seconds": 3.0}]
-    (made / "compare.json").write_text(json.dumps({"about": about, "stages": stages}))
-    (source / "claims.csv").write_text("figure,what\nFig. 4,a vortex\n")
-    claim = {"where": "Fig. 4", "what": "a vortex", "reading": "Ours is larger."}
-    monkeypatch.setattr(paper_docs.paper_page, "claims", lambda scene: [claim])
-    case = load_case(ROOT / "cases/taylor_green.yaml")
-    stable = SimpleNamespace(case=case, out=made, reading="corrected", failure_file=tmp_path / "no")
-    (tmp_path / "why").write_text("error: too fast")
-    left = SimpleNamespace(
-        case=case, out=source, reading="as printed", failure_file=tmp_path / "why"
-    )
-
-    page = paper_docs.write(pages, source, "taylor-green", [stable, left], "make it").read_text()
-
-    assert "**Fig. 4, a vortex.** Ours is larger." in page
-    assert "the full model is unstable: error: too fast" in page
-    assert "fom 5" in page
-    assert "`make it`" in page
-    assert "taylor-green.csv" in page
-    assert (pages / "taylor-green.csv").is_file()
-    with Image.open(pages / "taylor-green-figure-04-corrected.png") as picture:
-        assert picture.size == (1000, 500)
-    assert "figure-05" not in page
-
-
-def test_the_best_possible_error_is_that_of_the_bases_that_a_run_uses():
-    page = _script("paper_page")
-    case = load_case(ROOT / "cases/lid_driven_cavity.yaml")
-    errors = {
-        "best possible, low M=15": [1.0, 4.0],
-        "best possible, middle M=15": [2.0, 1.0],
-        "best possible, high M=15": [3.0, 7.0],
-    }
-
-    def discrepancy(run, point, quantity, over):
-        scale = 10.0 if over == "line" else 1.0
-        return np.array([0.5, 1.5]), scale * np.array(errors[run])
-
-    result = page.Result.__new__(page.Result)
-    result.case, result.comparison = case, SimpleNamespace(discrepancy=discrepancy)
-    claim = {"find": "error", "run": "galerkin-m15-local", "quantity": "speed",
-             "reynolds": [75, 125, 175]}  # fmt: skip
-
-    assert page._nearest(result, claim) == "7.0 / 3.0; 70 / 30"
-    assert page._nearest(result, {**claim, "until": 1.0}) == "3.0 / 2.0; 30 / 20"
-    assert page._nearest(result, {"find": "share"}) == "–"

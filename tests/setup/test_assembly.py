@@ -7,7 +7,7 @@ import pytest
 
 from sphrom.case.models import Case
 from sphrom.scenes.flows import LidDrivenCavity, LogisticForce, OpenCavity, TaylorGreen
-from sphrom.setup import assembly, particles
+from sphrom.setup import particles
 
 
 def make(kind: str, resolution: int = 40, **sections: object) -> Case:
@@ -80,17 +80,6 @@ def test_a_case_and_its_flow_agree_on_where_the_fluid_is(kind: str) -> None:
         assert 0.9 * case.plan.largest_body_force < push.max() <= case.plan.largest_body_force
     else:
         assert case.plan.largest_body_force == 0.0
-
-
-@pytest.mark.parametrize("kind", ["lid-driven-cavity", "open-cavity"])
-def test_cavities_start_at_rest(kind: str) -> None:
-    case = make(kind)
-    position = case.scene.domain.fill(case.plan.particle_spacing)
-    fluctuation, velocity = assembly.initial_fields(case, case.plan.points[0], position)
-    assert fluctuation.shape == (len(position),)
-    assert velocity.shape == (len(position), 2)
-    assert not fluctuation.any()
-    assert not velocity.any()
 
 
 @pytest.mark.parametrize(

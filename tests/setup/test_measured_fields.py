@@ -11,7 +11,6 @@ from sphrom.case.loader import load_case
 from sphrom.case.models import Case
 from sphrom.errors import UnstableError
 from sphrom.metrics.measures import FieldMeasure, errors_of, mean_square, of_a_run, statistics
-from sphrom.setup.assembly import field_measures
 from sphrom.setup.particles import MeasuredFields
 
 HALF = {"flow_rate": {"from": [0.25, 0], "to": [0.25, 1]}}
@@ -113,19 +112,6 @@ def test_a_flow_rate_is_what_the_stream_function_grows_by() -> None:
     assert found["slanted"]["flow_rate"] == pytest.approx(slanted, rel=1e-3)
 
 
-def test_named_scenes_measure_too() -> None:
-    case = load_case(
-        {
-            "name": "x",
-            "scene": {"kind": "taylor-green", "measure": {"centre": {"probe": [0.5, 0.5]}}},
-            "discretization": {"resolution": 20},
-        }
-    )
-    place = case.scene.domain.fill(case.plan.particle_spacing)
-    found = fields_of(case)(place, np.zeros(len(place)), np.ones((len(place), 2)))
-    np.testing.assert_allclose(found["centre"]["velocity"], [[1.0, 1.0]])
-
-
 def test_a_void_at_a_probe_ends_a_run() -> None:
     case = case_of(measure={"middle": {"probe": [0.5, 0.5]}})
     place = particles_of(case)
@@ -141,11 +127,6 @@ def test_a_section_is_summed_up_within_its_ends() -> None:
     assert measure.normal is not None
     np.testing.assert_allclose(measure.normal.sum(axis=0), [1.0, 0.0], atol=1e-15)
     assert 0.0 < measure.position[:, 1].min() < measure.position[:, 1].max() < 1.0
-
-
-def test_places_along_a_line_have_both_ends() -> None:
-    place = field_measures(case_of())["profile"].position
-    np.testing.assert_array_equal(place[[0, -1]], [[0.5, 0.0], [0.5, 1.0]])
 
 
 def test_statistics_over_time() -> None:

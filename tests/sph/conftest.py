@@ -21,7 +21,7 @@ from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import BodyForce, Functional
 from sphrom.sph.polygon_domain import PolygonDomain
 from sphrom.sph.polygons import disc
-from sphrom.sph.walls import build_walls, n_layers
+from sphrom.sph.walls import build_walls
 
 Array = NDArray[np.float64]
 
@@ -95,7 +95,7 @@ class Scene:
         return np.array(SOLIDS[self.name])
 
     def walls(self, ratio: float = 2.0, layers: int | None = None) -> Walls:
-        depth = layers or n_layers(Discretization(SPACING, ratio * SPACING))
+        depth = layers or Discretization(SPACING, ratio * SPACING).n_layers
         return build_walls(self.domain, SPACING, depth, self.wall_velocity)
 
     def functional(

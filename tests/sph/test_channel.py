@@ -12,7 +12,7 @@ import pytest
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
-from sphrom.sph.walls import build_walls, n_layers
+from sphrom.sph.walls import build_walls
 
 N_COLUMNS = 16
 COUNTS = (25, 50, 100)
@@ -30,7 +30,7 @@ def layers(n: int, ratio: float = 2.0, lid: float = 0.0, **options):
     walls = build_walls(
         domain,
         spacing,
-        n_layers(discretization),
+        discretization.n_layers,
         lambda place: np.outer(place[:, 1] > 1.0, [lid, 0.0]),
     )
     functional = Functional(Fluid(1.0, 10.0, 1.0, 1.0), discretization, domain, walls)

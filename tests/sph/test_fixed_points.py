@@ -12,7 +12,7 @@ from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.sph.fluid import Discretization, FlowConditions, Fluid
 from sphrom.sph.functional import Functional
-from sphrom.sph.walls import build_walls, n_layers
+from sphrom.sph.walls import build_walls
 
 SPACING = 0.0625
 FLUID = Fluid(reference_density=800.0, sound_speed=7.0, kinematic_viscosity=0.013, max_speed=0.9)
@@ -31,7 +31,8 @@ def push(position: np.ndarray) -> np.ndarray:
 class Setting:
     """Points of a scene, its operators, and its functional with walls and force scaled."""
 
-    def __init__(self, scenes, name: str, seed: int = 3, **options) -> None:
+    def __init__(self, scenes, rates, name: str, seed: int = 3, **options) -> None:
+        self.at_points = rates
         self.scene = None if name == "periodic" else scenes[name]
         self.domain = BOX if self.scene is None else self.scene.domain
         self.discretization = replace(DISCRETIZATION, **options)
@@ -60,7 +61,7 @@ class Setting:
         if self.scene is None:
             return None
         walls = build_walls(
-            self.domain, SPACING, n_layers(self.discretization), self.scene.wall_velocity
+            self.domain, SPACING, self.discretization.n_layers, self.scene.wall_velocity
         )
         return replace(walls, velocity=speed * walls.velocity)
 
@@ -74,12 +75,12 @@ class Setting:
     def rates(self, q, velocity, order, speed: float = 0.0, amplitude: float = 0.0):
         conditions = FlowConditions(FLUID.kinematic_viscosity, speed, amplitude)
         gradients = np.zeros((3, 2, len(self.position)))
-        return self.points.rates(q, velocity, gradients, conditions, order)
+        return self.at_points(self.points, q, velocity, gradients, conditions, order)
 
 
 @pytest.fixture
-def setting(scenes) -> Callable[..., Setting]:
-    return lambda name, **options: Setting(scenes, name, **options)
+def setting(scenes, point_rates) -> Callable[..., Setting]:
+    return lambda name, **options: Setting(scenes, point_rates, name, **options)
 
 
 def close(actual: np.ndarray, expected: np.ndarray, tolerance: float) -> None:
@@ -132,7 +133,7 @@ def test_driven_walls_move_with_the_amplitude(setting) -> None:
     velocity, gradients = np.stack((here.u, here.v)), np.zeros((3, 2, here.q.size))
     for amplitude in (0.0, 0.7):
         around = FlowConditions(FLUID.kinematic_viscosity, 2.0, amplitude)
-        found = driven.rates(0.1 * here.q, velocity, gradients, around)
+        found = here.at_points(driven, 0.1 * here.q, velocity, gradients, around)
         close(found, here.rates(0.1 * here.q, velocity, None, 2.0 * amplitude), 1e-12)
 
 
@@ -231,7 +232,8 @@ def test_nothing_depends_on_the_reference_density(setting) -> None:
     )
     around = FlowConditions(FLUID.kinematic_viscosity)
     state = (here.q, np.stack((here.u, here.v)), np.zeros((3, 2, here.q.size)), around)
-    assert np.array_equal(here.points.rates(*state), dense.rates(*state))
+    first, second = (here.at_points(each, *state) for each in (here.points, dense))
+    assert np.array_equal(first, second)
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,6 @@ def test_step_limits() -> None:
 
 
 def test_numbers_of_a_fluid_and_its_particles() -> None:
-    assert Fluid(1000.0, 10.0, 0.01, 0.5).mach_number == pytest.approx(0.05)
     discretization = Discretization(0.01, 0.04)
     assert discretization.support_radius == pytest.approx(0.08)
     assert discretization.n_neighbours == pytest.approx(64.0 * math.pi)

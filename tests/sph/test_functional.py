@@ -121,14 +121,6 @@ def test_equals_the_printed_sums(
     assert_equals_printed(brute_force, build(ratio, **options), state)
 
 
-def test_support_of_four_spacings_sees_images_of_images(
-    brute_force: type, scatter: Callable
-) -> None:
-    """The support is larger than half of the box, so a particle may be a neighbour twice."""
-    assert 0.5 * DOMAIN.lengths[1] < 2.0 * 4.0 * SPACING
-    assert_equals_printed(brute_force, build(4.0), scatter(LOWER, SPACING, SHAPE, "jittered"))
-
-
 def test_the_limit_of_the_shifting_velocity_acts_on_some(scatter: Callable) -> None:
     state = scatter(LOWER, SPACING, SHAPE, "random", seed=15)
     rates = build(1.5).evaluate(state[:2], state[2], state[3:])

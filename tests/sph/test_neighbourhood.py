@@ -124,17 +124,6 @@ def test_another_number_of_particles_builds_the_list_anew() -> None:
     assert neighbourhood.sources.targets.size == 4
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_a_position_that_is_not_finite_is_an_instability(bad: float) -> None:
-    """Not an index out of range, nor a list as long as the memory."""
-    neighbourhood = Neighbourhood(BoxDomain((0, 0), (1, 1), (True, True)), 0.4, 0.1, n_fields=2)
-    position = np.full((2, 3), 0.5)
-    neighbourhood.update(position)
-    position[1, 2] = bad
-    with pytest.raises(UnstableError, match="beyond the reach"):
-        neighbourhood.update(position)
-
-
 def test_particles_that_no_list_can_cover_are_named():
     """Beyond walls there are no images: cells up to such a particle could take all memory."""
     box = BoxDomain((0.0, 0.0), (1.0, 1.0), (True, False))

@@ -164,23 +164,6 @@ def test_two_solids_that_touch_are_two_walls() -> None:
     assert domain.narrowest_gap == pytest.approx(0.8)
 
 
-@pytest.mark.parametrize(
-    ("name", "gap", "solid"),
-    [
-        ("disc", 0.4, 0.6),
-        ("across the seam", 0.5, 0.5),
-        ("fin", 0.5, math.inf),
-        ("turned square", 0.45 - 0.15 * math.cos(TURN) - 0.2 * math.sin(TURN), 0.3),
-        ("ring", 0.5, 1.0),
-    ],
-)
-def test_widths(name: str, gap: float, solid: float) -> None:
-    """Across the fluid, also from a corner to a wall, and through the solid."""
-    domain = DOMAINS[name]
-    assert domain.narrowest_gap == pytest.approx(gap, rel=2e-3)
-    assert domain.thinnest_solid == pytest.approx(solid, rel=2e-3)
-
-
 @pytest.mark.parametrize("name", DOMAINS)
 def test_fluid_and_ghosts_have_their_areas(name: str) -> None:
     """As many particles as fill the fluid, half a spacing from walls; rows of ghosts behind."""

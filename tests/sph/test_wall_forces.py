@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.sph.functional import Functional
-
 
 @pytest.mark.parametrize("name", ["box", "lid", "forced cavity", "shapes"])
 @pytest.mark.parametrize("viscosity", ["laplacian", "pair"])
@@ -47,11 +45,3 @@ def test_fluid_at_rest_pushes_walls_apart(scenes: dict) -> None:
         # Corners are the sides': their share is of the order of the support, less in the sum.
         np.testing.assert_allclose(found, force, atol=0.15)
     np.testing.assert_allclose(push.sum(axis=1), 0.0, atol=1e-9 * pressure)
-
-
-def test_there_is_no_force_without_walls(scenes: dict) -> None:
-    scene = scenes["box"]
-    usual = scene.functional()
-    bare = Functional(usual.fluid, usual.discretization, scene.domain)
-    with pytest.raises(ValueError, match="no walls"):
-        bare.ghost_forces(scene.state())

@@ -50,33 +50,6 @@ def test_ghosts_fill_the_lattice_around_the_fluid(scenes: dict, name: str, layer
     assert not domain.contains(walls.position).any()
 
 
-def test_closed_box(scenes: dict) -> None:
-    """16 by 14 particles and 4 layers: side walls, floor and lid, and four corners of 16."""
-    box, layers = scenes["box"].domain, 4
-    walls = build_walls(box, SPACING, layers)
-    x, y = walls.position.T
-    inside_x = (x > box.lower[0]) & (x < box.upper[0])
-    inside_y = (y > box.lower[1]) & (y < box.upper[1])
-    assert len(x) == 24 * 22 - 16 * 14
-    assert np.array_equal(walls.normal[inside_x], np.tile((0.0, 1.0), (2 * 4 * 16, 1)))
-    assert np.array_equal(walls.normal[inside_y], np.tile((1.0, 0.0), (2 * 4 * 14, 1)))
-    assert np.array_equal(walls.normal[~inside_x & ~inside_y], np.ones((4 * 16, 2)))
-
-
-def test_corner_that_juts_into_the_fluid_belongs_to_both_of_its_walls(scenes: dict) -> None:
-    """Under the channel, beside the cavity: the floor's, the side wall's, or both."""
-    walls = build_walls(scenes["cavity"].domain, SPACING, 2)
-    corner = np.array([0.35, -0.125])
-    expected = {
-        (0, 0): (1, 1), (1, 1): (1, 1), (2, 0): (0, 1), (0, 2): (1, 0), (3, 1): (0, 1),
-        (1, 4): (1, 0),
-    }  # fmt: skip
-    for steps, normal in expected.items():
-        place = corner - SPACING * (np.array(steps) + 0.5)
-        (index,) = np.flatnonzero(np.linalg.norm(walls.position - place, axis=1) < 1e-9)
-        assert tuple(walls.normal[index]) == normal
-
-
 @pytest.mark.parametrize(("ratio", "enough"), [(2.0, True), (4.0, True), (4.0, False)])
 @pytest.mark.parametrize("name", ["box", "cavity"])
 def test_layers_complete_the_kernel(
@@ -128,14 +101,3 @@ def test_walls_move_as_fast_as_the_time_has_it(scenes: dict, no_slip: str, speed
             timed.advection(*fields, 2.0), given.advection(*fields), rtol=1e-12, atol=1e-12
         )
     assert not np.allclose(timed(state, 2.0), usual(state))
-
-
-@pytest.mark.parametrize("name", ["box", "cavity"])
-def test_shifting_is_held_back_at_distances_over_the_spacing(scenes, name, monkeypatch) -> None:
-    """A quarter of it, a half, where the first layer is, and one and a half, the second."""
-    functional = scenes[name].functional()
-    given = []
-    kind = type(functional.ghosts.search_walls)
-    monkeypatch.setattr(kind, "hold_back", lambda self, *arguments: given.append(arguments[-2]))
-    functional(scenes[name].state(), 0.0)
-    assert given == [(0.25 * SPACING, 0.5 * SPACING, 1.5 * SPACING)]

@@ -91,4 +91,4 @@ def test_a_figure_has_its_extremes_where_they_are_and_its_mean() -> None:
     )
     assert words == "kinetic energy [J/m]"
     assert (least, mean, greatest) == ("2.00", "4.00", "7.00")
-    assert (at_least, at_greatest) == ("reynolds=100", "reynolds=200")
+    assert (at_least, at_greatest) == ("reynolds 100", "reynolds 200")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sphrom.metrics.discrepancy import relative_l2, without_mean
+from sphrom.metrics.histories import relative_l2, without_mean
 from sphrom.scenes.flows import TaylorGreen
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sphrom.metrics.discrepancy import relative_discrepancy
+from sphrom.metrics.histories import relative_discrepancy
 from sphrom.metrics.samples import midpoints
 from sphrom.reduction.decomposition import decompose
 from sphrom.reduction.mode_splines import basis_columns
@@ -47,7 +47,8 @@ def reduced(run, product: InnerProduct, method: str, advection: str, closed: boo
     volume = np.full(len(points), RESOLUTION**-2.0)
     basis = decompose(
         lambda part: (density[:, part], velocity[:, part]),
-        len(points), len(density), product, volume, N_MODES,
+        len(points), len(density), product, volume,
+        {"all": N_MODES}, {"all": np.arange(len(density))},
     )["all"]  # fmt: skip
     width = default_cell_width(run.vortex.domain, len(points))
     splines = fit_splines(points, basis_columns(basis), run.vortex.domain, cell_width=width)

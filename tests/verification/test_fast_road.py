@@ -40,7 +40,7 @@ from sphrom.sph.fluid import Discretization, FlowConditions, Fluid
 from sphrom.sph.functional import Functional
 from sphrom.sph.packing import pack
 from sphrom.sph.time_loop import runge_kutta_step
-from sphrom.sph.walls import build_walls, n_layers
+from sphrom.sph.walls import build_walls
 
 Array = NDArray[np.float64]
 
@@ -85,7 +85,7 @@ class Flow:
     def walls(self) -> Walls | None:
         if not self.domain.has_walls:
             return None
-        layers = n_layers(self.discretization)
+        layers = self.discretization.n_layers
         velocity = self.scene(self.reynolds[0]).wall_velocity
         return build_walls(self.domain, self.discretization.particle_spacing, layers, velocity)
 
@@ -134,7 +134,8 @@ class Training:
             len(self.density),
             acoustic if name == "acoustic" else InnerProduct.raw(density),
             np.full(len(self.position), self.flow.discretization.particle_spacing**2),
-            n_modes,
+            {"all": n_modes},
+            {"all": np.arange(len(self.density))},
             mean_density=self.density.mean(axis=1) if separate_mean else None,
         )["all"]
 

@@ -17,7 +17,7 @@ from sphrom.sph.functional import Functional
 from sphrom.sph.packing import pack
 from sphrom.sph.polygon_domain import PolygonDomain
 from sphrom.sph.time_loop import runge_kutta_step
-from sphrom.sph.walls import build_walls, n_layers
+from sphrom.sph.walls import build_walls
 
 VISCOSITY, END, SOLID_LAYERS, PERTURBATION = 0.1, 1.5, 10, 0.3
 
@@ -50,7 +50,7 @@ def largest_error(n: int, angle: float, lid: float) -> float:
     walls = build_walls(
         domain,
         spacing,
-        n_layers(discretization),
+        discretization.n_layers,
         lambda place: lid * np.outer(domain.nearest_wall(place) == 1, along),
     )
     packing = pack(

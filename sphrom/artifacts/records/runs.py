@@ -167,8 +167,8 @@ class ReferenceSnapshots(Medium, kind="sphrom/reference-snapshots"):
     )
     round_trip_error: Mapping[str, float] = attribute(
         "%",
-        "what the last snapshot loses by the map and back, over the whole field's root mean square,"
-        " by field and part of the fluid, where no exact solution is known",
+        "relative L2 loss of the last snapshot by the map and back, by field, where no exact "
+        "solution is known",
         default_factory=dict,
     )
 
