@@ -222,19 +222,6 @@ def test_a_checkpoint_of_another_case(place, stop_at) -> None:
     assert "was made with another case (fluid.mach_number is 0.1 there, 0.09 here" in refused.stderr
 
 
-def test_a_checkpoint_of_another_parent(place, stop_at) -> None:
-    name = KINDS["galerkin"][1]
-    (place / name).unlink()
-    stop_at(5)
-    again("galerkin")
-    (place / "psi.h5").unlink()
-    change = ("--set", "psi.order=2", "--force")
-    assert sphrom("fit-psi", *TINY, *change).exit_code == 0
-    refused = sphrom("rom", *TINY, *change[:2], "--only", "reynolds=150", "--resume")
-    assert refused.exit_code == 3
-    assert " was made " in refused.stderr
-
-
 @pytest.fixture
 def stopped_elsewhere(place, stop_at, monkeypatch) -> Callable[[str], None]:
     """Leave a checkpoint that another version, or a processor of another kind, computed."""
