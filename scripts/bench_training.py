@@ -159,8 +159,7 @@ class Bench:
         rows = []
         for tolerance in self.flow.tolerances:
             content = self.flow.content(self.name, seed)
-            report = SilentReporter()
-            study = sphrom.Study(content, out=self.folder, threads=1, report=report)
+            study = sphrom.Study(content, out=self.folder, threads=1, report=lambda text: None)
             study.run_stage("train", tolerance=tolerance, workers=1)
             found = json.loads((self.folder / "training" / "training.json").read_text())
             stages, about = found["stages"], found["about"]

@@ -12,19 +12,9 @@ from sphrom import errors
 from sphrom.version import __version__
 
 if TYPE_CHECKING:
-    from sphrom.api import (
-        ErrorEstimate,
-        Estimate,
-        Fit,
-        FittedHistory,
-        Model,
-        Result,
-        Sensitivities,
-        Study,
-        open,
-    )
+    from sphrom.api import *  # noqa: F403
 
-__all__ = [
+FROM_API = (
     "ErrorEstimate",
     "Estimate",
     "Fit",
@@ -33,17 +23,16 @@ __all__ = [
     "Result",
     "Sensitivities",
     "Study",
-    "__version__",
-    "errors",
     "open",
-]
+)
+__all__ = ["__version__", "errors", *FROM_API]
 
 
 def __getattr__(name: str) -> Any:
-    if name not in __all__:
+    if name not in FROM_API:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module("sphrom.api"), name)
 
 
 def __dir__() -> list[str]:
-    return [*globals(), *__all__]
+    return [*globals(), *FROM_API]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ast
 import math
+import sys
 from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import cached_property
 from typing import Any
@@ -24,7 +25,6 @@ MAX_DEPTH = 50
 """Levels of brackets and operators within each other."""
 MOST_QUOTED = 80
 """Characters of an expression that a message quotes."""
-_TOO_DEEP = f"an expression may be {MAX_DEPTH} levels deep at most"
 FUNCTIONS = {
     "abs": 1, "arccos": 1, "arcsin": 1, "arctan": 1, "arctan2": 2, "cos": 1, "cosh": 1, "exp": 1,
     "log": 1, "log10": 1, "sin": 1, "sinh": 1, "sqrt": 1, "tan": 1, "tanh": 1, "where": 3,
@@ -57,11 +57,8 @@ class Expression:
         self._variables = variables
         self._constants = {**CONSTANTS, **(constants or {})}
         self._tree = _parsed(text)
-        # Levels of the tree are twice as many where conditions are within each other.
-        _require_depth(self._tree, 2 * MAX_DEPTH)
         self._used = {node.id for node in ast.walk(self._tree) if isinstance(node, ast.Name)}
-        known = (*variables, *self._constants)
-        _check(self._tree.body, known, MAX_DEPTH)
+        _check(self._tree.body, (*variables, *self._constants))
 
     @property
     def depends_on(self) -> frozenset[str]:
@@ -116,7 +113,7 @@ class Expression:
             if variable in used and used != {variable}:
                 raise ValueError(
                     f"{_quoted(self.text)} must be a field times an amplitude, such as "
-                    f"sin(y)*cos(t); in {_quoted(ast.unparse(factor))} {variable} is mixed with "
+                    f"sin(y)*cos(t); in '{_short(factor)}' {variable} is mixed with "
                     "other variables"
                 )
             text = f"({ast.unparse(factor)})"
@@ -172,78 +169,63 @@ class _Plain(ast.NodeTransformer):
 
 
 def _parsed(text: str) -> ast.Expression:
+    """Return the tree of a text, which has few enough levels to walk it recursively."""
     if len(text) > MAX_LENGTH:
         raise ValueError(f"an expression of {len(text)} characters; at most {MAX_LENGTH}")
     try:
-        return ast.parse(text.strip(), mode="eval")
+        tree = ast.parse(text.strip(), mode="eval")
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         raise ValueError(f"{_quoted(text)} is not an expression") from error
+    level: list[ast.AST] = [tree.body]
+    for _ in range(MAX_DEPTH):
+        level = [part for node in level for part in ast.iter_child_nodes(node)]
+    if level:
+        raise ValueError(f"an expression may be {MAX_DEPTH} levels deep at most")
+    return tree
 
 
 def _quoted(text: str) -> str:
     return f"'{shortened(text, MOST_QUOTED)}'"
 
 
-def _require_depth(tree: ast.AST, most: int) -> None:
-    """Raise ValueError where a tree has too many levels to walk it recursively."""
-    level, depth = [tree], 0
-    while level:
-        level, depth = [part for node in level for part in ast.iter_child_nodes(node)], depth + 1
-        if depth > most:
-            raise ValueError(_TOO_DEEP)
+def _short(node: ast.expr) -> str:
+    return shortened(ast.unparse(node), MOST_QUOTED)
 
 
-def _check(node: ast.expr, known: tuple[str, ...], depth: int) -> None:
-    """Raise ValueError unless a node holds numbers, known names and functions only."""
-    if depth == 0:
-        raise ValueError(_TOO_DEEP)
-    parts: list[ast.expr]
-    if isinstance(node, ast.Constant) and type(node.value) in (int, float):
-        if not math.isfinite(_as_float(node.value)):  # type: ignore[arg-type]
-            raise ValueError(f"{shortened(ast.unparse(node), MOST_QUOTED)} is too large")
-        parts = []
-    elif isinstance(node, ast.Name):
-        if node.id not in known:
-            name = shortened(node.id, MOST_QUOTED)
-            raise ValueError(f"{name} is no known name; these are: {', '.join(known)}")
-        parts = []
-    elif isinstance(node, ast.BinOp) and isinstance(node.op, _OPERATORS):
-        parts = [node.left, node.right]
-    elif isinstance(node, ast.UnaryOp) and isinstance(node.op, _OPERATORS):
-        parts = [node.operand]
-    elif isinstance(node, ast.Call) and not node.keywords:
-        parts = _arguments(node, known)
-    else:
-        raise ValueError(
-            f"{_quoted(ast.unparse(node))} is not allowed: use numbers, + - * / **, "
-            f"{', '.join(known)} and the functions {', '.join(FUNCTIONS)}"
-        )
-    for part in parts:
-        _check(part, known, depth - 1)
+def _check(whole: ast.expr, known: tuple[str, ...]) -> None:
+    """Raise ValueError unless an expression holds numbers, known names and functions only."""
+    parts = [whole]
+    for node in parts:  # grows while it is walked
+        if isinstance(node, ast.Call) and not node.keywords:
+            parts += _arguments(node)
+        elif isinstance(node, ast.BinOp) and isinstance(node.op, _OPERATORS):
+            parts += [node.left, node.right]
+        elif isinstance(node, ast.UnaryOp) and isinstance(node.op, _OPERATORS):
+            parts.append(node.operand)
+        elif isinstance(node, ast.Name):
+            if node.id not in known:
+                raise ValueError(f"{_short(node)} is no known name; these are: {', '.join(known)}")
+        elif not (isinstance(node, ast.Constant) and type(node.value) in (int, float)):
+            raise ValueError(
+                f"'{_short(node)}' is not allowed: use numbers, + - * / **, {', '.join(known)} and "
+                f"the functions {', '.join(FUNCTIONS)}"
+            )
+        elif not abs(node.value) <= sys.float_info.max:  # type: ignore[arg-type]
+            raise ValueError(f"{_short(node)} is too large")
 
 
-def _as_float(value: float) -> float:
-    try:
-        return float(value)
-    except OverflowError:
-        return math.inf
-
-
-def _arguments(node: ast.Call, known: tuple[str, ...]) -> list[ast.expr]:
+def _arguments(node: ast.Call) -> list[ast.expr]:
     """Return the arguments of a call, a condition's both sides in its place."""
-    name = node.func.id if isinstance(node.func, ast.Name) else ast.unparse(node.func)
+    name = node.func.id if isinstance(node.func, ast.Name) else _short(node.func)
     if name not in FUNCTIONS:
-        name = shortened(name, MOST_QUOTED)
-        raise ValueError(f"{name} is no known function; these are: {', '.join(FUNCTIONS)}")
+        known = ", ".join(FUNCTIONS)
+        raise ValueError(f"{_short(node.func)} is no known function; these are: {known}")
     if len(node.args) != FUNCTIONS[name]:
         raise ValueError(f"{name} takes {FUNCTIONS[name]} arguments; got {len(node.args)}")
     if name != "where":
         return node.args
-    condition = node.args[0]
-    if not (
-        isinstance(condition, ast.Compare)
-        and len(condition.ops) == 1
-        and isinstance(condition.ops[0], _COMPARISONS)
-    ):
+    condition, *others = node.args
+    one = isinstance(condition, ast.Compare) and len(condition.ops) == 1
+    if not one or not isinstance(condition.ops[0], _COMPARISONS):  # type: ignore[attr-defined]
         raise ValueError("where takes a comparison first, such as where(y > 1, u, 0)")
-    return [condition.left, *condition.comparators, *node.args[1:]]
+    return [condition.left, *condition.comparators, *others]  # type: ignore[attr-defined]

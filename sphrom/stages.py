@@ -122,10 +122,10 @@ def run_all(context: StageContext, until: str | None = None) -> None:
 
 def _needed(case: Case, until: str | None) -> list[str]:
     """Return the stages that a case needs: one without reduced models its full runs only."""
-    from sphrom.case.messages import nearest, show
+    from sphrom.text import nearest, quoted
 
     if until is not None and until not in PIPELINE:
-        raise CaseError(f"no stage is called {show(until)}; {nearest(str(until), PIPELINE)}")
+        raise CaseError(f"no stage is called {quoted(until)}; {nearest(str(until), PIPELINE)}")
     spared = set() if case.rom else {"map", "pod", "fit-psi"}
     if not case.plan.reference_bases:
         spared.add("operators")

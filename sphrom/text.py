@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Iterable
+from difflib import get_close_matches
+from typing import Any
+
+MAX_SHOWN = 60
+"""Characters of a value that a message quotes."""
 
 
 def exact(value: float) -> str:
@@ -44,6 +50,23 @@ def shortened(text: str, most: int = 300, keep: str = "") -> str:
     if len(text) > most:
         text = f"{text[:half]} ... {text[-half:]}"
     return visible(text, keep)
+
+
+def quoted(value: Any) -> str:
+    """Return a value from outside on one line, in printable characters, cut where it is long."""
+    text = json.dumps(value, default=str)
+    if isinstance(value, str):
+        text = "'" + text[1:-1].replace('\\"', '"') + "'"
+    return text if len(text) <= MAX_SHOWN else text[: MAX_SHOWN - 3] + "..."
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """Return a hint that names the nearest of the known words, or all of them."""
+    words = list(known)
+    close = get_close_matches(word, words, n=1, cutoff=0.5)
+    if close:
+        return f"did you mean {close[0]}?"
+    return "known: " + ", ".join(words) if words else "none is known here"
 
 
 def data_size(n_bytes: int) -> str:

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 from sphrom import stages
 from sphrom.api.model import Model
 from sphrom.case.loader import load_case, parameter_point
-from sphrom.case.messages import nearest, show
 from sphrom.case.models import Case
 from sphrom.console import Reporter
 from sphrom.errors import CaseError
 from sphrom.setup.context import StageContext
 from sphrom.signals import guarded
+from sphrom.text import nearest, quoted
 
 if TYPE_CHECKING:
     import xarray
@@ -64,7 +64,7 @@ class Study:
         **keys: Any,
     ) -> None:
         if threads is not None and not (isinstance(threads, int) and threads >= 1):
-            raise CaseError(f"--threads: must be a whole number of at least 1; got {show(threads)}")
+            raise CaseError(f"--threads: must be a whole number from 1 on; got {quoted(threads)}")
         if out is not None and not os.fspath(out):
             raise CaseError("out: is empty: give a folder")
         self._context = stages.context_of(
@@ -136,7 +136,7 @@ class Study:
         known = [name for name in stages.STAGES if name != "import"]
         name = stage.replace("_", "-")
         if name not in known:
-            raise CaseError(f"no stage is called {show(stage)}; {nearest(name, known)}")
+            raise CaseError(f"no stage is called {quoted(stage)}; {nearest(name, known)}")
         context = stages.selected(self._with(resume, checkpoint_every), name, only)
         stages.run_stage(name, context, **options)
 
@@ -154,7 +154,7 @@ class Study:
         """
         sections = {section.name: section for section in self.case.rom}
         if name not in sections:
-            raise CaseError(f"no model has the name {show(name)}; {nearest(str(name), sections)}")
+            raise CaseError(f"no model has the name {quoted(name)}; {nearest(str(name), sections)}")
         context = replace(self._context, keep_valid=True)
         return Model(context, sections[name], parameter_point(self.case, parameters))
 

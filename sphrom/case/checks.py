@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.case.messages import Problem, nearest
+from sphrom.case.fields import only_one
 from sphrom.case.models import Case
 from sphrom.case.plan import MAX_STEPS, WHOLE_STEPS_TOLERANCE
 from sphrom.case.points import REYNOLDS, ParameterPoint, nearest_point
@@ -20,10 +20,11 @@ from sphrom.case.scene_section import KINDS, MeasureSection
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection
 from sphrom.case.studies import at_resolution, fast_model, rows_of, sweep_model, sweep_points
 from sphrom.case.study_sections import FULL, ErrorFigure, FieldFigure, ModeFigure, OfModes, OfRuns
+from sphrom.case.yaml_reader import Problem
 from sphrom.errors import CaseError
 from sphrom.kernels import SUPPORT_RATIO
 from sphrom.sph.fluid import ROUNDING
-from sphrom.text import exact, repeated
+from sphrom.text import exact, nearest, repeated
 
 Array = NDArray[np.float64]
 Found = Iterator[tuple[str, str]]
@@ -238,7 +239,7 @@ def _check_scene(case: Case) -> Found:
     for name, reason in case.scene.problems(case.time.final_time):
         yield f"scene.{name}", reason
     for name, measured in case.scene.measure.items():
-        kind = next(kind for kind in KINDS if getattr(measured, kind) is not None)
+        kind = only_one(measured, KINDS)
         if (problem := _measure_problem(case, measured)) is not None:
             yield f"scene.measure.{name}.{kind}", problem
 

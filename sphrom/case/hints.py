@@ -1,15 +1,14 @@
-"""What a user should know about a valid case, though nothing refuses it."""
+"""Warnings of a valid case, which nothing refuses."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 from sphrom.case.checks import beyond_limits
 from sphrom.case.models import Case
 from sphrom.case.points import REYNOLDS, ParameterPoint, outside
-from sphrom.case.sections import AUTO, ReducedModelSection
+from sphrom.case.sections import AUTO
 from sphrom.case.studies import sweep_model, sweep_points
-from sphrom.text import exact
 
 SNAPSHOTS_PER_MODE = 2
 """Fewer snapshots are few for so many modes."""
@@ -20,30 +19,32 @@ def case_warnings(case: Case) -> list[str]:
     return [
         *(f"scene.{key}: {reason}" for key, reason in case.scene.warnings()),
         *(f"time.step: {reason}" for reason in beyond_limits(case)),
-        *_outside_training(case),
-        *_beyond_training(case),
-        *_without_spin_up(case),
-        *_sound_not_skew(case),
-        *_end_not_kept(case),
-        *_polynomial_too_low(case),
+        *_extrapolations(case, "parameters.test", case.plan.test_points),
+        *_of_models(case),
+        *_of_numerics(case),
     ]
 
 
-def _outside_training(case: Case) -> Iterator[str]:
-    for point in case.plan.test_points:
+def _extrapolations(case: Case, key: str, points: Iterable[ParameterPoint]) -> Iterator[str]:
+    for point in points:
         if (warning := extrapolation(case, point)) is not None:
-            yield f"parameters.test: {warning}"
-    for i, model in enumerate(case.rom):
-        for point in _unseen(case, model):
-            if (warning := extrapolation(case, point)) is not None:
-                yield f"rom.{i}.parameters: {warning}"
+            yield f"{key}: {warning}"
 
 
-def _beyond_training(case: Case) -> Iterator[str]:
+def _of_models(case: Case) -> Iterator[str]:
     trained = case.plan.steps.end_time
     for i, model in enumerate(case.rom):
         if case.plan.model_steps(model).end_time > trained:
             yield f"rom.{i}.until: {beyond_training(trained)}"
+        unseen = [point for point in case.plan.rom_points(model) if point not in case.plan.points]
+        yield from _extrapolations(case, f"rom.{i}.parameters", unseen)
+        for point in unseen:
+            start = case.plan.start_point(point)
+            if start != point:
+                yield (
+                    f"rom.{i}.parameters: {point.label} has no spin-up: its run starts from the "
+                    f"end of that at {start.label}, the nearest trained"
+                )
 
 
 def beyond_training(trained_until: float) -> str:
@@ -60,41 +61,26 @@ def extrapolation(case: Case, point: ParameterPoint) -> str | None:
         each if name == REYNOLDS and not point.others else f"{each} of {name}"
         for name, each in beyond.items()
     )
-    return (
-        f"{point.label} is outside of the trained range, {ranges}: a reduced model extrapolates "
-        "there"
-    )
+    where = f"{point.label} is outside of the trained range, {ranges}"
+    return f"{where}: a reduced model extrapolates there"
 
 
-def _unseen(case: Case, model: ReducedModelSection) -> list[ParameterPoint]:
-    """Return the points of a model at which there is no full run."""
-    return [point for point in case.plan.rom_points(model) if point not in case.plan.points]
-
-
-def _without_spin_up(case: Case) -> Iterator[str]:
-    for i, model in enumerate(case.rom):
-        for point in _unseen(case, model):
-            start = case.plan.start_point(point)
-            if start != point:
-                yield (
-                    f"rom.{i}.parameters: {point.label} has no spin-up: its run starts from the "
-                    f"end of that at {start.label}, the nearest trained"
-                )
-
-
-def _sound_not_skew(case: Case) -> Iterator[str]:
-    if case.plan.reference_bases and case.basis.inner_product == "raw":
+def _of_numerics(case: Case) -> Iterator[str]:
+    plan, steps, psi = case.plan, case.plan.steps, case.psi
+    if plan.reference_bases and case.basis.inner_product == "raw":
         yield (
             "basis.inner_product: in the raw product operators on the reference points let sound "
             "grow; in the acoustic one they can't"
         )
-
-
-def _end_not_kept(case: Case) -> Iterator[str]:
-    steps = case.plan.steps
     if steps.n_steps % steps.every:
         last = f"the last snapshot is at {steps.end_time:g} s"
         yield f"snapshots.every: {last}, before time.final_time"
+    least = (psi.order - 1) // 2 if psi.order % 2 else psi.order // 2
+    if psi.polynomial_degree < least and not plan.lattice_splines:
+        yield (
+            f"psi.polynomial_degree: splines of order {psi.order} are sure to exist from degree "
+            f"{least} on; got {psi.polynomial_degree}"
+        )
 
 
 def few_snapshots(case: Case) -> Iterator[str]:
@@ -110,18 +96,6 @@ def few_snapshots(case: Case) -> Iterator[str]:
             )
 
 
-def _polynomial_too_low(case: Case) -> Iterator[str]:
-    if case.plan.lattice_splines:
-        return
-    order, degree = case.psi.order, case.psi.polynomial_degree
-    least = (order - 1) // 2 if order % 2 else order // 2
-    if degree < least:
-        yield (
-            f"psi.polynomial_degree: splines of order {order} are sure to exist from degree "
-            f"{least} on; got {degree}"
-        )
-
-
 def slow_sweep(case: Case) -> str | None:
     """Return a warning where a sweep makes full runs because the case has no faster model."""
     if case.sweep.model is not None or sweep_model(case) is not None:
@@ -134,23 +108,12 @@ def slow_sweep(case: Case) -> str | None:
 
 
 def sweep_beyond_training(case: Case) -> str | None:
-    """Return which points of a reduced sweep lie outside of the trained range, in words."""
-    model = sweep_model(case)
-    if model is None:
+    """Return how many points of a reduced sweep lie outside of the trained range, in words."""
+    model, points = sweep_model(case), sweep_points(case)
+    beyond = [point for point in points if outside(point, case.plan.train_points)]
+    if model is None or not beyond:
         return None
-    points, trained = sweep_points(case), case.plan.train_points
-    beyond = [point for point in points if outside(point, trained)]
-    if not beyond:
-        return None
-    if len(case.plan.parameter_names) > 1:
-        return (
-            f"sweep: {len(beyond)} of {len(points)} points, such as {beyond[0].label}, are outside "
-            f"of the trained ranges: {model.name} extrapolates there"
-        )
-    low, high = min(trained).reynolds, max(trained).reynolds
-    first, last = min(beyond).label, max(beyond).label
-    which = first if first == last else f"from {first} to {last}"
     return (
-        f"sweep.reynolds: {len(beyond)} of {len(points)} values ({which}) are outside of the "
-        f"trained range, {exact(low)} to {exact(high)}: {model.name} extrapolates there"
+        f"sweep: {len(beyond)} of {len(points)} points, such as {beyond[0].label}, are outside of "
+        f"the trained range: {model.name} extrapolates there"
     )

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -13,14 +14,22 @@ from pydantic import TypeAdapter, ValidationError
 from sphrom.case import schema
 from sphrom.case.checks import case_problems, with_fitting_model
 from sphrom.case.fields import Coordinate, Positive
-from sphrom.case.messages import MAX_PROBLEMS, Path, Problem, is_unicode, nearest, show, show_path
 from sphrom.case.models import Case
 from sphrom.case.points import REYNOLDS, ParameterPoint
 from sphrom.case.scenes import kind_of
-from sphrom.case.schema import problems_of
-from sphrom.case.yaml_reader import MAX_DEPTH, Document, InvalidText, read_yaml
+from sphrom.case.schema import MAX_PROBLEMS, problems_of
+from sphrom.case.yaml_reader import (
+    MAX_DEPTH,
+    Document,
+    InvalidText,
+    Path,
+    Problem,
+    read_yaml,
+    show_path,
+)
 from sphrom.errors import CaseError
-from sphrom.whole_files import Unreadable, read_whole
+from sphrom.text import nearest, quoted
+from sphrom.whole_files import read_whole
 
 MAX_BYTES = 256 * 1024
 """The largest case file that is read."""
@@ -45,49 +54,20 @@ def load_case(
     Raises CaseError with one line for each problem: file, line, key, and what is allowed.
     """
     name, document, changed = _given(source, overrides)
-    return _validate(name, document, changed, force)
-
-
-def _given(
-    source: str | os.PathLike[str] | Mapping[str, Any],
-    overrides: Sequence[str] | Mapping[str, Any],
-) -> tuple[str, Document, list[Path]]:
-    """Return a case's name in messages, its content with keys changed, and the paths of these."""
-    if isinstance(source, Mapping):
-        name, document = CONTENT, Document(plain_values(source, CONTENT))
-    else:
-        name, document = str(source), _read(FilePath(source))
-    data = document.value
-    if isinstance(overrides, Mapping):
-        changed = [_change(data, key, value) for key, value in overrides.items()]
-    else:
-        changed = [_override(data, override) for override in overrides]
-    return name, document, changed
+    try:
+        case = Case.model_validate(document.value, context={"folder": FilePath(name).parent})
+    except ValidationError as error:
+        problems = problems_of(error, document.value)
+        raise _error(name, document, problems, changed) from error
+    if problems := case_problems(case, force=force):
+        raise _error(name, document, problems, changed)
+    return with_fitting_model(case)
 
 
 def given_keys(source: str | os.PathLike[str], overrides: Sequence[str] = ()) -> dict[str, Any]:
     """Return the keys that a case file gives, some changed, unchecked. Raises CaseError."""
     data: dict[str, Any] = _given(source, overrides)[1].value
     return data
-
-
-def _read(path: FilePath) -> Document:
-    """Return what a case file holds, which is a mapping. Raises CaseError."""
-    text = _read_text(path)
-    try:
-        document = read_yaml(text)
-    except InvalidText as error:
-        raise CaseError(_at(str(path), error.line, error.reason)) from error
-    if document.problems:
-        raise _error(str(path), document, document.problems)
-    if not isinstance(document.value, dict):
-        reason = (
-            "is empty"
-            if document.value is None
-            else f"must be a mapping of keys; got {show(document.value)}"
-        )
-        raise CaseError(f"{path}: {reason}; `sphrom case new taylor-green` writes a case to edit")
-    return document
 
 
 def case_of_text(text: str, folder: str | os.PathLike[str] | None = None) -> Case:
@@ -104,156 +84,129 @@ def case_of_text(text: str, folder: str | os.PathLike[str] | None = None) -> Cas
         raise _error(CONTENT, Document(data), problems_of(error, data)) from error
 
 
-def _read_text(path: FilePath) -> str:
+def _given(
+    source: str | os.PathLike[str] | Mapping[str, Any],
+    overrides: Sequence[str] | Mapping[str, Any],
+) -> tuple[str, Document, list[Path]]:
+    """Return a case's name in messages, its content with keys changed, and the paths of these."""
+    if isinstance(source, Mapping):
+        name, document = CONTENT, Document(plain_values(source, CONTENT))
+    else:
+        name, document = str(source), _read(FilePath(source))
+    data = document.value
+    if isinstance(overrides, Mapping):
+        changed = [_assign(data, key_named(data, key), value) for key, value in overrides.items()]
+    else:
+        changed = [_override(data, override) for override in overrides]
+    return name, document, changed
+
+
+def _read(path: FilePath) -> Document:
+    """Return what a case file holds, which is a mapping. Raises CaseError."""
+    if path.is_dir():
+        raise CaseError(f"{path}: is a directory, not a case file")
     try:
-        if path.is_dir():
-            raise CaseError(f"{path}: is a directory, not a case file")
         content = read_whole(path, MAX_BYTES)
     except FileNotFoundError as error:
         raise CaseError(f"{path}: there is no such case file") from error
-    except Unreadable as error:
-        raise CaseError(f"{path}: {error}") from error
-    except (OSError, ValueError) as error:  # ValueError: a null character in the name
-        reason = getattr(error, "strerror", None) or error
-        raise CaseError(f"{path}: can't be read: {reason}") from error
+    except (OSError, ValueError) as error:  # ValueError: too large, or a null character in its name
+        raise CaseError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
     try:
-        return content.decode("utf-8-sig")
+        document = read_yaml(content.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
-        raise CaseError(_at(str(path), line, "is not UTF-8 text")) from error
+        raise CaseError(f"{path}:{line}: is not UTF-8 text") from error
+    except InvalidText as error:
+        raise _error(str(path), Document(), [Problem((), error.reason, error.line)]) from error
+    if document.problems:
+        raise _error(str(path), document, document.problems)
+    if not isinstance(document.value, dict):
+        holds = "is empty" if document.value is None else "must be a mapping of keys"
+        raise CaseError(f"{path}: {holds}; `sphrom case new taylor-green` writes a case to edit")
+    return document
 
 
 def _override(data: dict[str, Any], override: str) -> Path:
-    """Change one key of the data, and return its path."""
+    """Change one key of the data as `path.to.key=value` says, and return its path."""
     name, equals, text = override.partition("=")
-    segments = _segments(name) if equals else []
-    if not segments:
-        raise CaseError(f"{OVERRIDE}: must be path.to.key=value; got {show(override)}")
+    if not equals:
+        raise CaseError(f"{OVERRIDE}: must be path.to.key=value; got {quoted(override)}")
     try:
         document = read_yaml(text)
     except InvalidText as error:
         raise CaseError(f"{OVERRIDE}: {name}: {error.reason}") from error
     if document.problems:
-        problems = document.problems[:MAX_PROBLEMS]
-        raise CaseError("\n".join(f"{OVERRIDE}: {name}: {p.reason}" for p in problems))
-    return _assign(data, segments, document.value)
+        raise CaseError(f"{OVERRIDE}: {name}: {document.problems[0].reason}")
+    return _assign(data, name.strip(), document.value)
 
 
-def _change(data: dict[str, Any], name: str, value: Any) -> Path:
-    """Change one key of the data to a Python value, and return its path."""
-    key = key_named(data, name)
-    segments = _segments(key)
-    if not segments:
-        raise CaseError(f"{OVERRIDE}: must be a key such as time.step; got {show(name)}")
-    return _assign(data, segments, plain_values(value, f"{OVERRIDE}: {key}"))
-
-
-def _segments(name: str) -> list[str]:
-    """Return the segments of a dotted key, none where it isn't one."""
-    segments = name.strip().split(".")
-    known = len(segments) <= MAX_DEPTH and all(segments) and all(map(is_unicode, segments))
-    return segments if known else []
-
-
-def _assign(data: dict[str, Any], segments: Sequence[str], value: Any) -> Path:
-    path: list[str | int] = []
+def _assign(data: dict[str, Any], name: str, value: Any) -> Path:
+    """Change one key of the data, and return its path."""
+    segments = name.split(".")
+    if len(segments) > MAX_DEPTH or not all(segments):
+        raise CaseError(f"{OVERRIDE}: must be a key such as time.step; got {quoted(name)}")
+    path: Path = ()
     container: Any = data
     for segment in segments[:-1]:
         key = _key_in(container, segment, path)
-        path.append(key)
         if isinstance(container, dict) and container.get(segment) is None:
             container[segment] = {}
-        container = container[key]
+        path, container = (*path, key), container[key]
     key = _key_in(container, segments[-1], path)
-    container[key] = value
+    container[key] = plain_values(value, f"{OVERRIDE}: {name}")
     return (*path, key)
 
 
-def _key_in(container: Any, segment: str, path: Sequence[str | int]) -> str | int:
-    where = f"{OVERRIDE}: {show_path((*path, segment))}"
-    if isinstance(container, dict):
-        at = tuple(path)
-        if not container and schema.is_list(at) and not schema.known_keys(at):
-            raise CaseError(f"{where}: {show_path(tuple(path))} is not in the file")
+def _key_in(container: Any, segment: str, path: Path) -> str | int:
+    """Return the key or the place in a list that a segment names in what is at a path."""
+    if isinstance(container, dict) and (container or not schema.is_list(path)):
         return segment
-    if not isinstance(container, list):
-        raise CaseError(f"{where}: {show_path(tuple(path))} holds no keys; got {show(container)}")
-    most_digits = len(str(len(container)))
-    if not segment.isdecimal() or len(segment) > most_digits or int(segment) >= len(container):
-        raise CaseError(
-            f"{where}: {show_path(tuple(path))} is a list of {len(container)}, counted from 0"
-        )
-    return int(segment)
-
-
-def _validate(path: str, document: Document, changed: Sequence[Path], force: bool) -> Case:
-    data = _with_empty_sections(document.value)
-    try:
-        case = Case.model_validate(data, context={"folder": FilePath(path).parent})
-    except ValidationError as error:
-        raise _error(path, document, problems_of(error, data), changed) from error
-    if problems := case_problems(case, force=force):
-        raise _error(path, document, problems, changed)
-    return with_fitting_model(case)
-
-
-def _with_empty_sections(data: dict[str, Any]) -> dict[str, Any]:
-    """Return the data with {} for sections whose keys are all commented out: they keep defaults."""
-
-    def is_section(key: str) -> bool:
-        node = schema.node_at((key,))
-        return node is not None and schema.is_section(node)
-
-    return {key: {} if value is None and is_section(key) else value for key, value in data.items()}
+    if isinstance(container, list) and segment in map(str, range(len(container))):
+        return int(segment)
+    where = f"{OVERRIDE}: {show_path((*path, segment))}: {show_path(path)}"
+    if isinstance(container, list):
+        raise CaseError(f"{where} is a list of {len(container)}, counted from 0")
+    raise CaseError(f"{where} holds no keys; got {quoted(container)}")
 
 
 def _error(
-    path: str, document: Document, problems: Sequence[Problem], changed: Sequence[Path] = ()
+    name: str, document: Document, problems: Sequence[Problem], changed: Sequence[Path] = ()
 ) -> CaseError:
-    lines = [_line(path, document, problem, changed) for problem in problems[:MAX_PROBLEMS]]
+    lines = [_line(name, document, problem, changed) for problem in problems[:MAX_PROBLEMS]]
     if len(problems) > MAX_PROBLEMS:
-        lines.append(f"{path}: and {len(problems) - MAX_PROBLEMS} more problems")
+        lines.append(f"{name}: and {len(problems) - MAX_PROBLEMS} more problems")
     return CaseError("\n".join(lines))
 
 
-def _line(path: str, document: Document, problem: Problem, changed: Sequence[Path]) -> str:
-    text = f"{show_path(problem.path)}: {problem.reason}" if problem.path else problem.reason
+def _line(name: str, document: Document, problem: Problem, changed: Sequence[Path]) -> str:
     if any(problem.path[: len(key)] == key for key in changed):
-        return f"{OVERRIDE}: {text}"
+        return f"{OVERRIDE}: {problem}"
     known = [problem.path[:depth] for depth in range(len(problem.path), -1, -1)]
-    nearest = next((document.lines[key] for key in known if key in document.lines), None)
-    return _at(path, problem.line or nearest, text)
+    line = problem.line or next((document.lines[key] for key in known if key in document.lines), 0)
+    return f"{name}:{line}: {problem}" if line else f"{name}: {problem}"
 
 
-def _at(path: str, line: int | None, text: str) -> str:
-    return f"{path}:{line}: {text}" if line else f"{path}: {text}"
-
-
-def plain_values(value: Any, where: str, depth: int = 0) -> Any:
+def plain_values(value: Any, where: str) -> Any:
     """Return a copy of a value as YAML would give it: dicts, lists, texts, numbers.
 
     Tuples, ranges, numpy's arrays and its numbers become lists and numbers.
 
     Raises CaseError, naming the place, for anything else.
     """
-    if depth > MAX_DEPTH:
-        raise CaseError(f"{where}: nests deeper than {MAX_DEPTH} levels")
+    try:
+        return json.loads(json.dumps(value, default=_plain))
+    except (TypeError, ValueError, RecursionError) as error:
+        raise CaseError(f"{where}: must be numbers, texts, lists or mappings; {error}") from error
+
+
+def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
+        return value.tolist()
     if isinstance(value, Mapping):
-        if not all(isinstance(key, str) for key in value):
-            raise CaseError(f"{where}: a key must be text")
-        return {k: plain_values(v, f"{where}: {k}", depth + 1) for k, v in value.items()}
-    if isinstance(value, Sequence) and not isinstance(value, str | bytes | bytearray):
-        return [plain_values(v, f"{where}: {i}", depth + 1) for i, v in enumerate(value)]
-    if isinstance(value, str) and not is_unicode(value):
-        raise CaseError(f"{where}: is not Unicode text")
-    if value is None or isinstance(value, str | bool | int | float):
-        return value
-    unordered = "; put it in order, in a list" if isinstance(value, Set) else ""
-    raise CaseError(
-        f"{where}: must be a number, text, list or mapping; got {type(value).__name__}{unordered}"
-    )
+        return dict(value)
+    if isinstance(value, Sequence) and not isinstance(value, bytes | bytearray):
+        return list(value)
+    raise TypeError(f"got {type(value).__name__}")
 
 
 def key_named(data: Mapping[str, Any], name: str) -> str:
@@ -266,30 +219,15 @@ def key_named(data: Mapping[str, Any], name: str) -> str:
     """
     if "." in name or name in schema.known_keys(()):
         return name
-    every = [*_keys(data, (), kind_of(data))]
-    found = [show_path(path) for path in every if path[-1] == name]
+    paths = list(schema.key_paths(kind=kind_of(data)))
+    found = [show_path(path) for path in paths if path[-1] == name]
     if not found:
-        known = dict.fromkeys(str(path[-1]) for path in every)
-        raise CaseError(f"{show(name)}: the case has no such key; {nearest(name, known)}")
-    if len(found) > 1:
-        raise CaseError(
-            f"{show(name)}: may be {', '.join(found[:-1])} or {found[-1]}; name one, such as "
-            f"set={{'{found[0]}': ...}}"
-        )
+        hint = nearest(name, dict.fromkeys(str(path[-1]) for path in paths))
+        raise CaseError(f"{quoted(name)}: the case has no such key; {hint}")
+    if len(found) > 1 or ".0." in found[0]:
+        remedy = f"name one, such as set={{'{found[0]}': ...}}"
+        raise CaseError(f"{quoted(name)}: may be {' or '.join(found)}; {remedy}")
     return found[0]
-
-
-def _keys(value: Any, path: Path, kind: str) -> Iterator[Path]:
-    """Yield the path of every key that a value at a path may hold, entries of lists included."""
-    known = schema.known_keys(path, kind)
-    yield from ((*path, key) for key in known)
-    inside: dict[str | int, Any] = dict.fromkeys(known)
-    if isinstance(value, Mapping):
-        inside |= value
-    elif isinstance(value, list):
-        inside |= dict(enumerate(value))
-    for key, entry in inside.items():
-        yield from _keys(entry, (*path, key), kind)
 
 
 def parameter_point(case: Case, values: Mapping[str, Any]) -> ParameterPoint:
@@ -299,13 +237,9 @@ def parameter_point(case: Case, values: Mapping[str, Any]) -> ParameterPoint:
     """
     names = case.plan.parameter_names
     for name in values:
-        if name in case.plan.own_values and name not in names:
-            raise CaseError(
-                f"{name}: varies in neither parameters.train nor parameters.test, so that models "
-                f"know one value of it only; {', '.join(names)} can be given"
-            )
         if name not in names:
-            raise CaseError(f"{show(name)}: the case has no such parameter; {nearest(name, names)}")
+            reason = "varies in neither parameters.train nor parameters.test"
+            raise CaseError(f"{quoted(name)}: {reason}; {nearest(name, names)}")
     if REYNOLDS not in values and (len(names) == 1 or len(case.parameters.train.reynolds) > 1):
         raise CaseError(f"{REYNOLDS}: is missing; give its value, such as {REYNOLDS}=100")
     kinds = {name: Positive if name == REYNOLDS else Coordinate for name in values}
@@ -318,4 +252,4 @@ def _checked(name: str, value: Any, kind: Any) -> float:
         return adapter.validate_python(plain_values(value, name))
     except ValidationError as error:
         allowed = schema.allowed(adapter.json_schema())
-        raise CaseError(f"{name}: must be {allowed}; got {show(value)}") from error
+        raise CaseError(f"{name}: must be {allowed}; got {quoted(value)}") from error

@@ -1,17 +1,19 @@
-"""The case file as one frozen pydantic model; `sphrom.case.plan` is what follows from its keys.
+"""The case file as one frozen pydantic model, written in full, and as the inputs of stages.
 
-A model checks each value by itself; what must hold between keys is in `sphrom.case.checks`. Use
-`sphrom.case.loader.load_case` to have both.
+A section checks its own keys; `sphrom.case.checks` has the rules between sections. Use
+`sphrom.case.loader.load_case` to have both. `sphrom.case.plan` is what follows from the keys.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from pydantic import PrivateAttr, ValidationInfo, model_validator
+from pydantic import BaseModel, PrivateAttr, ValidationInfo, model_validator
 
 from sphrom.case.fields import SafeName, Section, key
 from sphrom.case.full_model_sections import (
@@ -33,6 +35,7 @@ from sphrom.case.sections import (
 )
 from sphrom.case.study_sections import FitSection, TradeSection, TrainingSection
 from sphrom.case.sweep_section import SweepSection
+from sphrom.case.yaml_reader import dump_yaml
 
 MOST_MODELS = 100
 """Reduced models of one case; `trade` weighs others beside them."""
@@ -90,8 +93,12 @@ class Case(Section):
     @model_validator(mode="before")
     @classmethod
     def _with_defaults(cls, values: Any) -> Any:
-        """Put the defaults of the kind of scene where no value is given."""
-        return with_defaults(values, DEFAULTS.get(kind_of(values), {}))
+        """Put the defaults of the kind of scene where no value is given; null gives none."""
+        if not isinstance(values, Mapping):
+            return values
+        given = {name: value for name, value in values.items() if value is not None}
+        given.setdefault("scene", {})
+        return with_defaults(given, DEFAULTS.get(kind_of(values), {}))
 
     @model_validator(mode="after")
     def _with_folder(self, info: ValidationInfo) -> Case:
@@ -121,3 +128,53 @@ class Case(Section):
     def plan(self) -> Plan:
         """What follows from the keys."""
         return Plan(self)
+
+
+VERSIONS: Mapping[str, int] = {"discretization": 2, "operators": 2, "psi": 2, "rom": 2, "trade": 2}
+"""Of sections in which a default has changed, or the meaning of a key: what was made before is then
+of another case. A key that is new needs none, as long as its default is what was done without it.
+"""
+
+
+def resolved_yaml(case: Case, sections: Iterable[str] | None = None) -> str:
+    """Return the case as YAML with every default filled in; it loads back to an equal case.
+
+    With `sections`, return those alone.
+    """
+    names = None if sections is None else set(sections)
+    return dump_yaml(case.model_dump(mode="json", include=names))
+
+
+def section_inputs(case: Case, sections: Iterable[str]) -> dict[str, object]:
+    """Return what the given sections of a case say, by section: `stated`, and in which version.
+
+    Raises ValueError for a section that a case doesn't have.
+    """
+    names = set(sections)
+    if unknown := names - set(type(case).model_fields):
+        raise ValueError(f"a case has no section {', '.join(sorted(unknown))}")
+    found = {name: stated(getattr(case, name)) for name in names}
+    versions = {f"{name} version": VERSIONS[name] for name in names & VERSIONS.keys()}
+    # Defaults differ from scene to scene.
+    return {"scene": case.scene.kind if names else ""} | found | versions
+
+
+def stated(value: object) -> object:
+    """Return what of a value isn't its section's default, as JSON has it.
+
+    So a key that is new and not given makes no difference to what is older than it.
+    """
+    if isinstance(value, BaseModel):
+        fields = type(value).model_fields.items()
+        usual = {name: field.get_default(call_default_factory=True) for name, field in fields}
+        given = ((name, getattr(value, name)) for name in usual)
+        return {name: stated(one) for name, one in given if one != usual[name]}
+    if isinstance(value, Mapping):
+        return {str(key): stated(one) for key, one in value.items()}
+    return [stated(one) for one in value] if isinstance(value, tuple | list) else value
+
+
+def inputs_digest(inputs: Mapping[str, object]) -> str:
+    """Return a SHA-256 of what something is made from, by name."""
+    canonical = json.dumps(inputs, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(canonical.encode()).hexdigest()

@@ -13,17 +13,19 @@ from typing import Any
 from pydantic import ValidationError
 
 from sphrom.case.fields import LARGEST, SMALLEST
-from sphrom.case.messages import MAX_PROBLEMS, Path, Problem, nearest, show, show_path
 from sphrom.case.models import Case
 from sphrom.case.scenes import DEFAULTS, Defaults, kind_of
+from sphrom.case.yaml_reader import Path, Problem, show_path
+from sphrom.text import nearest, quoted
 
 Node = Mapping[str, Any]
 
+MAX_PROBLEMS = 20
+"""Problems that are shown at once."""
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 NAME_WORDS = "a name of at most 64 letters, digits, _ - or . that does not begin with - or ."
 _KIND_OF_SCENE = {"union_tag_not_found": "missing", "union_tag_invalid": "literal_error"}
 """Complaints about the kind of scene, and what they are called of other keys."""
-_BRANCHES = ("anyOf", "oneOf")
 _KINDS = {
     "integer": "a whole number",
     "number": "a number",
@@ -63,10 +65,10 @@ def resolve(node: Node) -> Node:
 def branches(node: Node) -> Iterator[Node]:
     """Yield the alternatives of a node, itself where there is one only."""
     node = resolve(node)
-    for branch in _BRANCHES:
-        for alternative in node.get(branch, ()):
-            yield from branches(alternative)
-    if not any(branch in node for branch in _BRANCHES):
+    alternatives = node.get("anyOf") or node.get("oneOf")
+    for alternative in alternatives or ():
+        yield from branches(alternative)
+    if not alternatives:
         yield node
 
 
@@ -111,9 +113,9 @@ def is_section(node: Node) -> bool:
 
 
 def is_list(path: Path) -> bool:
-    """Whether the value at a path may be a list."""
+    """Whether the value at a path has to be a list."""
     node = node_at(path)
-    return node is not None and any("items" in branch for branch in branches(node))
+    return node is not None and all("items" in branch for branch in branches(node))
 
 
 def known_keys(path: Path, kind: str = "") -> list[str]:
@@ -127,10 +129,11 @@ def _keys(nodes: Iterable[Node]) -> list[str]:
 
 
 def key_paths(path: Path = (), kind: str = "") -> Iterator[Path]:
-    """Yield the path of every key of fixed name below `path`."""
-    for key in known_keys(path, kind):
-        yield (*path, key)
-        yield from key_paths((*path, key), kind)
+    """Yield the path of every key of fixed name below `path`, of lists in their first entry."""
+    below = (*path, 0) if is_list(path) else path
+    for key in known_keys(below, kind):
+        yield (*below, key)
+        yield from key_paths((*below, key), kind)
 
 
 def words(node: Node) -> list[str]:
@@ -140,15 +143,14 @@ def words(node: Node) -> list[str]:
 
 
 def allowed(node: Node) -> str:
-    """Return what a value may be, in words, such as `a whole number of at least 8`."""
+    """Return what a value may be, in words, such as `a whole number from 8 to 100`."""
     found = list(branches(node))
-    if len(found) > 1 and all("const" in branch for branch in found):
-        return "one of " + ", ".join(words(node))
     if len(found) > 1 and all("properties" in branch for branch in found):
         return f"a mapping of keys ({', '.join(_keys(found))})"
-    described = [_allowed_branch(branch) for branch in found]
-    plain = [word for word in described if word.count(" ") == 0]
-    return " or ".join([*(word for word in described if word not in plain), *plain])
+    if len(found) > 1 and len(known := words(node)) == len(found):
+        return "one of " + ", ".join(known)
+    # Words such as auto stand last.
+    return " or ".join(sorted(map(_allowed_branch, found), key=lambda text: " " not in text))
 
 
 def _allowed_branch(node: Node) -> str:
@@ -158,7 +160,11 @@ def _allowed_branch(node: Node) -> str:
         return "one of " + ", ".join(node["enum"])
     kind = node.get("type")
     if kind == "array":
-        return _allowed_list(node)
+        least, most, items = node.get("minItems", 0), node.get("maxItems"), resolve(node["items"])
+        number = f"{least} to {most}" if most else f"{least} or more"
+        number = f"{least}" if least == most else number
+        each = "a mapping" if "properties" in items else allowed(items)
+        return f"a list of {number}, each {each}"
     if kind == "object":
         keys = list(node.get("properties", {}))
         return f"a mapping of keys ({', '.join(keys)})" if keys else "a mapping"
@@ -166,44 +172,17 @@ def _allowed_branch(node: Node) -> str:
         return NAME_WORDS
     if "maxLength" in node:
         return f"text of at most {node['maxLength']} characters"
-    return _KINDS[str(kind)] + _bounds(node)
-
-
-def _allowed_list(node: Node) -> str:
-    items = resolve(node["items"])
-    least, most = node.get("minItems"), node.get("maxItems")
-    if is_section(items) and len(list(branches(items))) == 1:
-        return "a list of mappings" if most is None else f"a list of at most {most} mappings"
-    if len(list(branches(items))) > 1:
-        number = "values" if most is None else f"{most}" if least == most else f"at most {most}"
-        return f"a list of {number}, each {allowed(items)}"
-    each = _allowed_branch(items).removeprefix("a ")
-    word = "list" if items.get("type") == "array" else "number"
-    each = each.replace(word, f"{word}s", 1)
-    if least is not None and least == most:
-        return f"a list of {least} {each}"
-    if most is not None:
-        return f"a list of {least or 0} to {most} {each}"
-    if not least:
-        return f"a list of {each}"
-    return f"a list of one or more {each.replace('one of', 'of', 1)}"
-
-
-def _bounds(node: Node) -> str:
-    if "minimum" not in node:
-        return ""
-    low, high = node["minimum"], node["maximum"]
+    low, high = node.get("minimum"), node.get("maximum")
     if (low, high) == (SMALLEST, LARGEST):
-        return f" above zero ({_number(low)} to {_number(high)})"
-    return f" from {_number(low)} to {_number(high)}"
+        return f"a number above zero ({_number(low)} to {_number(high)})"
+    if low is None or high is None:
+        return _KINDS[str(kind)]
+    return f"{_KINDS[str(kind)]} from {_number(low)} to {_number(high)}"
 
 
-def _number(value: float) -> str:
-    return (
-        str(value)
-        if isinstance(value, int)
-        else f"{value:g}".replace("e+", "e").replace("e-0", "e-")
-    )
+def _number(value: Any) -> str:
+    text = str(value) if isinstance(value, int) else f"{value:g}"
+    return text.replace("e+", "e").replace("e-0", "e-")
 
 
 def problems_of(error: ValidationError, data: Any) -> list[Problem]:
@@ -212,24 +191,25 @@ def problems_of(error: ValidationError, data: Any) -> list[Problem]:
     Those beyond `MAX_PROBLEMS` are counted by whoever shows them: they have no words.
     """
     found: dict[Path, tuple[Any, str]] = {}
+    scene = kind_of(data)
     for complaint in error.errors(include_url=False, include_context=False, include_input=False):
-        kind = "name" if complaint["loc"][-1:] == ("[key]",) else complaint["type"]
-        location = complaint["loc"]
+        location, kind = complaint["loc"], complaint["type"]
         if kind in _KIND_OF_SCENE:
             location, kind = (*location, "kind"), _KIND_OF_SCENE[kind]
+        if location[-1:] == ("[key]",):
+            kind = "name"
         path, value = _locate(location, kind, data)
         if kind == "value_error":
             text = complaint["msg"].removeprefix("Value error, ")
-            path, reason = _place_named(path, text, value, kind_of(data))
+            path, reason = _place_named(path, text, value, scene)
             found[path] = (reason, kind)
         found.setdefault(path, (value, kind))
     # A value that fits none of several kinds fails for each; the complaint that goes deepest tells.
     parents = {path[:depth] for path in found for depth in range(len(path))}
     told = [path for path in found if path not in parents]
-    scene = kind_of(data)
     return [
-        *(Problem(path, _reason(path, *found[path], scene)) for path in told[:MAX_PROBLEMS]),
-        *(Problem(path, "") for path in told[MAX_PROBLEMS:]),
+        Problem(path, _reason(path, *found[path], scene) if n < MAX_PROBLEMS else "")
+        for n, path in enumerate(told)
     ]
 
 
@@ -246,12 +226,11 @@ def _locate(location: tuple[int | str, ...], kind: str, data: Any) -> tuple[Path
     """Drop from pydantic's location what names a kind of value rather than a key."""
     path: list[str | int] = []
     for i, segment in enumerate(location):
-        if isinstance(data, dict) and segment in data:
-            data = data[str(segment)]
-        elif isinstance(data, list) and isinstance(segment, int) and segment < len(data):
+        try:
             data = data[segment]
-        elif not (kind == "missing" and i == len(location) - 1):
-            continue
+        except (LookupError, TypeError):
+            if i > 0 and (kind != "missing" or i < len(location) - 1):
+                continue
         path.append(segment)
     return tuple(path), data
 
@@ -261,21 +240,18 @@ def _reason(path: Path, value: Any, kind: str, scene: str) -> str:
     if kind == "value_error":
         return str(value)
     if kind == "extra_forbidden":
-        return f"unknown key; {_nearest_key(path, scene)}"
+        word = str(path[-1])
+        elsewhere = (other for other in key_paths(kind=scene) if other[-1] == word)
+        if (found := next(elsewhere, None)) is not None:
+            return f"unknown key; did you mean {show_path(found)}?"
+        return f"unknown key; {nearest(word, known_keys(path[:-1], scene))}"
     if kind == "name":
         return f"must be {NAME_WORDS}"
-    node = node_at(path, scene)
-    may_be = allowed(node) if node is not None else "something else"
+    node = node_at(path, scene) or {}
+    may_be = allowed(node) if node else "something else"
     if kind == "missing":
         return f"is missing; it must be {may_be}"
-    known = words(node) if node is not None else []
-    close = get_close_matches(value, known, n=1, cutoff=0.5) if isinstance(value, str) else []
+    known = words(node) if isinstance(value, str) else []
+    close = get_close_matches(str(value), known, n=1, cutoff=0.5)
     hint = f"; did you mean {close[0]}?" if close else ""
-    return f"must be {may_be}; got {show(value)}{hint}"
-
-
-def _nearest_key(path: Path, scene: str) -> str:
-    word, known = str(path[-1]), known_keys(path[:-1], scene)
-    elsewhere = (other for other in key_paths(kind=scene) if other[-1] == word)
-    found = next(elsewhere, None)
-    return f"did you mean {show_path(found)}?" if found else nearest(word, known)
+    return f"must be {may_be}; got {quoted(value)}{hint}"

@@ -1,18 +1,14 @@
 """The sections of a case file on bases, reduced models and their comparison.
 
 `sphrom.case.full_model_sections` holds those of the full model, `sphrom.case.scenes` the scenes and
-the defaults that differ for other kinds of scene than a periodic flow. A closure is added to
-`PROJECTIONS`, in `sphrom.reduction.particle_model` (its equations) and in
-`sphrom.online.basis_model` (how a case sets it up).
+the defaults that differ for other kinds of scene than a periodic flow.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Annotated, Final, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from sphrom.case.fields import (
     Coordinate,
@@ -25,7 +21,7 @@ from sphrom.case.fields import (
     Whole,
     key,
 )
-from sphrom.case.points import REYNOLDS, Interval, Listed, ReynoldsValues, ordered
+from sphrom.case.points import REYNOLDS, Interval, Listed, ReynoldsValues
 from sphrom.case.study_sections import FigureSection
 from sphrom.text import exact, repeated
 
@@ -33,62 +29,15 @@ ProjectionName = Literal["galerkin", "apg"]
 EvaluationName = Literal["particles", "operators"]
 
 
-@dataclass(frozen=True)
-class Projection:
-    """A way to project the rates onto the modes."""
-
-    title: str
-    """As tables and plots name it."""
-    keys: frozenset[str]
-    """Keys of a reduced model that are for this projection, and not for all."""
-    has_memory: bool = False
-    """Whether its closure has a memory length, and projected operators of its own."""
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """A way to compute the rates of a reduced model."""
-
-    title: str
-    """What the name of a model says of it in tables and plots; nothing for projected operators."""
-    keys: frozenset[str]
-    """Keys of a reduced model that are for this evaluation, and not for all."""
-    projections: tuple[ProjectionName, ...]
-    """The projections that it can be combined with."""
-    from_operators: bool
-    """Whether its rates are polynomials of the coordinates alone. Otherwise they are evaluated on
-    moving particles, and a run needs and makes a trajectory."""
-
-
-PROJECTIONS: Mapping[str, Projection] = {
-    "galerkin": Projection("Galerkin", frozenset({"calibrated"})),
-    "apg": Projection("APG", frozenset({"memory_length"}), has_memory=True),
-}
-EVALUATIONS: Mapping[str, Evaluation] = {
-    "particles": Evaluation(
-        ", on particles",
-        frozenset({"advection"}),
-        ("galerkin", "apg"),
-        from_operators=False,
+_ONLY_FOR = {
+    ("projection", "galerkin"): ("calibrated",),
+    ("projection", "apg"): ("memory_length",),
+    ("evaluation", "particles"): ("advection",),
+    ("evaluation", "operators"): (
+        "output", "calibrated", "corrected", "integrated_modes", "until", "steady",
     ),
-    "operators": Evaluation(
-        "",
-        frozenset(
-            {
-                "output",
-                "calibrated",
-                "corrected",
-                "integrated_modes",
-                "until",
-                "steady",
-            }
-        ),
-        ("galerkin", "apg"),
-        from_operators=True,
-    ),
-}
-
-
+}  # fmt: skip
+"""Keys of a reduced model that mean something for one projection or evaluation alone."""
 ALL = "all"
 """The name of the basis that is trained on every training value."""
 AUTO: Final = "auto"
@@ -99,11 +48,6 @@ ROWS = ("full", "map", "exact")
 """Names of rows of the comparison that no reduced model may have."""
 BEST = "best"
 """How the names of other such rows begin."""
-_KINDS: dict[str, Mapping[str, Projection | Evaluation]] = {
-    "projection": PROJECTIONS,
-    "evaluation": EVALUATIONS,
-}
-"""What a reduced model has to be for some of its keys to mean something."""
 
 
 class ReferenceSection(Section):
@@ -127,10 +71,7 @@ class SubsetSection(Section):
     reynolds: ReynoldsValues | None = key(
         None, "those of the training values it learns from; needed without a box", unit="-"
     )
-    interval: (
-        Annotated[tuple[Positive, ...], Field(min_length=2, max_length=2), AfterValidator(ordered)]
-        | None
-    ) = key(
+    interval: Interval | None = key(
         None,
         "Reynolds numbers that it is the local basis of: from the first up to, without, the "
         "second; null is the range that it learns from, and one of no width is never local",
@@ -283,46 +224,32 @@ class ReducedModelSection(Section):
         name = self.name.casefold()
         if name in ROWS or name.startswith(BEST):
             raise ValueError(
-                f"name: the comparison has rows of its own that are called {', '.join(ROWS)} or "
-                f"begin with {BEST}; choose another name than {self.name}"
+                f"name: {self.name} is a row of the comparison, as are {', '.join(ROWS)} and names "
+                f"that begin with {BEST}; choose another"
             )
-        for kind, kinds in _KINDS.items():
-            for one in self._changed:
-                owners = [name for name, known in kinds.items() if one in known.keys]
-                if owners and getattr(self, kind) not in owners:
-                    raise ValueError(f"{one}: is only for {kind}: {' or '.join(owners)}")
-        projections = EVALUATIONS[self.evaluation].projections
-        if self.projection not in projections:
-            raise ValueError(f"evaluation: is only for projection: {' or '.join(projections)}")
+        for (kind, value), keys in _ONLY_FOR.items():
+            for one in keys:
+                given, usual = getattr(self, one), type(self).model_fields[one].default
+                # A key that is off asks for nothing, whatever its default.
+                if given is not False and given != usual and getattr(self, kind) != value:
+                    raise ValueError(f"{one}: is only for {kind}: {value}")
         self._check_modes()
         return self
-
-    @property
-    def _changed(self) -> list[str]:
-        """The keys that ask for something: those that are off don't, whatever their default."""
-        given = {key: getattr(self, key) for key in type(self).model_fields}
-        usual = {key: field.default for key, field in type(self).model_fields.items()}
-        return [key for key, value in given.items() if value is not False and value != usual[key]]
 
     def _check_modes(self) -> None:
         """Raise ValueError for modes that training runs can neither choose nor predict."""
         n_modes, integrated = self.n_modes, self.integrated_modes
         if n_modes == AUTO and not (self.from_operators and self.is_calibrated):
-            raise ValueError(
-                "n_modes: auto is for models with evaluation: operators that are calibrated; give "
-                "a number"
-            )
+            reason = "auto is for models with evaluation: operators that are calibrated"
+            raise ValueError(f"n_modes: {reason}; give a number")
         if integrated == AUTO:
             return
-        if n_modes == AUTO:
+        if n_modes == AUTO or integrated > n_modes:
             raise ValueError(
-                "integrated_modes: where n_modes is auto, training runs choose integrated_modes too"
+                f"integrated_modes: is at most n_modes, and auto where that is; got {integrated}"
             )
-        if integrated > n_modes:
-            raise ValueError(f"integrated_modes: is at most n_modes, {n_modes}; got {integrated}")
         if integrated < n_modes and self.has_memory:
-            words = f"projection: {self.projection} integrates all modes"
-            raise ValueError(f"integrated_modes: {words}")
+            raise ValueError("integrated_modes: projection: apg integrates all modes")
 
     @property
     def size(self) -> int:
@@ -342,19 +269,19 @@ class ReducedModelSection(Section):
     @property
     def from_operators(self) -> bool:
         """Whether its rates are polynomials, from operators that are projected once."""
-        return EVALUATIONS[self.evaluation].from_operators
+        return self.evaluation == "operators"
 
     @property
     def is_calibrated(self) -> bool:
         """Whether its rates are fitted to the training runs, if these have snapshots enough."""
         if self.calibrated == "auto":
-            return self.from_operators and "calibrated" in PROJECTIONS[self.projection].keys
+            return self.from_operators and not self.has_memory
         return self.calibrated
 
     @property
     def has_memory(self) -> bool:
         """Whether its closure has a memory length, and projected operators of its own."""
-        return PROJECTIONS[self.projection].has_memory
+        return self.projection == "apg"
 
 
 class OperatorSection(Section):

@@ -8,17 +8,16 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Iterator, Mapping
-from difflib import get_close_matches
 from pathlib import Path as FilePath
 from typing import Any, get_args
 
 from sphrom.case import schema
-from sphrom.case.messages import Path
 from sphrom.case.models import Case
 from sphrom.case.scenes import AnyScene, kind_of_section
-from sphrom.case.sections import PROJECTIONS
-from sphrom.case.yaml_reader import dump_yaml
+from sphrom.case.sections import ProjectionName
+from sphrom.case.yaml_reader import Path, dump_yaml
 from sphrom.errors import CaseError
+from sphrom.text import nearest, quoted
 
 WIDTH = 100
 INDENT = "  "
@@ -43,9 +42,8 @@ def example(name: str) -> FilePath:
     """Return the case file of a name. Raises CaseError for a name that none has."""
     known = examples()
     if name not in known:
-        close = get_close_matches(name, known, n=1, cutoff=0.3)
-        hint = f"did you mean {close[0]}?" if close else "`sphrom case examples` lists them"
-        raise CaseError(f"no case that comes with sphrom is called {name!r}; {hint}")
+        hint = nearest(name, known)
+        raise CaseError(f"no case that comes with sphrom is called {quoted(name)}; {hint}")
     return known[name]
 
 
@@ -67,9 +65,8 @@ def require_kind(kind: str | None) -> str:
     if kind in titles:
         return str(kind)
     kinds = "\n".join(f"  {name:18} {title}" for name, title in titles.items())
-    close = get_close_matches(kind, titles, n=1, cutoff=0.3) if kind else []
-    hint = f"did you mean {close[0]}? " if close else ""
-    wrong = "KIND: is missing" if kind is None else f"no scene is of kind {kind!r}"
+    wrong = "KIND: is missing" if kind is None else f"no scene is of kind {quoted(kind)}"
+    hint = "" if kind is None else f"{nearest(kind, titles)} "
     raise CaseError(f"{wrong}; {hint}the kinds are\n{kinds}")
 
 
@@ -89,18 +86,18 @@ def new_case(kind: str | None, *, full: bool = False) -> str:
 def _example(kind: str) -> Case:
     least = {"name": f"my-{kind}", "scene": {"kind": kind}}
     (reynolds,) = Case.model_validate(least).parameters.train.reynolds
-    values = {"train": (reynolds, 2.0 * reynolds), "test": (1.5 * reynolds,)}
+    models = [
+        {"name": f"{name}-m5", "projection": name, "n_modes": 5}
+        for name in get_args(ProjectionName)
+    ]
     return Case.model_validate(
         {
             **least,
-            "parameters": {group: {"reynolds": given} for group, given in values.items()},
-            "rom": [
-                {"name": "fast-m5", "evaluation": "operators", "n_modes": 5},
-                *(
-                    {"name": f"{projection}-m5", "projection": projection, "n_modes": 5}
-                    for projection in PROJECTIONS
-                ),
-            ],
+            "parameters": {
+                "train": {"reynolds": (reynolds, 2.0 * reynolds)},
+                "test": {"reynolds": (1.5 * reynolds,)},
+            },
+            "rom": [{"name": "fast-m5", "evaluation": "operators", "n_modes": 5}, *models],
             "sweep": {"reynolds": {"low": reynolds, "high": 2.0 * reynolds, "count": 11}},
         }
     )
@@ -117,21 +114,20 @@ def _section(values: dict[str, Any], path: Path, indent: str, kind: str) -> Iter
             yield from _section(value, at, indent + INDENT, kind)
         elif isinstance(value, list) and value and isinstance(value[0], dict):
             yield f"{indent}{key}:"
-            yield from _list(value, at, indent + INDENT, kind)
+            for i, entry in enumerate(value):
+                yield from _entry(entry, (*at, i), indent + 2 * INDENT, kind)
         else:
             yield f"{indent}{key}: {_inline(value)}"
 
 
-def _list(entries: list[dict[str, Any]], path: Path, indent: str, kind: str) -> Iterator[str]:
-    """Explain the keys of the first entry, and list the others."""
-    for i, entry in enumerate(entries):
-        lines = list(_section(entry, (*path, i), indent + INDENT, kind))
-        first = next(n for n, line in enumerate(lines) if not line.lstrip().startswith("#"))
-        yield from lines[:first] if i == 0 else ()
-        yield f"{indent}- {lines[first].lstrip()}"
-        for line in lines[first + 1 :]:
-            if i == 0 or not line.lstrip().startswith("#"):
-                yield line
+def _entry(entry: dict[str, Any], path: Path, indent: str, kind: str) -> Iterator[str]:
+    """Yield an entry of a list; the keys of the first one are explained."""
+    lines = list(_section(entry, path, indent, kind))
+    if path[-1] != 0:
+        lines = [line for line in lines if not line.lstrip().startswith("#")]
+    first = next(n for n, line in enumerate(lines) if not line.lstrip().startswith("#"))
+    lines[first] = f"{indent[: -len(INDENT)]}- {lines[first].lstrip()}"
+    yield from lines
 
 
 def _comment(path: Path, indent: str, kind: str) -> Iterator[str]:
@@ -141,9 +137,8 @@ def _comment(path: Path, indent: str, kind: str) -> Iterator[str]:
         text += f" [{unit}]"
     if not schema.is_section(node):
         text += f"; {schema.allowed(node)}"
-    yield from textwrap.wrap(
-        text, WIDTH, initial_indent=indent + "# ", subsequent_indent=indent + "# "
-    )
+    begin = indent + "# "
+    yield from textwrap.wrap(text, WIDTH, initial_indent=begin, subsequent_indent=begin)
 
 
 def _inline(value: Any) -> str:

@@ -13,13 +13,13 @@ from typing import Any
 
 import yaml
 
-from sphrom.case.messages import Path, Problem, is_unicode
+from sphrom.text import quoted, shortened
 
+Path = tuple[str | int, ...]
+"""The keys that lead to a value, and the places in lists, counted from 0."""
 MAX_VALUES = 10_000
 """Values of one file, those behind aliases counted each time they are used."""
 MAX_DEPTH = 20
-MAX_DIGITS = 400
-"""Digits of one number: more than any float can tell apart."""
 _TAG = "tag:yaml.org,2002:"
 _IMPLICIT = {
     "null": (r"~|null|Null|NULL|", "~nN\0"),
@@ -33,22 +33,34 @@ _IMPLICIT = {
 }
 
 
+@dataclass(frozen=True)
+class Problem:
+    """One thing that is wrong, the path of the key it is about, and its line where it differs."""
+
+    path: Path
+    reason: str
+    line: int | None = None
+
+    def __str__(self) -> str:
+        return f"{show_path(self.path)}: {self.reason}" if self.path else self.reason
+
+
+def show_path(path: Path) -> str:
+    """Return a path as it is written for --set, such as `rom.0.n_modes`."""
+    return ".".join(
+        shortened(str(segment), 60)
+        if re.fullmatch(r"[\w-]+", str(segment), re.ASCII)
+        else quoted(segment)
+        for segment in path
+    )
+
+
 class InvalidText(Exception):
     """The text as a whole can't be read."""
 
     def __init__(self, reason: str, line: int | None = None) -> None:
         super().__init__(reason)
         self.reason, self.line = reason, line
-
-
-@dataclass
-class Document:
-    """What a text holds."""
-
-    value: Any = None
-    lines: dict[Path, int] = field(default_factory=dict)
-    """The line, from 1, of each key and list entry."""
-    problems: list[Problem] = field(default_factory=list)
 
 
 class Loader(yaml.SafeLoader):
@@ -62,11 +74,8 @@ class Loader(yaml.SafeLoader):
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         self.depth += 1
-        if self.depth > MAX_DEPTH:
-            raise InvalidText(f"nests deeper than {MAX_DEPTH} levels", self.line + 1)
         self.n_nodes += 1
-        if self.n_nodes > 2 * MAX_VALUES:  # a value and its key
-            raise InvalidText(f"holds more than {MAX_VALUES} values", self.line + 1)
+        _require_small(self.depth, self.n_nodes // 2, self.line + 1)  # a value and its key
         node = super().compose_node(parent, index)
         self.depth -= 1
         return node
@@ -85,6 +94,13 @@ for _class in (Loader, Dumper):
     for _name, (_pattern, _first) in _IMPLICIT.items():
         _starts = [character if character != "\0" else "" for character in _first]
         _class.add_implicit_resolver(_TAG + _name, re.compile(f"(?:{_pattern})\\Z"), _starts)
+
+
+def _require_small(depth: int, n_values: int, line: int) -> None:
+    if depth > MAX_DEPTH:
+        raise InvalidText(f"nests deeper than {MAX_DEPTH} levels", line)
+    if n_values > MAX_VALUES:
+        raise InvalidText(f"holds more than {MAX_VALUES} values", line)
 
 
 def dump_yaml(value: Any) -> str:
@@ -112,64 +128,57 @@ def read_yaml(text: str) -> Document:
         raise InvalidText("not valid YAML: an escaped character does not exist") from error
     document = Document()
     if node is not None:
-        document.value = _Conversion(document).value(node, ())
+        document.value = document.convert(node, ())
     return document
 
 
-class _Conversion:
-    """Turns nodes into plain values, within a budget that aliases can't outgrow."""
+@dataclass
+class Document:
+    """What a text holds."""
 
-    def __init__(self, document: Document) -> None:
-        self._document = document
-        self._budget = MAX_VALUES
+    value: Any = None
+    lines: dict[Path, int] = field(default_factory=dict)
+    """The line, from 1, of each key and list entry."""
+    problems: list[Problem] = field(default_factory=list)
+    n_values: int = 0
+    """Values so far, those behind aliases counted each time."""
 
-    def value(self, node: yaml.Node, path: Path) -> Any:
+    def convert(self, node: yaml.Node, path: Path) -> Any:
+        """Return a node as plain values."""
         line = node.start_mark.line + 1
-        self._document.lines.setdefault(path, line)
-        self._budget -= 1
-        if self._budget < 0:
-            raise InvalidText(f"holds more than {MAX_VALUES} values", line)
-        if len(path) > MAX_DEPTH:
-            raise InvalidText(f"nests deeper than {MAX_DEPTH} levels", line)
-        if isinstance(node, yaml.MappingNode) and node.tag == _TAG + "map":
+        self.lines.setdefault(path, line)
+        self.n_values += 1
+        _require_small(len(path), self.n_values, line)
+        kind = node.tag.removeprefix(_TAG)
+        if isinstance(node, yaml.MappingNode) and kind == "map":
             return self._mapping(node, path)
-        if isinstance(node, yaml.SequenceNode) and node.tag == _TAG + "seq":
-            return [self.value(item, (*path, i)) for i, item in enumerate(node.value)]
-        if isinstance(node, yaml.ScalarNode):
-            return self._scalar(node, path)
-        return self._refuse(path, line, f"tags are not allowed; got {node.tag}")
+        if isinstance(node, yaml.SequenceNode) and kind == "seq":
+            return [self.convert(item, (*path, i)) for i, item in enumerate(node.value)]
+        if isinstance(node, yaml.ScalarNode) and kind == "str":
+            return str(node.value)
+        if kind not in _IMPLICIT or not re.fullmatch(_IMPLICIT[kind][0], str(node.value)):
+            return self._refuse(path, line, f"tags are not allowed; got {node.tag}")
+        text = str(node.value).replace("_", "").lower()
+        if kind in ("null", "bool"):
+            return None if kind == "null" else text == "true"
+        try:
+            return int(text) if kind == "int" else float(re.sub(r"\.(?=inf|nan)", "", text))
+        except ValueError:  # Python reads no more than some thousand digits
+            return self._refuse(path, line, "a number of too many digits")
 
     def _mapping(self, node: yaml.MappingNode, path: Path) -> dict[str, Any]:
         values: dict[str, Any] = {}
         for key_node, value_node in node.value:
-            line = key_node.start_mark.line + 1
-            if not isinstance(key_node, yaml.ScalarNode) or not is_unicode(key_node.value):
+            key, line = key_node.value, key_node.start_mark.line + 1
+            if not isinstance(key_node, yaml.ScalarNode):
                 self._refuse(path, line, "a key must be text")
-                continue
-            key = key_node.value
-            if key in values:
-                first = self._document.lines[(*path, key)]
+            elif key in values:
+                first = self.lines[(*path, key)]
                 self._refuse((*path, key), line, f"appears twice, first in line {first}")
-                continue
-            self._document.lines[(*path, key)] = line
-            values[key] = self.value(value_node, (*path, key))
+            else:
+                self.lines[(*path, key)] = line
+                values[key] = self.convert(value_node, (*path, key))
         return values
 
-    def _scalar(self, node: yaml.ScalarNode, path: Path) -> Any:
-        text, kind = str(node.value), node.tag.removeprefix(_TAG)
-        line = node.start_mark.line + 1
-        if kind == "str":
-            return text if is_unicode(text) else self._refuse(path, line, "is not Unicode text")
-        if kind not in _IMPLICIT or not re.fullmatch(_IMPLICIT[kind][0], text):
-            return self._refuse(path, line, f"tags are not allowed; got {node.tag}")
-        if kind == "null":
-            return None
-        if kind == "bool":
-            return text.lower() == "true"
-        if len(text) > MAX_DIGITS:
-            return self._refuse(path, line, f"a number has at most {MAX_DIGITS} digits")
-        text = text.replace("_", "").lower()
-        return int(text) if kind == "int" else float(re.sub(r"\.(?=inf|nan)", "", text))
-
     def _refuse(self, path: Path, line: int, reason: str) -> None:
-        self._document.problems.append(Problem(path, reason, line))
+        self.problems.append(Problem(path, reason, line))

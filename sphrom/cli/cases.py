@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from sphrom.cli import completion
-from sphrom.cli.options import Options, command, run_stage
+from sphrom.cli.options import Options, command, option, run_stage
 from sphrom.console import tell
 from sphrom.errors import CaseError
 from sphrom.whole_files import open_to_write
@@ -19,8 +19,7 @@ cases = typer.Typer(
 )
 KINDS = "One of taylor-green, lid-driven-cavity, open-cavity, or custom: a flow of your own."
 Output = Annotated[
-    Path | None,
-    typer.Option("--output", "-o", metavar="FILE", help="Write there, not to the terminal."),
+    Path | None, option("FILE", "Write there, not to the terminal.", "--output", "-o")
 ]
 Force = Annotated[bool, typer.Option("--force", help="Write over a file.")]
 
@@ -51,11 +50,11 @@ def draw(
     options: Options,
     output: Annotated[
         Path | None,
-        typer.Option(
+        option(
+            "FILE",
+            "Where to, PNG or SVG by how it ends.  [default: <name of the case>.png]",
             "--output",
             "-o",
-            metavar="FILE",
-            help="Where to, PNG or SVG by how it ends.  [default: <name of the case>.png]",
         ),
     ] = None,
 ) -> None:
@@ -76,8 +75,8 @@ def show(options: Options) -> None:
     Example:
       sphrom case show cases/lid_driven_cavity_demo.yaml
     """
-    from sphrom.case.identity import resolved_yaml
     from sphrom.case.loader import load_case
+    from sphrom.case.models import resolved_yaml
 
     case = load_case(options.case, options.overrides or (), options.force)
     print(resolved_yaml(case), end="")
@@ -127,8 +126,7 @@ def examples(
         ),
     ] = None,
     output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", metavar="FILE", help="Write there.  [default: NAME.yaml]"),
+        Path | None, option("FILE", "Write there.  [default: NAME.yaml]", "--output", "-o")
     ] = None,
     force: Force = False,
 ) -> None:

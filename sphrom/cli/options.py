@@ -26,6 +26,11 @@ SIGINT_IS_IGNORED = (
 )
 
 
+def option(metavar: str, text: str, *names: str, **more: Any) -> Any:
+    """Return an option, by default called as its parameter, with the name of its value and help."""
+    return typer.Option(*names, metavar=metavar, help=text, **more)
+
+
 @dataclass(frozen=True)
 class Options:
     """The options that several commands have; each is declared here, with its help."""
@@ -40,58 +45,49 @@ class Options:
         ),
     ]
     out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR", help="Folder of the artifacts.  [default: runs/<name of the case>]"
-        ),
+        Path | None, option("DIR", "Folder of the artifacts.  [default: runs/<name of the case>]")
     ] = None
     overrides: Annotated[
         list[str] | None,
-        typer.Option(
+        option(
+            "KEY=VALUE",
+            "Change a key of the case, such as time.step=1e-3.",
             "--set",
-            metavar="KEY=VALUE",
-            help="Change a key of the case, such as time.step=1e-3.",
             autocompletion=completion.keys,
         ),
     ] = None
     force: Annotated[
-        bool,
-        typer.Option("--force", help="Write over files; insist on a step beyond its limit."),
+        bool, typer.Option("--force", help="Write over files; insist on a step beyond its limit.")
     ] = False
-    threads: Annotated[
-        int | None,
-        typer.Option(min=1, metavar="N", help="Threads to use.  [default: all cores]"),
-    ] = None
+    threads: Annotated[int | None, option("N", "Threads to use.  [default: all cores]", min=1)] = (
+        None
+    )
     quiet: Annotated[bool, typer.Option("--quiet", help="Show warnings and results only.")] = False
     verbose: Annotated[bool, typer.Option("--verbose", help="Show details and all tables.")] = False
     log: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Add what the command says, with details, to this file.  [default: sphrom.log, "
-            "beside the artifacts]",
+        option(
+            "FILE",
+            "Log all that the command says.  [default: sphrom.log, beside the artifacts]",
         ),
     ] = None
     only: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="NAME=VALUE[,...]",
-            help="At these parameter values only; with rom and export also a MODEL's name, for "
-            "this model only. May be repeated.",
+        option(
+            "NAME=VALUE[,...]",
+            "Only these parameter values; of rom and export also a MODEL. May be repeated.",
             autocompletion=completion.values,
         ),
     ] = None
     resume: Annotated[
-        bool,
-        typer.Option("--resume", help="Go on from the checkpoints of runs that were stopped."),
+        bool, typer.Option("--resume", help="Go on from the checkpoints of runs that were stopped.")
     ] = False
     checkpoint_every: Annotated[
         float,
-        typer.Option(
+        option(
+            "SECONDS",
+            "Least time from one checkpoint to the next; 0 is after every step.",
             min=0.0,
-            metavar="SECONDS",
-            help="Time from one checkpoint of a run to the next, more where writing takes long; 0 "
-            "is after every step.",
         ),
     ] = 60.0
 

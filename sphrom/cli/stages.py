@@ -17,6 +17,7 @@ from sphrom.cli.options import (
     WITHOUT_THREADS,
     Options,
     command,
+    option,
     parameters_of,
     run_stage,
 )
@@ -26,18 +27,14 @@ from sphrom.exchange.import_options import ImportOptions
 stages = typer.Typer()
 Scheduler = Annotated[
     str | None,
-    typer.Option(
-        metavar="ADDRESS",
-        help="Run on the workers of this Dask scheduler, such as tcp://node1:8786.",
-    ),
+    option("ADDRESS", "Run on the workers of this Dask scheduler, such as tcp://node1:8786."),
 ]
 Workers = Annotated[
     int | None,
-    typer.Option(
+    option(
+        "N",
+        "Processes to run at once.  [default: all cores; while train chooses, one]",
         min=1,
-        metavar="N",
-        help="Processes to run at once.  [default: as many as there are cores and memory; while "
-        "train chooses, one]",
     ),
 ]
 OF_FILES = ("case", "out", "overrides", "force", "quiet", "only")
@@ -176,10 +173,9 @@ def trade(
     options: Options,
     tolerance: Annotated[
         str | None,
-        typer.Option(
-            metavar="PERCENT",
-            help="Name the cheapest model within it, such as 1% of velocity and pressure "
-            "alike, or 0.5%,3% of each.",
+        option(
+            "PERCENT",
+            "Name the cheapest model within 1%, or 0.5%,3% of velocity and pressure.",
         ),
     ] = None,
     extremes: Annotated[
@@ -210,8 +206,7 @@ def sweep(
     workers: Workers = None,
     scheduler: Scheduler = None,
     shard: Annotated[
-        str | None,
-        typer.Option(metavar="I/N", help="Make the I-th of N shares only, as one job of a batch."),
+        str | None, option("I/N", "Make the I-th of N shares only, as one job of a batch.")
     ] = None,
     collect: Annotated[
         bool, typer.Option("--collect", help="Make no runs: gather those of the shards.")
@@ -253,17 +248,14 @@ def fit(
     ],
     noise: Annotated[
         str | None,
-        typer.Option(
-            metavar="PERCENT",
-            help="Standard deviation of the noise over each history's range, such as 1%, where no "
-            "column says one.",
+        option(
+            "PERCENT",
+            "Standard deviation of the noise over a history's range, such as 1%.",
         ),
     ] = None,
     name: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME", help="Name of the files: fit-NAME.h5.  [default: as the measurements]"
-        ),
+        option("NAME", "Name of the files: fit-NAME.h5.  [default: as the measurements]"),
     ] = None,
 ) -> None:
     """Find parameters from measured histories: fit-<name>.h5, .csv and .png.
@@ -282,22 +274,15 @@ def fit(
 @command(stages, "train")
 def train(
     options: Options,
-    tolerance: Annotated[
-        str | None,
-        typer.Option(metavar="PERCENT", help="Error allowed, such as 1%."),
-    ] = None,
-    budget: Annotated[
-        int | None,
-        typer.Option(min=2, metavar="N", help="Most full runs to learn from."),
-    ] = None,
+    tolerance: Annotated[str | None, option("PERCENT", "Error allowed, such as 1%.")] = None,
+    budget: Annotated[int | None, option("N", "Most full runs to learn from.", min=2)] = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
     write_case: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Where the case with the chosen points goes.  [default: training/case.yaml beside "
-            "the artifacts]",
+        option(
+            "FILE",
+            "The case with the chosen points.  [default: training/case.yaml beside artifacts]",
         ),
     ] = None,
 ) -> None:
@@ -333,9 +318,8 @@ def import_(
     ],
     write_case: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Write a case with the files' times and resolution, and import for that one.",
+        option(
+            "FILE", "Write a case with the files' times and resolution, and import for that one."
         ),
     ] = None,
     **own: Any,
@@ -368,21 +352,16 @@ def export(
     options: Options,
     to: Annotated[
         str,
-        typer.Option(
-            metavar="FORMAT",
-            help="vtu: a .pvd that lists one file for each step, for ParaView; csv: runs at some "
-            "points.",
+        option(
+            "FORMAT",
+            "vtu: a .pvd that lists files for ParaView; csv: runs at some points.",
         ),
     ] = "vtu",
     into: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR", help="Folder of the files.  [default: export, beside the artifacts]"
-        ),
+        Path | None, option("DIR", "Folder of the files.  [default: export, beside the artifacts]")
     ] = None,
     at: Annotated[
-        list[str] | None,
-        typer.Option(metavar="X,Y", help="A point [m] of csv; may be repeated.  [default: a line]"),
+        list[str] | None, option("X,Y", "A point [m] of csv; may be repeated.  [default: a line]")
     ] = None,
 ) -> None:
     """Write fields into files of their own, for ParaView and other programs.

@@ -20,7 +20,6 @@ from sphrom.compare.measured import (
 )
 from sphrom.compare.mode_figures import bases_used, spectrum_rows
 from sphrom.compare.references import compare_with_references
-from sphrom.compare.show import show
 from sphrom.compare.stored_comparison import ComparisonWriter
 from sphrom.compare.tables import (
     FILE,
@@ -30,6 +29,7 @@ from sphrom.compare.tables import (
     best_name,
     error_row,
     estimate_row,
+    show,
     wall_row,
 )
 from sphrom.errors import ArtifactError, CaseError
@@ -37,7 +37,7 @@ from sphrom.metrics.histories import compare
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.metrics.series import exponential_rate, flow_row, kinetic_energy
 from sphrom.online.stored_run import StoredRun
-from sphrom.scenes.scene import ExactFlow
+from sphrom.scenes.flows import ExactFlow
 from sphrom.setup.assembly import role_of
 from sphrom.setup.context import StageContext
 from sphrom.setup.particles import sampler

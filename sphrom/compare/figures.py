@@ -6,7 +6,6 @@ values from the bases.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from itertools import product
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.case.studies import Row, rows_of
+from sphrom.case.studies import rows_of
 from sphrom.case.study_sections import (
     FULL,
     ErrorFigure,
@@ -114,7 +113,6 @@ def _draw(workspace: Workspace, comparison: StoredComparison, figure: FigureSect
 def _draw_fields(workspace: Workspace, figure: FieldFigure) -> Figure:
     """Return fields at an instant, one that has become unstable at its last."""
     rows, frame = rows_of(workspace.case, figure), frame_of(workspace.case)
-    title = _titles(figure, rows)
     full: dict[ParameterPoint, _Snapshot] = {}
     for point in dict.fromkeys(point for _, some in rows for point in some):
         if (found := _snapshot(workspace, None, point, figure.time)) is None:
@@ -127,7 +125,8 @@ def _draw_fields(workspace: Workspace, figure: FieldFigure) -> Figure:
             found = full[point]
             if model is not None:
                 found = _snapshot(workspace, model, point, figure.time)
-            told, shown = title(point, model, quantity), found or full[point]
+            told, shown = FULL if model is None else model.name, found or full[point]
+            told += f"\n{point.label}"
             values = shown.values[quantity]
             if found is None:
                 told, values = f"{told}\nunstable at the start", np.full(len(values), np.nan)
@@ -141,23 +140,8 @@ def _draw_fields(workspace: Workspace, figure: FieldFigure) -> Figure:
         values = np.concatenate([found.values[quantity] for found in full.values()])
         scales[LABELS[quantity]] = (float(values.min()), float(values.max()))
     times = {f"{found.time:.4g}" for found in full.values()}
-    alone = [FULL] if figure.runs == ((FULL,),) else []
-    labels = alone + ([point.label for point in full] if len(full) == 1 else [])
-    heading = ", ".join([*labels, f"t = {' and '.join(sorted(times))} s"])
-    return draw_grid(panels, frame, scales=scales, title=heading)
-
-
-def _titles(figure: FieldFigure, rows: list[Row]) -> Callable[[ParameterPoint, Model, str], str]:
-    """Return the function that names panels: by all in which they differ."""
-    several_points = len({point for _, points in rows for point in points}) > 1
-    several_models = len({model and model.name for models, _ in rows for model in models}) > 1
-
-    def title(point: ParameterPoint, model: Model, quantity: str) -> str:
-        told = [FULL if model is None else model.name] if several_models else []
-        told += [point.label] if several_points else []
-        return ", ".join(told + ([quantity] if len(figure.quantities) > 1 else []))
-
-    return title
+    title = f"t = {' and '.join(sorted(times))} s"
+    return draw_grid(panels, frame, scales=scales, title=title)
 
 
 def _draw_errors(case: Case, comparison: StoredComparison, figure: ErrorFigure) -> Figure:

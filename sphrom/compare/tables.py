@@ -1,9 +1,9 @@
-"""The tables of a comparison: their rows, how errors become rows, and their files."""
+"""The tables of a comparison: their rows, how errors become rows, files, and the terminal."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 import numpy as np
@@ -12,6 +12,7 @@ from sphrom.artifacts import Artifact
 from sphrom.compare.costs import RunTiming, StageTiming
 from sphrom.compare.measured import MeasureRow
 from sphrom.compare.references import ReferenceRow
+from sphrom.console import Reporter
 from sphrom.metrics.histories import (
     EFFECTIVITY,
     ERRORS,
@@ -26,7 +27,17 @@ from sphrom.metrics.histories import (
 )
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.metrics.series import FlowRow
-from sphrom.plots.tables import about, columns, read_json, write_csv, write_json
+from sphrom.plots.tables import (
+    MISSING,
+    about,
+    columns,
+    flat,
+    format_figure,
+    headings,
+    read_json,
+    write_csv,
+    write_json,
+)
 from sphrom.reduction.error_calibration import FIELDS, LEFT_OUT
 from sphrom.store.workspace import Workspace
 
@@ -36,6 +47,11 @@ if TYPE_CHECKING:
 FILE = "compare.json"
 MADE_BY = "sphrom compare CASE"
 
+
+Cells = Mapping[str, Any]
+Cell = str | Callable[[Cells], str]
+Column = tuple[str, Cell]
+"""A heading, and the name of a figure or a function that gives the cell."""
 
 BEST = "best possible"
 AT_END = tuple(f"{quantity}_field_relative_l2_end" for quantity in QUANTITIES)
@@ -153,7 +169,7 @@ class Tables:
 
     def write(self, workspace: Workspace) -> None:
         """Write every table that has rows."""
-        tables = {each.name: rows for each in fields(self) if (rows := getattr(self, each.name))}
+        tables = {name: rows for name in RECORDS if (rows := getattr(self, name))}
         for name, rows in tables.items():
             write_csv(workspace.folder("tables") / f"{name}.csv", rows)
         origin = about(workspace.case.name, workspace.threads)
@@ -216,3 +232,108 @@ def estimate_row(
         role = "extrapolated"
     found = effectivity(estimates, run, reference, probes, from_time=from_time, left_out=LEFT_OUT)
     return None if found is None else EstimateRow(compared, parameters, role, found)
+
+
+def show(report: Reporter, tables: Tables) -> None:
+    """Show errors, estimates and measurements; errors near walls and costs as details."""
+    errors = [r for r in tables.errors if "full" in (r.against, r.compared)]
+    _show(report, errors, *NORMS)
+    _show(report, tables.estimates, *ESTIMATES)
+    _show(report, tables.measures, *MEASURES)
+    unsettled = [r for r in tables.reference if not r.settled]
+    if unsettled:
+        where = ", ".join(dict.fromkeys(r.parameters for r in unsettled))
+        change = max(r.last_change or 0.0 for r in unsettled)
+        report.info(
+            f"{where}: the flow still changed over the last tenth of the run, by up to "
+            f"{format_figure(100.0 * change)} % of U or rho U^2: no steady profile is shown"
+        )
+    settled = [r for r in tables.reference if r.settled]
+    for title, rows in (
+        ("errors near walls, within a support radius, and farther in", tables.walls),
+        ("full runs against reference solutions, means over the time from and to", settled),
+        ("the flow", tables.flow),
+        ("decay of the full run's kinetic energy", tables.decay),
+        ("cost of the time steps, writing left out", tables.timings),
+    ):
+        _show_whole(report.details, title, rows)
+
+
+def _show(
+    report: Reporter, rows: Sequence[DataclassInstance], title: str, columns: Sequence[Column]
+) -> None:
+    """Show columns of rows, if there are any."""
+    if rows:
+        cells = [
+            [cell(r) if callable(cell) else format_figure(r[cell]) for _, cell in columns]
+            for r in map(flat, rows)
+        ]
+        report.table(title, [heading for heading, _ in columns], cells)
+
+
+def _show_whole(report: Reporter, title: str, rows: Sequence[DataclassInstance]) -> None:
+    """Show all columns of rows, as their file has them."""
+    if rows:
+        names = [heading.replace("_", " ") for heading in headings(type(rows[0]))]
+        report.table(title, names, [[*map(format_figure, flat(r).values())] for r in rows])
+
+
+def _norm(name: str) -> Callable[[Cells], str]:
+    """Return the cell of an error over all instants / at the worst one."""
+
+    def cell(r: Cells) -> str:
+        pair = (r[name], r[f"{name}_peak"])
+        return MISSING if pair == (None, None) else " / ".join(map(format_figure, pair))
+
+    return cell
+
+
+def _effectivity(quantity: str) -> Callable[[Cells], str]:
+    return lambda r: "{:.2f} ({:.2f} to {:.2f})".format(
+        *(r[f"{quantity}_effectivity_{name}"] for name in ("mean", "min", "max"))
+    )
+
+
+RUN: tuple[Column, ...] = (("run", "compared"), ("parameters", "parameters"))
+NORMS: tuple[str, tuple[Column, ...]] = (
+    "errors: relative L2 norm in %, over points and time / at the worst instant; pressure less its "
+    "mean",
+    (
+        ("run", "compared"),
+        ("against", "against"),
+        ("parameters", "parameters"),
+        ("", lambda r: r["role"] if r["status"] == "complete" else r["status"]),
+        ("velocity, field", _norm("velocity_field_relative_l2")),
+        ("pressure, field", _norm("pressure_field_relative_l2")),
+        ("velocity, line", _norm("velocity_line_relative_l2")),
+        ("pressure, line", _norm("pressure_line_relative_l2")),
+        ("line, without sound", _norm("pressure_line_without_sound_relative_l2")),
+    ),
+)
+ESTIMATES: tuple[str, tuple[Column, ...]] = (
+    "estimated errors, root mean squares over fields and time in % of the full run's; effectivity "
+    "is estimate over error: mean (least to largest)",
+    (
+        *RUN,
+        ("", "role"),
+        ("velocity est.", "velocity_estimate"),
+        ("true", "velocity_error"),
+        ("effectivity", _effectivity("velocity")),
+        ("pressure est.", "pressure_estimate"),
+        ("true", "pressure_error"),
+        ("effectivity", _effectivity("pressure")),
+    ),
+)
+MEASURES: tuple[str, tuple[Column, ...]] = (
+    "measured over time and along lines; relative L2 errors in % of the full run's, of a component "
+    "in % of the whole force's or velocity's, over all / at the worst instant",
+    (
+        ("measured", "measured"),
+        ("quantity", lambda r: f"{r['quantity'].replace('_', ' ')} [{r['unit']}]"),
+        *RUN,
+        ("mean", "mean"),
+        ("least", "least"),
+        ("greatest", "greatest"),
+        ("error", _norm("relative_l2")),
+    ),
+)

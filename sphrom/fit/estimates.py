@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from sphrom.artifacts.records import fit as records
 from sphrom.artifacts.records.fit import FittedHistory
 from sphrom.case.points import REYNOLDS
-from sphrom.case.studies import Ranges, trained_ranges
+from sphrom.case.studies import Box, Ranges, trained_ranges
 from sphrom.errors import CaseError, UnstableError
 from sphrom.fit.measurements import Measurements
-from sphrom.fit.model import Box, FittedModel, TrainingDifferences, error_samples
+from sphrom.fit.model import FittedModel, TrainingDifferences, error_samples
 from sphrom.metrics.estimation import (
     CONFIDENCE,
     Minimum,
@@ -30,6 +30,8 @@ from sphrom.metrics.estimation import (
     undetermined_shares,
 )
 from sphrom.online.fast_model import FastModel
+from sphrom.plots.canvas import save
+from sphrom.plots.panels import Curve, Panel, draw_grid
 from sphrom.text import exact
 
 Array = NDArray[np.float64]
@@ -47,6 +49,10 @@ WHOLLY = 0.99
 SHOWN_SHARE = 0.01
 """The same, from which on it belongs to an undetermined combination."""
 AT_BOUND, UNDETERMINED = "at its bound", "not determined"
+MOST_SHOWN = 12
+"""Histories in the terminal, and in the figure."""
+COLUMNS = 2
+"""Histories beside one another in the figure."""
 NUMBERS = ("value", "standard_deviation", "by_noise", "by_model", "low", "high")
 """Of an estimate, in this order."""
 
@@ -114,9 +120,20 @@ class Fit(records.Fit):
 
         Raises ArtifactError when the file can't be written.
         """
-        from sphrom.fit.fit import draw
-
-        draw(self, Path(path))
+        panels = []
+        for each in self.histories[:MOST_SHOWN]:
+            curves = [
+                Curve("measured", each.instant, each.measured),
+                Curve("fitted model", self.time, each.curve, "full"),
+                Curve("95 % interval, low end", self.time, each.curve - each.half_width, "level"),
+                Curve("high end", self.time, each.curve + each.half_width, "level"),
+            ]
+            panels.append(Panel(each.name, "time [s]", f"[{each.units}]", curves))
+        rows = [panels[k : k + COLUMNS] for k in range(0, len(panels), COLUMNS)]
+        title = f"{self.model} fitted to {self.measurements}"
+        if len(self.history) > MOST_SHOWN:
+            title += f", {MOST_SHOWN} of {len(self.history)} histories"
+        save(draw_grid(rows, title=title), Path(path))
 
 
 def fit(

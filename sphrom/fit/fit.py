@@ -5,33 +5,23 @@ from __future__ import annotations
 import os
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from sphrom.artifacts import write_record
 from sphrom.case.fields import NAME_PATTERN
-from sphrom.case.messages import show as quoted
 from sphrom.case.studies import fast_model, fit_ranges, fit_values, percent
 from sphrom.console import Reporter
 from sphrom.errors import CaseError
-from sphrom.fit.estimates import Estimate, Fit, box_of, fit
+from sphrom.fit.estimates import MOST_SHOWN, Estimate, Fit, box_of, fit
 from sphrom.fit.measurements import read_measurements
 from sphrom.online.fast_model import FastModel
-from sphrom.plots.canvas import save
-from sphrom.plots.panels import Curve, Panel, draw_grid
 from sphrom.plots.tables import format_figure, write_csv
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from sphrom.text import quoted
 
 UNITS = {"kinematic_viscosity": "m2/s", "reynolds": "-"}
 """Of estimates; others are as the case has them."""
 SHOWN_DIGITS = 5
-MOST_SHOWN = 12
-"""Histories in the terminal, and in the figure."""
-COLUMNS = 2
-"""Histories beside one another in the figure."""
 
 
 def run(
@@ -77,7 +67,7 @@ def run(
         with workspace.create(target) as artifact:
             write_record(artifact, found)
         write_csv(target.path.with_suffix(".csv"), found.estimates)
-        draw(found, target.path.with_suffix(".png"))
+        found.draw(target.path.with_suffix(".png"))
     show(context.report, found)
     context.report.info(f"a table and a figure are in {target.path.with_suffix('')}.csv, .png")
 
@@ -128,26 +118,3 @@ def _shown(estimate: Estimate) -> tuple[str, ...]:
         format_figure(share, 2),
         estimate.remark,
     )
-
-
-def draw(fit: Fit, path: Path) -> None:
-    """Draw data, fit and intervals of every history."""
-    save(draw_fit(fit), path)
-
-
-def draw_fit(fit: Fit) -> Figure:
-    """Return a panel for each measured history, with the fitted one and its 95 % interval."""
-    panels = []
-    for each in fit.histories[:MOST_SHOWN]:
-        ends = (each.curve - each.half_width, each.curve + each.half_width)
-        curves = [
-            Curve("measured", each.instant, each.measured),
-            Curve("fitted model", fit.time, each.curve, "full"),
-            Curve("95 % interval, low end", fit.time, ends[0], "level"),
-            Curve("high end", fit.time, ends[1], "level"),
-        ]
-        panels.append(Panel(each.name, "time [s]", f"[{each.units}]", curves))
-    rows = [panels[k : k + COLUMNS] for k in range(0, len(panels), COLUMNS)]
-    shown = f", {MOST_SHOWN} of {len(fit.histories)} histories"
-    more = shown if len(fit.histories) > MOST_SHOWN else ""
-    return draw_grid(rows, title=f"{fit.model} fitted to {fit.measurements}{more}")

@@ -27,12 +27,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from sphrom.case.checks import outside_fluid
 from sphrom.case.fields import LARGEST
-from sphrom.case.messages import nearest, show
 from sphrom.case.models import Case
 from sphrom.case.plan import TimeSteps
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import COMPONENTS, UNITS
-from sphrom.text import repeated, shortened, visible
+from sphrom.text import nearest, quoted, repeated, shortened, visible
 from sphrom.whole_files import read_whole
 
 Array = NDArray[np.float64]
@@ -212,7 +211,7 @@ def _names(head: Sequence[str], case: Case) -> Iterator[str]:
         base = name.removesuffix(NOISE)
         unit = AXES.get(name) or column_of(case, base).unit
         if base not in names:
-            raise ValueError(f"column {show(name)} is of none of the others")
+            raise ValueError(f"column {quoted(name)} is of none of the others")
         if base in AT_PLACE and "x" not in names:
             raise ValueError(f"column {base} needs a place: columns x and y")
         if stated not in (None, unit):
@@ -241,8 +240,8 @@ def column_of(case: Case, name: str) -> Column:
     if name not in known:
         hint = nearest(name, known) if known else "scene.measure of the case names none"
         raise ValueError(
-            f"column {show(name)} is nothing that the case measures over time; {hint}; for values "
-            "at other places or along a line give u, v and pressure with columns x and y"
+            f"column {quoted(name)} is nothing that the case measures over time; {hint}; for "
+            "values at other places or along a line give u, v and pressure with columns x and y"
         )
     return known[name]
 
@@ -256,7 +255,7 @@ def _number(row: Sequence[str], i: int, name: str, line: int) -> float:
         value = math.inf
     if abs(value) > LARGEST:
         raise ValueError(
-            f"line {line}: {name} must be a number up to {LARGEST:g}; got {show(text[:40])}"
+            f"line {line}: {name} must be a number up to {LARGEST:g}; got {quoted(text[:40])}"
         )
     return value
 

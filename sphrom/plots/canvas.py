@@ -11,7 +11,7 @@ import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,21 +77,13 @@ STYLE: Any = {
 }
 
 
-class Line(NamedTuple):
-    """How one series is drawn wherever it appears."""
-
-    color: str
-    linestyle: Any
-    marker: str
-
-
-def line_of(index: int) -> Line:
-    """Return the line of the reduced model of this index."""
-    return Line(
-        COLOURS[index % len(COLOURS)],
-        DASHES[(index + index // len(COLOURS)) % len(DASHES)],
-        MARKERS[index % len(MARKERS)],
-    )
+def line_of(index: int) -> dict[str, Any]:
+    """Return the colour, line and marker of the reduced model of this index."""
+    return {
+        "color": COLOURS[index % len(COLOURS)],
+        "linestyle": DASHES[(index + index // len(COLOURS)) % len(DASHES)],
+        "marker": MARKERS[index % len(MARKERS)],
+    }
 
 
 @contextmanager

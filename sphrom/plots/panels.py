@@ -335,7 +335,7 @@ def _look(role: Role, index: int, n_points: int) -> dict[str, Any]:
     if role in LOOKS:
         later = {"color": "#777777", "linestyle": DASHES[index % len(DASHES)]}
         return later if index else LOOKS[role]
-    look = line_of(index)._asdict() | {"markerfacecolor": "white", "markersize": 4.2}
+    look = line_of(index) | {"markerfacecolor": "white", "markersize": 4.2}
     if role == "reference":
         return look | {"linestyle": "none", "markevery": max(1, n_points // MOST_MARKERS)}
     # Markers of several models never hide one another.

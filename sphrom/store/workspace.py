@@ -22,7 +22,7 @@ from sphrom.artifacts import (
     probe,
 )
 from sphrom.case.fields import Section
-from sphrom.case.identity import VERSIONS, inputs_digest, resolved_yaml, section_inputs, stated
+from sphrom.case.models import VERSIONS, inputs_digest, resolved_yaml, section_inputs, stated
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import fast_model, sweep_model, sweep_name

@@ -6,15 +6,13 @@ was, and one with more values runs those only. When all are made the parts becom
 
 from __future__ import annotations
 
-import contextlib
-import fcntl
 import math
-import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, suppress
 from dataclasses import replace
 
-from sphrom.artifacts import read_record
+from sphrom.artifacts import locked, read_record
 from sphrom.artifacts.records.sweep import Statistics
 from sphrom.case.hints import slow_sweep, sweep_beyond_training
 from sphrom.case.models import Case
@@ -270,7 +268,9 @@ class Results:
         records = [known.get(point) or RunRecord(point, NOT_RUN) for point in self._points]
         complete = not any(record.status == NOT_RUN for record in records)
         if targets == [self._whole] and not failed and complete:
-            found = self._stored_statistics()
+            with self._workspace.open(self._whole) as artifact:
+                stored = "statistics/levels" in artifact
+                found = read_record(artifact, Statistics, "statistics") if stored else None
             if case.sweep.levels == (() if found is None else tuple(found.levels.tolist())):
                 name = self._whole.path.name
                 self._workspace.context.report.info(f"{name}: there, and of this case: kept")
@@ -279,13 +279,12 @@ class Results:
         write_sweep(self._workspace, self._whole, records, found)
         statistics.publish(case, self._whole.path, records, found)
         if complete:  # otherwise others may be at it
-            self._remove_parts(targets)
+            folder = parts_folder(self._workspace)
+            for path in (*folder.glob("part-*.h5"), *folder.glob(".part-*.tmp")):
+                path.unlink(missing_ok=True)
+            with suppress(OSError):  # others may still write to it
+                folder.rmdir()
         return records, found
-
-    def _stored_statistics(self) -> Statistics | None:
-        with self._workspace.open(self._whole) as artifact:
-            stored = "statistics/levels" in artifact
-            return read_record(artifact, Statistics, "statistics") if stored else None
 
     def _targets(self) -> Iterator[Target]:
         """Yield the files on disk: the whole first."""
@@ -294,27 +293,9 @@ class Results:
         for path in sorted(parts_folder(self._workspace).glob("part-*.h5")):
             yield replace(self._whole, path=path)
 
-    def _remove_parts(self, targets: Sequence[Target]) -> None:
-        folder = parts_folder(self._workspace)
-        for target in targets:
-            if target.path != self._whole.path:
-                target.path.unlink()
-        # Leftovers of killed processes go; a folder that others write to stays.
-        for leftover in (*folder.glob(".part-*.tmp"), *folder.glob(".part-*.lock")):
-            leftover.unlink(missing_ok=True)
-        with contextlib.suppress(OSError):
-            folder.rmdir()
-
-    @contextlib.contextmanager
-    def _alone(self) -> Iterator[None]:
-        """Wait until no other shard looks or gathers; go on where there are no locks."""
-        descriptor = os.open(self._workspace.folder(), os.O_RDONLY)
-        try:
-            with contextlib.suppress(OSError):
-                fcntl.flock(descriptor, fcntl.LOCK_EX)
-            yield
-        finally:
-            os.close(descriptor)
+    def _alone(self) -> AbstractContextManager[object]:
+        """Wait until no other shard looks or gathers."""
+        return locked(self._workspace.folder() / parts_folder(self._workspace).name, wait=True)
 
 
 def _cells(record: RunRecord, names: Iterable[str]) -> Cells:

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from sphrom.case.checks import case_problems, coarser_resolution
-from sphrom.case.messages import show_path
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint, ParameterSection, TestValues
 from sphrom.case.sections import ALL, ReducedModelSection
@@ -278,7 +277,7 @@ def learnt(workspace: Workspace, variant: Case, label: str) -> Workspace:
         When a run would not fit this machine.
     """
     for problem in case_problems(variant):
-        raise CaseError(f"{show_path(problem.path)}: {problem.reason}")
+        raise CaseError(str(problem))
     report = workspace.context.report.brief(label=label)
     wider = Workspace(replace(workspace.context, report=report, only=None))
     own = workspace_of(wider, variant)

@@ -20,10 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.case.checks import case_problems
-from sphrom.case.identity import resolved_yaml
 from sphrom.case.loader import case_of_text
-from sphrom.case.messages import show_path
-from sphrom.case.models import Case
+from sphrom.case.models import Case, resolved_yaml
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import Region, fast_model, percent, trained_at
@@ -159,8 +157,7 @@ class _Training:
         case = trained_at(self.case, self.starts)
         for problem in case_problems(case, force=self.context.force):
             raise CaseError(
-                f"training: trained at {self.starts[0].label} and other points, "
-                f"{show_path(problem.path)}: {problem.reason}"
+                f"training: trained at {self.starts[0].label} and other points, {problem}"
             )
         # Raises CaseError where there is no local basis.
         bases = {case.plan.basis_for(self.model, point) for point in self.candidates}

@@ -24,25 +24,25 @@ def test_the_contracts_of_the_project_hold() -> None:
     assert done.returncode == 0, done.stdout
 
 
+def printed_by(code: str) -> list[str]:
+    """Return the words that a program prints in a process of its own."""
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+    return done.stdout.split()
+
+
 @pytest.mark.parametrize("module", ["sphrom", "sphrom.cli.app", "sphrom.errors"])
 def test_the_command_line_starts_without_numerics(module: str) -> None:
     code = f"import {module}, sys; print(*[m for m in {HEAVY!r} if m in sys.modules])"
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120
-    )
-    assert done.stdout.split() == []
+    assert printed_by(code) == []
 
 
 def test_kernels_know_no_other_package_of_the_project() -> None:
-    code = (
+    names = printed_by(
         "import sphrom, sys; before = {*sys.modules}; import sphrom.kernels.sweeps; "
         "print(*[m for m in sys.modules if 'sphrom' in m and m not in before])"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120
-    )
-    loaded = {name.split(".")[1] for name in done.stdout.split() if "." in name}
-    assert loaded == {"kernels"}
+    assert {name.split(".")[1] for name in names if "." in name} == {"kernels"}
 
 
 def test_kernels_are_compiled_in_one_place_only() -> None:
@@ -67,7 +67,4 @@ def test_a_case_is_checked_without_kernels_and_files(tmp_path: Path) -> None:
         "except SystemExit: pass\n"
         "print(*[m for m in ('numba', 'scipy', 'h5py', 'matplotlib') if m in sys.modules])"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120
-    )
-    assert done.stdout.split() == []
+    assert printed_by(code) == []

@@ -6,8 +6,6 @@ import ast
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
-
 TESTS = Path(__file__).resolve().parents[1]
 WAITING = {"communicate", "join", "wait"}
 """Methods that wait for ever where they are given nothing."""
@@ -25,18 +23,6 @@ def waits(source: str) -> Iterator[int]:
                 yield node.lineno
             if of == "subprocess" and name in RUNNING and not given & {"timeout", None}:
                 yield node.lineno
-
-
-@pytest.mark.parametrize(
-    ("source", "lines"),
-    [
-        ("process.wait()\nprocess.wait(5)\nthread.join(timeout=5)\n', '.join(words)", [1]),
-        ("subprocess.run(['a'])\nsubprocess.run(['a'], timeout=5)\nsphrom.run('a')", [1]),
-        ("process.communicate()\nsubprocess.check_output(['a'], **limited)", [1]),
-    ],
-)
-def test_calls_without_a_limit_are_found(source, lines) -> None:
-    assert list(waits(source)) == lines
 
 
 def test_every_wait_has_a_limit() -> None:

@@ -8,9 +8,8 @@ import pytest
 
 import sphrom
 from sphrom.case.hints import case_warnings
-from sphrom.case.identity import VERSIONS, inputs_digest, resolved_yaml, section_inputs
 from sphrom.case.loader import load_case
-from sphrom.case.models import Case
+from sphrom.case.models import VERSIONS, Case, inputs_digest, resolved_yaml, section_inputs
 from sphrom.case.schema import json_schema, key_paths, node_at
 from sphrom.case.studies import sweep_model, sweep_points
 from sphrom.case.template import new_case, scene_kinds
@@ -50,30 +49,6 @@ def test_cavities_of_the_paper_are_as_printed_but_for_walls_and_steps(scene):
     assert {m.memory_length for m in case.rom if m.projection == "apg"} == {1e-7}
 
 
-def test_sizes_of_the_paper_s_cavities():
-    lid, cavity = (
-        load_case(next(path for path in CASES if path.stem == name))
-        for name in ("lid_driven_cavity_paper", "open_cavity_paper")
-    )
-    assert (lid.plan.n_particles, lid.plan.steps.n_steps, lid.plan.steps.n_snapshots) == (
-        40_000, 20_000, 1001,
-    )  # fmt: skip
-    assert (cavity.plan.n_particles, cavity.plan.n_ghosts) == (
-        60_000,
-        3000,
-    )  # 315,000 values over 5
-    assert (cavity.plan.steps.n_steps, cavity.plan.steps.n_snapshots) == (8_000, 801)
-
-
-def test_lid_driven_cavity_predicts_from_three_local_bases():
-    case = load_case(next(path for path in CASES if path.stem == "lid_driven_cavity"))
-    models = [model for model in case.rom if model.basis == "local"]
-    assert len(models) == 4  # both projections, on particles and from operators
-    for model in models:
-        names = [case.plan.basis_for(model, point) for point in case.plan.rom_points(model)]
-        assert names == ["low", "middle", "high"]
-
-
 @pytest.mark.parametrize("path", CASES, ids=lambda path: path.stem)
 def test_resolved_case_loads_back_equal(path, tmp_path):
     case = load_case(path)
@@ -81,12 +56,6 @@ def test_resolved_case_loads_back_equal(path, tmp_path):
     again = load_case(tmp_path / "case.yaml")
     assert again == case
     assert resolved_yaml(again) == resolved_yaml(case)
-
-
-@pytest.mark.parametrize("name", ["1e5", "2024", "null", "true", "_.inf"])
-def test_name_that_looks_like_something_else_survives(load, name):
-    case = load("", base=f"name: '{name}'\nscene: {{kind: taylor-green}}\n")
-    assert load("", base=resolved_yaml(case)).name == name
 
 
 @pytest.mark.parametrize("kind", scene_kinds())
@@ -98,9 +67,14 @@ def test_template_loads_and_explains_every_key(kind, tmp_path):
     assert case_warnings(case) == []
     assert max(map(len, text.splitlines())) <= 100
     lines = text.splitlines()
-    for path in key_paths(kind=kind):
+    for path in own_paths(kind):
         line = next(n for n, found in enumerate(lines) if found.strip().startswith(f"{path[-1]}:"))
         assert lines[line - 1].strip().startswith("#"), path
+
+
+def own_paths(kind):
+    """Return the keys that a case has unasked; it has no figures."""
+    return [path for path in key_paths(kind=kind) if "figures" not in path[:-1]]
 
 
 EXAMPLES = {"name": True, "parameters": True, "rom": True, "sweep": {"reynolds"}}
@@ -142,7 +116,7 @@ def test_unknown_kind():
 
 @pytest.mark.parametrize("kind", scene_kinds())
 def test_schema_describes_every_key_and_gives_numbers_a_unit(kind):
-    for path in key_paths(kind=kind):
+    for path in own_paths(kind):
         node = node_at(path, kind)
         assert node is not None
         assert node.get("description"), path

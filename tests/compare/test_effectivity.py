@@ -67,21 +67,14 @@ def test_effectivity_is_estimate_over_error(probes) -> None:
         assert found.figures[name] == pytest.approx(expected), name
 
 
-def test_outside_of_training_a_run_is_extrapolated(probes) -> None:
-    reference = _samples(probes)
-    run = replace(reference, velocity=reference.velocity + 0.1, pressure=1.1 * reference.pressure)
-    estimates = _estimates(np.full(21, 0.1), np.full(21, 0.5))
-    estimates.where = "outside"
-    found = estimate_row(estimates, run, reference, probes, from_time=0.0, **NAMES)
-    assert found.role == "extrapolated"
-
-
-def test_the_start_is_left_out(probes) -> None:
+def test_the_start_is_left_out_and_a_run_outside_of_training_is_extrapolated(probes) -> None:
     reference = _samples(probes)
     run = replace(reference, velocity=reference.velocity + 0.1, pressure=1.1 * reference.pressure)
     estimates = _estimates(np.where(TIMES < 0.19, 100.0, 0.1), np.full(21, 0.5))
+    estimates.where = "outside"
     found = estimate_row(estimates, run, reference, probes, from_time=0.0, **NAMES)
     assert found.figures["velocity_effectivity_max"] < 1.0
+    assert found.role == "extrapolated"
 
 
 def test_without_estimates_or_errors_there_is_no_row(probes) -> None:

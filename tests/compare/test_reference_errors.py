@@ -59,20 +59,6 @@ def test_a_run_that_has_the_reference_profiles(case_of, made_up):
         assert (row.from_time, row.time, row.parameters) == (9.0, 10.0, "reynolds=100")
 
 
-def test_the_change_is_that_over_the_last_tenth_of_the_run(case_of, made_up):
-    """Here the velocity along x grows by 0.004 U a second, of 20 s."""
-    case, steady = case_of("lid-driven-cavity", **SCALED), _flow(_lines(None))
-
-    def flow(position, time):
-        velocity, pressure = steady(position, time)
-        return velocity + np.array([0.004 * SPEED * time, 0.0]), pressure
-
-    compared = _compared(case, made_up(case, flow, np.linspace(0.0, 20.0, 21)))
-    row = compared["u along y", "steady", None][0]
-    assert (row.from_time, row.n_snapshots) == (18.0, 3)
-    assert row.last_change == pytest.approx(0.008, rel=1e-3)
-
-
 def test_profiles_are_taken_on_the_reference_s_own_line(case_of, made_up):
     """A flow that has them there, and others beside it."""
     case, on_line = case_of("lid-driven-cavity", **SCALED), _flow(_lines(None))
@@ -114,20 +100,19 @@ def _noisy(profiles, amplitude, time_scale):
     return flow
 
 
-@pytest.mark.parametrize("n_snapshots", [101, 201, 401])
-def test_noise_of_an_instant_is_no_error(case_of, made_up, n_snapshots):
-    """Whatever the output step, though the last instant is off by a tenth of the speed."""
+def test_noise_of_an_instant_is_no_error_and_no_change(case_of, made_up):
+    """Though the last instant is off by a tenth of the speed."""
     case = case_of("lid-driven-cavity", **SCALED)
     flow = _noisy(_lines(None), 0.1, 0.5)
-    times = np.linspace(0.0, 10.0, n_snapshots)
-    compared = _compared(case, made_up(case, flow, times))
+    compared = _compared(case, made_up(case, flow, np.linspace(0.0, 10.0, 201)))
     for name in ("u along y", "v along x"):
         row = compared[name, "steady", None][0]
         assert row.largest_error < 0.03
-        assert (row.from_time, row.time) == (9.0, 10.0)
-        assert row.n_snapshots == n_snapshots // 10 + 1
+        assert (row.from_time, row.time, row.n_snapshots) == (9.0, 10.0, 21)
         assert row.largest_scatter == pytest.approx(0.1 / np.sqrt(2.0), rel=0.2)
         assert row.rms_scatter == pytest.approx(row.largest_scatter)
+        assert row.last_change < 0.01
+        assert row.settled
 
 
 def test_a_window_about_an_instant_is_short_and_symmetric(case_of, made_up):
@@ -145,14 +130,6 @@ def test_a_window_about_an_instant_is_short_and_symmetric(case_of, made_up):
     last = _compared(case, made_up(case, flow, np.linspace(0.0, 0.25, 51)))
     row = last["u along y", "transient", 0.25][0]
     assert (row.from_time, row.time, row.n_snapshots) == (0.25, 0.25, 1)
-
-
-def test_noise_does_not_look_like_a_flow_that_changes(case_of, made_up):
-    case = case_of("lid-driven-cavity", **SCALED)
-    run = made_up(case, _noisy(_lines(None), 0.1, 0.35), np.linspace(0.0, 10.0, 201))
-    row = _compared(case, run)["u along y", "steady", None][0]
-    assert row.last_change < 0.01
-    assert row.settled
 
 
 def test_instants_of_the_start(case_of, made_up):

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from sphrom.compare.references import ReferenceRow
-from sphrom.compare.show import show
-from sphrom.compare.tables import Tables, error_row
+from sphrom.compare.tables import Tables, error_row, show
 from sphrom.metrics.histories import compare
 from sphrom.metrics.samples import Samples
 from sphrom.store.sampling import probes_of

@@ -141,9 +141,6 @@ def test_rounding_decides_nothing_among_equally_good_fits(seed):
         assert one.place == pytest.approx(other.place, abs=1e-6)
     shares = undetermined_shares(found, weights)
     assert shares == pytest.approx(undetermined_shares(expected, weights), abs=1e-6)
-    # At the last start the valley is nearly along x1, which alone would be called undetermined.
-    own = [np.diag(uncertainty(each.derivatives, weights).undetermined) for each in found]
-    assert shares == pytest.approx(np.mean(own, axis=0), abs=1e-6)
     assert 0.05 < shares[0] < 0.95
 
 

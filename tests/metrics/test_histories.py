@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import product
-
 import numpy as np
 import pytest
 
@@ -79,27 +77,12 @@ def test_a_range_of_corners_hides_no_error_on_the_line(cavity):
     assert described["pressure_field_relative_l2"] < 0.5
 
 
-@pytest.mark.parametrize("quantity", ["velocity", "pressure"])
-def test_the_range_of_the_field_is_never_below_that_of_the_line(cavity, quantity):
-    """A grid may miss extremes that the line has: the whole field is both."""
-    run, reference = _samples(cavity, pressure_offset=0.1), _samples(cavity)
-    run.velocity[..., 0] += 0.1
-    reference.pressure[:, 3] += 50.0
-    reference.velocity[:, 3] += 50.0
-    described = _row(compare(run, reference, cavity, 0.0))
-    for place, statistic in product(("line", "field"), ("mean", "peak")):
-        of_line, of_field = (
-            described[f"{quantity}_{place}_eq41_by_{over}_range_{statistic}"]
-            for over in ("line", "field")
-        )
-        assert 0.0 < of_field <= of_line
-
-
 def test_the_norm_over_time_counts_instants_by_their_size(cavity):
     """An error that stays while the flow grows; the mean of instants' errors would be 0.75."""
     run, reference = _samples(cavity, error=cavity.on_grid), _samples(cavity)
     described = _row(compare(run, reference, cavity, 0.0))
     history = compare(run, reference, cavity, 0.0)
+    np.testing.assert_array_equal(history.time, [1.0, 2.0])  # not at rest
     first = history.places["velocity_field"].relative_l2[0]
     np.testing.assert_allclose(history.places["velocity_field"].relative_l2, [first, first / 2.0])
     assert described["velocity_field_relative_l2"] == pytest.approx(first * np.sqrt(2.0 / 5.0))
@@ -115,11 +98,6 @@ def test_an_unstable_run_has_no_figures(cavity):
     assert set(figures.values()) == {None}
 
 
-def test_snapshots_at_rest_are_left_out(cavity):
-    history = compare(_samples(cavity), _samples(cavity), cavity, 0.0)
-    np.testing.assert_array_equal(history.time, [1.0, 2.0])
-
-
 @pytest.mark.parametrize("near", [True, False])
 def test_errors_are_told_apart_by_where_they_are(cavity, near):
     chosen = np.zeros(len(cavity.all), dtype=bool)
@@ -133,13 +111,6 @@ def test_errors_are_told_apart_by_where_they_are(cavity, near):
     assert described[f"velocity_{hit}_peak"] == pytest.approx(expected)
     assert described[f"velocity_{hit}_mean"] == pytest.approx(0.75 * expected)
     assert described["pressure_interior_peak"] == 0.0
-
-
-def test_scenes_without_walls_have_no_split(case_of):
-    probes = probes_of(case_of("taylor-green", compare={"grid": 20, "line_points": 20}))
-    history = compare(_samples(probes), _samples(probes), probes, 0.0)
-    assert history.walls == {}
-    assert _wall_row(history) is None
 
 
 def test_stations_take_no_part_in_errors(case_of):
@@ -201,14 +172,6 @@ def test_pressure_without_sounds_need_the_whole_window(cavity):
     assert compare(full, full, cavity, 0.0).without_sound == {}
 
 
-def test_a_pressure_that_is_only_sound_has_no_error_without_sound(cavity):
-    y = cavity.all[:, 1]
-    alternating = np.where(np.arange(41) % 2, 1.0, -1.0)[:, None] * y
-    loud = _loud(cavity, 0.0)
-    full = Samples(loud.time, loud.velocity, alternating)
-    assert compare(loud, full, cavity, 0.0, 0.1).without_sound == {}
-
-
 WALLS = ("velocity_near_walls", "velocity_interior", "pressure_near_walls", "pressure_interior")
 SHAPE = np.array([1.0, 4.0, 2.0])
 
@@ -239,13 +202,10 @@ def test_every_figure_is_of_its_own_series():
             assert found == pytest.approx([7.0 / 3.0 * factor * 10.0**k, 4.0 * factor * 10.0**k])
     assert described["velocity_field_relative_l2_end"] == 2.0
     assert described["pressure_field_relative_l2_end"] == 200.0
-
-
-def test_every_figure_at_walls_is_of_its_own_series():
-    described = _wall_row(_numbered())
+    at_walls = _wall_row(_numbered())
     for k, name in enumerate(WALLS, 4):
-        assert described[f"{name}_mean"] == pytest.approx(7.0 / 3.0 * 10.0**k)
-        assert described[f"{name}_peak"] == 4.0 * 10.0**k
+        assert at_walls[f"{name}_mean"] == pytest.approx(7.0 / 3.0 * 10.0**k)
+        assert at_walls[f"{name}_peak"] == 4.0 * 10.0**k
 
 
 @pytest.mark.parametrize("place", ["line", "field"])

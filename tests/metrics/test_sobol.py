@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy import stats
 from scipy.stats import qmc
 
-from sphrom.metrics.draws import N_RESAMPLES, _resampled, parts_of, saltelli_design, sobol_indices
+from sphrom.metrics.draws import _resampled, parts_of, saltelli_design, sobol_indices
 
 
 def ishigami(x: np.ndarray) -> np.ndarray:
@@ -41,16 +40,6 @@ def test_the_indices_of_ishigami():
         assert high - low < 0.1
 
 
-def test_the_indices_of_an_additive_function_of_normal_parameters():
-    """Of first order and total alike, those are the shares of the variance: 9, 16 and 0 of 25."""
-    x = stats.norm.ppf(design(2048, 3, seed=5))
-    values = np.stack((x @ [3.0, 4.0, 0.0], 100.0 + x @ [0.0, 0.0, 1.0]), axis=1)
-    found = sobol_indices(values, 3)
-    for indices in (found.first, found.total):
-        assert indices[:, 0] == pytest.approx([0.36, 0.64, 0.0], abs=0.01)
-        assert indices[:, 1] == pytest.approx([0.0, 0.0, 1.0], abs=0.01)
-
-
 def test_intervals_cover_the_truth():
     """Measured: 94 to 97 % of 100 designs of 256 points that are drawn at random."""
     first, total = indices_of_ishigami()
@@ -72,12 +61,6 @@ def test_a_bootstrap_that_draws_every_point_once_is_scipys_estimate():
     first, total = _resampled(*parts_of(values, 3), np.ones((1, 256)))
     np.testing.assert_allclose(first[0], found.first, rtol=1e-12, atol=1e-14)
     np.testing.assert_allclose(total[0], found.total, rtol=1e-12, atol=1e-14)
-    expected = stats.sobol_indices(
-        func=lambda x: ishigami(x.T), n=256, dists=[stats.uniform(-np.pi, 2 * np.pi)] * 3,
-        rng=np.random.default_rng(0),
-    )  # fmt: skip
-    assert expected.first_order == pytest.approx(found.first[:, 0], abs=0.2)
-    assert N_RESAMPLES >= 200
 
 
 def test_a_design_mixes_one_column_at_a_time():

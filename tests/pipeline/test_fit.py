@@ -183,17 +183,19 @@ def test_without_full_runs_intervals_are_of_the_noise_alone(study, columns):
     assert any(p.startswith("intervals are of the noise alone") for p in found.problems)
 
 
-def test_what_a_fit_refuses(study, columns):
-    model = study.model("fast", **TRUE)
-    with pytest.raises(CaseError, match="'length': does not vary in the case; known: reynolds"):
-        model.fit(columns, "length", noise=1.0)
-    with pytest.raises(CaseError, match="noise: must be a percentage from 1e-06% to 1000%"):
-        model.fit(columns, noise="little")
-    with pytest.raises(CaseError, match="2 values can't tell 2 parameters"):
-        model.fit({"time": [0.1, 0.2], "there_u": [0.1, 0.3]}, noise=1.0)
-    known = again(study, **{"fit.parameters": {"lid": 0.7, "reynolds": 100.0}})
-    with pytest.raises(CaseError, match="gives all values, so that there is nothing to look for"):
-        known.model("fast", **TRUE).fit(columns, noise=1.0)
+@pytest.mark.parametrize(
+    ("known", "names", "given", "noise", "said"),
+    [
+        ({}, ("length",), None, 1.0, "'length': does not vary in the case"),
+        ({}, (), None, "little", "noise: must be a percentage"),
+        ({}, (), {"time": [0.1, 0.2], "there_u": [0.1, 0.3]}, 1.0, "2 values can't tell 2"),
+        ({"lid": 0.7, "reynolds": 100.0}, (), None, 1.0, "nothing to look for"),
+    ],
+)
+def test_what_a_fit_refuses(study, columns, known, names, given, noise, said):
+    model = again(study, **{"fit.parameters": known}).model("fast", **TRUE)
+    with pytest.raises(CaseError, match=said):
+        model.fit(given or columns, *names, noise=noise)
 
 
 def test_the_command_writes_what_it_found(study, columns, tmp_path):
@@ -216,17 +218,17 @@ def test_the_command_writes_what_it_found(study, columns, tmp_path):
     rows = (study.folder / "fit-lab.csv").read_text().splitlines()[1:]
     assert [row.split(",")[0] for row in rows] == ["reynolds", "kinematic_viscosity", "lid"]
     before = (study.folder / "fit-lab.h5").read_bytes()
-    result = CliRunner().invoke(app, [*command, "--noise", "1%"])
-    assert (result.exit_code, (study.folder / "fit-lab.h5").read_bytes()) == (0, before)
-    assert "kept" in result.output
-    result = CliRunner().invoke(app, [*command, "--noise", "2%"])
-    assert result.exit_code == 3
-    assert "--force" in result.output
-    result = CliRunner().invoke(app, [*command, "--noise", "2%", "--name", "other"])
-    assert result.exit_code == 0
+    for options, code, said in (
+        (("--noise", "1%"), 0, "kept"),
+        (("--noise", "2%"), 3, "--force"),
+        (("--noise", "1%", "--name", "../there"), 2, "--name"),
+        (("--noise", "2%", "--name", "other"), 0, "fit-other"),
+    ):
+        result = CliRunner().invoke(app, [*command, *options])
+        assert result.exit_code == code
+        assert said in result.output
+    assert (study.folder / "fit-lab.h5").read_bytes() == before
     assert (study.folder / "fit-other.png").stat().st_size > 10_000
-    result = CliRunner().invoke(app, [*command, "--noise", "1%", "--name", "../there"])
-    assert result.exit_code == 2
 
 
 def test_a_fit_needs_operators(columns, tmp_path):

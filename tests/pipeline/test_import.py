@@ -77,20 +77,11 @@ def test_what_pysph_wrote_comes_through(case, sphrom) -> None:
     np.testing.assert_allclose(run["density_fluctuation"], pressure / 100.0, atol=1e-17)
 
 
-def test_what_a_case_measures_is_measured_in_imported_runs(case, sphrom) -> None:
-    measured = "scene.measure={centre: {probe: [0.3, 0.3]}}"
-    result = sphrom("import", case, *PYSPH, *BY_PRESSURE, "--set", measured)
-    assert result.exit_code == 0, result.output
-    flow = TaylorGreen(length=1.0, speed=1.0, reference_density=1.0, kinematic_viscosity=0.01)
-    with open_artifact(RUN, "sphrom/trajectory", made_by="import") as run:
-        found = run.read("measure/centre/velocity")
-    assert found.shape == (3, 1, 2)
-    np.testing.assert_allclose(found[0], flow.velocity(np.array([[0.3, 0.3]]), 0.0), atol=0.05)
-
-
 def test_stages_go_on_from_what_pysph_wrote(case, sphrom) -> None:
-    assert sphrom("import", case, *PYSPH, *BY_PRESSURE, "--seconds", 7.0).exit_code == 0
-    result = sphrom("run", case, "--threads", 1, "--verbose")
+    measured = "--set=scene.measure={centre: {probe: [0.3, 0.3]}}"
+    result = sphrom("import", case, *PYSPH, *BY_PRESSURE, "--seconds", 7.0, measured)
+    assert result.exit_code == 0, result.output
+    result = sphrom("run", case, "--threads", 1, "--verbose", measured)
     assert result.exit_code == 0, result.output
     assert "fom-reynolds100.h5: there, and of this case: kept" in result.stdout
     with open_artifact(OUT / "pod.h5", "sphrom/basis", made_by="pod") as basis:
@@ -101,6 +92,10 @@ def test_stages_go_on_from_what_pysph_wrote(case, sphrom) -> None:
         assert run.text("stage") == "import"
         assert run.text("imported/files") == "taylor_green_00000.hdf5, ..., taylor_green_00040.hdf5"
         assert run.number("timing/integration") == 7.0
+        found = run.read("measure/centre/velocity")
+    flow = TaylorGreen(length=1.0, speed=1.0, reference_density=1.0, kinematic_viscosity=0.01)
+    assert found.shape == (3, 1, 2)
+    np.testing.assert_allclose(found[0], flow.velocity(np.array([[0.3, 0.3]]), 0.0), atol=0.05)
 
 
 def test_what_nobody_knows_is_unknown(case, sphrom) -> None:
@@ -189,17 +184,6 @@ def test_units_are_those_of_the_options(case, sphrom) -> None:
     np.testing.assert_allclose(run["pressure"][1], 100.0 * (si["rho"] - 1.0), atol=1e-12)
 
 
-def test_particles_are_put_in_the_order_of_their_numbers(case, sphrom) -> None:
-    names = []
-    for time in (0.0, 0.05, 0.1):
-        order = np.random.default_rng(int(1e3 * time)).permutation(N)
-        values = {name: value[order] for name, value in fields(time).items()}
-        names.append(write_pysph(f"their_{time:g}.hdf5", {"fluid": {**values, "id": order}}, time))
-    result = sphrom("import", case, *names, "--sort-by", "id")
-    assert result.exit_code == 0, result.output
-    np.testing.assert_array_equal(imported()["velocity"][2][:, 0], fields(0.1)["u"])
-
-
 def test_one_array_of_several_is_taken(case, sphrom) -> None:
     wall = {"x": np.full(3, 0.5), "y": np.zeros(3)}
     names = [
@@ -241,38 +225,34 @@ def test_what_was_exported_comes_back_to_the_last_bit(place, sphrom, way: str) -
             np.testing.assert_array_equal(artifact.read(name), before[name])
 
 
-@pytest.mark.parametrize(("changed", "names"), [
-    ({"w": 0.25 * HIGH}, "u,v"),
-    ({"velocity": np.stack((HIGH, HIGH, 0.25 * HIGH), 1), "u": None}, "velocity.x,velocity.y"),
-    ({"u": HIGH, "v": 0.0 * HIGH, "w": 0.25 * HIGH}, "u,w"),
-])  # fmt: skip
-def test_third_component_of_velocity_is_never_dropped_in_silence(
-    case, sphrom, changed, names
+@pytest.mark.parametrize(
+    ("plane", "says"),
+    [
+        (("points.x", "points.y", "vel.x", "vel.z"), "points.z reaches 0.9"),
+        (("points.x", "points.z"), "velocity.z reaches"),
+    ],
+)
+def test_flow_in_the_plane_of_x_and_z_is_refused_with_what_takes_it(
+    case, sphrom, plane, says
 ) -> None:
-    files = write_npz(**changed)
-    refused = sphrom("import", case, *files)
-    assert refused.exit_code == 2
-    assert "is three-dimensional: " in refused.stderr
-    assert "--velocity" in refused.stderr
-    assert not RUN.exists()
-    result = sphrom("import", case, *files, "--velocity", names)
-    assert result.exit_code == 0, result.output
-
-
-def test_flow_in_the_plane_of_x_and_z_is_refused_with_what_takes_it(case, sphrom) -> None:
-    files = []
+    """A component is never dropped in silence."""
+    files, name = [], plane[-1].partition(".")[0] if len(plane) == 4 else "velocity"
     for time in (0.0, 0.05, 0.1):
         si = fields(time)
         nothing = 0.0 * si["x"]
-        points = np.stack((si["x"], nothing, si["y"]), axis=1)
-        velocity = np.stack((si["u"], nothing, si["v"]), axis=1)
+        vectors = {
+            "points": np.stack((si["x"], nothing, si["y"]), axis=1),
+            name: np.stack((si["u"], nothing, si["v"]), axis=1),
+        }
         files.append(f"a_{time:g}.npz")
-        np.savez(files[-1], points=points, vel=velocity, rho=si["rho"], time=time)
-    taken = ("--velocity", "vel.x,vel.z", "--position")
-    refused = sphrom("import", case, *files, *taken, "points.x,points.y")
+        np.savez(files[-1], **vectors, rho=si["rho"], time=time)
+    velocity = ("--velocity", ",".join(plane[2:])) if plane[2:] else ()
+    refused = sphrom("import", case, *files, "--position", ",".join(plane[:2]), *velocity)
     assert refused.exit_code == 2
-    assert "points.z reaches 0.9; --position" in refused.stderr
-    result = sphrom("import", case, *files, *taken, "points.x,points.z")
+    assert f"is three-dimensional: {says}" in refused.stderr
+    assert not RUN.exists()
+    advised = ("--position", "points.x,points.z", "--velocity", f"{name}.x,{name}.z")
+    result = sphrom("import", case, *files, *advised)
     assert result.exit_code == 0, result.output
     np.testing.assert_array_equal(imported()["velocity"][2][:, 1], fields(0.1)["v"])
     np.testing.assert_array_equal(imported()["position"][2][:, 1], fields(0.1)["y"])

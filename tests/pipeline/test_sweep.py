@@ -95,26 +95,22 @@ def test_runs_are_those_of_the_stage_to_the_last_bit(sphrom, sweep, ready):
     told = re.findall(
         r"reynolds=(\S+): estimated errors: velocity (\S+) %.*?pressure (\S+) %", single.stdout
     )
+    assert len(told) == 3
     sweep("--set", VALUES)
     with open_artifact(ready / "sweep-fast.h5", "sphrom/sweep", made_by="") as swept:
         values = swept.read("parameters")[:, 0].tolist()
-        assert values == [110.0, 190.0, 150.0, 123.456789, 101.0]
-        assert swept.read("status").tolist() == [0] * 5
-        coordinates, steps = swept.read("generalized_coordinates"), swept.read("time_step")
-        for name in ("110", "150", "123.456789"):
+        for name, *errors in told:
+            number = values.index(float(name))
             path = ready / f"rom-fast-reynolds{name}.h5"
             with open_artifact(path, "sphrom/coordinates", made_by="") as run:
-                number = values.index(run.number("parameters/reynolds"))
                 expected = run.read("generalized_coordinates")
-                assert coordinates[number].tobytes() == expected.tobytes()
-                assert steps[number] == run.number("time_step")
+                found = swept.read("generalized_coordinates")[number]
+                assert found.tobytes() == expected.tobytes()
+                assert swept.read("time_step")[number] == run.number("time_step")
                 assert swept.read("time").tobytes() == run.read("time").tobytes()
-        assert len(told) == 3
-        for reynolds, *errors in told:
-            number = values.index(float(reynolds))
             for field, error in zip(("velocity", "pressure"), errors, strict=True):
-                found = swept.read(f"error_estimate/{field}")[number]
-                assert format_figure(found) == error
+                estimate = swept.read(f"error_estimate/{field}")[number]
+                assert format_figure(estimate) == error
 
 
 def test_the_table_has_a_row_for_each_value(sweep, ready):

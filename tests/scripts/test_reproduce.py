@@ -5,9 +5,7 @@ from __future__ import annotations
 import importlib
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
-import numpy as np
 import pytest
 import yaml
 
@@ -95,26 +93,3 @@ def test_what_it_costs_is_told_and_refused_where_it_is_too_much(tmp_path, monkey
     monkeypatch.setattr(sys, "argv", [*arguments, "--disk", "1e-3"])
     assert reproduce.main() == 5
     assert "--keep results" in capsys.readouterr().err
-
-
-def test_amplitudes_and_troughs_are_those_of_the_line_at_a_time():
-    page = _script("paper_page")
-    y = np.linspace(0.0, 1.0, 101)
-    place = np.stack((np.full(101, 0.5), y), axis=1)
-    time = np.array([0.0, 1.0, 2.0])
-
-    def line(run, point):
-        bottom, scale = (0.7, 1.0) if run is None else (0.7123, 0.9)
-        last = 2 if run == "short" else 3
-        values = scale * (y - bottom) ** 2
-        speed = np.stack([k * values for k in (1.0, 2.0, 3.0)[:last]])
-        return place, SimpleNamespace(time=time[:last], speed=speed)
-
-    result = page.Result.__new__(page.Result)
-    result.comparison = SimpleNamespace(line=line)
-    claim = {"quantity": "speed", "time": 2.0, "between": [0.5, 0.9], "reynolds": [100]}
-
-    assert page._trough(result, claim, "model") == "0.7123 m, +0.0123"
-    assert page._trough(result, claim, "short") == "unstable before"
-    assert page._amplitude(result, claim, "model") == f"{0.9 * (0.7123 / 0.7) ** 2:.3f}"
-    assert page._amplitude(result, claim, "short") == "unstable before"
