@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.case.fields import only_one
 from sphrom.case.models import Case
 from sphrom.case.plan import MAX_STEPS, WHOLE_STEPS_TOLERANCE
 from sphrom.case.points import REYNOLDS, ParameterPoint, nearest_point
@@ -238,7 +239,7 @@ def _check_scene(case: Case) -> Found:
     for name, reason in case.scene.problems(case.time.final_time):
         yield f"scene.{name}", reason
     for name, measured in case.scene.measure.items():
-        kind = next(kind for kind in KINDS if getattr(measured, kind) is not None)
+        kind = only_one(measured, KINDS)
         if (problem := _measure_problem(case, measured)) is not None:
             yield f"scene.measure.{name}.{kind}", problem
 

@@ -1,35 +1,30 @@
-"""The scene of kind custom: a box with solids of any shape, driven as the case says."""
+"""The scene of kind custom: a box with solids of any shape, driven as the case says.
+
+Walls and the force have to be affine in what varies: operators are projected once for all values,
+and each parameter that drives the flow has a part of its own, which its value multiplies.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import cached_property, lru_cache
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from pydantic import PrivateAttr, model_validator
+from pydantic import Field, PrivateAttr, model_validator
 from shapely.geometry.base import BaseGeometry
 
-from sphrom.case.custom_sections import (
-    BoxSection,
-    DrivingExpression,
-    InitialSection,
-    MovingWallSection,
-    Vector,
-    driving,
-    parameter_problems,
-)
-from sphrom.case.fields import Coordinate, Positive, SafeName, key
+from sphrom.case.fields import Coordinate, Positive, SafeName, Section, key
 from sphrom.case.scene_section import NONE, Defaults, Measures, SceneSection, measures
-from sphrom.case.shapes import ShapeSection
-from sphrom.expressions import CONSTANTS, FUNCTIONS, Expression
-from sphrom.scenes.flows import CustomFlow
-from sphrom.scenes.scene import Drive, Scales, Scene
+from sphrom.case.shapes import Point, ShapeSection
+from sphrom.expressions import CONSTANTS, FUNCTIONS, MOST_QUOTED, Expression
+from sphrom.scenes.flows import CustomFlow, Drive, Scales, Scene
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import SIDES, Domain
+from sphrom.text import shortened
 
 Array = NDArray[np.float64]
 
@@ -51,6 +46,44 @@ MOST_AREAS = 4
 """Areas of parts of the fluid that a warning names."""
 N_TIMES = 4096
 """Times whose amplitude of the body force is kept."""
+Value = Coordinate | Annotated[str, Field(max_length=1000)]
+"""A number, or an expression."""
+Vector = Annotated[tuple[Value, ...], Field(min_length=2, max_length=2)]
+
+
+class BoxSection(Section):
+    """The box that the flow is in."""
+
+    lower: Point = key((0.0, 0.0), "its lower left corner", unit="m")
+    upper: Point = key((1.0, 1.0), "its upper right corner", unit="m")
+    periodic: tuple[Literal["x", "y"], ...] = key((), "axes along which the flow repeats")
+
+
+class MovingWallSection(Section):
+    """How a wall slides along itself."""
+
+    velocity: Vector | None = key(None, "its velocity, numbers or expressions in x, y", unit="m/s")
+    rotation: Coordinate | None = key(
+        None, "its rate of rotation about its centroid, anticlockwise", unit="rad/s"
+    )
+
+
+class InitialSection(Section):
+    """The fields that a run starts with: numbers or expressions in x, y."""
+
+    u: Value = key(0.0, "velocity along x", unit="m/s")
+    v: Value = key(0.0, "velocity along y", unit="m/s")
+    p: Value = key(0.0, "pressure", unit="Pa")
+
+
+class DrivingExpression(NamedTuple):
+    """An expression that drives the flow, as far as it varies in space."""
+
+    where: str
+    """Its key in the scene."""
+    factor: str
+    """The parameter that multiplies it; empty where none does."""
+    expression: Expression
 
 
 class CustomScene(SceneSection):
@@ -96,10 +129,6 @@ class CustomScene(SceneSection):
             self._check_along(name)
         _ = self.domain, self._force, self._initial
         return self
-
-    def __eq__(self, other: object) -> bool:
-        """Whether the keys are the same, whatever has been built of them."""
-        return isinstance(other, CustomScene) and self.model_dump() == other.model_dump()
 
     @cached_property
     def _shapes(self) -> dict[str, BaseGeometry]:
@@ -204,12 +233,32 @@ class CustomScene(SceneSection):
 
     def parameter_problems(self, names: Collection[str]) -> Iterator[tuple[str, str]]:
         """Yield constants in which walls or the force aren't affine, and names of two things."""
-        others = {*self.walls, BODY_FORCE}
-        yield from parameter_problems(names, self.constants, others, [*self._drives()])
+        varied = [name for name in names if name in self.constants]
+        for name in varied:
+            if name in (*self.walls, BODY_FORCE):
+                yield name, "is a constant's name and a wall's or the force's; rename the constant"
+        for where, factor, expression in self._drives():
+            found = [one for one in varied if expression.degree_in([one]) > 0.0]
+            if expression.degree_in(varied) + (factor in names) <= 1.0:
+                continue
+            if found and factor in names:
+                yield found[0], f"multiplies {factor}, which varies too, in {where}; vary one"
+            elif found:
+                text = shortened(expression.text, MOST_QUOTED)
+                yield (
+                    found[0],
+                    f"{where} must be a constant part plus multiples of {', '.join(found)}, for "
+                    f"operators are projected once for all values; got '{text}'",
+                )
 
     def driving(self, names: Collection[str]) -> tuple[str, ...]:
         """Return those of some parameters that walls' velocities or the force's field depend on."""
-        return driving(names, self.walls, [*self._drives()])
+        drives = [expression for _, _, expression in self._drives()]
+
+        def drives_flow(name: str) -> bool:
+            return name in self.walls or any(each.degree_in([name]) > 0.0 for each in drives)
+
+        return tuple(name for name in names if drives_flow(name))
 
     def _drives(self) -> Iterator[DrivingExpression]:
         """Yield the expressions that drive the flow."""

@@ -6,6 +6,7 @@ otherwise; the kinds below don't. Their bounds keep every quantity that is deriv
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -33,3 +34,12 @@ class Section(BaseModel):
     """What all sections share: unknown keys are refused, values never change."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+def only_one(section: Section, names: Iterable[str]) -> str:
+    """Return the one of some keys that is given. Raises ValueError for none, and for several."""
+    given = [name for name in names if getattr(section, name) is not None]
+    if len(given) != 1:
+        found = " and ".join(given) or "none"
+        raise ValueError(f"must be exactly one of {', '.join(names)}; got {found}")
+    return given[0]

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from sphrom.case.points import REYNOLDS, GivenPoints, ParameterPoint, Values, nearest_point
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection, SubsetSection
 from sphrom.errors import CaseError
-from sphrom.scenes.scene import Scales, Scene
+from sphrom.scenes.flows import Scales, Scene
 from sphrom.sph import fluid
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.fluid import Discretization, Fluid, StepLimits

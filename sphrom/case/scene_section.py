@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, model_validator
 
-from sphrom.case.fields import Coordinate, SafeName, Section, Whole, key
+from sphrom.case.fields import Coordinate, SafeName, Section, Whole, key, only_one
+from sphrom.scenes.flows import Channel, Scales, Scene
 from sphrom.scenes.reference_profiles import ReferenceProfile
-from sphrom.scenes.scene import Channel, Scales, Scene
 from sphrom.sph.domain import Domain
 
 Array = NDArray[np.float64]
@@ -29,6 +29,8 @@ class SceneSection(Section):
     """The scene's name in a report."""
     defaults: ClassVar[Defaults] = {}
     """Defaults of other sections that differ from their own."""
+    has_exact_solution: ClassVar[bool] = False
+    """Whether an exact solution is known."""
 
     if TYPE_CHECKING:  # each kind has the key, after its own
         measure: Measures
@@ -89,11 +91,6 @@ class SceneSection(Section):
     @property
     def drive_changes(self) -> bool:
         """Whether what drives the flow, a force or walls, changes with time."""
-        return False
-
-    @property
-    def has_exact_solution(self) -> bool:
-        """Whether an exact solution is known."""
         return False
 
     def stations(self, line: float) -> Array:
@@ -169,10 +166,7 @@ class MeasureSection(Section):
 
     @model_validator(mode="after")
     def _one_kind(self) -> MeasureSection:
-        given = [name for name in KINDS if getattr(self, name) is not None]
-        if len(given) != 1:
-            found = " and ".join(given) or "none"
-            raise ValueError(f"must be exactly one of {', '.join(KINDS)}; got {found}")
+        only_one(self, KINDS)
         return self
 
     @property

@@ -18,7 +18,7 @@ from pydantic import Field, ValidationInfo, model_validator
 from shapely import affinity
 from shapely.geometry.base import BaseGeometry
 
-from sphrom.case.fields import LARGEST, Coordinate, Number, Positive, Section, key
+from sphrom.case.fields import LARGEST, Coordinate, Number, Positive, Section, key, only_one
 from sphrom.sph.polygons import disc, require_few_crossings
 from sphrom.text import shortened, visible
 from sphrom.whole_files import read_whole
@@ -122,10 +122,7 @@ class ShapeSection(Section):
 
     @model_validator(mode="after")
     def _one_kind(self) -> ShapeSection:
-        given = [name for name in KINDS if getattr(self, name) is not None]
-        if len(given) != 1:
-            found = " and ".join(given) or "none"
-            raise ValueError(f"must be exactly one of {', '.join(KINDS)}; got {found}")
+        only_one(self, KINDS)
         return self
 
     def geometry(self) -> BaseGeometry:
@@ -136,7 +133,7 @@ class ShapeSection(Section):
         ValueError
             When it is empty, crosses itself, or is no area.
         """
-        (kind,) = (name for name in KINDS if getattr(self, name) is not None)
+        kind = only_one(self, KINDS)
         given = getattr(self, kind)
         try:
             if kind == "polygon":

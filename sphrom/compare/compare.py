@@ -37,7 +37,7 @@ from sphrom.metrics.histories import compare
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.metrics.series import exponential_rate, flow_row, kinetic_energy
 from sphrom.online.stored_run import StoredRun
-from sphrom.scenes.scene import ExactFlow
+from sphrom.scenes.flows import ExactFlow
 from sphrom.setup.assembly import role_of
 from sphrom.setup.context import StageContext
 from sphrom.setup.particles import sampler

@@ -16,7 +16,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError, UnstableError
 from sphrom.metrics.measures import FieldMeasure, Quantities
 from sphrom.reduction.reference_space import ReferenceMap
-from sphrom.scenes.scene import Scene
+from sphrom.scenes.flows import Scene
 from sphrom.setup.assembly import field_measures
 from sphrom.sph import state_equation
 from sphrom.sph.domain import Walls

@@ -15,7 +15,7 @@ from sphrom.metrics.samples import Probes, Samples, grid_points, spread
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.trial_basis import TrialBasis, mean_density_fluctuation, project
-from sphrom.scenes.scene import ExactFlow
+from sphrom.scenes.flows import ExactFlow
 from sphrom.setup.particles import sampler
 from sphrom.sph import state_equation
 from sphrom.sph.domain import Domain

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import fixed_quad, quad
 from scipy.special import j0
 
-from sphrom.kernels.wendland import gradient_factor, kernel, laplacian_weight
+from sphrom.kernels.wendland import gradient_factor, kernel, laplacian_weight, weigh
 
 LENGTHS = [0.04, 1.0, 13.0]
 
@@ -54,3 +54,12 @@ def test_the_fourth_moment_of_the_laplacian_vanishes(length: float) -> None:
             0.0, 2.0 * length, limit=400,
         )  # fmt: skip
         assert wave < 0.0
+
+
+def test_weights_are_the_kernel_and_its_factor() -> None:
+    distance = np.array([0.0, 0.1, 0.37, 0.8, 0.81])
+    values, factors = np.full((2, 5), np.nan)
+    weigh(distance, 2.5, values, factors)
+    assert np.allclose(values, [kernel(r, 2.5) for r in distance], rtol=1e-13)
+    assert np.allclose(factors, [gradient_factor(r, 2.5) for r in distance], rtol=1e-13)
+    assert values[-1] == factors[-1] == 0.0

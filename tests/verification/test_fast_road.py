@@ -31,8 +31,7 @@ from sphrom.reduction.reduced_rates import Polynomial, spectrum
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.spline import LocalSplines, default_cell_width, fit_splines
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis, project
-from sphrom.scenes.flows import LidDrivenCavity, OpenCavity, TaylorGreen
-from sphrom.scenes.scene import Scene
+from sphrom.scenes.flows import LidDrivenCavity, OpenCavity, Scene, TaylorGreen
 from sphrom.sph import state_equation
 from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fixed_points import FixedPoints
