@@ -14,17 +14,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sphrom.api.result import ErrorEstimate, Result, Sensitivities, finite_array, labelled_measures
-from sphrom.case.checks import require_basis, steady_problem
+from sphrom.case.checks import steady_problem
 from sphrom.case.hints import beyond_training, extrapolation
 from sphrom.case.loader import parameter_point
 from sphrom.case.plan import lengthened
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.case.studies import fit_ranges, fit_values, percent, trained_ranges
+from sphrom.case.studies import fit_ranges, fit_values, percent, require_basis, trained_ranges
 from sphrom.errors import CaseError, UnstableError
-from sphrom.fit.estimates import Fit, box_of, fit
+from sphrom.fit.fit import Fit, fit
 from sphrom.fit.measurements import read_measurements
-from sphrom.fit.model import TrainingDifferences
+from sphrom.fit.model import TrainingDifferences, box_of
 from sphrom.online import rom
 from sphrom.online.basis_model import quantities_of
 from sphrom.online.fast_model import FastModel, FastRun
@@ -226,18 +226,16 @@ class Model:
         ----------
         time : [s], for what drives the flow, where that changes; by default the end of the run.
         """
-        reduced = self._by_operators("rates")
-        state = self._state(reduced, coordinates)
-        return reduced.polynomial(state, _amplitude(reduced, self._time(time)))
+        reduced, state, amplitude, _ = self._at("rates", coordinates, time)
+        return reduced.polynomial(state, amplitude)
 
     def jacobian(self, coordinates: ArrayLike, time: float | None = None) -> Array:
         """Return the derivative (n_modes, n_modes) [1/s] of the rates at coordinates (n_modes,).
 
         Entry (i, j) is that of rate i by coordinate j. Parameters are those of `rates`.
         """
-        reduced = self._by_operators("jacobian")
-        state = self._state(reduced, coordinates)
-        return reduced.polynomial.jacobian(state, _amplitude(reduced, self._time(time)))
+        reduced, state, amplitude, _ = self._at("jacobian", coordinates, time)
+        return reduced.polynomial.jacobian(state, amplitude)
 
     def steady(self, coordinates: ArrayLike) -> SteadyState:
         """Look for a steady state by Newton's method, from coordinates (n_modes,).
@@ -246,11 +244,9 @@ class Model:
         `n_steps`, and whether it has `converged`. Whether the flow stays there is told by the
         eigenvalues of the Jacobian. There is none where the body force changes with time.
         """
-        reduced = self._by_operators("steady")
+        reduced, state, amplitude, _ = self._at("steady", coordinates)
         if (problem := steady_problem(self._workspace.case)) is not None:
             raise CaseError(f"steady: {problem}")
-        amplitude = _amplitude(reduced, self._time(None))
-        state = self._state(reduced, coordinates)
         return steady_state(reduced.polynomial, state, amplitude=amplitude)
 
     @guarded()
@@ -264,11 +260,11 @@ class Model:
         ----------
         time : [s], for what drives the flow, where that changes; by default the end of the run.
         """
-        reduced = self._by_operators("measures")
-        state, at = self._state(reduced, coordinates)[None], np.array([self._time(time)])
-        found = quantities_of(self._workspace.case, self._point, reduced, at, state)
+        reduced, state, _, at = self._at("measures", coordinates, time)
+        times = np.array([at])
+        found = quantities_of(self._workspace.case, self._point, reduced, times, state[None])
         about = {"model": self.name, **self.parameters}
-        return labelled_measures(self._workspace.case, found, at, about)
+        return labelled_measures(self._workspace.case, found, times, about)
 
     def _by_operators(self, what: str) -> ReferenceModel:
         if self._reduced is None:
@@ -290,18 +286,20 @@ class Model:
             reduced, output_times=replace(reduced.output_times, n_snapshots=longer.n_snapshots)
         )
 
-    def _time(self, time: float | None) -> float:
-        if time is None:
-            return self._workspace.case.plan.steps.end_time
-        if not np.isfinite(time):
-            raise CaseError(f"time: must be finite; got {time:g}")
-        return float(time)
-
-    def _state(self, reduced: ReferenceModel, coordinates: ArrayLike) -> Array:
+    def _at(
+        self, what: str, coordinates: ArrayLike, time: float | None = None
+    ) -> tuple[ReferenceModel, Array, float, float]:
+        """Return the model, coordinates as an array, and amplitude and time of what drives it."""
+        reduced = self._by_operators(what)
         state, shape = finite_array(coordinates, "coordinates"), reduced.start.shape
         if state.shape != shape:
             raise CaseError(f"coordinates: must have the shape {shape}; got {state.shape}")
-        return state
+        at = self._workspace.case.plan.steps.end_time if time is None else float(time)
+        if not np.isfinite(at):
+            raise CaseError(f"time: must be finite; got {at:g}")
+        if reduced.amplitude is None:
+            return reduced, state, 0.0, at
+        return reduced, state, float(reduced.amplitude(np.array([at]))[0]), at
 
     def _run_on_particles(self) -> Result:
         workspace = self._workspace
@@ -334,7 +332,3 @@ def _error_estimate(run: FastRun) -> ErrorEstimate | None:
     velocity, pressure = found.velocity_and_pressure.T
     of_velocity, of_pressure = map(float, found.percent)
     return ErrorEstimate(velocity, pressure, of_velocity, of_pressure, found.extrapolates)
-
-
-def _amplitude(reduced: ReferenceModel, time: float) -> float:
-    return 0.0 if reduced.amplitude is None else float(reduced.amplitude(np.array([time]))[0])

@@ -3,7 +3,9 @@ trade, sweep, fit and training."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -11,7 +13,7 @@ from numpy.typing import NDArray
 
 from sphrom.case.models import Case
 from sphrom.case.points import REYNOLDS, ParameterPoint, TrainValues
-from sphrom.case.sections import ReducedModelSection
+from sphrom.case.sections import LOCAL, ReducedModelSection
 from sphrom.case.study_sections import FULL, N_CANDIDATES, OfRuns, percentage
 from sphrom.errors import CaseError
 from sphrom.reduction.greedy import MOST_CORNERED, candidate_places, first_corners
@@ -76,6 +78,16 @@ def sweep_points(case: Case) -> tuple[ParameterPoint, ...]:
     return tuple(map(case.plan.point, points))
 
 
+def require_basis(case: Case, model: ReducedModelSection, point: ParameterPoint) -> None:
+    """Raise CaseError where a model has no basis at a point, or none with operators."""
+    basis = case.plan.basis_for(model, point)
+    if model.basis == LOCAL and model.from_operators and basis not in case.plan.reference_bases:
+        raise CaseError(
+            f"{point.label} has the local basis {basis}, at none of whose values {model.name} is "
+            "run, so that it has no operators"
+        )
+
+
 def fit_ranges(case: Case, model: ReducedModelSection) -> Ranges:
     """Return the ranges of the parameters that are looked for, by name."""
     given = case.fit.parameters
@@ -103,53 +115,85 @@ def percent(given: str | float, option: str) -> float:
         raise CaseError(f"{option}: {error}; got {quoted(given)}") from error
 
 
+@dataclass(frozen=True)
+class Box:
+    """Ranges of parameters as the unit box, and the values of others."""
+
+    ranges: Ranges
+    fixed: Mapping[str, float]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The free parameters."""
+        return tuple(self.ranges)
+
+    def values(self, place: Array) -> dict[str, float]:
+        """Return the values by name of all parameters at a place (n_free,).
+
+        Reynolds numbers are spread by their logarithm, like viscosities.
+        """
+        free = {n: self.value(n, x) for n, x in zip(self.names, place.tolist(), strict=True)}
+        return {**self.fixed, **free}
+
+    def value(self, name: str, share: float) -> float:
+        """Return the value of a free parameter at its place."""
+        low, high = self.ranges[name]
+        if name == REYNOLDS:
+            return low * (high / low) ** share
+        return low + (high - low) * share
+
+    def share(self, name: str, value: float) -> float:
+        """Return the place of a value of a free parameter."""
+        low, high = self.ranges[name]
+        if name == REYNOLDS:
+            return math.log(value / low) / math.log(high / low)
+        return (value - low) / (high - low)
+
+    def slopes(self, place: Array) -> Array:
+        """Return the derivatives (n_free,) of the free values by their places."""
+        values, ends = self.values(place), self.ranges.items()
+        return np.array(
+            [values[n] * math.log(h / low) if n == REYNOLDS else h - low for n, (low, h) in ends]
+        )
+
+
 class Region:
-    """The box of a case's training, as the unit cube: of Reynolds numbers the logarithm counts."""
+    """The box of a case's training."""
 
     def __init__(self, case: Case) -> None:
-        self._case = case
-        self._ranges = case.training.ranges
-        self._bounds = np.array([self._scaled(n, ends) for n, ends in self._ranges.items()])
+        self._case, ranges = case, case.training.ranges
         own = {REYNOLDS: case.plan.train_points[0].reynolds}
-        self._fixed = {} if REYNOLDS in self._ranges else own
-
-    @staticmethod
-    def _scaled(name: str, values: Sequence[float]) -> Array:
-        return np.log(values) if name == REYNOLDS else np.asarray(values, dtype=float)
+        self._box = Box(ranges, {} if REYNOLDS in ranges else own)
 
     @property
     def names(self) -> tuple[str, ...]:
         """The parameters of all points, the Reynolds number first."""
-        return tuple(dict.fromkeys((REYNOLDS, *self._ranges)))
+        return tuple(dict.fromkeys((REYNOLDS, *self._box.names)))
 
     def point(self, place: Array) -> ParameterPoint:
-        """Return the point at a place (n_parameters,) of the unit cube, to a few digits."""
-        values = dict(self._fixed)
-        for name, share, (low, high) in zip(self._ranges, place, self._bounds, strict=True):
-            ends = self._ranges[name]
-            at = low + (high - low) * share
-            inside = float(f"{np.exp(at) if name == REYNOLDS else at:.{DIGITS}g}")
-            clipped = min(max(inside, ends[0]), ends[1])
-            values[name] = ends[int(share)] if share in (0.0, 1.0) else clipped
+        """Return the point at a place (n_parameters,) of the unit box, to a few digits."""
+        values = self._box.values(place)
+        for (name, ends), share in zip(self._box.ranges.items(), place, strict=True):
+            inside = min(max(float(f"{values[name]:.{DIGITS}g}"), ends[0]), ends[1])
+            values[name] = ends[int(share)] if share in (0.0, 1.0) else inside
         others = tuple((name, values[name]) for name in self.names[1:])
         return ParameterPoint(values[REYNOLDS], others)
 
     def places(self, points: Sequence[ParameterPoint]) -> Array:
-        """Return where points are (n_points, n_parameters), in the unit cube if in the region."""
-        columns = [self._scaled(n, [p.as_dict()[n] for p in points]) for n in self._ranges]
-        low, high = self._bounds.T
-        return (np.stack(columns, axis=1) - low) / (high - low)
+        """Return where points are (n_points, n_parameters), in the unit box if in the region."""
+        rows = [[self._box.share(n, p.as_dict()[n]) for n in self._box.names] for p in points]
+        return np.array(rows).reshape(len(points), -1)
 
     def contains(self, point: ParameterPoint) -> bool:
         """Return whether a point lies in the region."""
         values = point.as_dict()
-        if tuple(values) != self.names or any(values[n] != v for n, v in self._fixed.items()):
+        if tuple(values) != self.names or any(values[n] != v for n, v in self._box.fixed.items()):
             return False
-        return all(low <= values[name] <= high for name, (low, high) in self._ranges.items())
+        return all(low <= values[name] <= high for name, (low, high) in self._box.ranges.items())
 
     def candidates(self) -> list[ParameterPoint]:
         """Return the points at which errors are estimated, each once."""
-        places = candidate_places(N_CANDIDATES, len(self._ranges), self._case.training.seed)
+        places = candidate_places(N_CANDIDATES, len(self._box.ranges), self._case.training.seed)
         return list(dict.fromkeys(map(self.point, places)))
 
     def starts(self, known: Sequence[ParameterPoint]) -> list[ParameterPoint]:
@@ -158,7 +202,7 @@ class Region:
         So many corners that no further point of the region changes the steps of full runs, or the
         speed of sound.
         """
-        number = len(self._ranges)
+        number = len(self._box.ranges)
         corners = [self.point(place) for place in first_corners(number)]
         found = list(dict.fromkeys((*corners, *known)))
         if number > MOST_CORNERED:

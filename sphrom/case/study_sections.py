@@ -132,9 +132,9 @@ class TrainingSection(Section):
         return percentage(self.tolerance)
 
     @property
-    def ranges(self) -> dict[str, tuple[float, ...]]:
+    def ranges(self) -> dict[str, tuple[float, float]]:
         """The least and the greatest value of each parameter, none where there is no region."""
-        return dict(self.__pydantic_extra__ or {})
+        return {name: (ends[0], ends[1]) for name, ends in (self.__pydantic_extra__ or {}).items()}
 
     @property
     def fields(self) -> tuple[int, ...]:

@@ -10,17 +10,16 @@ by the velocity's, of pressures by the pressure's, of forces by the larger of bo
 
 from __future__ import annotations
 
-import math
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.case.points import REYNOLDS, ParameterPoint
-from sphrom.case.studies import Ranges
-from sphrom.errors import UnstableError
+from sphrom.case.points import ParameterPoint
+from sphrom.case.studies import Box, Ranges
+from sphrom.errors import CaseError, UnstableError
 from sphrom.fit.measurements import UNNAMED, History
 from sphrom.metrics.measures import PLACED, FieldMeasure, Quantities
 from sphrom.online.basis_model import fields_of, quantities_of
@@ -35,6 +34,7 @@ from sphrom.setup.assembly import places_of
 from sphrom.setup.particles import MeasuredFields, sampler
 from sphrom.store.reduced_models import read_points
 from sphrom.store.trajectory import read_quantities, snapshot_fields
+from sphrom.text import exact
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -46,39 +46,20 @@ FINER = 2
 """Steps over those that runs take: they are the same for all parameters, and have room for all."""
 
 
-@dataclass(frozen=True)
-class Box:
-    """The ranges of the free parameters, and the values of the others."""
+def box_of(ranges: Ranges, values: Mapping[str, float]) -> Box:
+    """Return the ranges of the free parameters, and the values of the others.
 
-    ranges: Ranges
-    fixed: Mapping[str, float]
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The free parameters."""
-        return tuple(self.ranges)
-
-    def values(self, place: Array) -> dict[str, float]:
-        """Return the values by name of all parameters at a place (n_free,) in the unit box.
-
-        Reynolds numbers are spread by their logarithm, like viscosities.
-        """
-        free = {n: self.value(n, x) for n, x in zip(self.names, place.tolist(), strict=True)}
-        return {**self.fixed, **free}
-
-    def value(self, name: str, share: float) -> float:
-        """Return the value of a free parameter at its place."""
-        low, high = self.ranges[name]
-        if name == REYNOLDS:
-            return low * (high / low) ** share
-        return low + (high - low) * share
-
-    def slopes(self, place: Array) -> Array:
-        """Return the derivatives (n_free,) of the free values by their places."""
-        values, ends = self.values(place), self.ranges.items()
-        return np.array(
-            [values[n] * math.log(h / low) if n == REYNOLDS else h - low for n, (low, h) in ends]
+    Raises CaseError where none is free, or one that is free has no range.
+    """
+    flat = [name for name, (low, high) in ranges.items() if low == high]
+    if flat:
+        raise CaseError(
+            f"fit.parameters: {flat[0]} has one trained value, {exact(ranges[flat[0]][0])}, and so "
+            "no range to look for it in; give its value, or a range"
         )
+    if not ranges:
+        raise CaseError("fit.parameters: gives all values, so that there is nothing to look for")
+    return Box(ranges, values)
 
 
 class FittedModel:

@@ -96,7 +96,9 @@ def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
         return
     found = estimate(run)
     if found is None:
-        artifact.write("residual", trained.residual(run, run.time, run.coordinates))
+        artifact.write(
+            "residual", trained.residual(run.point, run.reduced, run.time, run.coordinates)
+        )
         report.warn(
             f"{run.name}: no estimate of errors: the training runs have "
             "none, or all of them diverge"
@@ -117,7 +119,7 @@ def estimate(run: FastRun) -> Estimate | None:
     fitted = None if trained is None else trained.at(run.point)
     if trained is None or fitted is None:
         return None
-    residual = trained.residual(run, run.time, run.coordinates)
+    residual = trained.residual(run.point, run.reduced, run.time, run.coordinates)
     return Estimate(
         residual=residual,
         fitted=fitted,
@@ -137,7 +139,7 @@ def steady_errors(run: FastRun, state: Array) -> SteadyErrors | None:
     fitted = None if trained is None else trained.at(run.point)
     if trained is None or fitted is None:
         return None
-    residual = float(trained.residual(run, run.time[-1:], state[None])[0])
+    residual = float(trained.residual(run.point, run.reduced, run.time[-1:], state[None])[0])
     change = fitted.changes(run.coordinates)[-1]
     later = float(np.linalg.norm(state - run.coordinates[-1]))
     errors = fitted.steady_errors(residual, change, later)
@@ -183,7 +185,7 @@ class TrainedErrors:
                 own = found + correction.at(places[k])
             coordinates.append(own)
             times = reduced.output_times.time
-            residuals.append(self._residual(points[k], reduced, times, held_out))
+            residuals.append(self.residual(points[k], reduced, times, held_out))
             errors.append(self.products.errors(k, held_out[compared]))
         self.fitted = calibrate_errors(
             times,
@@ -200,24 +202,15 @@ class TrainedErrors:
         place = places_of(self._case, [point])[0]
         return None if self.fitted is None else self.fitted.at(place)
 
-    def residual(self, run: FastRun, times: Array, coordinates: Array) -> Array:
-        """Return the residual's norm (n_states,) [/s] at coordinates of a run's model."""
-        return self._residual(run.point, run.reduced, times, coordinates)
-
-    def _residual(
+    def residual(
         self, point: ParameterPoint, reduced: ReferenceModel, times: Array, coordinates: Array
     ) -> Array:
+        """Return the residual's norm (n_states,) [/s] at coordinates of a model at a point."""
         around = self._case.plan.kinematic_viscosity(point), point.factors
-        projected = self._model.operators.at(*around)
-        added = reduced.polynomial.plus(projected, -1.0)
-        nothing = not any(tensor.any() for tensors in added.powers for tensor in tensors)
-        norm = residual_norm(
-            self._factor,
-            self._whole,
-            self._model.modes,
-            *around,
-            closure=None if nothing else added,
-        )
+        added = reduced.polynomial.plus(self._model.operators.at(*around), -1.0)
+        closed = any(tensor.any() for tensors in added.powers for tensor in tensors)
+        closure, modes = added if closed else None, self._model.modes
+        norm = residual_norm(self._factor, self._whole, modes, *around, closure=closure)
         return norm(coordinates, None if reduced.amplitude is None else reduced.amplitude(times))
 
 

@@ -121,7 +121,7 @@ def calibrate(
     mean_viscosity = float(viscosities.mean())
     # A flow at rest determines the constant alone.
     scale = float(np.sqrt(np.mean(coordinates**2))) or 1.0
-    driven = any(run.rates.has_constant for run in runs)
+    driven = any(tensors and tensors[0].any() for run in runs for tensors in run.rates.powers)
     # As large as the largest coordinate, and so held back as much.
     energy = 1.0 / (scale**2 * np.sqrt(coordinates.shape[1]))
     first = np.ones(len(coordinates)) if driven else energy * np.sum(coordinates**2, axis=1)

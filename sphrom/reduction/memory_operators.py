@@ -238,4 +238,6 @@ def project_memory_operators(
     )
     slope = low.scaled(-3.0 / nu).plus(middle, 4.0 / nu).plus(high, -1.0 / nu)
     curvature = low.scaled(2.0 / nu**2).plus(middle, -4.0 / nu**2).plus(high, 2.0 / nu**2)
-    return MemoryOperators.of_powers((low, slope, curvature))
+    by_amplitude = zip(low.powers, slope.powers, curvature.powers, strict=True)
+    stacked = [tuple(map(np.stack, zip(*powers, strict=True))) for powers in by_amplitude]
+    return MemoryOperators(**dict(zip(("steady", "force", "force_squared"), stacked, strict=False)))

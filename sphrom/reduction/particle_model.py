@@ -34,9 +34,8 @@ from sphrom.errors import UnstableError
 from sphrom.kernels import projection
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.trial_basis import InnerProduct
-from sphrom.sph.domain import Domain
+from sphrom.sph.domain import first_of
 from sphrom.sph.functional import Functional, Rates
-from sphrom.sph.neighbourhood import Neighbourhood
 from sphrom.sph.time_loop import Snapshot
 
 Array = NDArray[np.float64]
@@ -147,6 +146,7 @@ class ParticleModel:
         closure: AdjointPetrovGalerkin | None = None,
     ) -> None:
         self.functional = functional
+        self.domain, self.neighbourhood = functional.domain, functional.neighbourhood
         self.modes = modes
         self._basis = np.empty((0, modes.n_columns))
         self.product = product
@@ -154,16 +154,6 @@ class ParticleModel:
         self.advection = advection
         self.separate_mean = separate_mean
         self.closure = closure
-
-    @property
-    def domain(self) -> Domain:
-        """Where the fluid is."""
-        return self.functional.domain
-
-    @property
-    def neighbourhood(self) -> Neighbourhood:
-        """The list of neighbours that rates are summed over."""
-        return self.functional.neighbourhood
 
     @property
     def n_coordinates(self) -> int:
@@ -225,7 +215,12 @@ class ParticleModel:
         """
         position = self.position(state)
         fields = self.fields(state)
-        self._check_density(position, fields.density_fluctuation)
+        density = self.functional.fluid.reference_density + fields.density_fluctuation
+        # A comparison with NaN is false: every bad particle fails it.
+        bad = np.flatnonzero(~((density > 0.0) & (density < np.inf)))
+        if bad.size:
+            where, value = first_of(bad, position), density[bad[0]]
+            raise UnstableError(f"{where} has a density of {value:.3g} kg/m3")
         full = self.functional.evaluate(position, fields.density_fluctuation, fields.velocity, time)
         # f-bar (3, N) of Eq. 3.1 in the state's scaling.
         rates = self._without_advection(position, fields, full, time)
@@ -240,17 +235,6 @@ class ParticleModel:
                 lambda along, step: self._derivative(position, fields, rates, along, step, time),
             )
         return np.concatenate((reduced, (fields.velocity + full.shifting_velocity).ravel()))
-
-    def _check_density(self, position: Array, density_fluctuation: Array) -> None:
-        density = self.functional.fluid.reference_density + density_fluctuation
-        # A comparison with NaN is false: every bad particle fails it.
-        bad = np.flatnonzero(~((density > 0.0) & (density < np.inf)))
-        if bad.size:
-            i = int(bad[0])
-            raise UnstableError(
-                f"particle {i} at ({position[0, i]:.6g}, {position[1, i]:.6g}) m has a density of "
-                f"{density[i]:.3g} kg/m3"
-            )
 
     @property
     def _scale(self) -> float:

@@ -33,7 +33,7 @@ Monomials are ordered as in `sphrom.kernels.polynomial`, up to the second degree
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any
 
@@ -214,13 +214,6 @@ class MemoryOperators(Record):
         1, "of the modes, /s2 per squared amplitude of the body force", _CLOSURE, "Eq. 3.22",
         by="viscosity_power", default=None,
     )  # fmt: skip
-
-    @classmethod
-    def of_powers(cls, coefficients: Sequence[Polynomial]) -> MemoryOperators:
-        """Return the operators from polynomials that the viscosity's powers 0, 1 and 2 multiply."""
-        by_amplitude = zip(*(each.powers for each in coefficients), strict=True)
-        stacked = [tuple(map(np.stack, zip(*powers, strict=True))) for powers in by_amplitude]
-        return cls(**dict(zip(("steady", "force", "force_squared"), stacked, strict=False)))
 
     def at(self, kinematic_viscosity: float) -> Polynomial:
         """Return the polynomial at a viscosity [m2/s]."""

@@ -59,11 +59,6 @@ class Polynomial:
         """The highest degree of any tensor."""
         return max(1, *(len(tensors) - 1 for tensors in self.powers))
 
-    @property
-    def has_constant(self) -> bool:
-        """Whether there are rates at rest."""
-        return any(tensors and bool(tensors[0].any()) for tensors in self.powers)
-
     def __call__(self, coordinates: Array, amplitude: float = 0.0) -> Array:
         """Return the rates (n_modes,) [1/s]."""
         rates = np.zeros(self.n_modes)

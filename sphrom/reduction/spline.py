@@ -22,11 +22,6 @@ depend on the size of the domain. That leaves Eq. 3.17 unchanged for odd orders;
 k >= 4 it needs a polynomial of at least degree k/2. Eq. 3.19 is sure to have a solution with a
 polynomial of degree floor(k/2) or higher; the paper's linear one, the default, was enough for
 orders 1 to 5 whenever tried, while at order 7 it can be useless (cells of 1.5 spacings were).
-
-`scipy.interpolate.RBFInterpolator` is the yardstick of the tests, but is not used: with
-`neighbors` it finds them and solves a system anew for every position at every call, where
-here all weights are computed once, for all columns, and moving particles only evaluate. Nor does
-it give gradients, or know periodic images.
 """
 
 from __future__ import annotations
@@ -298,7 +293,7 @@ def fit_splines(
     order: int = 3,
     polynomial_degree: int = 1,
     cell_width: float,
-    progress: Callable[[int], None] | None = None,
+    progress: Callable[[int], None] = lambda n_cells: None,
 ) -> LocalSplines:
     """Fit a spline to every column of values, in every cell (Eq. 3.19, Alg. 3.3).
 
@@ -341,8 +336,7 @@ def fit_splines(
                 )
             radial[:, here] = weights[: matrix.shape[0] - n_terms].T
             polynomial[cell] = weights[matrix.shape[0] - n_terms :]
-        if progress is not None:
-            progress(1)
+        progress(1)
     return LocalSplines(
         order=order,
         polynomial_degree=polynomial_degree,

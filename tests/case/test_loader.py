@@ -55,12 +55,6 @@ def test_what_is_written_reads_back(value):
     assert read_yaml(dump_yaml(value)).value == value
 
 
-def test_ten_lines_are_enough(load):
-    case = load("parameters: {train: {reynolds: [100]}}\n")
-    assert case.discretization.resolution == 100
-    assert [model.name for model in case.rom] == ["fast"]
-
-
 def test_a_case_without_models_fits_its_snapshots(load):
     few = "time: {final_time: 0.1, step: 2.5e-3}\nsnapshots: {every: 20}\n"
     (model,) = load(few).rom

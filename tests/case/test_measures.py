@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import pytest
 import yaml
 
 from sphrom.case.loader import case_of_text, load_case
 from sphrom.case.models import Case, resolved_yaml
-from sphrom.errors import CaseError
 
 SCENE: dict[str, Any] = {
     "kind": "custom",
@@ -52,20 +50,3 @@ def test_a_case_that_measures_is_written_in_full_and_read_back() -> None:
         "to": [3.0, 1.0],
     }
     assert case_of_text(text) == case
-
-
-def test_names_are_safe() -> None:
-    with pytest.raises(CaseError, match="a name of at most 64 letters"):
-        case_of({"a/b": {"force_on": "top"}})
-
-
-def test_ends_on_walls_and_tangents_are_fine() -> None:
-    on_walls = {"flow_rate": {"from": [3, 3], "to": [3, 4]}}
-    tangent = {"line": {"from": [0, 3], "to": [6, 3]}}
-    assert case_of({"gap": on_walls, "over": tangent, "top": {"probe": [3, 3]}})
-
-
-def test_a_trade_by_what_is_not_measured() -> None:
-    assert case_of(MEASURE, trade={"measure": "drag"})
-    with pytest.raises(CaseError, match=r"trade\.measure: .* dragg; did you mean drag"):
-        case_of(MEASURE, trade={"measure": "dragg"})

@@ -94,11 +94,6 @@ def test_a_closure_from_operators_is_for_the_viscosity_alone():
         case(GRID, rom=closed)
 
 
-def test_several_reynolds_numbers_are_no_value_of_their_own():
-    with pytest.raises(CaseError, match=r"parameters\.test\.reynolds: is missing"):
-        case({**GRID, "test": {"lid": [0.7]}})
-
-
 def test_some_values_choose_all_points_that_have_them():
     context = StageContext(case(GRID), Path(), False, None, SilentReporter())
     for text, chosen in {

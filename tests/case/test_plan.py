@@ -1,10 +1,20 @@
+"""The plan of a case: what follows from its keys, for every kind of scene."""
+
 from __future__ import annotations
 
+import json
+
+import numpy as np
 import pytest
 
+from sphrom.case.checks import nearest_fitting_resolution
 from sphrom.case.hints import case_warnings
+from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.sph.fluid import Discretization, Fluid, step_limits
+from sphrom.sph.walls import build_walls
+
+LID = "name: box\nscene:\n  kind: lid-driven-cavity\n"
 
 
 def test_derived_quantities(load):
@@ -78,11 +88,6 @@ def test_bases_and_their_sizes(load):
     assert case.plan.basis_size("low") == 3
 
 
-def test_modes_without_reduced_models_are_as_many_as_there_can_be(load):
-    case = load("time: {step: 1e-3, final_time: 0.02}\nrom: []\n")
-    assert case.plan.basis_size("all") == 3
-
-
 @pytest.mark.parametrize(
     ("parameters", "expected"),
     [("all", [100, 200, 150]), ("train", [100, 200]), ("test", [150]), ("[200]", [200])],
@@ -95,9 +100,152 @@ def test_points_of_a_reduced_model(load, parameters, expected):
     assert [point.reynolds for point in case.plan.rom_points(case.rom[0])] == expected
 
 
-def test_labels():
-    assert ParameterPoint(100.0).label == "reynolds=100"
-    assert ParameterPoint(12.5).file_label == "reynolds12.5"
-    assert ParameterPoint(100.0000001).label == "reynolds=100.0000001"
-    assert ParameterPoint(100.0000001).file_label == "reynolds100.0000001"
-    assert ParameterPoint(100.0).as_dict() == {"reynolds": 100.0}
+OPEN = "name: open\nscene:\n  kind: open-cavity\n"
+VORTEX = "name: vortex\nscene:\n  kind: taylor-green\n"
+
+
+def test_given_values_win_over_the_scene_s_defaults(load):
+    case = load("fluid: {reference_density: 3}\ntime: {final_time: 2}\n", base=LID)
+    assert (case.fluid.reference_density, case.time.final_time) == (3.0, 2.0)
+    assert load("", "time.spin_up=0", base=OPEN).time.spin_up == 0.0
+    form = load("discretization: {shifting: {form: paper}}\n", base=LID).discretization.shifting
+    assert (form.form, form.transport) == ("paper", "advective")
+    assert load("fluid:\n", base=LID).fluid.reference_density == 1.0
+
+
+def test_derived_quantities_of_the_open_cavity(load):
+    case = load("", base=OPEN)
+    assert case.plan.particle_spacing == pytest.approx(0.002)
+    assert case.plan.kinematic_viscosity(case.plan.points[0]) == pytest.approx(2.0 * 0.2 / 2400.0)
+    assert case.plan.sound_speed == pytest.approx(20.0)
+    assert case.plan.probe_line == pytest.approx(0.25)
+    assert case.plan.n_particles == 15_000
+    assert case.plan.n_ghosts == 2000
+    assert not case.scene.has_exact_solution
+
+
+@pytest.mark.parametrize(
+    ("asked", "ratio", "layers"), [("null", 2.0, 4), ("null", 1.5, 3), ("3", 2.0, 3)]
+)
+def test_layers_of_ghosts(load, asked, ratio, layers):
+    text = f"discretization: {{smoothing_length_ratio: {ratio}, walls: {{layers: {asked}}}}}\n"
+    assert load(text, base=LID).plan.n_wall_layers == layers
+
+
+@pytest.mark.parametrize(
+    ("base", "text"),
+    [
+        (LID, "discretization: {resolution: 20}\n"),
+        (OPEN, "discretization: {resolution: 40}\n"),
+        (OPEN, "discretization: {resolution: 80, walls: {layers: 3}}\n"),
+    ],
+)
+def test_particles_and_ghosts_are_as_many_as_are_made(load, base, text):
+    case = load(text, base=base)
+    domain, spacing = case.scene.domain, case.plan.particle_spacing
+    assert case.plan.n_particles == len(domain.fill(spacing))
+    assert case.plan.n_ghosts == len(build_walls(domain, spacing, case.plan.n_wall_layers).position)
+
+
+@pytest.mark.parametrize(
+    ("base", "changes", "removes"),
+    [
+        (VORTEX, (), True),
+        (LID, (), True),
+        (OPEN, (), True),
+        (VORTEX, ("discretization.fixed_volume=false",), False),
+        (LID, ("discretization.fixed_volume=false",), True),
+        (OPEN, ("discretization.fixed_volume=false",), False),
+        (LID, ("basis.inner_product=raw",), False),
+        (LID, ("basis.mean_density=in-modes",), False),
+        (OPEN, ("basis.mean_density=separate", "discretization.fixed_volume=false"), True),
+    ],
+)
+def test_gauge(load, base, changes, removes):
+    assert load("", *changes, base=base).plan.separate_mean_density is removes
+
+
+def test_automatic_step_fits_spin_up_and_recorded_time(load):
+    case = load("snapshots: {every: 7}\n", base=OPEN)
+    plan = case.plan.steps
+    assert plan.n_steps % 7 == 0
+    assert plan.start_time == pytest.approx(5.0, rel=1e-12)
+    assert plan.end_time == pytest.approx(6.0, rel=1e-12)
+    assert plan.n_spin_up_steps == 5 * plan.n_steps
+    assert plan.n_snapshots == plan.n_steps // 7 + 1
+    limit = case.plan.limits.acoustic
+    assert 0.49 * limit < plan.time_step <= 0.5 * limit * (1 + 1e-6)
+
+
+def test_body_force_limits_the_step(load):
+    force = "scene.body_force={magnitude: 1e5, sustained_share: 0}"
+    case = load("", force, base=OPEN)
+    assert case.plan.limits.body_force == pytest.approx(0.25 * (0.004 / 1e5) ** 0.5)
+    assert case.plan.steps.time_step <= 0.5 * case.plan.limits.body_force
+    assert load("").plan.limits.body_force == np.inf
+
+
+LOCAL = """
+parameters: {train: {reynolds: [50, 100, 150, 200]}, test: {reynolds: [75, 125]}}
+basis:
+  subsets:
+    low: {reynolds: [50, 100]}
+    middle: {reynolds: [100, 150]}
+    high: {reynolds: [150, 200]}
+    re100: {reynolds: [100]}
+"""
+LOCAL_MODEL = "rom: [{name: x, basis: local}]\n"
+
+
+@pytest.mark.parametrize(
+    ("reynolds", "name"),
+    [
+        (50, "low"), (75, "low"), (100, "middle"), (125, "middle"), (150, "high"), (200, "high"),
+    ],
+)  # fmt: skip
+def test_local_basis_is_that_in_whose_interval_a_point_lies(load, reynolds, name):
+    case = load(LOCAL + LOCAL_MODEL, base=LID)
+    assert case.plan.basis_for(case.rom[0], ParameterPoint(float(reynolds))) == name
+
+
+def test_given_interval_wins_over_the_trained_range(load):
+    text = LOCAL.replace("[50, 100]}", "[50, 100], interval: [10, 90]}")
+    case = load(text, base=LID)
+    assert case.basis.subsets["low"].bounds == {"reynolds": (10.0, 90.0)}
+    assert case.plan.local_bases(ParameterPoint(20.0)) == ["low"]
+    assert case.plan.local_bases(ParameterPoint(95.0)) == []
+
+
+def sections(**values: object) -> str:
+    """Return sections as YAML, with no reduced models."""
+    return "".join(f"{name}: {json.dumps(value)}\n" for name, value in values.items()) + "rom: []\n"
+
+
+@pytest.mark.parametrize("resolution", [40, 43, 58])
+def test_a_spin_up_of_as_many_steps_as_there_are_between_snapshots(load, resolution: int) -> None:
+    """No step is longer than the target, and none has to be shorter."""
+    grid = {"resolution": resolution}
+    step = load(sections(discretization=grid), base=LID).plan.step_target
+    time = {"spin_up": 10.0 * step, "final_time": 20.0 * step}
+    case = load(sections(discretization=grid, time=time), base=LID)
+    assert case.plan.steps.time_step == pytest.approx(step, rel=1e-9)
+
+
+@pytest.mark.parametrize("resolution", [12, 20, 28])
+def test_a_support_of_half_a_periodic_box(load, resolution: int) -> None:
+    ratio = {"resolution": resolution, "smoothing_length_ratio": resolution / 4.0}
+    load(sections(discretization=ratio), "scene.length=0.7")
+
+
+@pytest.mark.parametrize(
+    ("resolution", "nearest"), [(40, 40), (41, 40), (42, 44), (43, 44), (45, 44), (47, 48)]
+)
+def test_the_nearest_resolution_that_fits_may_be_coarser_or_finer(
+    resolution: int, nearest: int
+) -> None:
+    """Walls of the open cavity lie at quarters of the channel's length."""
+    case = Case.model_construct(
+        scene=Case.model_validate({"name": "x", "scene": {"kind": "open-cavity"}}).scene,
+        discretization=type("Section", (), {"resolution": resolution}),
+    )
+    assert nearest_fitting_resolution(case) == nearest

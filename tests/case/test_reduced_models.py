@@ -38,14 +38,6 @@ def test_readings_that_fixed_points_do_not_have(load, refusal, base, key, given,
     assert load("rom: [{name: x}]\n", override, **bases).rom[0].on_particles
 
 
-def test_a_force_that_changes_has_no_steady_state(load, refusal):
-    assert load(fast(steady="true"), base=LID).rom[0].steady
-    assert refusal(fast(steady="true"), base=OPEN) == [
-        "case.yaml:4: rom.0.steady: the scene's body force changes with time: there is no steady "
-        "state"
-    ]
-
-
 def test_values_without_a_full_run_are_for_the_reference_points(load):
     case = load(TRAINED + fast(parameters=[100, 150]))
     assert case.plan.rom_points(case.rom[0]) == (ParameterPoint(100.0), ParameterPoint(150.0))
@@ -99,23 +91,6 @@ def test_only_bases_of_models_that_are_taught_keep_their_training_runs(load):
     assert case.plan.taught_bases == ("high",)
     assert load(TRAINED + basis + f"rom: [{{name: a, {plain}}}]\n").plan.taught_bases == ("all",)
     assert load("rom: [{name: particles}]\n").plan.taught_bases == ()
-
-
-def test_one_training_run_says_nothing_of_another(load, refusal):
-    model = "rom: [{name: x, evaluation: operators, corrected: true}]\n"
-    (line,) = refusal(model)
-    assert "rom.0.corrected: the basis all learns from one run; two or more are needed" in line
-    case = load(TRAINED + model.replace("true", "auto"))
-    assert case.plan.is_corrected(case.rom[0], "all")
-    assert not load(model.replace("true", "auto")).plan.is_corrected(case.rom[0], "all")
-
-
-def test_particles_and_bases_without_estimates_have_a_number_of_modes(refusal):
-    (line,) = refusal(TRAINED + "rom: [{name: x, n_modes: auto}]\n")
-    assert "auto is for models with evaluation: operators that are calibrated" in line
-    model = TRAINED + "rom: [{name: x, evaluation: operators, n_modes: auto}]\n"
-    (line,) = refusal(model + "operators: {error_estimate: false}\n")
-    assert "auto needs the errors of training runs: set operators.error_estimate: true" in line
 
 
 def test_as_many_modes_as_are_best_are_at_most_those_of_the_basis(load):

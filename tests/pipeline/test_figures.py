@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 import yaml
 
-from sphrom.artifacts import read_record
-from sphrom.artifacts.records.comparison import Ranges
 from sphrom.case.loader import load_case
 from sphrom.compare.stored_comparison import StoredComparison
+from sphrom.online.stored_run import StoredRun
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
 
@@ -59,23 +58,26 @@ def test_every_kind_is_drawn_and_asking_makes_nothing_another_case_s(
     assert "rom-galerkin-reynolds100.h5" in refused(sphrom("figures", path, "--out", place))
 
 
-def test_stored_errors_are_those_of_the_comparison(place):
+def test_stored_errors_and_fields_are_those_of_the_runs(place):
     case = load_case(Path("tiny.yaml"))
-    workspace = Workspace(StageContext(case, place, False, 1, None))
-    point = case.plan.points[0]
+    workspace, point = Workspace(StageContext(case, place, False, 1, None)), case.plan.points[0]
     with StoredComparison.of(workspace) as stored:
+        series = stored.errors("galerkin", point)
         for quantity, told in (("speed", "velocity"), ("pressure", "pressure")):
             for over in ("line", "field"):
                 time, error = stored.discrepancy("galerkin", point, quantity, over)
-                with workspace.open(workspace.comparison()) as artifact:
-                    group = f"series/galerkin-against-full/{point.file_label}"
-                    name = f"{told}_line_eq41_by_{over}_range"
-                    np.testing.assert_allclose(error, artifact.read(f"{group}/{name}"))
-                    np.testing.assert_array_equal(time, artifact.read(f"{group}/time"))
-                    ranges = read_record(artifact, Ranges, f"ranges/{point.file_label}")
-        assert len(ranges.speed) == len(time)
+                expected = series.eq41[f"{told}_line_eq41_by_{over}_range"]
+                np.testing.assert_allclose(error, expected)
+                np.testing.assert_array_equal(time, series.time)
         assert stored.is_complete("galerkin", point)
         assert not stored.is_complete("unheard-of", point)
+        where, line = stored.line("galerkin", point)
+    with StoredRun.opened(workspace, point, case.rom[0]) as run:
+        some = run.sampled(where, [0, 2])
+        np.testing.assert_array_equal(some.time, line.time[[0, 2]])
+        np.testing.assert_array_equal(some.velocity, line.velocity[[0, 2]])
+        velocity, _ = run.fields(2)
+        assert velocity.shape == run.position(2).shape
 
 
 @pytest.mark.parametrize(

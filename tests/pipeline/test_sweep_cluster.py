@@ -110,8 +110,8 @@ def test_training_makes_several_runs_at_once_there(
     Path("tiny.yaml").write_text(case_text(**model, training=region))
     result = sphrom("train", "tiny.yaml", "--scheduler", address)
     assert result.exit_code == 0, result.output
-    progress = json.loads((empty / "training" / "progress.json").read_text())
-    assert 1 < len(progress["rows"][0]["held_out"]) <= N_WORKERS
+    stages = json.loads((empty / "training" / "training.json").read_text())["stages"]
+    assert 1 < [row["full_runs"] for row in stages].count(2) <= N_WORKERS
     ends = "parameters.train.reynolds=[50,400]"
     assert sphrom("fom", "tiny.yaml", "--out", "here", "--set", ends).exit_code == 0
     there, here = digests(empty), digests(Path("here"))

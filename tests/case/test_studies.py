@@ -1,15 +1,75 @@
-"""The section `training`: the region of a case, as places, candidates and first points."""
+"""Sections of studies: fit, trade, and the region of a training."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
+from sphrom.case.checks import coarser_resolution
 from sphrom.case.loader import load_case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.studies import Region, trained_at
-from sphrom.case.study_sections import N_CANDIDATES, percentage
+from sphrom.case.studies import Region, fast_model, fit_ranges, fit_values, percent, trained_at
+from sphrom.case.study_sections import N_CANDIDATES
+from sphrom.errors import CaseError
+
+CASE: dict[str, Any] = {
+    "name": "lid",
+    "scene": {"kind": "lid-driven-cavity"},
+    "discretization": {"resolution": 10},
+    "time": {"final_time": 0.5},
+    "snapshots": {"every": 5},
+    "parameters": {"train": {"reynolds": [50, 200], "lid": [0.5, 1.0]}},
+    "rom": [
+        {"name": "slow", "n_modes": 3},
+        {"name": "fast", "evaluation": "operators", "n_modes": 3},
+        {"name": "other", "evaluation": "operators", "n_modes": 2},
+    ],
+}
+
 
 FAST = {"name": "fast", "evaluation": "operators", "n_modes": 3}
+
+
+def test_what_varies_is_looked_for_where_it_was_trained():
+    case = load_case(CASE)
+    model = fast_model(case, case.fit.model)
+    assert model is not None
+    assert model.name == "fast"
+    assert fit_ranges(case, model) == {"reynolds": (50.0, 200.0), "lid": (0.5, 1.0)}
+    assert fit_values(case) == {}
+
+
+def test_ranges_and_values():
+    parameters = {"lid": 0.8, "reynolds": [60, 90]}
+    case = load_case({**CASE, "fit": {"model": "other", "parameters": parameters}})
+    model = fast_model(case, case.fit.model)
+    assert model is not None
+    assert model.name == "other"
+    assert fit_ranges(case, model) == {"reynolds": (60.0, 90.0)}
+    assert fit_values(case) == {"lid": 0.8}
+
+
+def test_percentages():
+    assert [percent(given, "--noise") for given in ("1%", " 0.5 % ", "2", 3.0)] == [1, 0.5, 2, 3]
+    for given in ("", "%", "much", "0%", "-1%", "nan", "1e9%", "1e-300%"):
+        with pytest.raises(CaseError, match="--noise: must be a percentage from 1e-06% to"):
+            percent(given, "--noise")
+
+
+def test_walls_stay_on_the_lattice(refusal):
+    base = "name: small\nscene:\n  kind: open-cavity\n"
+    (line,) = refusal("trade: {resolutions: [41]}\n", base=base)
+    assert "trade.resolutions: 41: a spacing of" in line
+
+
+def test_half_the_resolution_where_it_fits(load):
+    coarse = "discretization: {resolution: 20, smoothing_length_ratio: 2.0}\n"
+    assert coarser_resolution(load(coarse)) == 10
+    assert coarser_resolution(load(coarse, "discretization.resolution=14")) is None
+    assert coarser_resolution(load("discretization: {resolution: 17}\n")) is None
+
+
 LIDS = {"reynolds": [50, 200], "lid": [0.5, 1.0]}
 
 
@@ -70,11 +130,6 @@ def test_without_a_range_the_reynolds_number_is_that_of_the_case():
     ]
     trained = trained_at(case, region.starts(()))
     assert {point.reynolds for point in trained.plan.points} == {120.0}
-
-
-@pytest.mark.parametrize(("text", "value"), [("1%", 1.0), (" 0.5 % ", 0.5), ("1e-1%", 0.1)])
-def test_percentages(text, value):
-    assert percentage(text) == value
 
 
 def test_a_case_that_is_trained_elsewhere_forgets_where_it_was_trained():
