@@ -21,6 +21,7 @@ def refusal_of(path: Path) -> str:
 
 def test_missing_file(tmp_path):
     assert refusal_of(tmp_path / "no.yaml") == f"{tmp_path}/no.yaml: there is no such case file"
+    assert refusal_of(tmp_path).startswith(f"{tmp_path}: ")  # a folder
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may read every file")
