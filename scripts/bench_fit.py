@@ -61,12 +61,12 @@ def case(resolution: int, final_time: float, n_modes: int) -> dict[str, Any]:
 def recorded(study: sphrom.Study, point: dict[str, float]) -> Columns:
     """Return what the probes recorded in a full run, the start left out."""
     label = study.case.plan.point(point).file_label
-    run = sphrom.open_tree(study.folder / f"fom-{label}.h5")
-    found = {"time": run["/"].time.values[1:]}
+    path = study.folder / f"fom-{label}.h5"
+    found = {"time": sphrom.open(path).time.values[1:]}
     for name in PROBES:
+        velocity = sphrom.open(path, f"measure/{name}").measure_velocity.values
         for k, component in enumerate("uv"):
-            values = run[f"measure/{name}"].velocity.values[1:, 0, k]
-            found[f"{name}_{component}"] = values
+            found[f"{name}_{component}"] = velocity[1:, 0, k]
     return found
 
 

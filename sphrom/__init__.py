@@ -24,7 +24,6 @@ FROM_API = (
     "Sensitivities",
     "Study",
     "open",
-    "open_tree",
 )
 __all__ = ["__version__", "errors", *FROM_API]
 

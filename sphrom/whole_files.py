@@ -171,12 +171,6 @@ def require_writable(path: Path) -> None:
         pass
 
 
-def remove_whole(path: Path) -> None:
-    """Remove a file, and the temporary file of a killed process."""
-    with locked(path, wait=True):
-        path.unlink(missing_ok=True)
-
-
 @contextlib.contextmanager
 def replacement(path: Path, *, force: bool) -> Iterator[TemporaryFile]:
     """Open a temporary file that becomes `path` when the block ends without an exception.

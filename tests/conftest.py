@@ -6,7 +6,6 @@ all images, in plain numpy: nothing of it is regrouped, sorted or compiled.
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 import signal
 import subprocess
@@ -15,16 +14,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import pytest
 from hypothesis import settings
 from numpy.typing import NDArray
 
 from sphrom.artifacts import inspection
-from sphrom.artifacts.inspection import inspect
-from sphrom.artifacts.layout import content_digest, dataset_line
-from sphrom.artifacts.writer import fixed_text
 from sphrom.case.models import Case
 from sphrom.reduction.mode_fields import mode_fields, mode_gradients, weighted_rows
 from sphrom.sph.fluid import FlowConditions
@@ -461,25 +456,3 @@ def case_of() -> Callable[..., Case]:
         )
 
     return make
-
-
-@pytest.fixture
-def signed() -> Callable[[Path], Path]:
-    """Store the digests of what an artifact holds now, as nobody would by mistake."""
-    return _signed
-
-
-def _signed(path: Path) -> Path:
-    with h5py.File(path, "r+") as file:
-        found: list[str] = []
-        file.visit(lambda name: found.append(name) if "sha256" in file[name].attrs else None)
-        lines = {}
-        for name in (name for name in found if name != "case"):
-            values = file[name][...]
-            digest = hashlib.sha256(values.tobytes()).hexdigest()
-            file[name].attrs["sha256"] = fixed_text(digest)
-            lines[name] = dataset_line(values.dtype, values.shape, digest)
-        attributes = inspect(file).attributes
-        digest = content_digest(str(attributes["schema"]), attributes, lines)
-        file.attrs["content_sha256"] = fixed_text(digest)
-    return path

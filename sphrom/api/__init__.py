@@ -11,7 +11,7 @@ refused here in the same words, as an error of `sphrom.errors`.
 
 from sphrom.api.model import Model
 from sphrom.api.result import ErrorEstimate, Result, Sensitivities
-from sphrom.api.study import Study, open, open_tree
+from sphrom.api.study import Study, open
 from sphrom.artifacts.records.fit import FittedHistory
 from sphrom.fit.fit import Estimate, Fit
 
@@ -25,5 +25,4 @@ __all__ = [
     "Sensitivities",
     "Study",
     "open",
-    "open_tree",
 ]

@@ -181,17 +181,3 @@ def open(path: str | os.PathLike[str], group: str = "") -> xarray.Dataset:
     from sphrom.artifacts.labelled import open_labelled
 
     return open_labelled(Path(path), group)
-
-
-@guarded(computes=False)
-def open_tree(path: str | os.PathLike[str]) -> xarray.DataTree:
-    """Open an artifact with all of its groups, such as every basis of `pod.h5`.
-
-    Each node is a dataset as `open` gives it, without what belongs to all groups: that is at the
-    root.
-
-    Raises ArtifactError when the file is missing, damaged or no artifact.
-    """
-    from sphrom.artifacts.labelled import open_labelled_tree
-
-    return open_labelled_tree(Path(path))

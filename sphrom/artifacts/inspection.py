@@ -32,7 +32,6 @@ LOCKINGS = (None, False, True)
 so the default comes first. An artifact never changes: it needs no lock where none can be had."""
 FileKey = tuple[int, ...]
 """What changes when a file does."""
-_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 # What h5py raises when the file's own structures are damaged, depending on which.
 DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, OverflowError)
 
@@ -63,23 +62,17 @@ def damage(what: str) -> Iterator[None]:
 def open_file(path: Path) -> h5py.File:
     """Open a regular HDF5 file for reading. Raises Fault."""
     try:
-        # Asked before opening: opening a pipe would wait for ever.
-        if not path.is_file():
-            there = "is not a file" if path.exists() else "is missing"
-            raise Fault("is a symbolic link to nothing" if path.is_symlink() else there)
-        with path.open("rb") as stream:
-            start = stream.read(len(_SIGNATURE))
+        if not path.is_file():  # opening a pipe would wait for ever
+            raise Fault("is not a file" if path.exists() else "is missing")
+        path.open("rb").close()
     except OSError as error:
         raise Fault(f"can't be read ({error.strerror})") from error
-    if start != _SIGNATURE:
-        raise Fault("is not an HDF5 file" if start else "is empty")
     for locking in LOCKINGS:
         try:
             return h5py.File(path, "r", locking=locking)
         except (OSError, RuntimeError, ValueError) as error:
             fault = error
-    kind = "truncated" if "truncated" in str(fault) else "damaged"
-    raise Fault(f"is {kind}: HDF5 can't open it") from fault
+    raise Fault("is damaged, truncated, or not an HDF5 file") from fault
 
 
 def file_key(file: h5py.File) -> FileKey:
@@ -109,11 +102,11 @@ class Contents:
 def inspect(file: h5py.File) -> Contents:
     """Return what the file holds. Raises Fault on anything that an artifact never holds."""
     contents = Contents(attributes=attributes_at(file, ""))
-    # The view is other programs' and never used, as are scales, their names for axes.
+    # The view is for other programs, and never used.
     for path, item in _items(file, but=VIEW):
         if isinstance(item, h5py.Group):
             contents.attributes |= attributes_at(item, path)
-        elif isinstance(item, h5py.Dataset) and not h5py.h5ds.is_scale(item.id):
+        elif isinstance(item, h5py.Dataset):
             with damage(f"dataset {path}"):
                 _require_plain(item, path)
                 contents.datasets[path] = item.shape, item.dtype

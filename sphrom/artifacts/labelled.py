@@ -7,7 +7,6 @@ the others: xarray takes longer to load than a reduced run.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,6 @@ from numpy.typing import NDArray
 from xarray.backends import BackendArray
 from xarray.core import indexing
 
-from sphrom.artifacts.layout import COORDINATES, Axes
 from sphrom.artifacts.reader import Artifact, open_artifact
 from sphrom.artifacts.records import SCHEMAS
 from sphrom.declaration import Field
@@ -27,84 +25,48 @@ from sphrom.errors import CaseError
 def open_labelled(path: str | Path, group: str = "") -> xarray.Dataset:
     """Open an artifact, or a group of one such as `bases/all`, with what belongs to all groups.
 
-    Variables have the names that `sphrom/artifacts.md` gives them, `_` for `/`, and their units,
-    meanings and symbols as attributes; runs can be selected by time. Values are read when they are
-    needed, so the file stays open until the dataset is closed. The attribute `groups` lists the
-    groups that can be opened.
+    `sphrom.open` says how variables and attributes are called. The file stays open until the
+    dataset is closed.
 
     Raises ArtifactError when the file is missing, damaged or no artifact, CaseError when it has no
     such group.
     """
-    with _opened(path) as (artifact, stack):
-        groups = _Groups(artifact)
-        labelled = groups.labelled(group.strip("/"))
-        if groups.names:
-            labelled.attrs["groups"] = groups.names
-        labelled.set_close(stack.pop_all().close)
-    return labelled
-
-
-def open_labelled_tree(path: str | Path) -> xarray.DataTree:
-    """Open an artifact with all of its groups; what belongs to all of them is at the root.
-
-    Raises ArtifactError when the file is missing, damaged or no artifact.
-    """
-    with _opened(path) as (artifact, stack):
-        groups = _Groups(artifact)
-        nodes = {name: groups.labelled(name, alone=True) for name in groups.names}
-        tree = xarray.DataTree.from_dict({"/": groups.labelled(), **nodes})
-        tree.set_close(stack.pop_all().close)
-    return tree
-
-
-@contextlib.contextmanager
-def _opened(path: str | Path) -> Iterator[tuple[Artifact, contextlib.ExitStack]]:
-    """Open an artifact of any kind, and close it unless who closes it later takes the stack."""
+    group = group.strip("/")
     with contextlib.ExitStack() as stack:
-        opened = open_artifact(path, None, made_by="sphrom run CASE")
-        yield stack.enter_context(opened), stack
-
-
-class _Groups:
-    """The datasets of an artifact, by the group that they are in."""
-
-    def __init__(self, artifact: Artifact) -> None:
-        self._artifact = artifact
-        self._schema = SCHEMAS[artifact.schema]
-        self._datasets: dict[str, dict[str, Field]] = {}
-        for name in artifact.datasets:
-            if (field := self._schema.dataset(name)) is not None:
-                self._datasets.setdefault(_home(field, name), {})[name] = field
-        self.names = sorted(filter(None, self._datasets))
-
-    def labelled(self, group: str = "", *, alone: bool = False) -> xarray.Dataset:
-        """Return a group, with what belongs to all groups unless it is to be `alone`."""
-        if group and group not in self.names:
-            there = ", ".join(self.names) or "none"
-            raise CaseError(f"{self._artifact.path} has no group {group}; there are: {there}")
-        axes, variables = Axes(self._schema), {}
-        for home in {group} if alone else {"": None, group: None}:
-            for name, field in self._datasets.get(home, {}).items():
-                paths = axes.paths(name, field, self._artifact.form(name)[0])
-                dims = [path.rpartition("/")[2] for path in paths]
-                labels = {key: text for key, text in field.labels.items() if text}
-                lazy = indexing.LazilyIndexedArray(_Lazy(self._artifact, name))
-                variables[_short(name, home)] = xarray.Variable(dims, lazy, labels)
-        found = xarray.Dataset(variables, attrs=self._attributes(group, alone))
-        for axis, coordinate in COORDINATES.items():
-            if coordinate in found and found[coordinate].dims == (axis,):
-                found = found.set_coords(coordinate).set_xindex(coordinate)
+        artifact = stack.enter_context(open_artifact(path, None, made_by="sphrom run CASE"))
+        described = {name: SCHEMAS[artifact.schema].dataset(name) for name in artifact.datasets}
+        fields = {name: field for name, field in described.items() if field is not None}
+        groups = sorted({_home(field, name) for name, field in fields.items()} - {""})
+        if group and group not in groups:
+            there = ", ".join(groups) or "none"
+            raise CaseError(f"{path} has no group {group}; there are: {there}")
+        variables = {
+            _short(name, group): _variable(artifact, name, field)
+            for name, field in fields.items()
+            if _home(field, name) in ("", group)
+        }
+        others = tuple(f"{other}/" for other in (*groups, "lineage") if other != group)
+        attributes: dict[str, Any] = {
+            _short(name, group): value
+            for name, value in artifact.attributes.items()
+            if not name.startswith(others)
+        }
+        if groups:
+            attributes["groups"] = groups
+        found = xarray.Dataset(variables, attrs=attributes)
+        if "time" in found and found["time"].dims == ("snapshot",):
+            found = found.set_coords("time").set_xindex("time")
+        found.set_close(stack.pop_all().close)
         return found
 
-    def _attributes(self, group: str, alone: bool) -> dict[str, Any]:
-        """Return the attributes of a group, and of the artifact but for those of its inputs."""
-        own = f"{group}/" if alone else ""
-        others = tuple(f"{other}/" for other in (*self.names, "lineage") if other != group)
-        return {
-            _short(name, group): value
-            for name, value in self._artifact.attributes.items()
-            if name.startswith(own) and not name.startswith(others)
-        }
+
+def _variable(artifact: Artifact, name: str, field: Field) -> xarray.Variable:
+    dims = [  # no two axes of a dataset have one name
+        f"{axis}_{again + 1}" if (again := field.axes[:i].count(axis)) else axis
+        for i, axis in enumerate(field.axes)
+    ]
+    labels = {key: text for key, text in field.labels.items() if text}
+    return xarray.Variable(dims, indexing.LazilyIndexedArray(_Lazy(artifact, name)), labels)
 
 
 def _home(field: Field, name: str) -> str:

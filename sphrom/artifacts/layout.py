@@ -1,4 +1,4 @@
-"""What an artifact can hold: names, values of attributes, axes, and its digest.
+"""What an artifact can hold: names, values, and its digest.
 
 No file is opened here.
 """
@@ -15,15 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.declaration import PROVENANCE, TIMING, Field, Schema, find_field, joined, matches
+from sphrom.declaration import PROVENANCE, TIMING, Field, find_field
 
 Shape = tuple[int, ...]
 Value = str | int | float | tuple[float, ...]
 
 LARGEST = 1e100
 """Magnitude that no value exceeds: sums of squares of larger ones may overflow."""
-COORDINATES = {"snapshot": "time"}
-"""Datasets that tell where along an axis its entries are."""
 
 _SEGMENT = re.compile(r"[A-Za-z0-9_+=-][A-Za-z0-9_.+=,-]*")
 _OF_KIND: Mapping[str, Callable[[Any], Value]] = {
@@ -61,46 +59,6 @@ def attribute_value(field: Field, value: object) -> Value:
     if not allowed or index_not_finite(np.asarray(plain)) is not None:
         raise ValueError(f"{field.name} can't be {value!r}")
     return plain
-
-
-class Axes:
-    """The names of the axes of an artifact's datasets, by path: each path has one length."""
-
-    def __init__(self, schema: Schema) -> None:
-        # An axis of a dataset that is in no group of several has one length everywhere.
-        plain = [field for field in schema.datasets if "*" not in field.name]
-        self._common = {axis for field in plain for axis in field.axes}
-        self._groups = {field.name.rpartition("/")[0] for field in schema.datasets}
-        self.lengths: dict[str, int] = {}
-
-    def paths(self, name: str, field: Field, shape: Shape) -> list[str]:
-        """Return where the axes of a dataset are named.
-
-        Raises ValueError where another dataset gives an axis another length.
-        """
-        return [self._path(name, field, i, length) for i, length in enumerate(shape)]
-
-    def _path(self, name: str, field: Field, i: int, length: int) -> str:
-        axis, scope = field.axes[i], ""
-        if axis not in self._common and "*" in field.name:
-            depth = field.name.rpartition("*")[0].count("/") + 1
-            scope = "/".join(name.split("/")[:depth])
-        alone = scope == name  # a dataset that itself stands for a `*`
-        path = joined(scope.rpartition("/")[0] if alone else scope, axis)
-        if self._is_group(path):
-            path = f"{path}/{axis}"
-        if axis in field.axes[:i]:  # no two axes of a dataset have one name
-            path = f"{path}_{field.axes[: i + 1].count(axis)}"
-        if alone and self.lengths.get(path, length) != length:
-            path = f"{path}_{name.rpartition('/')[2]}"
-        if (other := self.lengths.setdefault(path, length)) != length:
-            raise ValueError(f"{name} has {length} along {axis}, but others have {other}")
-        return path
-
-    def _is_group(self, path: str) -> bool:
-        """Whether a group that holds datasets has this path."""
-        depth = path.count("/") + 1
-        return any(matches("/".join(group.split("/")[:depth]), path) for group in self._groups)
 
 
 @dataclass(frozen=True)

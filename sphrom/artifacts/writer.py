@@ -1,10 +1,4 @@
-"""Write an artifact: whole or not at all, checked against its schema, never with NaN inside.
-
-The axes of datasets have names, HDF5's dimension scales, which xarray and netCDF know axes by. A
-scale is a dataset without values that has an axis's name and length. It stands in the group within
-which the axis has one length, and is no part of the content's digest: reading an artifact never
-looks at it.
-"""
+"""Write an artifact: whole or not at all, checked against its schema, never with NaN inside."""
 
 from __future__ import annotations
 
@@ -15,7 +9,7 @@ import math
 import os
 import time
 import uuid
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +18,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sphrom.artifacts.layout import (
-    COORDINATES,
-    Axes,
     Origin,
     Shape,
     Value,
@@ -53,8 +45,6 @@ from sphrom.whole_files import TemporaryFile, Uncollected, explained, replacemen
 LIBVER = ("v110", "v110")
 CHUNK_BYTES = 4 * 2**20
 """Size of a chunk of a dataset that is not a series of fields [bytes]."""
-NOT_A_VARIABLE = "This is a netCDF dimension but not a netCDF variable.{:10d}"
-"""What netCDF calls a scale that has no values of its own."""
 
 
 @contextlib.contextmanager
@@ -120,9 +110,6 @@ class ArtifactWriter:
         self._attributes: dict[str, Value] = {}
         with Uncollected():
             self._hdf5 = h5py.File(file, "w", libver=LIBVER)
-        self._axes = Axes(self._schema)
-        self._scales: dict[str, tuple[str, int]] = {}
-        """The scales of axes: by scale, a dataset, and the place of the axis in its shape."""
 
     def add_time(self, seconds: float) -> None:
         """Count time [s] that was spent on the artifact before, by a process that was stopped."""
@@ -163,18 +150,8 @@ class ArtifactWriter:
             dataset.attrs["axes"] = fixed_text(",".join(field.axes))
             for key, text in field.labels.items():
                 dataset.attrs[key] = fixed_text(text)
-            self._attach_scales(name, field, dataset)
         self._streams[name] = Stream(self, name, field, dataset)
         return self._streams[name]
-
-    def series(self, names: Iterable[str], **lengths: int) -> dict[str, Stream]:
-        """Start datasets that are written one item after the other, with axes of these lengths."""
-        found = {}
-        for name in names:
-            field = self._schema.dataset(name)
-            first, *others = (lengths[axis] for axis in (field.axes if field else ()))
-            found[name] = self.stream(name, tuple(others), first)
-        return found
 
     def annotate(self, name: str, value: object) -> None:
         """Set an attribute by its path, such as `status` or `bases/all/gram_error`."""
@@ -194,11 +171,6 @@ class ArtifactWriter:
         if self._attributes.get("status", "complete") != "complete":
             for stream in self._streams.values():
                 stream.shorten()
-            for path, (name, i) in self._scales.items():
-                length = self._streams[name].shape[i]
-                if self._axes.lengths[path] != length:
-                    with self._guarded():
-                        self._hdf5[path].resize((length,))
         lines = {name: stream.seal() for name, stream in self._streams.items()}
         self._set("content_sha256", content_digest(self._schema.name, self._attributes, lines))
         self._set("wall_seconds", self.age)
@@ -210,24 +182,6 @@ class ArtifactWriter:
             shapes = {name: stream.shape for name, stream in self._streams.items()}
             add_view(self._hdf5, self._schema.name, shapes)
             self._hdf5.flush()
-
-    def _attach_scales(self, name: str, field: Field, dataset: h5py.Dataset) -> None:
-        """Name the axes of a new dataset; scales are made where there are none yet."""
-        for i, path in enumerate(self._axes.paths(name, field, dataset.shape)):
-            if path not in self._scales:
-                self._scales[path] = name, i
-                length = dataset.shape[i]
-                # In chunks, none of which is ever written, as it may be shortened.
-                chunks = (length,) if length else None
-                scale = self._hdf5.create_dataset(
-                    path, (length,), "i1", maxshape=(length,), chunks=chunks
-                )
-                scale.make_scale(NOT_A_VARIABLE.format(length))
-            dataset.dims[i].attach_scale(self._hdf5[path])
-        for axis, coordinate in COORDINATES.items():
-            path = joined(name.rpartition("/")[0], coordinate)
-            if axis in field.axes and path != name and self._schema.dataset(path):
-                dataset.attrs["coordinates"] = fixed_text(coordinate)
 
     def _close(self) -> None:
         with Uncollected():

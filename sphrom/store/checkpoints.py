@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sphrom.artifacts import Artifact, ArtifactWriter, locked, read_record, write_record
+from sphrom.artifacts import ArtifactWriter, locked, read_record, write_record
 from sphrom.artifacts.records.runs import Checkpoint
 from sphrom.errors import ArtifactError, UnstableError
 from sphrom.setup.cost import MOST_PENDING
@@ -30,8 +30,6 @@ from sphrom.version import __version__
 
 LARGEST_SHARE = 0.015
 """Of a run's time that goes into checkpoints: where writing takes long they are farther apart."""
-NO_PARTS = ""
-"""The digest of no parts at all."""
 
 
 @lru_cache(maxsize=1)
@@ -70,35 +68,26 @@ class CheckpointFiles:
         with self._workspace.open_aside(self._state) as artifact:
             artifact.verify_content()
             kept = read_record(artifact, Checkpoint)
-        digest = NO_PARTS
-        for target in map(self._part, range(1, kept.n_parts + 1)):
+        for number in range(1, kept.n_parts + 1):
+            target = self._part(number)
             if not target.path.exists():
                 raise ArtifactError(f"{target.path} is missing; `--force` starts anew")
             with self._workspace.open_aside(target) as part:
                 part.verify_content()
-                digest = _chained(digest, part)
-        if digest != kept.parts_sha256:
-            raise ArtifactError(
-                f"{self._target.path}: the snapshots beside a checkpoint are not its own; "
-                "`--force` starts anew"
-            )
+                if part.number("number") != number:
+                    raise ArtifactError(f"{target.path} is another part; `--force` starts anew")
         return kept
 
     def write(self, kept: Checkpoint) -> None:
         """Write a state, over the one before. Raises ArtifactError."""
-        with self._workspace.create_aside(self._state, {}) as artifact:
+        with self._workspace.create_aside(self._state) as artifact:
             write_record(artifact, kept)
 
-    def write_part(self, number: int, items: Sequence[Item], before: str) -> str:
-        """Write snapshots, and return the digest of all parts from that of those before."""
-        part = self._part(number)
-        with self._workspace.create_aside(part, {"number": number}) as artifact:
-            for name, first in items[0].items():
-                stream = artifact.stream(name, np.shape(first), len(items))
-                for item in items:
-                    stream.append(item[name])
-        with self._workspace.open_aside(part) as written:
-            return _chained(before, written)
+    def write_part(self, number: int, items: Sequence[Item]) -> None:
+        """Write snapshots, all before which are in parts of lower numbers. Raises ArtifactError."""
+        with self._workspace.create_aside(self._part(number), {"number": number}) as artifact:
+            for name in items[0]:
+                artifact.write(name, np.array([item[name] for item in items]))
 
     def snapshots(self, kept: Checkpoint) -> Iterator[Item]:
         """Read the snapshots of a checkpoint, one after the other."""
@@ -138,10 +127,6 @@ class CheckpointFiles:
         return replace(self._target, path=path.with_name(f"{path.name}.{ending}"), schema=schema)
 
 
-def _chained(before: str, part: Artifact) -> str:
-    return hashlib.sha256(f"{before} {part.content_sha256}".encode()).hexdigest()
-
-
 @dataclass(frozen=True)
 class _Book:
     """The last checkpoint of a run, and the snapshots that no checkpoint has yet.
@@ -151,7 +136,6 @@ class _Book:
 
     step: int = -1
     n_parts: int = 0
-    parts_sha256: str = NO_PARTS
     pending: list[Item] = field(default_factory=list)
 
 
@@ -185,7 +169,7 @@ class Checkpoints:
         else:
             state = kept.state if len(kept.state) > 1 else kept.state[0]
             self.begin = RunState(kept.step, state, kept.neighbours_at, kept.seconds)
-            self._book = _Book(kept.step, kept.n_parts, kept.parts_sha256)
+            self._book = _Book(kept.step, kept.n_parts)
             artifact.add_time(kept.wall_seconds)
         self._reached: tuple[RunState, float, int, int] | None = None
         self._pending_bytes = 0
@@ -302,10 +286,9 @@ class Checkpoints:
         if reached is None or reached[0].step == book.step:
             return
         run_state, time_reached, n_steps, n_pending = reached
-        n_parts, digest = book.n_parts, book.parts_sha256
+        n_parts = book.n_parts + (n_pending > 0)
         if n_pending:
-            n_parts += 1
-            digest = self._files.write_part(n_parts, book.pending[:n_pending], digest)
+            self._files.write_part(n_parts, book.pending[:n_pending])
         kept = Checkpoint(
             state=np.atleast_2d(run_state.state),
             neighbours_at=run_state.neighbours_at,
@@ -313,13 +296,12 @@ class Checkpoints:
             n_steps=n_steps,
             time=time_reached,
             n_parts=n_parts,
-            parts_sha256=digest,
             computed_with="\n".join(map(": ".join, computes_with().items())),
             seconds=run_state.seconds,
             wall_seconds=self._artifact.age,
         )
         self._files.write(kept)
-        self._book = _Book(kept.step, n_parts, digest, book.pending[n_pending:])
+        self._book = _Book(kept.step, n_parts, book.pending[n_pending:])
         self._pending_bytes = 0
 
 

@@ -10,9 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact, ArtifactWriter
-from sphrom.artifacts.records.runs import Snapshots
 from sphrom.case.models import Case
-from sphrom.declaration import fields_of
 from sphrom.errors import ArtifactError, UnstableError
 from sphrom.metrics.measures import UNITS, FieldMeasure, Quantities
 from sphrom.sph import state_equation
@@ -102,29 +100,31 @@ class TrajectoryWriter:
         self._forces = forces
         self._fields = fields
         self._sound_speed = sound_speed
-        has = {
-            "generalized_coordinates": n_modes is not None,
-            "mean_density_fluctuation": separate_mean,
+        shapes: dict[str, tuple[int, ...]] = {
+            "time": (),
+            "step": (),
+            "position": (n_particles, 2),
+            "velocity": (n_particles, 2),
+            "density_fluctuation": (n_particles,),
+            "pressure": (n_particles,),
         }
-        names = [
-            field.name
-            for field in fields_of(Snapshots)
-            if "*" not in field.name and has.get(field.name, True)
-        ]
+        if n_modes is not None:
+            shapes["generalized_coordinates"] = (n_modes,)
+        if separate_mean:
+            shapes["mean_density_fluctuation"] = ()
+        at_rest: dict[str, Array] = {}
         for wall in () if forces is None else forces.walls:
-            names += force_datasets(wall, np.zeros((2, 3)))
-        self._streams = artifact.series(
-            names, snapshot=n_snapshots, particle=n_particles, component=2, mode=n_modes or 0
-        )
+            at_rest |= force_datasets(wall, np.zeros((2, 3)))
         if fields is not None:
             write_positions(artifact, fields.measures)
-            sizes = {name: len(measure.position) for name, measure in fields.measures.items()}
-            still = {
-                name: fields.measures[name].of(np.zeros((n, 2)), np.zeros(n))
-                for name, n in sizes.items()
-            }
-            for name, values in field_datasets(still).items():
-                self._streams[name] = artifact.stream(name, np.shape(values), n_snapshots)
+            for name, measure in fields.measures.items():
+                n_places = len(measure.position)
+                still = measure.of(np.zeros((n_places, 2)), np.zeros(n_places))
+                at_rest |= field_datasets({name: still})
+        shapes |= {name: np.shape(values) for name, values in at_rest.items()}
+        self._streams = {
+            name: artifact.stream(name, shape, n_snapshots) for name, shape in shapes.items()
+        }
         if walls is not None:
             artifact.write("ghost/position", walls.position)
             artifact.write("ghost/wall_velocity", walls.velocity)

@@ -179,20 +179,19 @@ class Workspace:
         for parent in target.parents.values():
             self.require(parent)
         make_folder(target.path.parent)
-        with self._create(target, attributes, self.context.force) as artifact:
+        with self.create_aside(target, attributes, force=self.context.force) as artifact:
             yield artifact
         self.context.known.forget(target.path)
         self.context.report.info(f"wrote {target.path}")
 
     def create_aside(
-        self, target: Target, attributes: Mapping[str, object]
+        self,
+        target: Target,
+        attributes: Mapping[str, object] | None = None,
+        *,
+        force: bool = True,
     ) -> AbstractContextManager[ArtifactWriter]:
-        """Write a file that is no result itself; replace an older one, and print no message."""
-        return self._create(target, attributes, force=True)
-
-    def _create(
-        self, target: Target, attributes: Mapping[str, object] | None, force: bool
-    ) -> AbstractContextManager[ArtifactWriter]:
+        """Write a file that may be no result itself; print no message."""
         return create_artifact(
             target.path,
             target.schema,

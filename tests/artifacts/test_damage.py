@@ -40,7 +40,7 @@ def refused_however_read(path: Path, name: str, reason: str) -> None:
 def test_truncated_file_is_refused(write_trajectory, refusal, kept: float) -> None:
     path = write_trajectory()
     os.truncate(path, int(path.stat().st_size * kept))
-    assert refusal(path).startswith("is truncated")
+    assert "truncated" in refusal(path)
 
 
 def test_flipped_bit_is_found_on_opening_or_reading(write_trajectory, write_large, refusal) -> None:

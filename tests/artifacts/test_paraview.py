@@ -13,8 +13,7 @@ import pytest
 from sphrom.artifacts import open_artifact
 from sphrom.artifacts.records.coordinates import Coordinates
 from sphrom.artifacts.records.reduced_models import Basis
-from sphrom.artifacts.records.runs import Packing, ReferenceSnapshots, State, Trajectory
-from sphrom.declaration import Record
+from sphrom.artifacts.records.runs import Packing, ReferenceSnapshots, Trajectory
 
 pytest.importorskip("vtkmodules", reason="VTK is not installed")
 
@@ -74,21 +73,10 @@ def test_trajectory_opens_with_the_same_numbers_at_every_step(written, invented)
             np.testing.assert_array_equal(seen[name], getattr(run, name)[step])
 
 
-def test_run_that_became_unstable_opens_as_far_as_it_went(unstable: Path) -> None:
-    reader = Reader(unstable)
-    assert reader.n_steps == 2
-    with h5py.File(unstable) as file:
-        np.testing.assert_array_equal(reader.step(1)["points"], flat(file["position"][1]))
-
-
-@pytest.mark.parametrize("kind", [State, Packing])
-def test_states_and_packings_open(written, invented, kind: type[Record]) -> None:
-    record = invented(kind)
+def test_packings_open(written, invented) -> None:
+    record = invented(Packing)
     seen = Reader(written(record)).step()
     np.testing.assert_array_equal(seen["points"], flat(record.position))
-    if kind is State:
-        np.testing.assert_array_equal(seen["velocity"], flat(record.velocity))
-        np.testing.assert_array_equal(seen["density_fluctuation"], record.density_fluctuation)
 
 
 def test_reference_snapshots_open_on_points_that_are_stored_once(written, invented) -> None:

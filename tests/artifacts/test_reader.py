@@ -44,9 +44,9 @@ def test_reads_back_what_was_written(write_trajectory, fields) -> None:
         (lambda path: None, "is missing"),
         (Path.mkdir, "is not a file"),
         (os.mkfifo, "is not a file"),
-        (lambda path: path.symlink_to("nowhere.h5"), "is a symbolic link to nothing"),
-        (Path.touch, "is empty"),
-        (lambda path: path.write_text("time,velocity\n0,1\n"), "is not an HDF5 file"),
+        (lambda path: path.symlink_to("nowhere.h5"), "is missing"),
+        (Path.touch, "is damaged, truncated, or not an HDF5 file"),
+        (lambda path: path.write_text("time\n0\n"), "is damaged, truncated, or not an HDF5 file"),
         (lambda path: h5py.File(path, "w").close(), "is not an artifact of sphrom"),
     ],
 )

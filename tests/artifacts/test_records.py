@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import pytest
-import xarray
 
 from sphrom.artifacts import open_artifact, read_record
 from sphrom.artifacts.labelled import open_labelled
-from sphrom.artifacts.layout import Axes
-from sphrom.artifacts.records import SCHEMAS
 from sphrom.artifacts.records.reduced_models import Operators
 from sphrom.artifacts.records.runs import Trajectory
 from sphrom.declaration import DECLARED, Record, fields_of_record
@@ -61,46 +56,6 @@ def test_what_is_not_there_is_named(written, invented) -> None:
         read_record(artifact, MemoryOperators, "bases/d/memory/b")
 
 
-@pytest.mark.parametrize("whole", [True, False], ids=["whole", "least"])
-@pytest.mark.parametrize("kind", DECLARED)
-def test_xarray_knows_every_axis_by_its_name(kind: str, whole: bool, written, invented) -> None:
-    path = written(invented(DECLARED[kind], whole=whole))
-    with open_artifact(path, kind, made_by="") as artifact:
-        datasets = artifact.datasets
-    for group in {name.rpartition("/")[0] for name in datasets}:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            opened = xarray.open_dataset(path, engine="h5netcdf", group=group or None)
-        with opened:
-            for name, variable in opened.variables.items():
-                declared = variable.attrs.get("axes", "").split(",")
-                named = [axis.rpartition("_")[0] or axis for axis in variable.dims]
-                assert variable.ndim == 0 or len(declared) == len(variable.dims), name
-                for axis, dim, short in zip(declared, variable.dims, named, strict=False):
-                    assert axis in (dim, short), name
-            assert all(name in datasets or name == "case" for name in opened.variables) or group
-
-
-@pytest.mark.parametrize("kind", SCHEMAS)
-def test_no_axis_has_the_name_of_something_else(kind: str) -> None:
-    schema = SCHEMAS[kind]
-    axes = Axes(schema)
-    named = {
-        path
-        for field in schema.datasets
-        for path in axes.paths(field.name.replace("*", "x"), field, (3,) * len(field.axes))
-    }
-    taken = {field.name for field in (*schema.datasets, *schema.attributes)}
-    taken |= {name.rpartition("/")[0] for name in taken}
-    assert not named & {name.replace("*", "x") for name in taken}
-
-
-def test_run_that_became_unstable_has_the_axis_that_it_reached(unstable: Path) -> None:
-    with xarray.open_dataset(unstable, engine="h5netcdf") as opened:
-        assert opened.sizes["snapshot"] == 2
-        assert h5py.h5ds.is_scale(h5py.File(unstable)["snapshot"].id)
-
-
 def test_labelled_run_is_selected_by_time_and_read_when_needed(
     tmp_path: Path, written, invented
 ) -> None:
@@ -133,17 +88,3 @@ def test_labelled_groups_are_opened_one_at_a_time(written, invented) -> None:
         np.testing.assert_array_equal(basis.modes_density, record.bases["c0"].density_modes)
     with pytest.raises(CaseError, match=r"no group bases/d; there are: bases/b0, "):
         open_labelled(path, "bases/d")
-
-
-def test_older_files_without_scales_are_read(written, invented) -> None:
-    path = written(invented(Trajectory))
-    with h5py.File(path, "r+") as file:
-        for name in ("velocity", "position", "pressure", "density_fluctuation"):
-            del file[name].attrs["DIMENSION_LIST"]
-        for name in ("snapshot", "particle", "component", "ghost/ghost"):
-            del file[name]
-        file.attrs["schema_version"] = np.bytes_("1.0")
-    with open_artifact(path, "sphrom/trajectory", made_by="") as artifact:
-        artifact.verify_content()
-    with open_labelled(path) as run:
-        assert run.velocity.dims == ("snapshot", "particle", "component")

@@ -67,7 +67,7 @@ def test_existing_target_needs_force(write_trajectory, tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["fom.h5"]
 
 
-@pytest.mark.parametrize("failure", [RuntimeError, KeyboardInterrupt, SystemExit])
+@pytest.mark.parametrize("failure", [RuntimeError, KeyboardInterrupt])
 def test_failed_replacement_leaves_the_old_file(
     write_trajectory, arguments, tmp_path: Path, failure: type[BaseException]
 ) -> None:

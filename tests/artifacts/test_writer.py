@@ -15,7 +15,6 @@ from sphrom.errors import ArtifactError
 from sphrom.whole_files import TemporaryFile
 
 SCHEMA = "sphrom/trajectory"
-AXES = ("DIMENSION_LIST", "REFERENCE_LIST")
 
 
 def test_datasets_and_attributes_carry_what_the_table_says(write_trajectory, fields) -> None:
@@ -37,15 +36,12 @@ def test_datasets_and_attributes_carry_what_the_table_says(write_trajectory, fie
 
 
 def test_lineage_is_stored_and_nothing_without_a_checksum(write_trajectory) -> None:
-    """Texts of variable length would lie in a heap that has none.
-
-    HDF5 keeps there which scale belongs to which axis: other programs read it, artifacts' don't.
-    """
+    """Texts of variable length would lie in a heap that has none."""
     given = Identity("some/folder/packing.h5", "its-uuid", "its-content")
     kinds = set()
 
     def note(_: str, item: h5py.HLObject) -> None:
-        kinds.update(item.attrs.get_id(key).dtype.kind for key in item.attrs if key not in AXES)
+        kinds.update(item.attrs.get_id(key).dtype.kind for key in item.attrs)
 
     with h5py.File(write_trajectory(lineage={"packing": given})) as file:
         note("", file)
@@ -122,8 +118,6 @@ def test_values_that_are_not_finite_are_refused(tmp_path: Path, arguments, bad: 
         ({"time": np.zeros((3, 1))}, "axes"),
         ({"time": np.arange(3)}, "float64"),
         ({"step": np.zeros(3)}, "int64"),
-        ({"velocity": np.zeros((2, 5, 2))}, "along snapshot"),
-        ({"pressure": np.zeros((3, 4))}, "along particle"),
     ],
 )
 def test_what_is_not_in_the_table_is_a_programming_error(

@@ -38,23 +38,20 @@ CASE: dict[str, Any] = {
     ],
     "compare": {"plots": False, "grid": 12, "line_points": 21},
 }
+_OF_POINTS = {
+    "fom": ("trajectory", "fom"),
+    "map": ("reference-snapshots", "map"),
+    "rom-apg": ("trajectory", "rom"),
+    "rom-galerkin": ("trajectory", "rom"),
+}
 MADE_BY = {
     "packing.h5": ("packing", "fom"),
-    "fom-reynolds100.h5": ("trajectory", "fom"),
-    "fom-reynolds150.h5": ("trajectory", "fom"),
-    "fom-reynolds200.h5": ("trajectory", "fom"),
-    "map-reynolds100.h5": ("reference-snapshots", "map"),
-    "map-reynolds150.h5": ("reference-snapshots", "map"),
-    "map-reynolds200.h5": ("reference-snapshots", "map"),
     "pod.h5": ("basis", "pod"),
     "psi.h5": ("spline", "fit-psi"),
-    "rom-apg-reynolds100.h5": ("trajectory", "rom"),
-    "rom-apg-reynolds150.h5": ("trajectory", "rom"),
-    "rom-apg-reynolds200.h5": ("trajectory", "rom"),
-    "rom-galerkin-reynolds100.h5": ("trajectory", "rom"),
-    "rom-galerkin-reynolds150.h5": ("trajectory", "rom"),
-    "rom-galerkin-reynolds200.h5": ("trajectory", "rom"),
     "compare.h5": ("comparison", "compare"),
+    **{
+        f"{name}-reynolds{re}.h5": _OF_POINTS[name] for re in (100, 150, 200) for name in _OF_POINTS
+    },
 }
 """Schema and command of every artifact of the case."""
 ERRORS = tuple(

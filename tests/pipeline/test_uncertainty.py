@@ -154,8 +154,8 @@ def test_tables_are_beside_the_artifact(swept, folder):
     assert {row["parameter"] for row in rows["indices"]} == {"reynolds", "lid"}
     statistics = {"mean", "deviation", "quantile 0.25", "quantile 0.5", "quantile 0.75"}
     assert {row["statistic"] for row in rows["quantiles"]} == statistics
-    tree = sphrom.open_tree(folder / "sweep-whole.h5")
-    assert tree["statistics/outputs/kinetic_energy"]["quantiles"].shape[0] == 3
+    with sphrom.open(folder / "sweep-whole.h5", "statistics/outputs/kinetic_energy") as output:
+        assert output["quantiles"].shape[0] == 3
 
 
 def test_figures_are_drawn_of_all_outputs(swept, tmp_path):

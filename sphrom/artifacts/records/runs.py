@@ -189,7 +189,6 @@ class Checkpoint(Record, kind="sphrom/checkpoint"):
     n_steps: int = attribute("", "steps of the whole run")
     time: float = attribute("s", "time of the state")
     n_parts: int = attribute("", "files of snapshots that belong to it")
-    parts_sha256: str = attribute("", "digest of what they hold")
     computed_with: str = attribute("", "versions and processor that its last bits depend on")
     seconds: float = attribute("s", "time that the steps have taken", at="timing/integration")
     wall_seconds: float = attribute("s", "time that the artifact has taken", at="timing/wall")
