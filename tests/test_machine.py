@@ -53,9 +53,10 @@ def test_the_tightest_of_the_groups_around_counts(machine, limited: str) -> None
     assert physical_ram(root) == 50 * MEGABYTE
 
 
-def test_a_path_that_is_the_hosts(machine) -> None:
-    root = machine("0::/kubepods/pod7\n", **version_2("", str(20 * MEGABYTE)))
-    assert physical_ram(root) == 20 * MEGABYTE
+def test_a_path_that_is_the_hosts_and_more_in_use_than_allowed(machine) -> None:
+    root = machine("0::/kubepods/pod7\n", **version_2("", str(MEGABYTE), 2 * MEGABYTE))
+    assert physical_ram(root) == MEGABYTE
+    assert available_ram(root) == 0
 
 
 @pytest.mark.parametrize("limit", [40 * MEGABYTE, 9223372036854771712])
@@ -72,8 +73,3 @@ def test_version_1(machine, limit: int) -> None:
     limited = limit < MACHINE
     assert available_ram(root) == (11 if limited else 100) * MEGABYTE
     assert physical_ram(root) == (limit if limited else MACHINE)
-
-
-def test_more_in_use_than_allowed_leaves_nothing(machine) -> None:
-    root = machine("0::/\n", **version_2("", str(MEGABYTE), 2 * MEGABYTE))
-    assert available_ram(root) == 0

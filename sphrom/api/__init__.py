@@ -13,7 +13,7 @@ from sphrom.api.model import Model
 from sphrom.api.result import ErrorEstimate, Result, Sensitivities
 from sphrom.api.study import Study, open
 from sphrom.artifacts.records.fit import FittedHistory
-from sphrom.fit.estimates import Estimate, Fit
+from sphrom.fit.fit import Estimate, Fit
 
 __all__ = [
     "ErrorEstimate",

@@ -14,17 +14,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sphrom.api.result import ErrorEstimate, Result, Sensitivities, finite_array, labelled_measures
-from sphrom.case.checks import require_basis, steady_problem
+from sphrom.case.checks import steady_problem
 from sphrom.case.hints import beyond_training, extrapolation
 from sphrom.case.loader import parameter_point
 from sphrom.case.plan import lengthened
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.case.studies import fit_ranges, fit_values, percent, trained_ranges
+from sphrom.case.studies import fit_ranges, fit_values, percent, require_basis, trained_ranges
 from sphrom.errors import CaseError, UnstableError
-from sphrom.fit.estimates import Fit, box_of, fit
+from sphrom.fit.fit import Fit, fit
 from sphrom.fit.measurements import read_measurements
-from sphrom.fit.model import TrainingDifferences
+from sphrom.fit.model import TrainingDifferences, box_of
 from sphrom.online import rom
 from sphrom.online.basis_model import quantities_of
 from sphrom.online.fast_model import FastModel, FastRun

@@ -18,7 +18,14 @@ from sphrom.case.plan import MAX_STEPS, WHOLE_STEPS_TOLERANCE
 from sphrom.case.points import REYNOLDS, ParameterPoint, nearest_point
 from sphrom.case.scene_section import KINDS, MeasureSection
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection
-from sphrom.case.studies import at_resolution, fast_model, rows_of, sweep_model, sweep_points
+from sphrom.case.studies import (
+    at_resolution,
+    fast_model,
+    require_basis,
+    rows_of,
+    sweep_model,
+    sweep_points,
+)
 from sphrom.case.study_sections import FULL, ErrorFigure, FieldFigure, ModeFigure, OfModes, OfRuns
 from sphrom.case.yaml_reader import Problem
 from sphrom.errors import CaseError
@@ -120,7 +127,6 @@ def _check_repeated(key: str, points: Iterable[ParameterPoint]) -> Found:
 
 
 def _check_geometry(case: Case) -> Found:
-    """Check that walls lie on the lattice of particles, and stand where they are asked for."""
     domain, plan, section = case.scene.domain, case.plan, case.discretization
     if domain.narrowest_gap <= 0.0:
         yield "scene", "its lengths are so far apart that the smallest gets lost"
@@ -138,10 +144,7 @@ def _check_geometry(case: Case) -> Found:
 
 
 def nearest_fitting_resolution(case: Case) -> int | None:
-    """Return the resolution nearest to the case's at which walls fit the lattice, if one is near.
-
-    It is at most half as coarse, or twice as fine.
-    """
+    """Return the nearest resolution at which walls fit the lattice, None if none is near."""
     domain, length = case.scene.domain, case.scene.resolved_length
     resolution = case.discretization.resolution
     for distance in range(resolution // 2):
@@ -152,7 +155,6 @@ def nearest_fitting_resolution(case: Case) -> int | None:
 
 
 def _check_support(case: Case) -> Found:
-    """Check that kernels reach no further than fluid and solids are wide."""
     domain, spacing = case.scene.domain, case.plan.particle_spacing
     most = min(0.5 * domain.narrowest_gap, domain.thinnest_solid)
     for section, smoothing_length in (
@@ -179,7 +181,6 @@ def coarser_resolution(case: Case) -> int | None:
 
 
 def _check_steps(case: Case) -> Found:
-    """Check that runs are whole numbers of steps, and not absurdly many."""
     time, plan = case.time, case.plan
     if (number := time.final_time / plan.step_target) > MAX_STEPS:
         yield "time", f"a run of {number:.3g} steps; at most {MAX_STEPS:g} are allowed"
@@ -235,7 +236,6 @@ def _check_limits(case: Case) -> Found:
 
 
 def _check_scene(case: Case) -> Found:
-    """Check the scene, that its measured walls are there, and that places are in the fluid."""
     for name, reason in case.scene.problems(case.time.final_time):
         yield f"scene.{name}", reason
     for name, measured in case.scene.measure.items():
@@ -274,7 +274,6 @@ def outside_fluid(case: Case, place: Array) -> str | None:
 
 
 def _check_bases(case: Case) -> Found:
-    """Check names of bases, and that each learns from training values."""
     for name in repeated(name.casefold() for name in (ALL, LOCAL, *case.basis.subsets)):
         yield "basis.subsets", f"the name {name} is taken"
     trained = {point.reynolds for point in case.plan.train_points}
@@ -298,7 +297,6 @@ def _check_splines(case: Case) -> Found:
 
 
 def _check_models(case: Case) -> Found:
-    """Check the names, bases and values of each reduced model."""
     for name in repeated(model.name.casefold() for model in case.rom):
         yield "rom", f"two reduced models have the name {name}"
     for i, model in enumerate(case.rom):
@@ -343,16 +341,6 @@ def steady_problem(case: Case) -> str | None:
     return None
 
 
-def require_basis(case: Case, model: ReducedModelSection, point: ParameterPoint) -> None:
-    """Raise CaseError where a model has no basis at a point, or none with operators."""
-    basis = case.plan.basis_for(model, point)
-    if model.basis == LOCAL and model.from_operators and basis not in case.plan.reference_bases:
-        raise CaseError(
-            f"{point.label} has the local basis {basis}, at none of whose values {model.name} is "
-            "run, so that it has no operators"
-        )
-
-
 def _check_fixed_points(case: Case) -> Found:
     """Refuse readings of the paper that models on the reference points don't have."""
     section = case.discretization
@@ -367,17 +355,7 @@ def _check_fixed_points(case: Case) -> Found:
             yield f"discretization.{key}", f"{reason}; got {given}"
 
 
-def with_fitting_model(case: Case) -> Case:
-    """Return a valid case; if it lists no model, the usual one has no more modes than snapshots."""
-    if "rom" in case.model_fields_set:
-        return case
-    (model,) = case.rom
-    most = min(model.size, case.basis.n_modes or model.size, case.plan.n_basis_snapshots(ALL))
-    return case.model_copy(update={"rom": (model.model_copy(update={"n_modes": most}),)})
-
-
 def _check_modes(case: Case) -> Found:
-    """Check numbers of modes against snapshots and the basis."""
     plan = case.plan
     # A model that isn't listed is made to fit.
     listed = case.rom if "rom" in case.model_fields_set else ()
@@ -398,7 +376,6 @@ def _check_modes(case: Case) -> Found:
 
 
 def _check_reduced_times(case: Case) -> Found:
-    """Check when runs of reduced models end, and that their steps end on snapshots."""
     for i, model in enumerate(case.rom):
         try:
             case.plan.model_steps(model)
@@ -410,7 +387,6 @@ def _check_reduced_times(case: Case) -> Found:
 
 
 def _check_compare(case: Case) -> Found:
-    """Check the comparison, and that what figures show is there."""
     section, domain, end = case.compare, case.scene.domain, case.time.final_time
     if section.from_time >= end:
         reason = f"must be before time.final_time, {exact(end)} s; got {exact(section.from_time)}"
@@ -445,7 +421,6 @@ def _figure_problems(case: Case, figure: OfModes | OfRuns) -> Found:
 
 
 def _check_trade(case: Case) -> Found:
-    """Check that the models to be weighed can be had."""
     section, plan = case.trade, case.plan
     if (size := max(section.n_modes or (0,))) > plan.n_modes:
         reason = f"the basis keeps {plan.n_modes} modes; got {size}; basis.n_modes keeps more"
@@ -457,7 +432,6 @@ def _check_trade(case: Case) -> Found:
 
 
 def _check_sweep(case: Case) -> Found:
-    """Check that the model can run at the values."""
     model, points, steps = sweep_model(case), sweep_points(case), case.plan.steps
     if case.sweep.sensitivities and (model is None or not model.from_operators):
         reason = "is for models with evaluation: operators, which have equations to differentiate"
@@ -483,7 +457,6 @@ def _check_sweep(case: Case) -> Found:
 
 
 def _check_training(case: Case) -> Found:
-    """Check the region, where there is one, and its model."""
     section, plan = case.training, case.plan
     model = fast_model(case, section.model)
     if not section.ranges:

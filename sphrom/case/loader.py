@@ -12,12 +12,13 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from sphrom.case import schema
-from sphrom.case.checks import case_problems, with_fitting_model
+from sphrom.case.checks import case_problems
 from sphrom.case.fields import Coordinate, Positive
 from sphrom.case.models import Case
 from sphrom.case.points import REYNOLDS, ParameterPoint
 from sphrom.case.scenes import kind_of
 from sphrom.case.schema import MAX_PROBLEMS, problems_of
+from sphrom.case.sections import ALL
 from sphrom.case.yaml_reader import (
     MAX_DEPTH,
     Document,
@@ -61,7 +62,16 @@ def load_case(
         raise _error(name, document, problems, changed) from error
     if problems := case_problems(case, force=force):
         raise _error(name, document, problems, changed)
-    return with_fitting_model(case)
+    return _with_fitting_model(case)
+
+
+def _with_fitting_model(case: Case) -> Case:
+    """Return a valid case; if it lists no model, the usual one has no more modes than snapshots."""
+    if "rom" in case.model_fields_set:
+        return case
+    (model,) = case.rom
+    most = min(model.size, case.basis.n_modes or model.size, case.plan.n_basis_snapshots(ALL))
+    return case.model_copy(update={"rom": (model.model_copy(update={"n_modes": most}),)})
 
 
 def given_keys(source: str | os.PathLike[str], overrides: Sequence[str] = ()) -> dict[str, Any]:

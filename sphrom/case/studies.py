@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sphrom.case.models import Case
 from sphrom.case.points import REYNOLDS, ParameterPoint, TrainValues
-from sphrom.case.sections import ReducedModelSection
+from sphrom.case.sections import LOCAL, ReducedModelSection
 from sphrom.case.study_sections import FULL, N_CANDIDATES, OfRuns, percentage
 from sphrom.errors import CaseError
 from sphrom.reduction.greedy import MOST_CORNERED, candidate_places, first_corners
@@ -76,6 +76,16 @@ def sweep_points(case: Case) -> tuple[ParameterPoint, ...]:
     elif grid:
         points = (dict(zip(grid, row, strict=True)) for row in product(*grid.values()))
     return tuple(map(case.plan.point, points))
+
+
+def require_basis(case: Case, model: ReducedModelSection, point: ParameterPoint) -> None:
+    """Raise CaseError where a model has no basis at a point, or none with operators."""
+    basis = case.plan.basis_for(model, point)
+    if model.basis == LOCAL and model.from_operators and basis not in case.plan.reference_bases:
+        raise CaseError(
+            f"{point.label} has the local basis {basis}, at none of whose values {model.name} is "
+            "run, so that it has no operators"
+        )
 
 
 def fit_ranges(case: Case, model: ReducedModelSection) -> Ranges:

@@ -1,27 +1,146 @@
-"""Command `fit`: parameters of a fast model from measured histories; what it shows and writes."""
+"""Command `fit`: parameters of a fast model from measured histories, intervals, and warnings."""
 
 from __future__ import annotations
 
+import math
 import os
 import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from sphrom.artifacts import write_record
+from sphrom.artifacts.records import fit as records
+from sphrom.artifacts.records.fit import FittedHistory
 from sphrom.case.fields import NAME_PATTERN
-from sphrom.case.studies import fast_model, fit_ranges, fit_values, percent
+from sphrom.case.points import REYNOLDS
+from sphrom.case.studies import Box, fast_model, fit_ranges, fit_values, percent, trained_ranges
 from sphrom.console import Reporter
-from sphrom.errors import CaseError
-from sphrom.fit.estimates import MOST_SHOWN, Estimate, Fit, box_of, fit
-from sphrom.fit.measurements import read_measurements
+from sphrom.errors import CaseError, UnstableError
+from sphrom.fit.measurements import Measurements, read_measurements
+from sphrom.fit.model import FittedModel, TrainingDifferences, box_of, error_samples
+from sphrom.metrics.estimation import (
+    CONFIDENCE,
+    Minimum,
+    Uncertainty,
+    Weights,
+    history_variance,
+    minima,
+    nearly_as_good,
+    uncertainty,
+    undetermined_shares,
+)
 from sphrom.online.fast_model import FastModel
+from sphrom.plots.canvas import save
+from sphrom.plots.panels import Curve, Panel, draw_grid
 from sphrom.plots.tables import format_figure, write_csv
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
-from sphrom.text import quoted
+from sphrom.text import exact, quoted
 
-UNITS = {"kinematic_viscosity": "m2/s", "reynolds": "-"}
+VISCOSITY = "kinematic_viscosity"
+UNITS = {VISCOSITY: "m2/s", "reynolds": "-"}
 """Of estimates; others are as the case has them."""
 SHOWN_DIGITS = 5
+SURE = 0.999
+"""Probability with which chi^2 of a right model and noise is below what is complained of."""
+TRUSTED = 4.0
+"""Factor by which the model's share of chi^2 may be above its estimate: errors may be twice it."""
+MOST_MINIMA = 5
+"""Minima that are looked at closer."""
+WHOLLY = 0.99
+"""Share of a parameter in undetermined directions from which on it is undetermined itself."""
+SHOWN_SHARE = 0.01
+"""The same, from which on it belongs to an undetermined combination."""
+AT_BOUND, UNDETERMINED = "at its bound", "not determined"
+MOST_SHOWN = 12
+"""Histories in the terminal, and in the figure."""
+COLUMNS = 2
+"""Histories beside one another in the figure."""
+NUMBERS = ("value", "standard_deviation", "by_noise", "by_model", "low", "high")
+"""Of an estimate, in this order."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One parameter."""
+
+    parameter: str
+    value: float
+    standard_deviation: float
+    by_noise: float
+    """Its part by the noise."""
+    by_model: float
+    """Its part by the model's errors."""
+    low: float
+    """Of the 95 % interval."""
+    high: float
+    remark: str
+    """Why the interval doesn't hold; empty where it does."""
+
+
+class Fit(records.Fit):
+    """Parameters of a model from measurements, as `Model.fit` returns and `sphrom fit` stores them.
+
+    Arrays of estimates (n_estimates,) have those of the free parameters in their order, and after
+    the Reynolds number that of the kinematic viscosity [m2/s]. The Fisher matrix is for parameters
+    over their ranges; of the Reynolds number the logarithm counts.
+    """
+
+    def __repr__(self) -> str:
+        values = ", ".join(
+            f"{e.parameter}={e.value:.5g}±{e.standard_deviation:.2g}" for e in self.estimates
+        )
+        return f"Fit({self.model!r}, {values}, {len(self.problems)} problems)"
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """The parameters that were looked for, in the order of the axes of matrices."""
+        return tuple(self.parameter_names.split(","))
+
+    @property
+    def estimates(self) -> tuple[Estimate, ...]:
+        """All estimates, each with its interval."""
+        numbers = [getattr(self, name).tolist() for name in NUMBERS]
+        rows = zip(self.estimate_names.split(","), *numbers, self.remarks.split(","), strict=True)
+        return tuple(Estimate(*row) for row in rows)
+
+    def __getitem__(self, parameter: str) -> Estimate:
+        """Return the estimate of a parameter."""
+        return {estimate.parameter: estimate for estimate in self.estimates}[parameter]
+
+    @property
+    def histories(self) -> tuple[FittedHistory, ...]:
+        """The measured histories beside the fitted ones, in the order of the measurements."""
+        return tuple(self.history[str(k)] for k in range(len(self.history)))
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """What to know before these figures are used, in words."""
+        return tuple(self.warnings.splitlines())
+
+    def draw(self, path: str | os.PathLike[str]) -> None:
+        """Draw data, fit and intervals of every history into a file, PNG or SVG by its name.
+
+        Raises ArtifactError when the file can't be written.
+        """
+        panels = []
+        for each in self.histories[:MOST_SHOWN]:
+            curves = [
+                Curve("measured", each.instant, each.measured),
+                Curve("fitted model", self.time, each.curve, "full"),
+                Curve("95 % interval, low end", self.time, each.curve - each.half_width, "level"),
+                Curve("high end", self.time, each.curve + each.half_width, "level"),
+            ]
+            panels.append(Panel(each.name, "time [s]", f"[{each.units}]", curves))
+        rows = [panels[k : k + COLUMNS] for k in range(0, len(panels), COLUMNS)]
+        title = f"{self.model} fitted to {self.measurements}"
+        if len(self.history) > MOST_SHOWN:
+            title += f", {MOST_SHOWN} of {len(self.history)} histories"
+        save(draw_grid(rows, title=title), Path(path))
 
 
 def run(
@@ -118,3 +237,213 @@ def _shown(estimate: Estimate) -> tuple[str, ...]:
         format_figure(share, 2),
         estimate.remark,
     )
+
+
+Array = NDArray[np.float64]
+
+
+def fit(
+    fast: FastModel,
+    box: Box,
+    measurements: Measurements,
+    known: TrainingDifferences | None = None,
+) -> Fit:
+    """Estimate parameters of a model from measured histories.
+
+    Parameters
+    ----------
+    known : what other fits of the model have found out.
+
+    Raises
+    ------
+    CaseError
+        When there are fewer values than free parameters.
+    UnstableError
+        When the model is unstable at all starts.
+    """
+    case = fast.workspace.case
+    values = measurements.values
+    if len(values) <= len(box.names):
+        raise CaseError(
+            f"{measurements.source}: {len(values)} values can't tell {len(box.names)} parameters "
+            f"({', '.join(box.names)}); give fit.parameters some of them"
+        )
+    model = FittedModel(fast, box, measurements.histories)
+    from scipy.stats import qmc
+
+    exponent = int(np.ceil(np.log2(case.fit.starts)))
+    starts = list(qmc.Sobol(len(box.names), rng=0).random_base2(exponent)[: case.fit.starts])
+    model.prepare(starts)
+    weights = Weights(measurements.noise, np.zeros((0, len(values))))
+    first = minima(model, values, weights, starts)
+    if not first:
+        raise UnstableError(f"{fast.section.name} is unstable at all starts of the search")
+    start = first[0].place
+    samples, found = error_samples(model, start, {} if known is None else known), first
+    if samples is not None:
+        time = model.reduced(model.point(start)).output_times.time
+        each = [model.at_instants(time, sample) for sample in samples]
+        weights = Weights(measurements.noise, np.stack(each))
+        found = minima(model, values, weights, [m.place for m in first[:MOST_MINIMA]]) or first
+    best, likely = found[0], nearly_as_good(found)
+    known_of, shares = uncertainty(best.derivatives, weights), undetermined_shares(likely, weights)
+    slopes, dof = box.slopes(best.place), len(values) - len(box.names)
+    estimates = list(_estimates(model, best, known_of, shares))
+    histories = {str(k): h for k, h in enumerate(_histories(model, best, known_of, samples))}
+    fitted = Fit(
+        **{name: np.array([getattr(each, name) for each in estimates]) for name in NUMBERS},
+        covariance=known_of.covariance * np.outer(slopes, slopes),
+        correlation=known_of.correlation,
+        eigenvalues=known_of.eigenvalues,
+        directions=known_of.directions,
+        time=model.reduced(model.point(best.place)).output_times.time,
+        history=histories,
+        estimate_names=",".join(each.parameter for each in estimates),
+        remarks=",".join(each.remark for each in estimates),
+        parameter_names=",".join(box.names),
+        point=model.point(best.place).as_dict(),
+        model=fast.section.name,
+        measurements=measurements.source,
+        warnings="",
+        chi_square=best.chi_square,
+        expected_chi_square=dof + weights.expected,
+        degrees_of_freedom=dof,
+        starts_led_here=first[0].n_starts,
+        starts=case.fit.starts,
+    )
+    problems = (
+        *_about_the_case(model, samples),
+        *_about_the_search(box, likely, shares),
+        *_about_the_fit(fitted, weights),
+    )
+    return replace(fitted, warnings="\n".join(problems))
+
+
+def _estimates(
+    model: FittedModel, best: Minimum, known: Uncertainty, shares: Array
+) -> Iterator[Estimate]:
+    box, values = model.box, model.box.values(best.place)
+    slopes = box.slopes(best.place)
+    for k, name in enumerate(box.names):
+        at_bound = AT_BOUND if best.at_bound[k] else ""
+        remark = UNDETERMINED if shares[k] > SHOWN_SHARE else at_bound
+        noise, error = (float(slopes[k] * np.sqrt(c[k, k])) for c in (known.noise, known.model))
+        reach = best.place[k] + known.half_width[k] * np.array([-1.0, 1.0])
+        low, high = (box.value(name, end) for end in np.clip(reach, 0.0, 1.0).tolist())
+        deviation = math.hypot(noise, error)
+        found = Estimate(name, values[name], deviation, noise, error, low, high, remark)
+        yield found
+        if name == REYNOLDS:
+            point = model.point(best.place)
+            yield _viscosity(found, model.fast.workspace.case.plan.kinematic_viscosity(point))
+
+
+def _viscosity(reynolds: Estimate, value: float) -> Estimate:
+    """Return what an estimate of the Reynolds number tells of the viscosity [m2/s]."""
+    share, scale = value / reynolds.value, value * reynolds.value
+    return replace(
+        reynolds,
+        parameter=VISCOSITY,
+        value=value,
+        standard_deviation=share * reynolds.standard_deviation,
+        by_noise=share * reynolds.by_noise,
+        by_model=share * reynolds.by_model,
+        low=scale / reynolds.high,
+        high=scale / reynolds.low,
+    )
+
+
+def _histories(
+    model: FittedModel, best: Minimum, known: Uncertainty, samples: Array | None
+) -> Iterator[FittedHistory]:
+    from scipy.stats import norm
+
+    whole = model.whole(best.place)
+    assert whole is not None  # the search has been there
+    time, curves, slopes = whole
+    ends = np.cumsum([len(history.time) for history in model.histories])
+    parts = np.split(best.values, ends[:-1])
+    for k, (history, fitted) in enumerate(zip(model.histories, parts, strict=True)):
+        own = np.zeros((0, len(time))) if samples is None else samples[:, :, k]
+        variance = history_variance(slopes[:, k], known, own)
+        yield FittedHistory(
+            instant=history.time,
+            measured=history.value,
+            noise=history.noise,
+            fitted=fitted,
+            curve=curves[:, k],
+            half_width=norm.ppf(0.5 * (1.0 + CONFIDENCE)) * np.sqrt(variance),
+            name=history.name,
+            units=history.unit,
+        )
+
+
+def _about_the_case(model: FittedModel, samples: Array | None) -> Iterator[str]:
+    case, box = model.fast.workspace.case, model.box
+    for name, (low, high) in trained_ranges(case, model.fast.section).items():
+        ends = box.ranges[name] if name in box.ranges else (box.fixed[name],)
+        if min(ends) < low or max(ends) > high:
+            yield (
+                f"fit.parameters.{name}: goes beyond the trained range, {exact(low)} to "
+                f"{exact(high)}: the model extrapolates there"
+            )
+    if samples is None:
+        yield (
+            "intervals are of the noise alone: what the model may be wrong by takes estimates of "
+            "errors (operators.error_estimate) and the full training runs"
+        )
+    if case.time.spin_up > 0.0:
+        yield (
+            "runs start from the end of the nearest trained spin-up: how that changes with the "
+            "parameters is no part of the fit"
+        )
+
+
+def _about_the_search(box: Box, found: Sequence[Minimum], shares: Array) -> Iterator[str]:
+    """Yield remarks on minima that noise can't tell from the first, which is the fit."""
+    best = found[0]
+    if not best.converged:
+        yield "the search has not converged: chi^2 may have a lower minimum"
+    yield from _undetermined(box.names, shares)
+    for name, on_it in zip(box.names, best.at_bound, strict=True):
+        if on_it:
+            value = exact(float(f"{box.values(best.place)[name]:.6g}"))
+            yield (
+                f"{name} is at the bound of its range, {value}: the data may ask for a value "
+                "beyond it, and the intervals don't hold"
+            )
+    if len(found) > 1 and shares.min() <= WHOLLY:
+        fits = [
+            ", ".join(f"{name}={box.values(other.place)[name]:.4g}" for name in box.names)
+            for other in found[1:]
+        ]
+        yield f"other fits are nearly as good: {'; '.join(fits)}"
+
+
+def _undetermined(names: Sequence[str], shares: Array) -> Iterator[str]:
+    """Yield sentences on parameters with shares (n_free,) in undetermined directions."""
+    combined = [n for n, share in zip(names, shares, strict=True) if SHOWN_SHARE < share <= WHOLLY]
+    for name, share in zip(names, shares, strict=True):
+        if share > WHOLLY or combined == [name]:
+            yield f"the data don't determine {name} within its range"
+    if len(combined) > 1:
+        yield f"the data determine a combination of {' and '.join(combined)} only"
+
+
+def _about_the_fit(fitted: Fit, weights: Weights) -> Iterator[str]:
+    from scipy.stats import chi2
+
+    dof = fitted.degrees_of_freedom
+    ratio, expected = fitted.chi_square / dof, fitted.expected_chi_square / dof
+    if fitted.chi_square > chi2.ppf(SURE, dof) + TRUSTED * weights.expected:
+        worst = max(fitted.histories, key=lambda each: each.residual)
+        yield (
+            f"the fit is bad: chi^2 per degree of freedom is {ratio:.3g}, where noise and the "
+            f"model's errors explain {expected:.3g}; {worst.name} fits worst: is its "
+            "unit, place or noise another, or does the model lack something?"
+        )
+    elif fitted.chi_square < chi2.ppf(1.0 - SURE, dof):
+        yield (
+            f"chi^2 per degree of freedom is {ratio:.3g}, so that the noise is smaller than "
+            "stated, or its values are not independent"
+        )

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.case.points import ParameterPoint
-from sphrom.case.studies import Box
-from sphrom.errors import UnstableError
+from sphrom.case.studies import Box, Ranges
+from sphrom.errors import CaseError, UnstableError
 from sphrom.fit.measurements import UNNAMED, History
 from sphrom.metrics.measures import PLACED, FieldMeasure, Quantities
 from sphrom.online.basis_model import fields_of, quantities_of
@@ -34,6 +34,7 @@ from sphrom.setup.assembly import places_of
 from sphrom.setup.particles import MeasuredFields, sampler
 from sphrom.store.reduced_models import read_points
 from sphrom.store.trajectory import read_quantities, snapshot_fields
+from sphrom.text import exact
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -43,6 +44,22 @@ Fits of one model share them."""
 
 FINER = 2
 """Steps over those that runs take: they are the same for all parameters, and have room for all."""
+
+
+def box_of(ranges: Ranges, values: Mapping[str, float]) -> Box:
+    """Return the ranges of the free parameters, and the values of the others.
+
+    Raises CaseError where none is free, or one that is free has no range.
+    """
+    flat = [name for name, (low, high) in ranges.items() if low == high]
+    if flat:
+        raise CaseError(
+            f"fit.parameters: {flat[0]} has one trained value, {exact(ranges[flat[0]][0])}, and so "
+            "no range to look for it in; give its value, or a range"
+        )
+    if not ranges:
+        raise CaseError("fit.parameters: gives all values, so that there is nothing to look for")
+    return Box(ranges, values)
 
 
 class FittedModel:

@@ -351,41 +351,31 @@ def effectivity(
     [s], and a share `left_out` of the run from its start, don't count. None where there is no error
     to compare with.
     """
-    errors, sizes = _errors(run, reference, probes)
+    grid = probes.on_grid
+    fields = [
+        (run.velocity[:, grid], reference.velocity[:, grid]),
+        (without_mean(run.pressure[:, grid]), without_mean(reference.pressure[:, grid])),
+    ]
+    errors = np.stack([_rms(found - expected) for found, expected in fields], axis=1)
+    sizes = np.stack([_rms(expected) for _, expected in fields], axis=1)
     time = reference.time
     start = max(from_time, time[0] + left_out * (time[-1] - time[0]))
     kept = (time >= start - TIME_TOLERANCE) & (errors > 0.0).all(axis=1)
     if not kept.any():
         return None
     figures: dict[str, float] = {}
-    for k, name in enumerate(QUANTITIES):
-        figures |= _figures(name, estimates[kept, k], errors[kept, k], sizes[kept, k])
+    for name, estimate, error, size in zip(
+        QUANTITIES, estimates[kept].T, errors[kept].T, sizes[kept].T, strict=True
+    ):
+        scale, ratio = 100.0 / float(np.linalg.norm(size)), estimate / error
+        figures |= {
+            f"{name}_estimate": scale * float(np.linalg.norm(estimate)),
+            f"{name}_error": scale * float(np.linalg.norm(error)),
+            f"{name}_effectivity_mean": float(ratio.mean()),
+            f"{name}_effectivity_min": float(ratio.min()),
+            f"{name}_effectivity_max": float(ratio.max()),
+        }
     return figures
-
-
-def _figures(name: str, estimate: Array, error: Array, size: Array) -> dict[str, float]:
-    """Return the figures of one field, of root mean squares (n_snapshots,) over the points."""
-    scale = 100.0 / float(np.linalg.norm(size))
-    ratio = estimate / error
-    return {
-        f"{name}_estimate": scale * float(np.linalg.norm(estimate)),
-        f"{name}_error": scale * float(np.linalg.norm(error)),
-        f"{name}_effectivity_mean": float(ratio.mean()),
-        f"{name}_effectivity_min": float(ratio.min()),
-        f"{name}_effectivity_max": float(ratio.max()),
-    }
-
-
-def _errors(run: Samples, reference: Samples, probes: Probes) -> tuple[Array, Array]:
-    """Return root mean squares (n_snapshots, 2) of a run's errors, and of the fields themselves."""
-    grid = probes.on_grid
-    velocities = run.velocity[:, grid], reference.velocity[:, grid]
-    pressures = (without_mean(samples.pressure[:, grid]) for samples in (run, reference))
-    errors, sizes = [], []
-    for found, expected in (velocities, pressures):
-        errors.append(_rms(found - expected))
-        sizes.append(_rms(expected))
-    return np.stack(errors, axis=1), np.stack(sizes, axis=1)
 
 
 def _rms(fields: Array) -> Array:

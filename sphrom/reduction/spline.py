@@ -293,7 +293,7 @@ def fit_splines(
     order: int = 3,
     polynomial_degree: int = 1,
     cell_width: float,
-    progress: Callable[[int], None] | None = None,
+    progress: Callable[[int], None] = lambda n_cells: None,
 ) -> LocalSplines:
     """Fit a spline to every column of values, in every cell (Eq. 3.19, Alg. 3.3).
 
@@ -336,8 +336,7 @@ def fit_splines(
                 )
             radial[:, here] = weights[: matrix.shape[0] - n_terms].T
             polynomial[cell] = weights[matrix.shape[0] - n_terms :]
-        if progress is not None:
-            progress(1)
+        progress(1)
     return LocalSplines(
         order=order,
         polynomial_degree=polynomial_degree,

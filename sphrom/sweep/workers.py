@@ -246,21 +246,19 @@ def start_workers(number: int, scheduler: str | None, report: Reporter) -> Itera
         return
     try:
         from distributed import Client
+
+        client = Client(scheduler, timeout=PATIENCE, set_as_default=False)
     except ImportError as error:
         raise CaseError(f"--scheduler: needs the library distributed: {INSTALL}") from error
-    try:
-        client = Client(scheduler, timeout=PATIENCE, set_as_default=False)
-    except (OSError, ValueError, ImportError) as error:
+    except (OSError, ValueError) as error:
         raise CaseError(
             f"--scheduler: no scheduler answers at {scheduler}; start one with `dask scheduler`, "
             f"and workers with `dask worker {scheduler} --nworkers auto --nthreads 1`"
         ) from error
-    try:
+    with client:
         if not client.nthreads():
             report.warn(f"--scheduler: {scheduler} has no workers yet: runs wait for some")
         yield Workers(number, report, client)
-    finally:
-        client.close()
 
 
 def check_options(number: int | None, scheduler: str | None) -> None:

@@ -20,6 +20,7 @@ def refusal_of(path: Path) -> str:
 
 
 def test_missing_file(tmp_path):
+    assert "is a directory" in refusal_of(tmp_path)
     assert refusal_of(tmp_path / "no.yaml") == f"{tmp_path}/no.yaml: there is no such case file"
 
 

@@ -24,13 +24,20 @@ def complete(tmp_path, monkeypatch, case_file):
     return ask
 
 
-def test_commands_and_options(complete):
-    assert {"fom", "fit-psi", "sweep", "case"} <= set(complete("sphrom "))
-    assert complete("sphrom sweep small.yaml --sc") == ["--scheduler"]
-
-
-def test_kinds(complete):
-    assert complete("sphrom case new open") == ["open-cavity"]
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("sphrom fit-", ["fit-psi"]),
+        ("sphrom sweep small.yaml --sc", ["--scheduler"]),
+        ("sphrom case new open", ["open-cavity"]),
+        ("sphrom case examples cyl", ["cylinder", "cylinder_array"]),
+        ("sphrom fom small.yaml --set time.s", ["time.spin_up=", "time.step="]),
+        ("sphrom fom small.yaml --only r", [f"reynolds={r}" for r in (100, 200, 150)]),
+        ("sphrom fom missing.yaml --only r", []),
+    ],
+)
+def test_words_are_completed(complete, line, expected):
+    assert complete(line) == expected
 
 
 def test_case_files_here_and_below(complete, tmp_path):
@@ -43,18 +50,6 @@ def test_case_files_here_and_below(complete, tmp_path):
     assert complete("sphrom fom ./sm") == ["./small.yaml"]
     assert complete("sphrom fom cases/") == ["cases/more/one.yml"]
     assert complete("sphrom fom nowhere/") == []
-
-
-def test_keys(complete):
-    found = complete("sphrom fom small.yaml --set time.s")
-    assert found == ["time.spin_up=", "time.step="]
-    assert "discretization.packing.seed=" in complete("sphrom fom small.yaml --set discretization.")
-
-
-def test_parameter_values(complete):
-    found = complete("sphrom fom small.yaml --only r")
-    assert found == ["reynolds=100", "reynolds=200", "reynolds=150"]
-    assert complete("sphrom fom missing.yaml --only r") == []
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.fit.estimates import _undetermined
+from sphrom.fit.fit import _undetermined
 
 
 @pytest.mark.parametrize(

@@ -43,9 +43,8 @@ def steps(reduced: ReferenceModel, time_step: float | str = "auto") -> int:
 
 
 def timed(reduced: ReferenceModel, n_steps: int) -> tuple[Run, float]:
-    return reference_model.Integrator(reduced, reference_model.runge_kutta(reduced, n_steps)).timed(
-        2
-    )
+    steps = reference_model.runge_kutta(reduced, n_steps)
+    return reference_model.Integrator(reduced, steps).timed(2)
 
 
 def test_steps_are_automatic_given_or_the_full_model_s() -> None:

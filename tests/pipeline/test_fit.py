@@ -12,7 +12,7 @@ import sphrom
 from sphrom.case.yaml_reader import dump_yaml
 from sphrom.cli.app import app
 from sphrom.errors import ArtifactError, CaseError
-from sphrom.fit.estimates import Fit
+from sphrom.fit.fit import Fit
 from sphrom.fit.measurements import read_measurements
 from sphrom.fit.model import Box, FittedModel
 from sphrom.online.fast_model import FastModel

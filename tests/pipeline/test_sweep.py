@@ -461,7 +461,7 @@ STARTED = {
     "kind": "custom",
     "box": {"upper": [1, 1], "periodic": ["x", "y"]},
     "solids": {"block": {"file": "block.wkt"}},
-    "initial": {"file": "start.csv"},
+    "initial": {"u": "0.1*sin(2*pi*y)"},
 }
 
 
@@ -472,7 +472,6 @@ def test_files_that_a_case_names_are_found_from_any_folder(
     """Processes of a sweep have read none of them before."""
     home = tmp_path / "home"
     home.mkdir()
-    (home / "start.csv").write_text("x,y,u,v\n0,0,0,0.1\n1,0,0.2,0\n0,1,0.1,0\n1,1,0,0\n")
     (home / "block.wkt").write_text("POLYGON ((0.3 0.3, 0.7 0.3, 0.7 0.7, 0.3 0.7, 0.3 0.3))")
     text = case_text(scene=STARTED, rom=[], sweep__reynolds=[110, 150])
     (home / "case.yaml").write_text(text)

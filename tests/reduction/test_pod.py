@@ -110,8 +110,7 @@ def test_a_subset_has_the_basis_of_its_own_snapshots() -> None:
 def test_modes_are_orthonormal_in_their_product(name: str) -> None:
     basis = _decompose(*_data(), PRODUCTS[name], 12)["all"]
     modes = _weighted_modes(basis)
-    error = np.abs(modes.T @ modes - np.eye(basis.n_modes)).max()
-    assert error < 1e-12
+    assert np.abs(modes.T @ modes - np.eye(basis.n_modes)).max() < 1e-12
     assert basis.gram_error < 1e-12
 
 
