@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import shapely
 
-from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.spline import (
     cell_grid,
     default_cell_width,
@@ -81,17 +80,3 @@ def test_shares_of_fluid_add_up_to_its_area(name: str) -> None:
     assert share.sum() * grid.cell_width * grid.cell_height == pytest.approx(domain.area)
     assert share.min() == 0.0
     assert share.max() == pytest.approx(1.0)
-
-
-@pytest.mark.parametrize("name", DOMAINS)
-def test_particles_are_mapped_onto_points_and_back(name: str) -> None:
-    """Measured: errors of 7e-5 at worst, at walls."""
-    domain = DOMAINS[name]
-    particles, points = points_in(domain), everywhere(domain, 2000)
-    to_points = ReferenceMap(
-        points, domain, particle_spacing=SPACING, smoothing_length=2.0 * SPACING
-    )
-    fields = smooth(particles)
-    density, velocity = to_points(particles, fields[:, 0], fields[:, 1:])
-    error = np.column_stack((density, velocity)) - smooth(points)
-    assert np.abs(error).max() < 2e-4
