@@ -15,7 +15,6 @@ from sphrom.reduction.polynomial_model import Amplitude, OutputTimes, Polynomial
 from sphrom.reduction.reduced_rates import Polynomial
 from sphrom.reduction.reference_model import LONGER, Steps, accurate
 
-RANDOM = np.random.default_rng(5)
 SOUND = 300.0
 """Of what oscillates [1/s]."""
 LINEAR = np.array([[-0.3, 0.2, 0.0], [0.1, -0.1, SOUND], [0.4, -SOUND, -0.5]])

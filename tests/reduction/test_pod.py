@@ -63,10 +63,6 @@ def _matrix(first_field, velocity, weights) -> np.ndarray:
     return np.concatenate((first_field * root, flat), axis=1).T
 
 
-def _weighted_modes(basis: TrialBasis) -> np.ndarray:
-    return _matrix(basis.density_modes, basis.velocity_modes, basis.weights)
-
-
 @pytest.mark.parametrize("name", PRODUCTS)
 def test_equals_svd_of_the_weighted_matrix(name: str) -> None:
     density, velocity, volume = _data()
@@ -75,7 +71,7 @@ def test_equals_svd_of_the_weighted_matrix(name: str) -> None:
     whole = _matrix(product.first_field(density), velocity, product.weights(volume))
     left, values, _ = np.linalg.svd(whole, full_matrices=False)
     np.testing.assert_allclose(basis.singular_values["joint"], values, atol=1e-14 * values[0])
-    modes = _weighted_modes(basis)
+    modes = _matrix(basis.density_modes, basis.velocity_modes, basis.weights)
     np.testing.assert_allclose(np.abs(left[:, :6].T @ modes), np.eye(6), atol=1e-9)
     assert np.abs(modes.T @ modes - np.eye(6)).max() < 1e-12
     assert basis.gram_error < 1e-12

@@ -40,19 +40,6 @@ CHANNEL = PolygonDomain(
 DOMAINS = {"ring": RING, "channel": CHANNEL}
 
 
-def points_in(domain: PolygonDomain) -> np.ndarray:
-    """Return packed points (n_points, 2)."""
-    ghosts = domain.ghosts(SPACING, 4).position
-    discretization = Discretization(SPACING, 2.0 * SPACING)
-    return pack(domain, discretization, ghosts=ghosts, perturbation=0.3).position
-
-
-def everywhere(domain: PolygonDomain, n: int = 5000) -> np.ndarray:
-    """Return places in the fluid, as near to walls as particles come."""
-    places = np.random.default_rng(0).uniform(domain.lower, domain.upper, (n, 2))
-    return places[domain.wall_distance(places) > 0.25 * SPACING]
-
-
 def smooth(place: np.ndarray) -> np.ndarray:
     """Return fields (n, 3) with the channel's period."""
     x, y = place.T
@@ -63,7 +50,12 @@ def smooth(place: np.ndarray) -> np.ndarray:
 def test_splines_serve_all_of_the_fluid(name: str) -> None:
     """Measured: errors of 8e-6 at worst, and no place in the fluid is without a spline."""
     domain = DOMAINS[name]
-    points, places = points_in(domain), everywhere(domain)
+    ghosts = domain.ghosts(SPACING, 4).position
+    discretization = Discretization(SPACING, 2.0 * SPACING)
+    points = pack(domain, discretization, ghosts=ghosts, perturbation=0.3).position
+    places = np.random.default_rng(0).uniform(domain.lower, domain.upper, (5000, 2))
+    # As near to walls as particles come.
+    places = places[domain.wall_distance(places) > 0.25 * SPACING]
     width = default_cell_width(domain, len(points))
     splines = fit_splines(points, smooth(points), domain, polynomial_degree=3, cell_width=width)
     error = np.abs(splines.values(places) - smooth(places))
