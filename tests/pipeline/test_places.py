@@ -9,8 +9,6 @@ import sys
 import time
 from pathlib import Path
 
-import h5py
-import numpy as np
 import pytest
 
 LONG = ("--set", "time.final_time=40", "--threads", "1", "--only", "reynolds=100")
@@ -31,16 +29,6 @@ def room(monkeypatch):
     monkeypatch.setattr("sphrom.setup.cost.shutil.disk_usage", lambda folder: usage)
 
 
-@pytest.mark.slow
-def test_a_disk_that_fills_up_while_a_run_writes(empty, small_disk, sphrom, room):
-    change = ("--set", "discretization.initial_particles=lattice", "--set", "snapshots.every=1")
-    result = sphrom("fom", "tiny.yaml", *LONG, *change, "--out", small_disk / "runs")
-    line = told(result)
-    assert line.startswith(f"error: {small_disk}/runs/{FULL} was not written: No space")
-    assert not list((small_disk / "runs").glob("*.h5"))
-    assert not list((small_disk / "runs").glob(".*.tmp"))
-
-
 def test_a_run_goes_on_after_its_disk_was_full(empty, small_disk, sphrom, digests, room):
     run = ("fom", "tiny.yaml", "--threads", 1, "--only", "reynolds=100",
            "--set", "discretization.initial_particles=lattice")  # fmt: skip
@@ -53,25 +41,17 @@ def test_a_run_goes_on_after_its_disk_was_full(empty, small_disk, sphrom, digest
     if stopped.exit_code == 0:
         pytest.skip("the disk was large enough")
     assert "No space" in told(stopped)
+    assert not [*out.glob("*.h5"), *out.glob(".*.tmp")]
     hog.unlink()
     resumed = sphrom(*run, "--out", out, "--resume")
     assert resumed.exit_code == 0, resumed.output
     assert digests(out)[FULL] == digests(Path("whole"))[FULL]
 
 
-def test_a_read_only_disk(empty, small_disk, sphrom, room):
-    subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True, timeout=30)
-    line = told(sphrom("fom", "tiny.yaml", "--out", small_disk / "runs"))
-    assert "Read-only file system" in line
-    assert "--out" in line
-
-
 @pytest.mark.slow
 def test_two_processes_on_one_folder(empty, sphrom):
-    first = subprocess.Popen(
-        [sys.executable, "-m", "sphrom", "fom", "tiny.yaml", *LONG],
-        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+    command = [sys.executable, "-m", "sphrom", "fom", "tiny.yaml", *LONG]
+    first = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         deadline = time.monotonic() + 60.0
         while not list(empty.glob(f".{FULL}.tmp")):
@@ -106,21 +86,3 @@ def test_a_link_to_nothing(place, sphrom, tmp_path):
     line = told(sphrom("fom", "tiny.yaml", "--only", "reynolds=100"))
     assert "is a symbolic link" in line
     assert not (tmp_path / "nowhere.h5").exists()
-
-
-@pytest.mark.parametrize(
-    ("change", "reason"),
-    [
-        (lambda file: file["velocity"].__setitem__((2, 7), np.nan), "velocity is not what was"),
-        (lambda file: file.attrs.__setitem__("schema_version", np.bytes_("9.0")), "version '9.0'"),
-        (lambda file: file.__delitem__("pressure"), "its digest is not that"),
-    ],
-)
-def test_what_an_artifact_never_holds(place, sphrom, change, reason):
-    with h5py.File(place / FULL, "r+") as file:
-        change(file)
-    (place / "map-reynolds100.h5").unlink()
-    line = told(sphrom("map", "tiny.yaml"))
-    assert reason in line
-    assert line.endswith("; make it again with `sphrom fom CASE --force`")
-    assert not (place / "map-reynolds100.h5").exists()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -108,13 +106,6 @@ def test_errors_from_zero_follow_no_run_that_became_unstable() -> None:
     assert [line.get_label() for line in axes.lines] == ["good", "gone"]
 
 
-def test_logarithmic_axes_leave_zeros_out() -> None:
-    axes = draw_grid([[replace(PANEL, axes="logarithmic", curves=RUNS[:1])]]).axes[0]
-    assert axes.get_yscale() == "log"
-    np.testing.assert_array_equal(axes.lines[0].get_ydata(), [np.nan, *2.0 * X[1:]])
-    assert axes.get_ylim()[0] > 1e-2
-
-
 def test_a_legend_of_long_names_stays_within_the_figure() -> None:
     curves = [Curve(f"{space} space: {'99.996 % (M = 2), ' * 4}", X, X) for space in "ab"]
     figure = draw_grid([[replace(PANEL, curves=curves)] * 2])
@@ -140,11 +131,3 @@ def test_labels_of_marked_sizes_stay_apart(sizes: tuple[int, ...]) -> None:
 def test_unwritable_plot_is_an_artifact_error(tmp_path: Path) -> None:
     with pytest.raises(ArtifactError, match="was not written"):
         save(draw_grid([[PANEL]]), tmp_path / "missing" / "plot.png")
-
-
-def test_matplotlib_is_loaded_only_to_draw() -> None:
-    script = (
-        "import sys, sphrom.plots.panels, sphrom.trade.trade, sphrom.plots.tables;"
-        "sys.exit('matplotlib' in sys.modules)"
-    )
-    assert subprocess.run([sys.executable, "-c", script], check=False, timeout=120).returncode == 0
