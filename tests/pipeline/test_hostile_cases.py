@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from pathlib import Path
 from typing import Any
@@ -106,14 +105,3 @@ def test_absurd_arguments(sphrom, folder, monkeypatch, arguments) -> None:
     monkeypatch.chdir(folder)
     require_short_refusal(sphrom(*arguments), 2, 3)
     assert not list(folder.glob("*.h5"))
-
-
-def test_a_start_of_points_on_one_circle(sphrom, folder, monkeypatch) -> None:
-    angles = [2.0 * math.pi * k / 5000 for k in range(5000)]
-    rows = [f"{0.5 + 0.4 * math.cos(a)!r},{0.5 + 0.4 * math.sin(a)!r},0.1,0" for a in angles]
-    monkeypatch.chdir(folder)
-    Path("circle.csv").write_text("\n".join(("x,y,u,v", *rows)))
-    case = {**OWN, "scene": {**OWN["scene"], "initial": {"file": "circle.csv"}}}
-    Path("circle.yaml").write_text(yaml.safe_dump(case))
-    result = sphrom("case", "check", "circle.yaml")
-    assert result.exit_code == 0, result.output

@@ -19,14 +19,6 @@ def test_fluid_fills_channel_and_cavity() -> None:
     assert not domain.contains(np.array(outside)).any()
 
 
-def test_starts_at_rest_between_walls_at_rest() -> None:
-    scene, position = OpenCavity(), np.random.default_rng(0).uniform(0.0, 0.4, (5, 2))
-    assert not scene.initial_velocity(position).any()
-    assert not scene.initial_pressure(position).any()
-    assert not scene.wall_velocity(position).any()
-    assert scene.exact is None
-
-
 def test_force_as_printed() -> None:
     """Eq. 4.5 with its constants, where f = -t."""
     for time in (0.0, 0.004, 0.01, 0.05):

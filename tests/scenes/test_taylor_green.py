@@ -114,5 +114,3 @@ def test_as_a_scene_it_starts_with_its_own_sign_and_is_exact_with_the_right_one(
     assert np.array_equal(printed.initial_pressure(position), -FLOW.pressure(position, 0.0))
     assert np.array_equal(printed.initial_velocity(position), FLOW.velocity(position, 0.0))
     assert printed.exact == FLOW
-    assert not printed.domain.has_walls
-    assert printed.body_force is None
