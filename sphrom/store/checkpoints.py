@@ -58,11 +58,6 @@ class CheckpointFiles:
         """Whether there is a checkpoint, valid or not."""
         return self._state.path.exists()
 
-    @property
-    def left(self) -> bool:
-        """Whether there is any file, of use or not."""
-        return bool(self._files())
-
     def latest(self) -> Checkpoint:
         """Return the checkpoint. Raises ArtifactError unless it is whole, with all its parts."""
         with self._workspace.open_aside(self._state) as artifact:
@@ -102,14 +97,14 @@ class CheckpointFiles:
         The state goes first, as it counts on the parts. Raises ArtifactError where a folder has
         the name of a file: it is not removed.
         """
-        files = self._files()
+        files = self.left()
         if folder := next(filter(Path.is_dir, files), None):
             raise ArtifactError(f"{folder} is a folder where a checkpoint has to be: remove it")
         for path in files:
             path.unlink(missing_ok=True)
 
-    def _files(self) -> list[Path]:
-        """Return all paths with names of checkpoints or parts."""
+    def left(self) -> list[Path]:
+        """Return all paths with names of checkpoints or parts, of use or not."""
         folder, name = self._target.path.parent, escape(self._target.path.name)
         endings = ("checkpoint*", "part-*")
         return [
@@ -318,6 +313,6 @@ def _computed_otherwise(kept: Checkpoint) -> str:
 def remove_checkpoints(workspace: Workspace, target: Target) -> None:
     """Remove the checkpoints of an artifact that is there, unless somebody makes it anew."""
     files = CheckpointFiles(workspace, target)
-    if files.left:
+    if files.left():
         with suppress(ArtifactError), locked(target.path):
             files.remove()

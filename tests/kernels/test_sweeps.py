@@ -76,19 +76,6 @@ def test_rows_of_regularity(brute_force: type, scatter: Callable, kind: str, rat
         assert np.max(np.abs(found - values)) < 1e-11 * np.max(np.abs(values))
 
 
-def test_gather_copies_and_moves_images(scatter: Callable) -> None:
-    state = scatter((0.0, 0.0), SPACING, SHAPE, "jittered")
-    neighbourhood = Neighbourhood(BOX, 4.0 * SPACING, SPACING, n_fields=sweeps.N_FIELDS)
-    neighbourhood.update(state[:2])
-    near = neighbourhood.sources
-    source = np.full((7, near.particle.size), np.nan)
-    sweeps.gather(near.particle, near.image, state, 0, source)
-    assert np.array_equal(source[:2], state[:2, near.particle] + near.image)
-    assert np.array_equal(source[2:5], state[2:, near.particle])
-    sweeps.gather(near.particle, near.image, state[:2], 5, source)
-    assert np.array_equal(source[5:], state[:2, near.particle])
-
-
 @pytest.mark.parametrize("transport", ["advective", "paper"])
 def test_is_bitwise_the_same_on_any_number_of_threads(
     scatter: Callable, threads, transport: str

@@ -58,17 +58,6 @@ def test_open_cavity() -> None:
     assert pushed[0] == pytest.approx([98.3, 0.0], abs=0.05)
 
 
-def test_printed_walls() -> None:
-    walls = {"no_slip": "paper", "continuity": "paper", "layers": 3}
-    case = make("lid-driven-cavity", discretization={"walls": walls})
-    functional = particles.functional(case, case.plan.points[0])
-    assert functional.discretization.no_slip == "paper"
-    assert functional.discretization.acoustic_damping == 1.0
-    assert functional.discretization.wall_continuity == "paper"
-    assert functional.ghosts is not None
-    assert len(functional.ghosts.walls.position) == 46**2 - 40**2
-
-
 @pytest.mark.parametrize("kind", ["taylor-green", "lid-driven-cavity", "open-cavity"])
 def test_a_case_and_its_flow_agree_on_where_the_fluid_is(kind: str) -> None:
     case = make(kind)

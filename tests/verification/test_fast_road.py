@@ -7,7 +7,7 @@ time. Modes have no mean density, as cases have it where volumes are fixed.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache, cached_property
 from itertools import chain
@@ -330,30 +330,6 @@ def test_projected_operators_are_the_projected_rates(
         rates = model.operators.at(viscosity)
         for state in model.states[::10]:
             close(rates(state, around.amplitude), direct(state, around), 1e-10)
-
-
-def assembled(model: Callable[..., Array], around: FlowConditions, n_modes: int) -> list[Array]:
-    """Return the tensors of a quadratic, from its values at modes and pairs of them."""
-    modes = np.eye(n_modes)
-    at_rest = model(np.zeros(n_modes), around)
-    ahead = np.array([model(mode, around) for mode in modes])
-    back = np.array([model(-mode, around) for mode in modes])
-    pairs = np.array([[model(one + other, around) for other in modes] for one in modes])
-    quadratic = 0.5 * (pairs - ahead[:, None] - ahead + at_rest)
-    return [at_rest, 0.5 * (ahead - back).T, quadratic.transpose(2, 0, 1)]
-
-
-@ALL
-def test_operators_at_a_viscosity_are_those_assembled_there(unprojected, name: str) -> None:
-    """And at a lid's speed and a force's amplitude: parameters enter affinely."""
-    model, viscosity = reduced(name, 5), FLOWS[name].viscosity(UNSEEN[name])
-    around = FlowConditions(viscosity, amplitude=40.0)
-    direct = unprojected(model.points, model.basis, model.splines, order=1)
-    found = model.operators.at(viscosity)
-    powers = [(*tensors, *(0.0,) * 3)[:3] for tensors in found.powers]
-    for degree, expected in enumerate(assembled(direct, around, 5)):
-        tensor = sum(around.amplitude**k * power[degree] for k, power in enumerate(powers))
-        close(tensor, expected, 1e-10)
 
 
 @ALL
