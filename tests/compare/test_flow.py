@@ -53,18 +53,3 @@ def test_bulk_velocity_where_points_fall_onto_edges(case_of, made_up):
 
     row = _row(case, made_up(case, flow, np.linspace(5.0, 6.0, 5)))
     assert row.bulk_velocity == pytest.approx(1.25, rel=0.01)
-
-
-def test_driven_cavity_has_neither_channel_nor_station(case_of, made_up):
-    case = case_of("lid-driven-cavity")
-
-    def flow(position, time):
-        x, y = position.T
-        return np.stack((y, -x), axis=1), np.sin(2.0 * np.pi * x) + time * (4.0 - time)
-
-    row = _row(case, made_up(case, flow, np.linspace(0.0, 4.0, 9)))
-    assert row.bulk_velocity is None
-    assert row.dominant_frequency is None
-    assert row.mean_pressure_drift == pytest.approx(4.0)
-    assert row.pressure_deviation == pytest.approx(np.sqrt(0.5))
-    assert row.pressure_drift_ratio == pytest.approx(4.0 / np.sqrt(0.5))

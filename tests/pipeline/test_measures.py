@@ -91,11 +91,9 @@ def test_what_is_stored_is_that_of_the_snapshots(made: Path, opened, name: str) 
             place = run.read("reference_position") if fixed else run.read("position")[i]
             for measured, quantities in fields(place, density[i], velocity[i]).items():
                 for quantity, values in quantities.items():
-                    stored, size = (
-                        run.read(f"measure/{measured}/{quantity}")[i],
-                        np.abs(values).max(),
-                    )
-                    np.testing.assert_allclose(stored, values, atol=1e-9 * size + 1e-12)
+                    stored = run.read(f"measure/{measured}/{quantity}")[i]
+                    tolerance = 1e-9 * np.abs(values).max() + 1e-12
+                    np.testing.assert_allclose(stored, values, atol=tolerance)
             if fixed:
                 continue
             found = forces(np.vstack((place.T, density[i], velocity[i].T)), float(time[i]))
@@ -111,7 +109,7 @@ def test_reduced_forces_follow_the_full_run_s(opened) -> None:
 
 
 def test_a_stopped_run_goes_on_to_the_same_forces(
-    made: Path, tmp_path: Path, sphrom, monkeypatch: pytest.MonkeyPatch
+    made: Path, tmp_path: Path, sphrom, digests, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     step_taken = time_loop.watched_step
 
@@ -127,15 +125,9 @@ def test_a_stopped_run_goes_on_to_the_same_forces(
         patch.setattr(time_loop, "watched_step", stopped)
         assert sphrom(*command, "--threads", 1).exit_code == 130
     again = sphrom(*command, "--threads", 1, "--resume")
-    assert again.exit_code == 0, again.output
     assert "goes on from its checkpoint" in again.output
-    digests = []
-    for folder in (made, tmp_path):
-        path = folder / "runs" / f"fom-{RATE}.h5"
-        with open_artifact(path, "sphrom/trajectory", made_by="") as run:
-            assert {"force/drag/pressure", "measure/flux/flow_rate"} <= set(run.datasets)
-            digests.append(run.content_sha256)
-    assert digests[0] == digests[1]
+    name = f"fom-{RATE}.h5"
+    assert digests(tmp_path / "runs")[name] == digests(made / "runs")[name]
 
 
 def over_time(opened, run: str, name: str) -> Any:

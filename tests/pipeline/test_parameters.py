@@ -148,19 +148,6 @@ def test_operators_at_any_point_are_those_assembled_there(unprojected, given):
         assert loads[0] == pytest.approx(loads[1], rel=1e-11, abs=1e-13)
 
 
-def test_only_what_varies_has_operators_of_its_own():
-    position = load_case(LID).scene.domain.fill(0.1)
-    alone = {**LID, "parameters": {"train": {"reynolds": [50, 200]}}}
-    assert particles.fixed_points(load_case(alone), position).drives == {}
-    (drive,) = particles.fixed_points(load_case(LID), position).drives.values()
-    assert drive.force is None
-    packed = load_case(DRIVEN)
-    drives = particles.fixed_points(
-        packed, packed.scene.domain.fill(packed.plan.particle_spacing)
-    ).drives
-    assert list(drives) == ["U", "g", "disc"]  # amplitudes in time are none of the operators'
-
-
 @pytest.fixture(scope="module")
 def study(tmp_path_factory: pytest.TempPathFactory) -> sphrom.Study:
     """A lid-driven cavity of two parameters, run to the end."""

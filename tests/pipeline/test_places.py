@@ -15,13 +15,6 @@ LONG = ("--set", "time.final_time=40", "--threads", "1", "--only", "reynolds=100
 FULL = "fom-reynolds100.h5"
 
 
-def told(result, code=3):
-    """Return the line that a user sees."""
-    assert result.exit_code == code, result.output
-    (line,) = [text for text in result.stderr.splitlines() if text.startswith("error: ")]
-    return line
-
-
 @pytest.fixture
 def room(monkeypatch):
     """Say that there is room, as there is until another process takes it."""
@@ -29,7 +22,7 @@ def room(monkeypatch):
     monkeypatch.setattr("sphrom.setup.cost.shutil.disk_usage", lambda folder: usage)
 
 
-def test_a_run_goes_on_after_its_disk_was_full(empty, small_disk, sphrom, digests, room):
+def test_a_run_goes_on_after_its_disk_was_full(empty, small_disk, sphrom, refused, digests, room):
     run = ("fom", "tiny.yaml", "--threads", 1, "--only", "reynolds=100",
            "--set", "discretization.initial_particles=lattice")  # fmt: skip
     assert sphrom(*run, "--out", "whole").exit_code == 0
@@ -40,7 +33,7 @@ def test_a_run_goes_on_after_its_disk_was_full(empty, small_disk, sphrom, digest
     stopped = sphrom(*run, "--out", out, "--checkpoint-every", 0)
     if stopped.exit_code == 0:
         pytest.skip("the disk was large enough")
-    assert "No space" in told(stopped)
+    assert "No space" in refused(stopped)
     assert not [*out.glob("*.h5"), *out.glob(".*.tmp")]
     hog.unlink()
     resumed = sphrom(*run, "--out", out, "--resume")
@@ -49,7 +42,7 @@ def test_a_run_goes_on_after_its_disk_was_full(empty, small_disk, sphrom, digest
 
 
 @pytest.mark.slow
-def test_two_processes_on_one_folder(empty, sphrom):
+def test_two_processes_on_one_folder(empty, sphrom, refused):
     command = [sys.executable, "-m", "sphrom", "fom", "tiny.yaml", *LONG]
     first = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
@@ -59,7 +52,7 @@ def test_two_processes_on_one_folder(empty, sphrom):
             assert time.monotonic() < deadline
             time.sleep(0.02)
         for options in ((), ("--force",), ("--resume",)):
-            line = told(sphrom("fom", "tiny.yaml", *LONG, *options))
+            line = refused(sphrom("fom", "tiny.yaml", *LONG, *options))
             assert f"{FULL} is being written by another process" in line
         first.send_signal(signal.SIGINT)
         assert first.wait(timeout=30) == 130
@@ -68,21 +61,21 @@ def test_two_processes_on_one_folder(empty, sphrom):
     assert not (empty / FULL).exists()
 
 
-def test_a_link_is_followed_by_readers_and_never_written_through(place, sphrom, tmp_path):
+def test_a_link_is_followed_by_readers_and_never_written_through(place, sphrom, refused, tmp_path):
     precious = tmp_path / "elsewhere.h5"
     shutil.move(place / FULL, precious)
     (place / FULL).symlink_to(precious)
     (place / "map-reynolds100.h5").unlink()
     before = precious.read_bytes()
     assert sphrom("map", "tiny.yaml", "--threads", 1).exit_code == 0
-    line = told(sphrom("fom", "tiny.yaml", "--only", "reynolds=100", "--force"))
+    line = refused(sphrom("fom", "tiny.yaml", "--only", "reynolds=100", "--force"))
     assert "is a symbolic link, which is never written through; remove it" in line
     assert precious.read_bytes() == before
 
 
-def test_a_link_to_nothing(place, sphrom, tmp_path):
+def test_a_link_to_nothing(place, sphrom, refused, tmp_path):
     (place / FULL).unlink()
     (place / FULL).symlink_to(tmp_path / "nowhere.h5")
-    line = told(sphrom("fom", "tiny.yaml", "--only", "reynolds=100"))
+    line = refused(sphrom("fom", "tiny.yaml", "--only", "reynolds=100"))
     assert "is a symbolic link" in line
     assert not (tmp_path / "nowhere.h5").exists()

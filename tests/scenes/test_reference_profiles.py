@@ -43,17 +43,6 @@ def test_other_scenes() -> None:
     assert mean.value.max() == pytest.approx(0.955)
 
 
-def test_profiles_run_from_wall_to_wall_and_stick_to_them() -> None:
-    for reynolds in (50.0, 100.0, 200.0):
-        for profile in profiles_for("lid-driven-cavity", "regularised", reynolds):
-            assert profile.coordinate[0] == 0.0
-            assert profile.coordinate[-1] == 1.0
-            assert np.all(np.diff(profile.coordinate) > 0.0)
-            if profile.quantity != "p":
-                lid = 1.0 if profile.quantity == "u" else 0.0
-                assert profile.value[[0, -1]] == pytest.approx([0.0, lid], abs=1e-6)
-
-
 def test_extrema_of_the_uniform_lid() -> None:
     """Botella & Peyret 1998, their table for Re = 100."""
     u, v = (_one("uniform", 100.0, name, source="Legendre") for name in ("u along y", "v along x"))
@@ -67,17 +56,6 @@ def test_two_sources_agree_as_well_as_the_older_is(name: str) -> None:
     ghia, spectral = (_one("uniform", 100.0, name, source=s) for s in ("Ghia", "Legendre"))
     between = np.interp(ghia.coordinate, spectral.coordinate, spectral.value)
     assert 1e-4 < np.abs(between - ghia.value).max() < 0.0095
-
-
-def test_the_start_tends_to_the_steady_flow() -> None:
-    steady = _one("regularised", 100.0, "u along y")
-    distances = []
-    for time in (1.0, 5.0):
-        start = _one("regularised", 100.0, "u along y", time)
-        between = np.interp(steady.coordinate, start.coordinate, start.value)
-        distances.append(np.abs(between - steady.value).max())
-    assert distances[1] == pytest.approx(0.018, abs=1e-3)
-    assert distances[0] > 5.0 * distances[1]
 
 
 def test_datums_of_the_pressure() -> None:
