@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -150,10 +151,13 @@ def test_tables_are_beside_the_artifact(swept, folder):
 
 def test_figures_are_drawn_of_all_outputs(swept, tmp_path):
     found = read(swept("whole"))[0]
-    time = np.linspace(0.0, 0.3, len(found.outputs["kinetic_energy"].mean))
-    for figure in (draw_quantiles(found, time), draw_indices(found, ["reynolds", "lid"], time)):
-        along = {axes.get_xlabel() for axes in figure.axes}
-        assert {"time [s]", "place along the line [–]"} <= along
+    names = ("kinetic_energy", "middle_final_u")
+    outputs, indices = ({n: part[n] for n in names} for part in (found.outputs, found.indices))
+    few = replace(found, outputs=outputs, indices=indices)
+    time = np.linspace(0.0, 0.3, len(outputs["kinetic_energy"].mean))
+    for figure in (draw_quantiles(few, time), draw_indices(few, ["reynolds", "lid"], time)):
+        along = [axes.get_xlabel() for axes in figure.axes]
+        assert along == ["time [s]", "place along the line [–]"]
         save(figure, tmp_path / "figure.png")
 
 
