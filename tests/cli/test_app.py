@@ -54,22 +54,6 @@ def test_each_command_runs_its_stage(sphrom, stages, case_file, tmp_path, comman
     assert (context.force, context.threads) == (True, None if command == "sweep" else 2)
 
 
-def test_options_of_a_sweep(sphrom, stages, case_file, tmp_path, monkeypatch):
-    asked = []
-    stage = sys.modules["sphrom.recorder_sweep"]
-    monkeypatch.setattr(stage, "run", lambda context, **others: asked.append((context, others)))
-    result = sphrom(
-        "sweep", case_file, "--out", tmp_path / "here", "--workers", "3", "--shard", "2/8",
-        "--scheduler", "tcp://node:8786", "--collect", "--set", "sweep.reynolds=[100]",
-    )  # fmt: skip
-    assert result.exit_code == 0, result.output
-    ((context, others),) = asked
-    assert (context.out, context.case.sweep.reynolds) == (tmp_path / "here", (100.0,))
-    assert others == {
-        "workers": 3, "scheduler": "tcp://node:8786", "shard": (2, 8), "collect": True,
-    }  # fmt: skip
-
-
 HOSTILE = "a\x1b[2J\x9b\x7f\u202e\u2066\u200b[red]b"
 
 

@@ -59,19 +59,6 @@ def test_other_exceptions_are_told_as_before(monkeypatch):
     assert told == [ZeroDivisionError]
 
 
-def test_such_an_interrupt_is_told_as_one(sphrom, monkeypatch):
-    def interrupted(*_):
-        try:
-            raise KeyboardInterrupt
-        except KeyboardInterrupt as error:
-            raise SystemError("a result with an exception set") from error
-
-    monkeypatch.setattr("sphrom.cli.stages.run_stage", interrupted)
-    result = sphrom("pod", "case.yaml")
-    assert result.exit_code == 130
-    assert result.stderr == "interrupted\n"
-
-
 @pytest.mark.parametrize(
     ("number", "code", "word"),
     [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")],
