@@ -9,6 +9,8 @@ import sys
 import time
 from pathlib import Path
 
+import h5py
+import numpy as np
 import pytest
 
 LONG = ("--set", "time.final_time=40", "--threads", "1", "--only", "reynolds=100")
@@ -79,3 +81,10 @@ def test_a_link_to_nothing(place, sphrom, refused, tmp_path):
     line = refused(sphrom("fom", "tiny.yaml", "--only", "reynolds=100"))
     assert "is a symbolic link" in line
     assert not (tmp_path / "nowhere.h5").exists()
+
+
+def test_another_schema_version_is_refused(place, sphrom, refused):
+    with h5py.File(place / FULL, "r+") as file:
+        file.attrs["schema_version"] = np.bytes_("9.0")
+    (place / "map-reynolds100.h5").unlink()
+    assert "version '9.0'" in refused(sphrom("map", "tiny.yaml"))
