@@ -14,6 +14,7 @@ from sphrom.compare.costs import reduced_timing, stage_timings, undisturbed_seco
 from sphrom.compare.measured import (
     Measured,
     MeasureRow,
+    flow_row,
     measure_rows,
     measured_of_best,
     measured_of_map,
@@ -35,7 +36,7 @@ from sphrom.compare.tables import (
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.metrics.histories import compare
 from sphrom.metrics.samples import Probes, Samples
-from sphrom.metrics.series import exponential_rate, flow_row, kinetic_energy
+from sphrom.metrics.series import exponential_rate, kinetic_energy
 from sphrom.online.stored_run import StoredRun
 from sphrom.scenes.flows import ExactFlow
 from sphrom.setup.assembly import role_of
@@ -61,24 +62,17 @@ def bulk_velocity(case: Case, samples: Samples, probes: Probes) -> float | None:
 
 
 def run(context: StageContext) -> None:
-    """Compare all runs of the case, and tell the answer."""
-    tables = make(context)
-    if tables is not None:
-        tell_answer(Workspace(context), tables)
+    """Compare all runs of the case, write artifact, tables and plots, and tell the answer.
 
-
-def make(context: StageContext) -> Tables | None:
-    """Compare all runs of the case; write `compare.h5`, `compare.json`, tables and plots.
-
-    Returns the tables, empty where there is nothing to compare; None where the artifact was made
-    before but its tables are damaged.
+    Where an artifact that was made before has damaged tables, it warns and tells nothing.
     """
     workspace, case = Workspace(context), context.case
     if not (case.rom or case.scene.domain.has_walls or _exact_flows(case)):
         context.report.info(
             "nothing to compare: no reduced models, and no solution to compare with"
         )
-        return Tables()
+        tell_answer(workspace, Tables())
+        return
     _tell_unseen(workspace)
     target = workspace.comparison()
     is_new = workspace.must_make(target)
@@ -100,11 +94,11 @@ def make(context: StageContext) -> Tables | None:
             context.report.warn(
                 f"{workspace.out / FILE} is missing or damaged; `{MADE_BY} --force` writes it again"
             )
-            return None
+            return
     if case.compare.plots:
         draw_comparison(workspace, tables, again=is_new)
     show(context.report, tables)
-    return tables
+    tell_answer(workspace, tables)
 
 
 def _exact_flows(case: Case) -> list[tuple[ParameterPoint, ExactFlow]]:

@@ -1,8 +1,12 @@
-"""Forces, flow rates, probes and lines over time: maps, bases and reduced runs beside full runs."""
+"""Forces, flow rates, probes and lines over time: maps, bases and reduced runs beside full runs.
+
+The flow of each run is described by figures of its own, such as speeds and a frequency.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,7 +16,10 @@ from sphrom.artifacts import Artifact
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.metrics.measures import UNITS, Quantities, components, errors_of, mean_square
+from sphrom.metrics.samples import Probes, Samples
+from sphrom.metrics.series import dominant_frequency, kinetic_energy
 from sphrom.online.basis_model import fields_of, forces_of
+from sphrom.online.stored_run import StoredRun
 from sphrom.reduction.reduced_measures import calibrate_force
 from sphrom.reduction.trial_basis import kept_modes, mean_density_fluctuation, project, truncate
 from sphrom.setup.particles import MeasuredFields
@@ -25,6 +32,7 @@ from sphrom.store.reduced_models import (
 from sphrom.store.trajectory import totals
 from sphrom.store.workspace import Workspace
 
+Array = NDArray[np.float64]
 Measured = Mapping[str, Quantities]
 """Quantities of each measurement by its name (n_snapshots, ...)."""
 
@@ -53,7 +61,7 @@ class MeasureRow:
     """At the worst instant."""
 
 
-def named_components(quantity: str, values: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+def named_components(quantity: str, values: Array) -> dict[str, Array]:
     """Return values by component as tables name them: `u`, but `force_x`."""
     prefix = "force_" if quantity == "force" else ""
     return {f"{prefix}{name}": each for name, each in components(quantity, values).items()}
@@ -133,3 +141,73 @@ def measure_rows(
                     relative_l2=errors[0],
                     relative_l2_peak=errors[1],
                 )
+
+
+@dataclass(frozen=True)
+class FlowRow:
+    """The flow of one run; of one that became unstable, as far as it came."""
+
+    run: str
+    parameters: str
+    from_time: float = field(metadata={"unit": "s"})
+    to_time: float = field(metadata={"unit": "s"})
+    largest_speed: float = field(metadata={"unit": "m/s"})
+    """Of all particles, the mean over time."""
+    kinetic_energy: float = field(metadata={"unit": "J/m"})
+    """The mean over time."""
+    bulk_velocity: float | None = field(metadata={"unit": "m/s"})
+    """The mean of u over the channel beside a cavity, and over time; None without a channel."""
+    mean_pressure_drift: float = field(metadata={"unit": "Pa"})
+    """The largest change of the particles' mean pressure since the first snapshot."""
+    pressure_deviation: float = field(metadata={"unit": "Pa"})
+    """The pressure's standard deviation over the particles, its mean over the later half."""
+    pressure_drift_ratio: float | None
+    """That drift over that deviation; None for a pressure that is the same everywhere."""
+    dominant_frequency: float | None = field(metadata={"unit": "Hz"})
+    """Of v at the station; None without a station, or an oscillation of two periods or more."""
+
+
+def flow_row(
+    name: str,
+    parameters: str,
+    run: StoredRun,
+    samples: Samples,
+    probes: Probes,
+    bulk_velocity: float | None,
+) -> FlowRow:
+    """Describe the flow of a run, full or reduced, from its fields and its samples at probes."""
+    speed, energy, mean_pressure, deviations = _over_time(run)
+    drift = float(np.abs(mean_pressure - mean_pressure[0]).max())
+    deviation = float(deviations[len(deviations) // 2 :].mean())
+    frequency = None
+    if len(probes.stations):
+        velocity = samples.velocity[:, probes.at_stations][:, 0, 1]
+        with suppress(ValueError):
+            frequency = dominant_frequency(samples.time, velocity)
+    return FlowRow(
+        run=name,
+        parameters=parameters,
+        from_time=float(run.time[0]),
+        to_time=float(run.time[-1]),
+        largest_speed=float(speed.mean()),
+        kinetic_energy=float(energy.mean()),
+        bulk_velocity=bulk_velocity,
+        mean_pressure_drift=drift,
+        pressure_deviation=deviation,
+        pressure_drift_ratio=drift / deviation if deviation > 0.0 else None,
+        dominant_frequency=frequency,
+    )
+
+
+def _over_time(run: StoredRun) -> Array:
+    """Return largest speed, energy, mean and deviation of the pressure (4, n_snapshots)."""
+    figures = np.empty((4, len(run.time)))
+    for snapshot in range(len(run.time)):
+        velocity, pressure = run.fields(snapshot)
+        figures[:, snapshot] = (
+            np.hypot(*velocity.T).max(),
+            kinetic_energy(velocity, run.mass),
+            pressure.mean(),
+            pressure.std(),
+        )
+    return figures

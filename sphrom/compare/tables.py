@@ -10,7 +10,7 @@ import numpy as np
 
 from sphrom.artifacts import Artifact
 from sphrom.compare.costs import RunTiming, StageTiming
-from sphrom.compare.measured import MeasureRow
+from sphrom.compare.measured import FlowRow, MeasureRow
 from sphrom.compare.references import ReferenceRow
 from sphrom.console import Reporter
 from sphrom.metrics.histories import (
@@ -26,7 +26,6 @@ from sphrom.metrics.histories import (
     norms_of,
 )
 from sphrom.metrics.samples import Probes, Samples
-from sphrom.metrics.series import FlowRow
 from sphrom.plots.tables import (
     MISSING,
     about,

@@ -34,12 +34,6 @@ class Probes:
     stations: Array = field(default_factory=lambda: np.empty((0, 2)))
     """(n_stations, 2), where histories are kept; none in most scenes."""
 
-    @classmethod
-    def at(cls, points: Array) -> Probes:
-        """Return stations (n_points, 2) alone."""
-        none = np.empty((0, 2))
-        return cls(none, none, (0, 0), stations=points)
-
     @property
     def all(self) -> Array:
         """The line's points, then the grid's, then the stations."""

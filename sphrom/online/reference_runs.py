@@ -146,7 +146,7 @@ def run_point(workspace: Workspace, section: ReducedModelSection, point: Paramet
     attributes = assembly.run_attributes(workspace.case, point, integrator.steps.time_step)
     with workspace.create(target, attributes) as artifact:
         found, seconds = integrator.timed(N_TIMED)
-        run = FastRun(model, point, reduced, found)
+        run = FastRun(**vars(found), model=model, point=point, reduced=reduced)
         _write(run, artifact)
         artifact.annotate("status", "complete" if run.failure is None else "unstable")
         if run.failure is not None:

@@ -195,9 +195,10 @@ class _Trade:
         reduced = fast.at(point)
         steps = reference_model.automatic(reduced).with_steps(factor)
         found, seconds = steps.timed(self.case.trade.repeats)
-        run, samples = FastRun(fast, point, reduced, found), None
+        run = FastRun(**vars(found), model=fast, point=point, reduced=reduced)
+        samples = None
         if run.failure is None:
-            samples = run.sampled(self.probes)
+            samples = run.sampled(self.probes.all)
             if measure is not None:
                 samples = replace(samples, measured=run.measured[measure])
         return self._row(label, role, point, run.time_step, seconds, samples)

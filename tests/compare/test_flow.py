@@ -9,7 +9,7 @@ import pytest
 
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.compare import bulk_velocity
-from sphrom.metrics.series import flow_row
+from sphrom.compare.measured import flow_row
 from sphrom.online.stored_run import StoredRun
 from sphrom.store.sampling import probes_of, sample_run
 
