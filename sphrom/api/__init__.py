@@ -14,6 +14,7 @@ from sphrom.api.result import Result, Sensitivities
 from sphrom.api.study import Study, open
 from sphrom.artifacts.records.fit import FittedHistory
 from sphrom.fit.fit import Estimate, Fit
+from sphrom.online.error_estimates import ErrorEstimate
 
 __all__ = [
     "ErrorEstimate",

@@ -19,7 +19,7 @@ from sphrom.compare.measured import (
     measured_of_best,
     measured_of_map,
 )
-from sphrom.compare.mode_figures import bases_used, spectrum_rows
+from sphrom.compare.mode_figures import spectrum_rows
 from sphrom.compare.references import compare_with_references
 from sphrom.compare.stored_comparison import ComparisonWriter
 from sphrom.compare.tables import (
@@ -42,7 +42,7 @@ from sphrom.scenes.flows import ExactFlow
 from sphrom.setup.assembly import role_of
 from sphrom.setup.context import StageContext
 from sphrom.setup.particles import sampler
-from sphrom.store.reduced_models import read_modes
+from sphrom.store.reduced_models import basis_used, read_modes
 from sphrom.store.sampling import probes_of, sample_best, sample_exact, sample_mapped
 from sphrom.store.trajectory import measured_of, require_complete
 from sphrom.store.workspace import Workspace
@@ -184,7 +184,8 @@ class _PointComparison:
         with workspace.open(workspace.mapped(self.point)) as mapped:
             self._add(sample_mapped(case, mapped, sampler(case, self.probes.all)), "map")
             self._measure("map", measured_of_map(case, mapped))
-            for name, size in bases_used(workspace, self.models, self.point):
+            used = {basis_used(workspace, model, self.point) for model in self.models}
+            for name, size in sorted(used):
                 best, modes = best_name(name, size), read_modes(workspace, name, size)
                 samples = sample_best(case, mapped, *modes, self.probes)
                 self._add(samples, best, basis=name, n_modes=size)
@@ -194,7 +195,7 @@ class _PointComparison:
     def _compare_model(self, model: ReducedModelSection) -> None:
         workspace, case, point = self.workspace, self.case, self.point
         target = workspace.reduced_run(model, point)
-        ((basis, size),) = bases_used(workspace, [model], point)
+        basis, size = basis_used(workspace, model, point)
         with workspace.open(target) as trajectory:
             status = trajectory.text("status")
             run = StoredRun(workspace, trajectory, point, model)
@@ -207,9 +208,7 @@ class _PointComparison:
                     self.full,
                     self.probes,
                     from_time=case.compare.from_time,
-                    compared=model.name,
-                    parameters=point.label,
-                    role=role_of(case, basis, point),
+                    **self._described(model.name, basis),
                 )
                 if estimate is not None:
                     self.tables.estimates.append(estimate)
@@ -239,14 +238,13 @@ class _PointComparison:
             measured,
             self.measured,
             self.full.time >= self.case.compare.from_time,
-            compared=name,
-            parameters=self.point.label,
             n_modes=n_modes,
-            role=self._role(basis),
+            **self._described(name, basis),
         )
 
-    def _role(self, basis: str | None) -> str:
-        return "" if basis is None else role_of(self.case, basis, self.point)
+    def _described(self, name: str, basis: str | None) -> dict[str, str]:
+        role = "" if basis is None else role_of(self.case, basis, self.point)
+        return {"compared": name, "parameters": self.point.label, "role": role}
 
     def _add(
         self,
@@ -272,13 +270,7 @@ class _PointComparison:
                 f"which the {against} solution varies over the probes"
             )
         row = error_row(
-            history,
-            compared=compared,
-            against=against,
-            parameters=self.point.label,
-            role=self._role(basis),
-            n_modes=n_modes,
-            status=status,
+            history, status, n_modes, against=against, **self._described(compared, basis)
         )
         self.tables.errors.append(row)
         if against == FULL and (near := wall_row(row, history)) is not None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,13 +112,12 @@ def measure_rows(
     own: Measured,
     full: Measured,
     counted: NDArray[np.bool_],
-    *,
-    compared: str,
-    parameters: str,
-    n_modes: int | None,
-    role: str,
+    **described: Any,
 ) -> Iterator[MeasureRow]:
-    """Yield the rows of a run beside the full one, over the snapshots (n_snapshots,) that count."""
+    """Yield the rows of a run beside the full one, over the snapshots (n_snapshots,) that count.
+
+    Compared run, parameters, number of modes and role are `described` as in the rows.
+    """
     for measured, quantities in own.items():
         for quantity, values in quantities.items():
             reference = full[measured][quantity][counted]
@@ -131,10 +131,7 @@ def measure_rows(
                     measured=measured,
                     quantity=component,
                     unit=UNITS[quantity],
-                    compared=compared,
-                    parameters=parameters,
-                    n_modes=n_modes,
-                    role=role,
+                    **described,
                     mean=float(found.mean()),
                     least=float(found.min()),
                     greatest=float(found.max()),

@@ -38,7 +38,7 @@ def run(context: StageContext) -> None:
     ensure_packed(workspace)
     for point in context.chosen(context.case.plan.points):
         target = ensure_run(workspace, point)
-        remove_checkpoints(workspace, target)
+        remove_checkpoints(target)
         with workspace.open(target) as trajectory:
             if trajectory.text("status") != "complete":
                 raise UnstableError(f"{point.label}: {trajectory.text('status_detail')}")
@@ -81,7 +81,7 @@ def _ensure_spun_up(workspace: Workspace, point: ParameterPoint) -> None:
         workspace.context.report.info(f"{target.path.name}: there, and of this case: kept")
     elif workspace.must_make(target):
         _spin_up(workspace, point)
-    remove_checkpoints(workspace, target)
+    remove_checkpoints(target)
 
 
 def _pack(workspace: Workspace) -> None:

@@ -129,8 +129,9 @@ def estimate(run: FastRun) -> ErrorEstimate | None:
     sizes = trained.products.sizes(run.coordinates)
     squares = np.mean(errors**2, axis=0) / np.mean(sizes**2, axis=0)
     percent = (100.0 * np.sqrt(squares)).tolist()
+    velocity, pressure = (errors * trained.units).T
     beyond = fitted.extrapolates(len(run.time))
-    return ErrorEstimate(*(errors * trained.units).T, *percent, beyond, residual, errors, sizes)
+    return ErrorEstimate(velocity, pressure, *percent, beyond, residual, errors, sizes)
 
 
 def steady_errors(run: FastRun, state: Array) -> SteadyErrors | None:

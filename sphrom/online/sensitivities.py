@@ -78,11 +78,6 @@ class _Sides:
         assert self.above.leading is not None
         return replace(self, below=self.below.leading, above=self.above.leading)
 
-    def starting_as(self, model: ReferenceModel) -> _Sides:
-        """Return the same with the start of another model."""
-        below, above = (_starting_as(side, model) for side in (self.below, self.above))
-        return replace(self, below=below, above=above)
-
     def slope(self, of: Callable[[ReferenceModel], Any]) -> Any:
         """Return how a number or array of the model changes, per unit of the parameter."""
         return (of(self.above) - of(self.below)) / self.width
@@ -127,12 +122,17 @@ def tangents(
     case, basis = model.workspace.case, model.basis_at(point)
     sides = [_sides(model, point, name, basis) for name in names]
     if case.time.spin_up > 0.0:
-        sides = [side.starting_as(reduced) for side in sides]
+        sides = [
+            replace(s, below=_starting_as(s.below, reduced), above=_starting_as(s.above, reduced))
+            for s in sides
+        ]
     steps = (integrator or reference_model.automatic(reduced)).with_steps(step_factor)
     times = reduced.output_times
     run, changes = _completed(reduced, sides, steps)
     if not (np.isfinite(run).all() and np.isfinite(changes).all()):
         raise UnstableError("the run diverges, so that it has no derivatives")
+    modes = reduced.basis.velocity_modes.reshape(reduced.basis.n_modes, -1)
+    gradient = run @ (modes @ modes.T)  # of the kinetic energy
     means = np.array([s.slope(lambda model: model.mean_density_fluctuation) for s in sides])
     return Tangents(
         tuple(names),
@@ -140,7 +140,7 @@ def tangents(
         run,
         changes,
         means,
-        _energy(case, reduced, run, changes),
+        np.asarray(case.plan.mass * np.einsum("sm,psm->ps", gradient, changes)),
         _forces(case, point, reduced, sides, run, changes, means),
         _measured(reduced, run, changes, means),
     )
@@ -184,13 +184,6 @@ def _sides(model: FastModel, point: ParameterPoint, name: str, basis: str) -> _S
     )
     below, above = (model.on_basis(basis).equations(each) for each in (low, high))
     return _Sides(below, above, (low, high), high.as_dict()[name] - low.as_dict()[name])
-
-
-def _energy(case: Case, reduced: ReferenceModel, run: Array, changes: Array) -> Array:
-    """Return the derivatives (n_parameters, n_snapshots) of the kinetic energy [J/m]."""
-    modes = reduced.basis.velocity_modes.reshape(reduced.basis.n_modes, -1)
-    gradient = run @ (modes @ modes.T)
-    return np.asarray(case.plan.mass * np.einsum("sm,psm->ps", gradient, changes))
 
 
 def _measured(

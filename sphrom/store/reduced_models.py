@@ -182,11 +182,12 @@ def memory_timing(basis: str, n_modes: int) -> str:
     return f"timing/memory-{basis}-{n_modes}"
 
 
-def sized(
+def basis_used(
     workspace: Workspace, model: ReducedModelSection, point: ParameterPoint
-) -> ReducedModelSection:
-    """Return a model with its number of modes at a point, where training runs chose it."""
-    return sized_in(workspace, model, workspace.case.plan.basis_for(model, point))
+) -> tuple[str, int]:
+    """Return the basis that a model uses at a point, and how many of its modes."""
+    name = workspace.case.plan.basis_for(model, point)
+    return name, sized_in(workspace, model, name).size
 
 
 def sized_in(workspace: Workspace, model: ReducedModelSection, name: str) -> ReducedModelSection:

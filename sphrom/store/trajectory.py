@@ -192,8 +192,6 @@ def require_complete(trajectory: Artifact) -> None:
 
 def snapshot_fields(trajectory: Artifact, snapshot: int) -> tuple[Array, Array, Array]:
     """Return position (N, 2), density fluctuation (N,) and velocity (N, 2) of one snapshot."""
-    return (
-        np.asarray(trajectory.dataset("position")[snapshot]),
-        np.asarray(trajectory.dataset("density_fluctuation")[snapshot]),
-        np.asarray(trajectory.dataset("velocity")[snapshot]),
-    )
+    names = ("position", "density_fluctuation", "velocity")
+    position, density, velocity = (np.asarray(trajectory.dataset(n)[snapshot]) for n in names)
+    return position, density, velocity

@@ -143,7 +143,7 @@ class SweptModel:
             if len(self._probes):
                 values |= _at_probes(sample_run(case, trajectory, self._probes))
             values |= _kept(measured_of(case, trajectory))
-        remove_checkpoints(self.workspace, target)
+        remove_checkpoints(target)
         return RunRecord(point, COMPLETE, values=values)
 
     def _of_fast(self, run: FastRun) -> RunRecord:
