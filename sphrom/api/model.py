@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sphrom.api.result import Result, Sensitivities, finite_array, labelled_measures
+from sphrom.arrays import Array
 from sphrom.case.checks import steady_problem
 from sphrom.case.hints import beyond_training, extrapolation
 from sphrom.case.loader import parameter_point
@@ -40,8 +41,6 @@ from sphrom.text import nearest, quoted
 
 if TYPE_CHECKING:
     import xarray
-
-Array = NDArray[np.float64]
 
 
 class Model:

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import COMPONENTS, UNITS, Quantities
@@ -21,7 +22,6 @@ from sphrom.store.sampling import Samples
 if TYPE_CHECKING:
     import xarray
 
-Array = NDArray[np.float64]
 Variable = tuple[object, ...]
 """Axes, values and attributes."""
 

@@ -11,8 +11,8 @@ from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts.records.comparison import Series
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
@@ -35,7 +35,6 @@ from sphrom.store.workspace import Workspace
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 LABELS = {
     "speed": "speed [m/s]",

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts import Artifact
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
@@ -33,7 +34,6 @@ from sphrom.store.reduced_models import (
 from sphrom.store.trajectory import totals
 from sphrom.store.workspace import Workspace
 
-Array = NDArray[np.float64]
 Measured = Mapping[str, Quantities]
 """Quantities of each measurement by its name (n_snapshots, ...)."""
 

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.compare.tables import SpectrumRow
 from sphrom.errors import ArtifactError
@@ -20,7 +20,6 @@ from sphrom.store.workspace import Workspace
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 SPACES = {
     "reference": ("bases", "reference_position"),

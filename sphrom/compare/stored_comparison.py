@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, ArtifactWriter, read_record, write_record
 from sphrom.artifacts.records.comparison import Ranges, ReferenceProfile, Series
 from sphrom.artifacts.records.comparison import Samples as StoredSamples
@@ -20,8 +20,6 @@ from sphrom.metrics.samples import Probes, Samples
 from sphrom.plots.tables import flat
 from sphrom.store.workspace import Workspace
 from sphrom.text import exact
-
-Array = NDArray[np.float64]
 
 
 class ComparisonWriter:

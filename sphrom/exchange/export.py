@@ -21,6 +21,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts.layout import Shape
 from sphrom.artifacts.paraview import View, views
 from sphrom.case.points import ParameterPoint
@@ -35,8 +36,6 @@ from sphrom.store.reduced_models import read_points
 from sphrom.store.sampling import probes_of
 from sphrom.store.workspace import Target, Workspace, make_folder
 from sphrom.whole_files import replacement
-
-Array = NDArray[np.float64]
 
 FOLDER = "export"
 """Where files go unless another folder is named, beside the artifacts."""

@@ -17,16 +17,14 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange.foreign_files import Source, read_foreign, snapshots_in
 from sphrom.exchange.import_options import ImportOptions
 from sphrom.sph.domain import Domain
 from sphrom.sph.time_loop import Snapshot, TimeSteps
 from sphrom.text import shortened
-
-Array = NDArray[np.float64]
 
 TIME_TOLERANCE = 1e-2
 """How far snapshots may be from the instants to be taken for them, over the time between two."""

@@ -15,8 +15,8 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array, Indices
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import Box, Ranges
 from sphrom.errors import CaseError, UnstableError
@@ -36,8 +36,6 @@ from sphrom.store.reduced_models import read_points
 from sphrom.store.trajectory import read_quantities, snapshot_fields
 from sphrom.text import exact
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 TrainingDifferences = dict[Hashable, tuple[Array, Array]]
 """Of histories in training runs, by basis and histories, with the sizes of errors over the fluid.
 Fits of one model share them."""

@@ -38,7 +38,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from sphrom.declaration import Array, Record, attribute, dataset
+from sphrom.arrays import Array
+from sphrom.declaration import Record, attribute, dataset
 
 CONFIDENCE = 0.95
 """Of intervals."""

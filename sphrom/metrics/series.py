@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from sphrom.arrays import Array
 
 ZERO_PADDING = 8
 """How much finer than the record's own resolution a spectrum is searched."""

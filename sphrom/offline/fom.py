@@ -6,9 +6,6 @@ artifact of its own, from which the recorded part can be run again.
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from sphrom.artifacts import write_record
 from sphrom.artifacts.records.runs import Packing, Start
 from sphrom.case.points import ParameterPoint
@@ -23,8 +20,6 @@ from sphrom.store.checkpoints import Checkpoints, remove_checkpoints
 from sphrom.store.starts import scene_start, start
 from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Target, Workspace
-
-Array = NDArray[np.float64]
 
 
 def run(context: StageContext) -> None:

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts import ArtifactWriter, read_record, write_record
 from sphrom.artifacts.records.coordinates import ErrorEstimate as StoredEstimate
 from sphrom.case.points import ParameterPoint
@@ -34,9 +34,6 @@ from sphrom.store.reduced_models import read_operators
 if TYPE_CHECKING:
     from sphrom.online.basis_model import BasisModel
     from sphrom.online.fast_model import FastRun
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, repr=False)
@@ -128,9 +125,10 @@ def estimate(run: FastRun) -> ErrorEstimate | None:
     errors = fitted.errors(run.time, residual, run.coordinates)
     sizes = trained.products.sizes(run.coordinates)
     squares = np.mean(errors**2, axis=0) / np.mean(sizes**2, axis=0)
-    percent = (100.0 * np.sqrt(squares)).tolist()
+    of_velocity, of_pressure = (100.0 * np.sqrt(squares)).tolist()
     velocity, pressure = (errors * trained.units).T
     beyond = fitted.extrapolates(len(run.time))
+    percent = of_velocity, of_pressure
     return ErrorEstimate(velocity, pressure, *percent, beyond, residual, errors, sizes)
 
 

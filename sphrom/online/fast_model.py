@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
@@ -26,8 +26,6 @@ from sphrom.reduction.polynomial_model import Run
 from sphrom.reduction.reference_model import Integrator, ReferenceModel
 from sphrom.store.starts import MappedStarts
 from sphrom.store.workspace import Workspace
-
-Array = NDArray[np.float64]
 
 
 class FastModel:

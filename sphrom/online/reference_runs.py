@@ -15,8 +15,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts import ArtifactWriter, write_record
 from sphrom.artifacts.records.coordinates import Converged, Steady, SteadyMeasured
 from sphrom.case.points import ParameterPoint
@@ -42,8 +42,6 @@ from sphrom.sph import state_equation
 from sphrom.store.reduced_models import read_points
 from sphrom.store.trajectory import field_datasets, force_datasets, write_positions
 from sphrom.store.workspace import Workspace
-
-Array = NDArray[np.float64]
 
 N_TIMED = 5
 """Repetitions of a run, and of the search for a steady state, to time them."""

@@ -21,8 +21,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
@@ -31,8 +31,6 @@ from sphrom.online.fast_model import FastModel
 from sphrom.reduction import reference_model
 from sphrom.reduction.exponential_steps import Change, ExponentialModel
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
-
-Array = NDArray[np.float64]
 
 STEP = 1e-5
 """Of central differences of coefficients, over the size of a parameter."""

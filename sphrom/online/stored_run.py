@@ -11,8 +11,8 @@ from contextlib import contextmanager
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts import Artifact
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
@@ -23,8 +23,6 @@ from sphrom.store.reduced_models import basis_used, read_basis, read_modes, read
 from sphrom.store.sampling import Samples, expand, sample_run
 from sphrom.store.trajectory import read_quantities
 from sphrom.store.workspace import Workspace
-
-Array = NDArray[np.float64]
 
 
 class StoredRun:

@@ -41,9 +41,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from sphrom.arrays import Array, Indices
 
 NEARNESS = 1e-4
 """Weight of the distances beside that of the error at the point."""
@@ -111,8 +110,6 @@ def interpolation_weights(places: Array, place: Array) -> tuple[Array, float]:
     missed = float(np.linalg.norm(weights @ scaled))
     return weights, missed * largest if missed > INSIDE else 0.0
 
-
-Indices = NDArray[np.int64]
 
 CORRELATIONS = np.concatenate(([1e-6], np.linspace(0.02, 0.98, 49), [1.0 - 1e-6]))
 """Correlations of the defects at the two training points farthest apart, that are tried."""

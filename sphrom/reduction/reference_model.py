@@ -21,8 +21,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.reduction.correction import faded
 from sphrom.reduction.exponential_steps import ExponentialModel
 from sphrom.reduction.polynomial_model import (
@@ -36,8 +36,6 @@ from sphrom.reduction.polynomial_model import (
 from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure
 from sphrom.reduction.reduced_rates import Polynomial
 from sphrom.reduction.trial_basis import JOINT, TrialBasis
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -31,9 +31,10 @@ from collections.abc import Callable
 from dataclasses import field, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import lapack
 
+from sphrom.arrays import Array, Indices
 from sphrom.kernels import polyharmonic
 from sphrom.kernels.cells import Grid, sort_by_cell
 from sphrom.reduction.mode_splines import (
@@ -43,9 +44,6 @@ from sphrom.reduction.mode_splines import (
     polynomial_terms,
 )
 from sphrom.sph.domain import Domain
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 FACES = ((0, -1), (0, 1), (-1, 0), (1, 0))
 CORNERS = ((-1, -1), (-1, 1), (1, -1), (1, 1))

@@ -18,6 +18,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.answer import DIGITS, Answer, find_answer, percent
@@ -51,7 +52,6 @@ from sphrom.sweep.statistics import FIGURES, beside
 from sphrom.text import duration
 from sphrom.whole_files import write_whole
 
-Array = NDArray[np.float64]
 Pixels = NDArray[np.uint8]
 
 PAGE = "report.html"

@@ -14,6 +14,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, read_record
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
@@ -26,8 +27,6 @@ from sphrom.reduction.reduced_operators import ReducedOperators
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis, project, truncate
 from sphrom.setup import assembly
 from sphrom.store.workspace import Workspace
-
-Array = NDArray[np.float64]
 
 N_BLOCK_SNAPSHOTS = 16
 """Snapshots that are projected at once."""

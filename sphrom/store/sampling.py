@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts import Artifact
 from sphrom.case.models import Case
 from sphrom.errors import ArtifactError, CaseError
@@ -20,8 +20,6 @@ from sphrom.setup.particles import sampler
 from sphrom.sph import state_equation
 from sphrom.sph.domain import Domain
 from sphrom.store.trajectory import snapshot_fields
-
-Array = NDArray[np.float64]
 
 ON_WALL = 1e-6
 """Points nearer to a wall than this part of the spacing are on it."""

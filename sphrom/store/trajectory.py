@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, ArtifactWriter
 from sphrom.case.models import Case
 from sphrom.errors import ArtifactError, UnstableError
@@ -21,7 +21,6 @@ if TYPE_CHECKING:  # it loads kernels, which take long, and reduced runs need no
     from sphrom.sph.domain import Walls
     from sphrom.sph.time_loop import Item, Snapshot
 
-Array = NDArray[np.float64]
 
 PARTS = ("pressure", "viscous")
 """Of a force."""

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts import SCHEMAS, Artifact, ArtifactWriter, write_record
 from sphrom.artifacts.records.sweep import Statistics
 from sphrom.case.points import ParameterPoint
@@ -37,8 +37,6 @@ from sphrom.store.sampling import sample_run
 from sphrom.store.trajectory import measured_of
 from sphrom.store.workspace import Target, Workspace
 from sphrom.sweep.workers import Failure, Task
-
-Array = NDArray[np.float64]
 
 LOADS = ("force_x", "force_y", "torque")
 """What columns call the loads on a wall."""
