@@ -48,19 +48,6 @@ from sphrom.store.trajectory import measured_of, require_complete
 from sphrom.store.workspace import Workspace
 
 
-def bulk_velocity(case: Case, samples: Samples, probes: Probes) -> float | None:
-    """Return the mean of u over the scene's channel, and over time [m/s]; None without one."""
-    channel = case.scene.channel
-    if channel is None or not len(samples.time):
-        return None
-    inside = channel.contains(probes.grid)
-    # Points on the channel's floor are left out of the grid: fluid is at rest there.
-    step = case.scene.domain.lengths[1] / probes.grid_shape[0]
-    height = channel.height * len(np.unique(probes.grid[inside, 0]))
-    flux = samples.velocity[:, probes.on_grid][:, inside, 0].sum(axis=1) * step
-    return float(flux.mean()) / height
-
-
 def run(context: StageContext) -> None:
     """Compare all runs of the case, write artifact, tables and plots, and tell the answer.
 
@@ -227,8 +214,7 @@ class _PointComparison:
     def _describe_flow(self, name: str, run: StoredRun, samples: Samples) -> None:
         """Describe the flow of a run in a scene with walls; one that failed at once has none."""
         if self.case.scene.domain.has_walls and len(samples.time):
-            bulk = bulk_velocity(self.case, samples, self.probes)
-            row = flow_row(name, self.point.label, run, samples, self.probes, bulk)
+            row = flow_row(self.case, name, self.point.label, run, samples, self.probes)
             self.tables.flow.append(row)
 
     def _measure(

@@ -164,13 +164,26 @@ class FlowRow:
     """Of v at the station; None without a station, or an oscillation of two periods or more."""
 
 
+def _bulk_velocity(case: Case, samples: Samples, probes: Probes) -> float | None:
+    """Return the mean of u over the scene's channel, and over time [m/s]; None without one."""
+    channel = case.scene.channel
+    if channel is None or not len(samples.time):
+        return None
+    inside = channel.contains(probes.grid)
+    # Points on the channel's floor are left out of the grid: fluid is at rest there.
+    step = case.scene.domain.lengths[1] / probes.grid_shape[0]
+    height = channel.height * len(np.unique(probes.grid[inside, 0]))
+    flux = samples.velocity[:, probes.on_grid][:, inside, 0].sum(axis=1) * step
+    return float(flux.mean()) / height
+
+
 def flow_row(
+    case: Case,
     name: str,
     parameters: str,
     run: StoredRun,
     samples: Samples,
     probes: Probes,
-    bulk_velocity: float | None,
 ) -> FlowRow:
     """Describe the flow of a run, full or reduced, from its fields and its samples at probes."""
     speed, energy, mean_pressure, deviations = _over_time(run)
@@ -188,7 +201,7 @@ def flow_row(
         to_time=float(run.time[-1]),
         largest_speed=float(speed.mean()),
         kinetic_energy=float(energy.mean()),
-        bulk_velocity=bulk_velocity,
+        bulk_velocity=_bulk_velocity(case, samples, probes),
         mean_pressure_drift=drift,
         pressure_deviation=deviation,
         pressure_drift_ratio=drift / deviation if deviation > 0.0 else None,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Literal
 
 import numpy as np
 
@@ -104,18 +105,14 @@ class StoredComparison:
 
         A run that became unstable has so many instants as it has. One that did at once has none.
         """
-        found = self._samples("centreline", run, point)
+        found = self.samples("centreline", run, point)
         empty = np.empty((0, 2)), Samples(np.empty(0), np.empty((0, 0, 2)), np.empty((0, 0)))
         return empty if found is None else found
 
-    def station(self, run: str | None, point: ParameterPoint) -> Samples | None:
-        """Return a run at the scene's stations, None where it has none."""
-        found = self._samples("stations", run, point)
-        return None if found is None else found[1]
-
-    def _samples(
-        self, kind: str, run: str | None, point: ParameterPoint
+    def samples(
+        self, kind: Literal["centreline", "stations"], run: str | None, point: ParameterPoint
     ) -> tuple[Array, Samples] | None:
+        """Return where the line or the stations are, and a run there; None where it has none."""
         group = f"{kind}/{FULL if run is None else group_of(run)}/{point.file_label}"
         if f"{group}/time" not in self._artifact:
             return None

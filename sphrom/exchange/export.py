@@ -68,7 +68,10 @@ class Source:
 
 
 def run(
-    context: StageContext, to: str = FIELDS, into: Path | None = None, at: Sequence[str] = ()
+    context: StageContext,
+    to: str = FIELDS,
+    into: Path | None = None,
+    at: Sequence[str] | None = None,
 ) -> None:
     """Export every artifact of a case that is there and holds fields.
 
@@ -87,7 +90,7 @@ def run(
         raise CaseError(f"--at: goes with --to {PROBES}")
     workspace, folder = Workspace(context), into or context.out / FOLDER
     if to == PROBES:
-        n_written = _write_tables(workspace, folder, at)
+        n_written = _write_tables(workspace, folder, at or ())
     else:
         n_written = _write_all(workspace, folder)
     if n_written == 0:

@@ -166,9 +166,8 @@ def interpolated(
         farthest, seconds = float(np.hypot(*offset).max()), abs(node - nodes[nearest])
         if farthest > FARTHEST * fastest * seconds + spacing:
             raise CaseError(
-                f"--sort-by: a particle moves by {farthest:.4g} m within {seconds:.4g} s, and none "
-                f"is faster than {fastest:.4g} m/s: the files have their particles in different "
-                "orders; --sort-by names the field that numbers them"
+                f"--sort-by: a particle moves by {farthest:.4g} m within {seconds:.4g} s, faster "
+                "than any is: its order differs between files; name the field with its number"
             )
         moved += weight * offset
     parts = [(weight, snapshot) for weight, (_, snapshot) in zip(weights, near, strict=True)]

@@ -298,8 +298,7 @@ def steps_of(section: ReducedModelSection, reduced: ReferenceModel, full_steps: 
     if output_times.duration > MAX_STEPS * reduced.step_limit:
         raise CaseError(
             f"rom: {section.name} is stable with steps of {reduced.step_limit:.3g} s only, which "
-            f"are more than {MAX_STEPS:g} in all; choose fewer modes, a shorter memory_length or a "
-            "time_step"
+            f"are more than {MAX_STEPS:g}; choose fewer modes, a memory_length or a time_step"
         )
     return reference_model.automatic_whole(reduced)
 

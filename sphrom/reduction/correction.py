@@ -170,7 +170,11 @@ def learn_correction(
         return None
     between = _distances(places, places)
     lengths = -between.max() / np.log(CORRELATIONS)
-    missed = np.array([_held_out_squares(between, defects, length) for length in lengths])
+    missed = np.empty((len(lengths), defects.shape[2]))  # squares that the other runs leave
+    for k, length in enumerate(lengths):
+        inverse = np.linalg.inv(np.exp(-between / length))
+        errors = np.einsum("jk,ksm->jsm", inverse / np.diag(inverse)[:, None], defects)
+        missed[k] = np.sum(errors**2, axis=(0, 1))
     left, whole = missed.min(axis=0), np.sum(defects**2, axis=(0, 1))
     given = [modes for modes in groups or (np.arange(len(left)),) if len(modes)]
     vain = [modes for modes in given if left[modes].sum() > WORTHWHILE * whole[modes].sum()]
@@ -180,13 +184,6 @@ def learn_correction(
         defects = defects.copy()
         defects[..., np.concatenate(vain)] = 0.0
     return Correction(places, defects, lengths[np.argmin(missed, axis=0)])
-
-
-def _held_out_squares(between: Array, defects: Array, length: float) -> Array:
-    """Return sums of squares (n_modes,) of what the other runs leave of each run's defects."""
-    inverse = np.linalg.inv(np.exp(-between / length))
-    errors = np.einsum("jk,ksm->jsm", inverse / np.diag(inverse)[:, None], defects)
-    return np.sum(errors**2, axis=(0, 1))
 
 
 def faded(correction: Array, n_snapshots: int) -> Array:

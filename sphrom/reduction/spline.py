@@ -328,9 +328,8 @@ def fit_splines(
             if not condition_number[cell] < WORST_CONDITION_NUMBER:
                 x, y = cell_centre(grid, cell)
                 raise ValueError(
-                    f"the points around the cell at ({x:.6g}, {y:.6g}) m do not determine a spline "
-                    f"of order {order} with a polynomial of degree {polynomial_degree}: points "
-                    "coincide or lie on one line, or the order is too high for this cell width"
+                    f"the points around the cell at ({x:.6g}, {y:.6g}) m do not determine a spline:"
+                    " they coincide or lie on one line, or the order is too high for this cell"
                 )
             radial[:, here] = weights[: matrix.shape[0] - n_terms].T
             polynomial[cell] = weights[matrix.shape[0] - n_terms :]

@@ -18,7 +18,6 @@ from sphrom.reduction.trial_basis import TrialBasis, mean_density_fluctuation, p
 from sphrom.scenes.flows import ExactFlow
 from sphrom.setup.particles import sampler
 from sphrom.sph import state_equation
-from sphrom.sph.domain import Domain
 from sphrom.store.trajectory import snapshot_fields
 
 ON_WALL = 1e-6
@@ -37,7 +36,9 @@ def probes_of(case: Case) -> Probes:
     spans = domain.sections(x)
     if not spans:
         raise CaseError(f"compare.line: there is no fluid at x = {x:g} m")
-    n_line, shape = case.compare.line_points, _grid_shape(domain, case.compare.grid)
+    n_line, longer = case.compare.line_points, max(domain.lengths)
+    n_columns, n_rows = (max(2, round(case.compare.grid * s / longer)) for s in domain.lengths)
+    shape = n_rows, n_columns
     points = grid_points(domain.lower, domain.upper, shape)
     in_fluid, near_walls = None, None
     if domain.has_walls:
@@ -53,13 +54,6 @@ def probes_of(case: Case) -> Probes:
         near_walls=near_walls,
         stations=case.scene.stations(case.plan.probe_line),
     )
-
-
-def _grid_shape(domain: Domain, n_points: int) -> tuple[int, int]:
-    """Return rows and columns of a grid with so many points along the longer side of the box."""
-    longer = max(domain.lengths)
-    columns, rows = (max(2, round(n_points * length / longer)) for length in domain.lengths)
-    return rows, columns
 
 
 def sample_run(

@@ -167,9 +167,8 @@ class _Training:
             )
         if len(self.starts) >= self.section.budget:
             raise CaseError(
-                f"training.budget: training starts from {len(self.starts)} full runs (the region's "
-                "ends, and those of parameters.train that are there) and needs at least one more, "
-                f"to test what the model promises; got {self.section.budget}"
+                f"training.budget: training starts from {len(self.starts)} full runs, and needs at "
+                f"least one more to test what the model promises; got {self.section.budget}"
             )
 
     def _context_of(self, points: Sequence[ParameterPoint]) -> StageContext:
