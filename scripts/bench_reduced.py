@@ -215,7 +215,7 @@ def show_all(console: Console, results: dict[str, Any]) -> None:
     })  # fmt: skip
     show(console, "whole `sphrom rom` command, training time", results["commands"], {
         "resolution": ("N^(1/2)", "d"), "n_modes": ("M", "d"),
-        "command_none": ("coordinates [s]", ".3g"), "command_probes": ("probes [s]", ".3g"),
+        "command_none": ("coordinates [s]", ".3g"),
         "command_snapshots": ("snapshots [s]", ".3g"),
     })  # fmt: skip
     show(console, "on moving particles", results["faithful"], {
