@@ -37,8 +37,7 @@ UNSTABLE: Errors = {**NO_ERRORS, **NO_MEASURED}
 FRONTS = {
     "velocity": "velocity_front",
     "pressure": "pressure_front",
-    "force": "measured_front",
-    "flow_rate": "measured_front",
+    **dict.fromkeys(UNITS.keys() - {"velocity", "pressure"}, "measured_front"),
 }
 """Columns that tell whether no other model is both faster and better, by quantity."""
 NEAREST = "nearest training run"
@@ -187,9 +186,16 @@ def alternatives(
         known = others[point]
         weights = spline_weights(places_of(case, known), places_of(case, [point])[0])
         runs = [run_at(each) for each in known]
-        velocity = np.tensordot(weights, [run.velocity for run in runs], 1)
-        pressure = np.tensordot(weights, [run.pressure for run in runs], 1)
-        return Samples(runs[0].time, velocity, pressure)
+
+        def mixed(values: list[np.ndarray]) -> np.ndarray:
+            return np.tensordot(weights, values, 1)
+
+        return Samples(
+            runs[0].time,
+            mixed([run.velocity for run in runs]),
+            mixed([run.pressure for run in runs]),
+            {name: mixed([run.measured[name] for run in runs]) for name in runs[0].measured},
+        )
 
     if all(others.values()):
         yield mean(NEAREST, nearest)

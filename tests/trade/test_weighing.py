@@ -223,12 +223,14 @@ def run_at(point: ParameterPoint) -> Samples:
     """A growing flow whose speed is the logarithm of the Reynolds number."""
     time = np.linspace(0.0, 1.0, 5)
     speed = math.log(point.reynolds) * (1.0 + time)[:, None, None]
-    return Samples(time, np.repeat(speed, 2, axis=2), np.ones((5, 1)))
+    measured = {"flow_rate": speed[:, 0, 0]}
+    return Samples(time, np.repeat(speed, 2, axis=2), np.ones((5, 1)), measured)
 
 
 def off(point: ParameterPoint, samples: Samples) -> Errors:
     """The largest error of the velocity [%]."""
     exact = run_at(point).velocity
+    assert samples.measured["flow_rate"] == pytest.approx(samples.velocity[:, 0, 0])
     return errors(100.0 * float(np.abs(samples.velocity / exact - 1.0).max()), 0.0)
 
 
