@@ -8,15 +8,14 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, model_validator
 
+from sphrom.arrays import Array
 from sphrom.case.fields import Coordinate, SafeName, Section, Whole, key, only_one
 from sphrom.scenes.flows import Channel, Scales, Scene
 from sphrom.scenes.reference_profiles import ReferenceProfile
 from sphrom.sph.domain import Domain
 
-Array = NDArray[np.float64]
 Defaults = Mapping[str, Any]
 NONE: Mapping[str, float] = MappingProxyType({})
 """No values of parameters: each is the scene's own."""

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
+from sphrom.arrays import Array
 
 
 def pressure(density_fluctuation: Array, sound_speed: float) -> Array:
