@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from sphrom.artifacts import inspection
 from sphrom.case.models import Case
 from sphrom.reduction.mode_fields import mode_fields, mode_gradients, weighted_rows
-from sphrom.sph.fluid import FlowConditions
 
 Array = NDArray[np.float64]
 
@@ -304,8 +303,11 @@ def rates_at_points(points, q, u, gradients, conditions, order=None) -> Array:
     ----------
     q, u : (n_points,) and (2, n_points) [m/s].
     gradients : (3, 2, n_points) of q and of the velocity by x and y [1/s].
+    conditions : the viscosity [m2/s], the body force's amplitude, the walls' speed over the given
+        one, and the factors of drives by parameter.
     order : of the expansion of rho0/rho, None for none.
     """
+    conditions = {"amplitude": 0.0, "wall_speed": 1.0, **conditions}
     terms = points.terms(q[:, None], u[..., None])
     continuity = points.diffusion(q[:, None])[:, 0]
     continuity -= (points.sound_speed + q) * terms.divergence[:, 0]
@@ -315,13 +317,13 @@ def rates_at_points(points, q, u, gradients, conditions, order=None) -> Array:
     force = np.zeros_like(u) if points.body_force is None else points.body_force
     for name, drive in points.drives.items():
         if drive.walls is not None:
-            drag = drag + conditions.factors[name] * points.friction_of(drive.walls.T)
+            drag = drag + conditions["factors"][name] * points.friction_of(drive.walls.T)
         if drive.force is not None:
-            force = force + conditions.factors[name] * drive.force
-    speed = conditions.wall_speed * (conditions.amplitude if points.walls_driven else 1.0)
-    push = conditions.kinematic_viscosity * (terms.laplacian[..., 0] + speed * drag)
+            force = force + conditions["factors"][name] * drive.force
+    speed = conditions["wall_speed"] * (conditions["amplitude"] if points.walls_driven else 1.0)
+    push = conditions["viscosity"] * (terms.laplacian[..., 0] + speed * drag)
     push -= points.sound_speed * terms.pressure_gradient[..., 0]
-    share, own = q / points.sound_speed, conditions.amplitude * force
+    share, own = q / points.sound_speed, conditions["amplitude"] * force
     head, more = points.head_push(own), points.head_push(own * share)
     if order is None:
         acceleration = (push + head + more) / (1.0 + share) + own
@@ -357,19 +359,17 @@ class UnprojectedModel:
         factors = self._modes.coefficients(coordinates)
         return self._modes.scaled_density @ factors, self._modes.velocity @ factors
 
-    def full_rates(self, coordinates: Array, conditions: FlowConditions) -> Array:
+    def full_rates(self, coordinates: Array, conditions: dict) -> Array:
         """Return the rates (3, n_points) [m/s2] of q and of the velocity."""
         slopes = self._slopes @ self._modes.coefficients(coordinates)
         fields = self.fields(coordinates)
         return rates_at_points(self.points, *fields, slopes, conditions, self.order)
 
-    def __call__(self, coordinates: Array, conditions: FlowConditions) -> Array:
+    def __call__(self, coordinates: Array, conditions: dict) -> Array:
         """Return the rates (n_modes,) of the generalized coordinates."""
         return np.einsum("mfn,fn->m", self._weights, self.full_rates(coordinates, conditions))
 
-    def residual(
-        self, coordinates: Array, conditions: FlowConditions, rates: Array | None = None
-    ) -> float:
+    def residual(self, coordinates: Array, conditions: dict, rates: Array | None = None) -> float:
         """Return |R - Phi da/dt| of rates (n_modes,), by default the projected ones."""
         rates = self(coordinates, conditions) if rates is None else rates
         found = self.full_rates(coordinates, conditions)

@@ -18,7 +18,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.measures import Quantities
 from sphrom.reduction.trial_basis import TrialBasis, reconstruct, truncate
-from sphrom.sph import state_equation
+from sphrom.sph.fluid import pressure_of
 from sphrom.store.reduced_models import read_basis, read_modes, read_points, sized
 from sphrom.store.sampling import Samples, expand, sample_run
 from sphrom.store.trajectory import read_quantities
@@ -103,7 +103,7 @@ class StoredRun:
             velocity, pressure = map(np.asarray, stored)
             return velocity, pressure
         density, velocity = self.rebuilt(snapshot)
-        return velocity, state_equation.pressure(density, self._workspace.case.plan.sound_speed)
+        return velocity, pressure_of(density, self._workspace.case.plan.sound_speed)
 
     def sampled(
         self,

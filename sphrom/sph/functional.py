@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from sphrom.kernels import advection, sweeps
 from sphrom.kernels.cells import Grid
 from sphrom.kernels.wendland import kernel
-from sphrom.sph import state_equation
 from sphrom.sph.domain import Domain, Walls
-from sphrom.sph.fluid import Discretization, Fluid
+from sphrom.sph.fluid import Discretization, Fluid, volume_of
 from sphrom.sph.neighbourhood import Neighbourhood
 from sphrom.sph.time_loop import Snapshot
 from sphrom.sph.walls import GhostParticles, WallTerms
@@ -283,7 +282,7 @@ class Functional:
 
     def volume(self, density_fluctuation: Array) -> Array:
         """Return the particles' volumes (N,) [m2]."""
-        return state_equation.volume(density_fluctuation, self.fluid.reference_density, self.mass)
+        return volume_of(density_fluctuation, self.fluid.reference_density, self.mass)
 
     def _sources(self, position: Array, density_fluctuation: Array, velocity: Array) -> Array:
         self.neighbourhood.update(position)

@@ -15,7 +15,6 @@ from sphrom.case.loader import load_case
 from sphrom.case.points import ParameterPoint
 from sphrom.setup import particles
 from sphrom.setup.cost import needs
-from sphrom.sph.fluid import FlowConditions
 from sphrom.store.reduced_models import read_modes, read_points
 
 COMPARE = {"plots": False, "grid": 12, "line_points": 21}
@@ -99,7 +98,7 @@ def test_the_residual_is_that_at_all_points(
         times = artifact.read("time")
     for k in (0, 3, len(times) - 1):
         amplitude = 0.0 if drive is None else drive.amplitude(float(times[k]))
-        around = FlowConditions(viscosity, amplitude=amplitude)
+        around = {"viscosity": viscosity, "amplitude": amplitude}
         expected = model.residual(states[k], around)
         if run.startswith("apg"):
             # The closure leaves the projected rates, by little.

@@ -20,7 +20,7 @@ from sphrom.online.stored_run import StoredRun
 from sphrom.reduction.memory_operators import project_memory
 from sphrom.reduction.reduced_operators import MemoryOperators
 from sphrom.setup import cost, particles
-from sphrom.sph import state_equation
+from sphrom.sph.fluid import pressure_of
 from sphrom.store.reduced_models import read_basis, read_operators, read_points, read_splines
 
 FAST: dict[str, Any] = {
@@ -212,9 +212,7 @@ def test_fields_of_every_snapshot_where_they_are_asked_for(made, workspace_of):
             np.testing.assert_array_equal(run.read("pressure")[snapshot], pressure)
         np.testing.assert_allclose(
             run.read("pressure"),
-            state_equation.pressure(
-                run.read("density_fluctuation"), workspace.case.plan.sound_speed
-            ),
+            pressure_of(run.read("density_fluctuation"), workspace.case.plan.sound_speed),
         )
         with workspace.open(workspace.basis()) as pod:
             np.testing.assert_array_equal(

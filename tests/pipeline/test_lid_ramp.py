@@ -11,7 +11,6 @@ import pytest
 
 from sphrom.artifacts import open_artifact
 from sphrom.setup import particles
-from sphrom.sph.fluid import FlowConditions
 from sphrom.store.reduced_models import read_basis, read_operators, read_points, read_splines
 
 RAMP = 0.6
@@ -103,7 +102,7 @@ def test_residuals_are_those_at_the_speed_of_the_time(ramp, workspace_of, unproj
         residuals = artifact.read("residual")
     for k in (0, len(times) // 6, len(times) - 1):
         share = 0.5 - 0.5 * np.cos(np.pi * min(times[k] / RAMP, 1.0))
-        around = FlowConditions(0.01, amplitude=float(share))
+        around = {"viscosity": 0.01, "amplitude": float(share)}
         expected = model.residual(states[k], around)
         assert residuals[k] == pytest.approx(expected, rel=1e-4, abs=1e-9)
 

@@ -10,10 +10,9 @@ from sphrom.reduction.mode_fields import mode_fields, mode_gradients, weighted_r
 from sphrom.reduction.operator_projection import project_operators
 from sphrom.reduction.polynomial_model import OutputTimes, PolynomialModel
 from sphrom.sph.fixed_points import EVERYWHERE
-from sphrom.sph.fluid import FlowConditions
 
 NU = 0.01
-AROUND = FlowConditions(NU, amplitude=-1.4)
+AROUND = {"viscosity": NU, "amplitude": -1.4}
 NAMES = [
     "periodic",
     "lid",
@@ -76,7 +75,7 @@ def test_the_polynomial_is_the_closure(setting, point_rates, advection: str) -> 
     direct = Direct(setting, splines, point_rates)
     for scale in (1.0, 0.3):
         expected = direct.memory(scale * setting.coordinates)
-        found = memory(scale * setting.coordinates, AROUND.amplitude)
+        found = memory(scale * setting.coordinates, AROUND["amplitude"])
         assert np.max(np.abs(found - expected)) < 1e-9 * np.max(np.abs(expected))
 
 
