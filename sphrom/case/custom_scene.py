@@ -255,10 +255,11 @@ class CustomScene(SceneSection):
         """Return those of some parameters that walls' velocities or the force's field depend on."""
         drives = [expression for _, _, expression in self._drives()]
 
-        def drives_flow(name: str) -> bool:
-            return name in self.walls or any(each.degree_in([name]) > 0.0 for each in drives)
-
-        return tuple(name for name in names if drives_flow(name))
+        return tuple(
+            name
+            for name in names
+            if name in self.walls or any(each.degree_in([name]) > 0.0 for each in drives)
+        )
 
     def _drives(self) -> Iterator[DrivingExpression]:
         """Yield the expressions that drive the flow."""
@@ -290,11 +291,6 @@ class CustomScene(SceneSection):
     def resolved_length(self) -> float:
         """L of the Reynolds number [m]."""
         return self.reference_length or self.domain.lengths[0]
-
-    @property
-    def probe_line(self) -> float:
-        """x of the line midway along the box [m]."""
-        return 0.5 * (self.domain.lower[0] + self.domain.upper[0])
 
     def _expression(self, where: str, value: float | str, *variables: str) -> Expression:
         text = value if isinstance(value, str) else repr(value)

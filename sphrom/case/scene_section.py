@@ -57,7 +57,7 @@ class SceneSection(Section):
     @property
     def probe_line(self) -> float:
         """x of the vertical line that runs are compared along [m]."""
-        return 0.5 * self.domain.lengths[0]
+        return 0.5 * (self.domain.lower[0] + self.domain.upper[0])
 
     def parameters(self, reference_speed: float) -> dict[str, float]:
         """Return what may vary beside the viscosity, and its values here [of each its own unit].

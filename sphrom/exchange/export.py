@@ -147,7 +147,7 @@ def _opened(workspace: Workspace, item: Item) -> Iterator[Source]:
         def stored(name: str, index: Any) -> NDArray[Any]:
             return np.asarray(artifact.dataset(name)[index])
 
-        if model is None or point is None or model.on_particles or POINTS in artifact:
+        if model is None or point is None or not model.from_operators or POINTS in artifact:
             yield Source(schema, shapes, stored)
             return
         points, sound_speed = read_points(workspace), workspace.case.plan.sound_speed

@@ -41,7 +41,7 @@ class StoredRun:
         model: ReducedModelSection | None = None,
     ) -> None:
         self._workspace, self._run, self._point = workspace, run, point
-        self._rebuilt = None if model is None or model.on_particles else model
+        self._rebuilt = None if model is None or not model.from_operators else model
         self.time = run.read("time")
         self.mass = run.number("mass")
 

@@ -58,11 +58,6 @@ class Fluid:
     max_speed: float
     """U_max [m/s], the largest speed expected."""
 
-    @property
-    def dynamic_viscosity(self) -> float:
-        """mu [Pa s]."""
-        return self.reference_density * self.kinematic_viscosity
-
 
 def pressure_of(density_fluctuation: Array, sound_speed: float) -> Array:
     """Return the pressure [Pa] of density fluctuations [kg/m3]."""

@@ -286,23 +286,20 @@ class Functional:
 
     def _sources(self, position: Array, density_fluctuation: Array, velocity: Array) -> Array:
         self.neighbourhood.update(position)
-        volume = self.volume(density_fluctuation)
-        return self._gathered(np.vstack((position, density_fluctuation, velocity, volume)))
-
-    def _search(self) -> tuple[Grid, Indices, float, float]:
-        """Return what every sweep searches neighbours with."""
-        near = self.neighbourhood.sources
-        return near.grid, near.cell_start, self.neighbourhood.reach, self._inverse_length
-
-    def _gathered(self, fields: Array) -> Array:
         near = self.neighbourhood.sources
         shape = (self._n_fields, near.particle.size)
         # Kept, because getting so much memory anew takes as long as filling it.
         if self._source.shape != shape:
             self._source = np.empty(shape)
-        source = self._source
-        sweeps.gather(near.particle, near.image, fields, sweeps.X, source)
-        return source
+        volume = self.volume(density_fluctuation)
+        fields = np.vstack((position, density_fluctuation, velocity, volume))
+        sweeps.gather(near.particle, near.image, fields, sweeps.X, self._source)
+        return self._source
+
+    def _search(self) -> tuple[Grid, Indices, float, float]:
+        """Return what every sweep searches neighbours with."""
+        near = self.neighbourhood.sources
+        return near.grid, near.cell_start, self.neighbourhood.reach, self._inverse_length
 
     # As the time loop sees it
 

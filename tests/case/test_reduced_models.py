@@ -35,7 +35,7 @@ def test_readings_that_fixed_points_do_not_have(load, refusal, base, key, given,
     override = f"discretization.{key}={given}"
     (line,) = refusal(fast(), override, **bases)
     assert line.startswith(f"--set: discretization.{key}: must be {needed} for models with")
-    assert load("rom: [{name: x}]\n", override, **bases).rom[0].on_particles
+    assert not load("rom: [{name: x}]\n", override, **bases).rom[0].from_operators
 
 
 def test_values_without_a_full_run_are_for_the_reference_points(load):
