@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import cached_property, lru_cache
-from typing import Annotated, ClassVar, Literal, NamedTuple
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 import shapely
@@ -17,13 +17,14 @@ from numpy.typing import NDArray
 from pydantic import Field, PrivateAttr, model_validator
 from shapely.geometry.base import BaseGeometry
 
-from sphrom.case.fields import Coordinate, Positive, SafeName, Section, key
-from sphrom.case.scene_section import NONE, Defaults, Measures, SceneSection, measures
-from sphrom.case.shapes import Point, ShapeSection
+from sphrom.case.fields import Coordinate, Place, Positive, SafeName, Section, key
+from sphrom.case.scene_section import Defaults, Measures, SceneSection, measures
+from sphrom.case.shapes import ShapeSection
 from sphrom.expressions import CONSTANTS, FUNCTIONS, MOST_QUOTED, Expression
 from sphrom.scenes.flows import CustomFlow, Drive, Scales, Scene
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import SIDES, Domain
+from sphrom.sph.fluid import NONE
 from sphrom.text import shortened
 
 Array = NDArray[np.float64]
@@ -54,8 +55,8 @@ Vector = Annotated[tuple[Value, ...], Field(min_length=2, max_length=2)]
 class BoxSection(Section):
     """The box that the flow is in."""
 
-    lower: Point = key((0.0, 0.0), "its lower left corner", unit="m")
-    upper: Point = key((1.0, 1.0), "its upper right corner", unit="m")
+    lower: Place = key((0.0, 0.0), "its lower left corner", unit="m")
+    upper: Place = key((1.0, 1.0), "its upper right corner", unit="m")
     periodic: tuple[Literal["x", "y"], ...] = key((), "axes along which the flow repeats")
 
 
@@ -74,16 +75,6 @@ class InitialSection(Section):
     u: Value = key(0.0, "velocity along x", unit="m/s")
     v: Value = key(0.0, "velocity along y", unit="m/s")
     p: Value = key(0.0, "pressure", unit="Pa")
-
-
-class DrivingExpression(NamedTuple):
-    """An expression that drives the flow, as far as it varies in space."""
-
-    where: str
-    """Its key in the scene."""
-    factor: str
-    """The parameter that multiplies it; empty where none does."""
-    expression: Expression
 
 
 class CustomScene(SceneSection):
@@ -261,15 +252,15 @@ class CustomScene(SceneSection):
             if name in self.walls or any(each.degree_in([name]) > 0.0 for each in drives)
         )
 
-    def _drives(self) -> Iterator[DrivingExpression]:
-        """Yield the expressions that drive the flow."""
+    def _drives(self) -> Iterator[tuple[str, str, Expression]]:
+        """Yield the key, the parameter that multiplies it, if any, and each driving expression."""
         for name, wall in self.walls.items():
             for value in wall.velocity or ():
                 where = f"walls.{name}.velocity"
-                yield DrivingExpression(where, name, self._expression(where, value, "x", "y"))
+                yield where, name, self._expression(where, value, "x", "y")
         for value in self.body_force:
             whole = self._expression("body_force", value, "x", "y", "t")
-            yield DrivingExpression("body_force", "", whole.separated("t")[0])
+            yield "body_force", "", whole.separated("t")[0]
 
     def check_at(self, values: Mapping[str, float]) -> None:
         """Raise ValueError where the scene can't be had with some values of its parameters."""

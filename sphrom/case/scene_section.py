@@ -4,22 +4,20 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Collection, Iterator, Mapping
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, model_validator
 
-from sphrom.case.fields import Coordinate, SafeName, Section, Whole, key, only_one
+from sphrom.case.fields import Place, SafeName, Section, Whole, key, only_one
 from sphrom.scenes.flows import Channel, Scales, Scene
 from sphrom.scenes.reference_profiles import ReferenceProfile
 from sphrom.sph.domain import Domain
+from sphrom.sph.fluid import NONE
 
 Array = NDArray[np.float64]
 Defaults = Mapping[str, Any]
-NONE: Mapping[str, float] = MappingProxyType({})
-"""No values of parameters: each is the scene's own."""
 
 
 class SceneSection(Section):
@@ -127,8 +125,6 @@ class SceneSection(Section):
         """Yield keys of the scene that a user should look at again, and why."""
         yield from ()
 
-
-Place = Annotated[tuple[Coordinate, ...], Field(min_length=2, max_length=2)]
 
 KINDS = ("force_on", "flow_rate", "probe", "line")
 """What can be measured."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sphrom.case.custom_scene import CustomScene
 from sphrom.case.fields import Duration, Number, Positive, Section, key
-from sphrom.case.scene_section import NONE, Defaults, Measures, SceneSection, measures
+from sphrom.case.scene_section import Defaults, Measures, SceneSection, measures
 from sphrom.scenes.flows import (
     Channel,
     LidDrivenCavity,
@@ -25,6 +25,7 @@ from sphrom.scenes.flows import (
 from sphrom.scenes.reference_profiles import OPEN_CAVITY_SPEED, ReferenceProfile, profiles_for
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
+from sphrom.sph.fluid import NONE
 from sphrom.text import exact
 
 Array = NDArray[np.float64]

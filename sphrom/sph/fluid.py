@@ -22,6 +22,7 @@ T = TypeVar("T")
 Factors = Mapping[str, float]
 """The values of the parameters by name."""
 NONE: Factors = MappingProxyType({})
+"""Each parameter has the value that the scene has."""
 
 
 @dataclass(frozen=True)

@@ -141,7 +141,11 @@ class Functional:
         if force is not None:
             out[1:] += force
         if self.discretization.fixed_volume:
-            self._keep_volume(density_fluctuation, out[0])
+            # A domain that fluid fills has one volume; the sums of continuity don't know it. The
+            # mean pressure would follow how particles are arranged, and drift.
+            density = self.fluid.reference_density + density_fluctuation
+            compressibility = self.mass / density**2
+            out[0] -= np.sum(compressibility * out[0]) / np.sum(compressibility)
         return Rates(
             density=out[0],
             velocity=out[1:],
@@ -211,16 +215,6 @@ class Functional:
         if walls is None:
             raise ValueError("there are no walls")
         return walls.forces(self._fluid_constants)
-
-    def _keep_volume(self, density_fluctuation: Array, rate: Array) -> None:
-        """Take the mean out of the density's rate, in place, so that the sum of volumes stays.
-
-        A domain that fluid fills has one volume; the sums of continuity don't know it. Without
-        this the mean pressure follows how particles are arranged, and drifts.
-        """
-        density = self.fluid.reference_density + density_fluctuation
-        compressibility = self.mass / density**2
-        rate -= np.sum(compressibility * rate) / np.sum(compressibility)
 
     def _wall_terms(self, source: Array, force: Array | None, time: float) -> WallTerms | None:
         if self.ghosts is None:
