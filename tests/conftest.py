@@ -276,6 +276,23 @@ def one_thread() -> Iterator[None]:
         yield
 
 
+@pytest.fixture
+def same_on_threads() -> Iterator[Callable[..., Any]]:
+    """Return arrays of a function, after a check of their bits on one thread and on two."""
+    from sphrom.kernels.jit import set_threads
+
+    def compute(function: Callable[[], tuple[Array, ...]]) -> tuple[Array, ...]:
+        set_threads(2)
+        parallel = function()
+        set_threads(1)
+        serial = function()
+        assert [each.tobytes() for each in parallel] == [each.tobytes() for each in serial]
+        return serial
+
+    yield compute
+    set_threads(1)
+
+
 @pytest.fixture(scope="session", autouse=True)
 def fine_clock() -> Iterator[None]:
     """Take a file for settled soon, as the local disk's clock is fine: artifacts are just made."""
@@ -359,15 +376,31 @@ class UnprojectedModel:
         factors = self._modes.coefficients(coordinates)
         return self._modes.scaled_density @ factors, self._modes.velocity @ factors
 
-    def full_rates(self, coordinates: Array, conditions: dict) -> Array:
-        """Return the rates (3, n_points) [m/s2] of q and of the velocity."""
+    def full_rates(
+        self, coordinates: Array, conditions: dict, change: Array | None = None
+    ) -> Array:
+        """Return the rates (3, n_points) [m/s2] of q and of the velocity, after a change."""
         slopes = self._slopes @ self._modes.coefficients(coordinates)
-        fields = self.fields(coordinates)
-        return rates_at_points(self.points, *fields, slopes, conditions, self.order)
+        q, u = self.fields(coordinates)
+        if change is not None:
+            q, u = q + change[0], u + change[1:]
+            slopes = slopes + np.stack([self.points.gradients(field) for field in change])
+        return rates_at_points(self.points, q, u, slopes, conditions, self.order)
 
-    def __call__(self, coordinates: Array, conditions: dict) -> Array:
+    def __call__(self, coordinates: Array, conditions: dict, change: Array | None = None) -> Array:
         """Return the rates (n_modes,) of the generalized coordinates."""
-        return np.einsum("mfn,fn->m", self._weights, self.full_rates(coordinates, conditions))
+        rates = self.full_rates(coordinates, conditions, change)
+        return np.einsum("mfn,fn->m", self._weights, rates)
+
+    def memory(self, coordinates: Array, conditions: dict) -> Array:
+        """Return Eq. 3.22's term (n_modes,); a quadratic's central difference is its derivative."""
+        inside, modes = self(coordinates, conditions), self._modes
+        n = modes.n_modes
+        rest = self.full_rates(coordinates, conditions)
+        rest[0] -= modes.scaled_density[:, :n] @ inside
+        rest[1:] -= modes.velocity[..., :n] @ inside
+        ahead, back = (self(coordinates, conditions, s * rest) for s in (1e-3, -1e-3))
+        return (ahead - back) / 2e-3
 
     def residual(self, coordinates: Array, conditions: dict, rates: Array | None = None) -> float:
         """Return |R - Phi da/dt| of rates (n_modes,), by default the projected ones."""

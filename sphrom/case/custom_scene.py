@@ -9,17 +9,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import cached_property, lru_cache
-from typing import Annotated, ClassVar, Literal
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from pydantic import Field, PrivateAttr, model_validator
+from pydantic import Field, PrivateAttr, ValidationInfo, model_validator
 from shapely.geometry.base import BaseGeometry
 
 from sphrom.case.fields import Coordinate, Place, Positive, SafeName, Section, key
+from sphrom.case.initial_file import read_start, start_fields
 from sphrom.case.scene_section import Defaults, Measures, SceneSection, measures
 from sphrom.case.shapes import ShapeSection
+from sphrom.errors import CaseError
 from sphrom.expressions import CONSTANTS, FUNCTIONS, MOST_QUOTED, Expression
 from sphrom.scenes.flows import CustomFlow, Drive, Scales, Scene
 from sphrom.sph.box_domain import BoxDomain
@@ -70,11 +73,44 @@ class MovingWallSection(Section):
 
 
 class InitialSection(Section):
-    """The fields that a run starts with: numbers or expressions in x, y."""
+    """The fields that a run starts with: numbers or expressions in x, y, or a file of points."""
 
     u: Value = key(0.0, "velocity along x", unit="m/s")
     v: Value = key(0.0, "velocity along y", unit="m/s")
     p: Value = key(0.0, "pressure", unit="Pa")
+    file: str | None = key(
+        None,
+        "a CSV file with columns x, y, u, v and perhaps p, in place of expressions; linear between "
+        "its points, the nearest one's values beyond",
+    )
+    sha256: str | None = key(None, "digest of that file; taken from it unless it is given")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_digest(cls, values: Any, info: ValidationInfo) -> Any:
+        """Add the digest of the file, so that the case says what it held."""
+        name = values.get("file") if isinstance(values, dict) else None
+        folder = (info.context or {}).get("folder")
+        # A case that an artifact holds is read without its files; it starts no run.
+        if not isinstance(name, str) or (folder is None and values.get("sha256") is not None):
+            return values
+        digest = read_start(Path(folder or "") / name)
+        if values.get("sha256") not in (None, digest):
+            raise ValueError(f"{name} has changed since its sha256 was taken")
+        return {**values, "sha256": digest}
+
+    @model_validator(mode="after")
+    def _file_alone(self) -> InitialSection:
+        if self.file is not None and any(value != 0.0 for value in (self.u, self.v, self.p)):
+            raise ValueError("file takes the place of u, v and p; give one or the other")
+        return self
+
+    def of_file(self, position: Array) -> Array:
+        """Return u, v [m/s] and p [Pa] of the file (n_points, 3). Raises CaseError without it."""
+        try:
+            return start_fields(str(self.file), str(self.sha256))(position)
+        except ValueError as error:
+            raise CaseError(f"scene.initial.file: {error}") from error
 
 
 class CustomScene(SceneSection):
@@ -318,6 +354,9 @@ class CustomScene(SceneSection):
 
     @cached_property
     def _initial(self) -> tuple[Callable[[Array], Array], Callable[[Array], Array]]:
+        of_file = self.initial.of_file
+        if self.initial.file is not None:
+            return (lambda at: of_file(at)[:, :2]), (lambda at: of_file(at)[:, 2])
         u, v, p = (
             self._field(f"initial.{name}", getattr(self.initial, name)) for name in ("u", "v", "p")
         )

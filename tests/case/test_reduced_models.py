@@ -11,8 +11,8 @@ TRAINED = "parameters: {train: {reynolds: [100, 200]}}\n"
 LID = "name: small\nscene:\n  kind: lid-driven-cavity\n"
 OPEN = "name: small\nscene:\n  kind: open-cavity\n"
 OUTSIDE = (
-    "rom.0.parameters: reynolds=300 is outside of the trained range, 100 to 200 of reynolds: a reduced "
-    "model extrapolates there"
+    "rom.0.parameters: reynolds=300 is outside of the trained range, 100 to 200 of reynolds: a "
+    "reduced model extrapolates there"
 )
 
 

@@ -1,4 +1,4 @@
-"""Radial functions, monomials and their gradients against direct formulas."""
+"""Radial functions and their gradients against direct formulas."""
 
 from __future__ import annotations
 
@@ -51,29 +51,3 @@ def test_gradients_are_the_derivatives(points: np.ndarray, order: int) -> None:
     along_y = values(x, y + STEP, points, order) - values(x, y - STEP, points, order)
     np.testing.assert_allclose(dx, along_x / (2.0 * STEP), rtol=1e-7, atol=1e-7)
     np.testing.assert_allclose(dy, along_y / (2.0 * STEP), rtol=1e-7, atol=1e-7)
-
-
-@pytest.mark.parametrize("degree", range(4))
-def test_monomials_and_their_gradients(degree: int) -> None:
-    powers = [(n - m, m) for n in range(degree + 1) for m in range(n + 1)]
-    value, dx, dy = np.empty((3, len(powers)))
-    x, y = 0.7, -0.3
-    polyharmonic.monomials(x, y, degree, value)
-    polyharmonic.monomial_gradients(x, y, degree, dx, dy)
-    np.testing.assert_allclose(value, [x**a * y**b for a, b in powers], rtol=1e-14)
-    np.testing.assert_allclose(
-        dx, [a * x ** (a - 1) * y**b if a else 0.0 for a, b in powers], rtol=1e-14
-    )
-    np.testing.assert_allclose(
-        dy, [b * x**a * y ** (b - 1) if b else 0.0 for a, b in powers], rtol=1e-14
-    )
-
-
-def test_the_matrix_is_that_of_the_system(points: np.ndarray) -> None:
-    n = points.shape[1]
-    matrix = np.full((n + 3, n + 3), np.nan)
-    polyharmonic.assemble(points, 3, 1, np.empty(n), matrix)
-    distance = np.hypot(points[0][:, None] - points[0], points[1][:, None] - points[1])
-    polynomial = np.stack((np.ones(n), points[0], points[1]), axis=1)
-    expected = np.block([[distance**3, polynomial], [polynomial.T, np.zeros((3, 3))]])
-    np.testing.assert_allclose(matrix, expected, rtol=1e-13, atol=1e-15)

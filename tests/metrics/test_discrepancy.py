@@ -14,7 +14,6 @@ from sphrom.metrics.histories import (
     relative_discrepancy,
     relative_error_at,
     relative_l2,
-    without_mean,
 )
 
 
@@ -64,11 +63,6 @@ def test_errors_that_are_not_finite_are_refused(measure) -> None:
     for given in (*bad, (field, 0.0 * field)):
         with pytest.raises(ValueError, match="finite"):
             measure(*given)
-
-
-def test_without_mean_leaves_differences() -> None:
-    field = np.array([[1.0, 3.0], [5.0, 6.0]])
-    np.testing.assert_allclose(without_mean(field), [[-1.0, 1.0], [-0.5, 0.5]])
 
 
 def test_errors_at_some_points_have_the_scale_of_all() -> None:

@@ -101,11 +101,6 @@ def test_a_hat_is_symmetric_and_sums_up_to_one(n_half):
     assert weights.argmax() == n_half - 1
 
 
-def test_straight_lines_are_kept():
-    values = np.stack([np.arange(20.0), 3.0 - 2.0 * np.arange(20.0)], axis=1)
-    np.testing.assert_allclose(moving_average(values, hat(4)), values[3:-3])
-
-
 @pytest.mark.parametrize("period", [8.0, 4.0, 8.0 / 3.0])
 def test_oscillations_that_fit_into_half_the_hat_are_lost(period):
     wave = np.cos(2.0 * np.pi * np.arange(100) / period + 0.3)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from sphrom.case.models import Case
+from sphrom.console import Reporter
 from sphrom.offline import fit_psi, fom, map, pod
 from sphrom.reduction.mode_splines import basis_columns
 from sphrom.reduction.trial_basis import mean_density_fluctuation, project, weighted_mean
@@ -24,26 +24,7 @@ SECTIONS = {
 }
 
 
-class Notes:
-    """A reporter that keeps what it is told."""
-
-    def __init__(self) -> None:
-        self.lines: list[str] = []
-
-    def info(self, text: str) -> None:
-        self.lines.append(text)
-
-    warn = info
-
-    def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        self.lines.append(title)
-
-    @contextmanager
-    def progress(self, description: str, total: int) -> Iterator[Callable[[int], None]]:
-        yield lambda done: None
-
-
-Made = tuple[Workspace, Notes]
+Made = tuple[Workspace, list[str]]
 
 
 @pytest.fixture(scope="module")
@@ -51,10 +32,10 @@ def make(tmp_path_factory: pytest.TempPathFactory, case_of: Callable[..., Case])
     """Take a small case of a scene through the stages up to the splines."""
 
     def run(kind: str, resolution: int, **sections: object) -> Made:
-        notes = Notes()
+        notes: list[str] = []
         case = case_of(kind, resolution, **{**SECTIONS, **sections})
         folder = tmp_path_factory.mktemp(kind)
-        context = StageContext(case, folder, False, 1, notes)
+        context = StageContext(case, folder, False, 1, Reporter(write=notes.append))
         for stage in (fom, map, pod, fit_psi):
             stage.run(context)
         return Workspace(context), notes
@@ -77,7 +58,7 @@ def test_the_map_reports_a_round_trip(closed: Made) -> None:
     with workspace.open(workspace.mapped(workspace.case.plan.points[0])) as mapped:
         for field in ("velocity", "pressure"):
             assert 0.0 < mapped.number(f"round_trip_error/{field}") < 100.0
-    assert any("and back the last snapshot loses" in line for line in notes.lines)
+    assert any("and back the last snapshot loses" in line for line in notes)
 
 
 def test_reference_points_lie_in_the_fluid(channel: Made) -> None:
@@ -145,7 +126,7 @@ def test_splines_come_back_with_the_cells_in_the_solid(channel: Made) -> None:
     splines = read_splines(workspace, "all")
     empty = np.diff(splines.cell_start) == 0
     assert empty.any()
-    assert any(f"{empty.sum()} more in solids" in line for line in notes.lines)
+    assert any(f"{empty.sum()} more in solids" in line for line in notes)
     basis = read_basis(workspace, "all")
     with workspace.open(workspace.basis()) as artifact:
         points = artifact.read("reference_position")

@@ -153,3 +153,9 @@ SETTINGS = {
 def settings() -> dict[str, Setting]:
     """Small scenes with their bases, by name."""
     return SETTINGS
+
+
+@pytest.fixture(params=[name for name in SETTINGS if name != "raw, periodic"])
+def setting(request) -> Setting:
+    """Every small scene but one."""
+    return SETTINGS[request.param]

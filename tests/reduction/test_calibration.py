@@ -44,20 +44,15 @@ def runs() -> list[np.ndarray]:
     return [run_of(TRUE, start) for start in STARTS]
 
 
-def test_a_known_error_of_the_rates_is_found(runs):
-    wrong = less(TRUE, OFF)
+@pytest.mark.parametrize("off", [OFF, OFF.scaled(0.0)], ids=["wrong", "right"])
+def test_a_known_error_of_the_rates_is_found(runs, off):
+    wrong = less(TRUE, off)
     found = correction(
         [TrainingRun(wrong, run, VISCOSITY) for run in runs], INTERVAL, 0.1, penalty=0.0
     )
     # Averages and central differences are of second order in the interval.
-    assert np.allclose(found.powers[0][0], OFF.powers[0][0], atol=2e-3)
-    assert np.allclose(found.powers[0][1], OFF.powers[0][1], atol=2e-3)
-
-
-def test_rates_that_are_right_stay_as_they_are(runs):
-    found = correction([TrainingRun(TRUE, run, VISCOSITY) for run in runs], INTERVAL, 0.1)
-    assert np.abs(found.powers[0][0]).max() < 2e-3
-    assert np.abs(found.powers[0][1]).max() < 2e-3
+    assert np.allclose(found.powers[0][0], off.powers[0][0], atol=2e-3)
+    assert np.allclose(found.powers[0][1], off.powers[0][1], atol=2e-3)
 
 
 def test_a_flow_that_nothing_drives_still_comes_to_rest():
@@ -77,15 +72,6 @@ def test_an_error_that_changes_with_the_flow_s_energy_is_found():
     found = correction(runs, INTERVAL, 0.1, penalty=1e-8)
     for state in ([1.0, 0.5, -0.5], [0.0, -1.0, 0.5]):
         np.testing.assert_allclose(found(np.array(state)), off(np.array(state)), atol=2e-3)
-
-
-def test_a_calibrated_run_is_nearer_at_a_start_that_was_not_trained(runs):
-    wrong = less(TRUE, OFF)
-    found = correction([TrainingRun(wrong, run, VISCOSITY) for run in runs], INTERVAL, 0.1)
-    start = [-1.0, 0.3, 0.4]
-    truth = run_of(TRUE, start)
-    before, after = (run_of(p, start) - truth for p in (wrong, wrong.plus(found)))
-    assert np.linalg.norm(after) < 0.2 * np.linalg.norm(before)
 
 
 def test_oscillations_faster_than_the_window_are_averaged_out():

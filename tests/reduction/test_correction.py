@@ -105,28 +105,19 @@ def test_longer_runs_have_it_faded_out_without_a_kick():
 LINE = np.log([[100.0], [400.0], [200.0]])
 
 
-@pytest.mark.parametrize(("reynolds", "expected"), [(150.0, (0, 2)), (300.0, (1, 2))])
-def test_between_two_points_they_are_linear(reynolds: float, expected: tuple[int, int]) -> None:
-    place = np.log([reynolds])
-    weights, distance = interpolation_weights(LINE, place)
-    assert distance == 0.0
-    assert tuple(np.flatnonzero(weights > 1e-9)) == expected
-    np.testing.assert_allclose(weights @ LINE, place, rtol=1e-7)
-    assert weights.sum() == pytest.approx(1.0)
-
-
-@pytest.mark.parametrize(("reynolds", "nearest"), [(50.0, 0), (800.0, 1)])
-def test_outside_the_nearest_point_counts(reynolds: float, nearest: int) -> None:
+@pytest.mark.parametrize(
+    ("reynolds", "inside", "neighbours"),
+    [(150.0, 150.0, {0, 2}), (300.0, 300.0, {1, 2}), (200.0, 200.0, {2}),
+     (50.0, 100.0, {0}), (800.0, 400.0, {1})],
+)  # fmt: skip
+def test_weights_are_linear_between_points_and_the_nearest_counts_outside(
+    reynolds: float, inside: float, neighbours: set[int]
+) -> None:
     weights, distance = interpolation_weights(LINE, np.log([reynolds]))
-    np.testing.assert_allclose(weights, np.eye(3)[nearest], atol=1e-6)
-    assert distance == pytest.approx(np.log(2.0), rel=1e-5)
-
-
-def test_a_training_point_is_its_own() -> None:
-    for k, place in enumerate(LINE):
-        weights, distance = interpolation_weights(LINE, place)
-        np.testing.assert_array_equal(weights, np.eye(3)[k])
-        assert distance == 0.0
+    assert set(np.flatnonzero(weights > 1e-6)) == neighbours
+    assert weights.sum() == pytest.approx(1.0)
+    np.testing.assert_allclose(weights @ LINE, np.log([inside]), rtol=1e-6)
+    assert distance == pytest.approx(abs(np.log(reynolds / inside)), rel=1e-5)
 
 
 def test_of_a_single_point_everything_else_is_outside() -> None:

@@ -15,22 +15,7 @@ from sphrom.reduction.reduced_rates import spectrum
 from sphrom.reduction.trial_basis import InnerProduct
 
 NU = 0.01
-NAMES = [
-    "periodic",
-    "lid",
-    "lid with its mean",
-    "driven lid",
-    "forced",
-    "forced between driven walls",
-    "raw",
-    "raw and forced",
-]
 AROUND = {"viscosity": NU, "amplitude": -1.4}
-
-
-@pytest.fixture(params=NAMES)
-def setting(request, settings):
-    return settings[request.param]
 
 
 def close(actual: np.ndarray, expected: np.ndarray, tolerance: float) -> None:
@@ -49,15 +34,6 @@ def test_operators_are_the_projection_of_the_rates(setting, unprojected, advecti
             close(rates(coordinates, around["amplitude"]), model(coordinates, around), 1e-10)
 
 
-def test_a_body_force_enters_with_its_amplitude(settings) -> None:
-    """Operators at an amplitude are those that were assembled with it."""
-    setting = settings["forced"]
-    there = replace(setting, amplitude=-1.4)
-    rates = project_operators(setting.points, setting.basis).at(NU)
-    direct = project_operators(there.points, setting.basis).at(NU)
-    close(rates(setting.coordinates, -1.4), direct(setting.coordinates, 1.0), 1e-11)
-
-
 def test_blocks_make_no_difference(setting, monkeypatch) -> None:
     whole = project_operators(setting.points, setting.basis, setting.splines)
     monkeypatch.setattr(operator_projection, "BLOCK_VALUES", 6 * 6 * 50)
@@ -66,17 +42,6 @@ def test_blocks_make_no_difference(setting, monkeypatch) -> None:
     assert len(done) > 3
     assert sum(done) == setting.points.n_points
     close(parts.at(NU)(setting.coordinates, 1.0), whole.at(NU)(setting.coordinates, 1.0), 1e-10)
-
-
-def test_driven_walls_at_full_speed_are_walls_that_move_steadily(settings) -> None:
-    steady, driven = (
-        project_operators(settings[name].points, settings[name].basis).at(NU)
-        for name in ("lid", "driven lid")
-    )
-    coordinates = settings["lid"].coordinates
-    close(driven(coordinates, 1.0), steady(coordinates), 1e-12)
-    close(driven.jacobian(coordinates, 1.0), steady.jacobian(coordinates), 1e-12)
-    assert np.max(np.abs(driven(coordinates) - steady(coordinates))) > 1e-3
 
 
 @pytest.mark.parametrize("name", ["periodic", "lid", "forced"])

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-
-import numba
 import numpy as np
 import pytest
 
-from sphrom.kernels.jit import set_threads
 from sphrom.scenes.flows import LidDrivenCavity
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.fluid import Discretization, Fluid
@@ -138,26 +134,15 @@ def test_far_from_walls_they_are_not_felt(
     assert np.all(np.any(first[:, beside] != second[:, beside], axis=0))
 
 
-@pytest.fixture
-def threads() -> Iterator[Callable[[int], int]]:
-    before = numba.get_num_threads()
-    yield set_threads
-    numba.set_num_threads(before)
-
-
 @pytest.mark.parametrize("name", ["lid", "forced cavity"])
-def test_is_bitwise_the_same_on_any_number_of_threads(scenes: dict, threads, name: str) -> None:
+def test_is_bitwise_the_same_on_any_number_of_threads(
+    scenes: dict, same_on_threads, name: str
+) -> None:
     functional = scenes[name].functional(**EVERYTHING)
     state = scenes[name].state(seed=6)
-    if threads(2) < 2:
-        pytest.skip("one core only")
-    results = []
-    for count in (2, 1):
-        threads(count)
-        carried = functional.advection(state[:2], state[2], state[3:])
-        results.append((functional(state, 0.4), carried))
-    for first, second in zip(*results, strict=True):
-        assert np.array_equal(first, second)
+    same_on_threads(
+        lambda: (functional(state, 0.4), functional.advection(state[:2], state[2], state[3:]))
+    )
 
 
 TURNS = {
