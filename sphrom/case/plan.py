@@ -8,7 +8,7 @@ first asked for, so that the checks of a case can use the parts that don't depen
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 from fractions import Fraction
 from functools import cached_property
@@ -353,16 +353,15 @@ class Plan:
             for name, (low, high) in bounds.items():
                 if low < high:
                     top[name] = max(high, top.get(name, high))
-
-        def within(bounds: Mapping[str, tuple[float, float]]) -> bool:
-            return all(
-                low <= value < high or low < value == high == top[name]
-                for name, value in point.as_dict().items()
-                if name in bounds
-                for low, high in (bounds[name],)
+        at = point.as_dict()
+        return [
+            subset
+            for subset, bounds in boxes.items()
+            if all(
+                low <= at[name] < high or low < at[name] == high == top[name]
+                for name, (low, high) in bounds.items()
             )
-
-        return [name for name, bounds in boxes.items() if within(bounds)]
+        ]
 
     @cached_property
     def n_modes(self) -> int:

@@ -297,9 +297,7 @@ class Functional:
 
     # As the time loop sees it
 
-    def rates(self, state: Array, time: float) -> Array:
-        """Return the rates of a state (Eq. 2.17)."""
-        return self(state, time)
+    rates = __call__
 
     def position(self, state: Array) -> Array:
         """Return the positions (2, n_particles) [m]."""
