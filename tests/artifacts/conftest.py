@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from sphrom.artifacts import Origin, create_artifact, open_artifact, probe, write_record
-from sphrom.artifacts.records.runs import Trajectory
 from sphrom.declaration import DECLARED, Field, Record, fields_of_record
 from sphrom.errors import ArtifactError
 
@@ -160,18 +159,3 @@ def written(tmp_path: Path) -> Callable[[Record], Path]:
         return path
 
     return write
-
-
-@pytest.fixture
-def unstable(tmp_path: Path) -> Path:
-    """A run that became unstable after two of four snapshots."""
-    path, run = tmp_path / "unstable.h5", _invented(Trajectory)
-    with create_artifact(path, "sphrom/trajectory", stage="test", origin=ORIGIN) as artifact:
-        for name, field in fields_of_record(Trajectory).items():
-            value = getattr(run, name)
-            if field.axes[:1] == ("snapshot",):
-                artifact.stream(field.name, value.shape[1:], 4).extend(value[:2])
-            elif not (field.axes or field.is_mapping or name == "status"):
-                artifact.annotate(field.name, value)
-        artifact.annotate("status", "unstable")
-    return path

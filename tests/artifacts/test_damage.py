@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import h5py
@@ -36,26 +35,14 @@ def refused_however_read(path: Path, name: str, reason: str) -> None:
             read(artifact, name)
 
 
-@pytest.mark.parametrize("kept", [0.1, 0.99])
-def test_truncated_file_is_refused(write_trajectory, refusal, kept: float) -> None:
-    path = write_trajectory()
-    os.truncate(path, int(path.stat().st_size * kept))
-    assert "truncated" in refusal(path)
-
-
-def test_flipped_bit_is_found_on_opening_or_reading(write_trajectory, write_large, refusal) -> None:
-    """In small data on opening, in large ones on reading."""
-    for write, byte in ((write_trajectory, 3), (write_large, 500_000)):
-        path = write()
-        with h5py.File(path) as file:
-            place = file["velocity"].id.get_chunk_info(1).byte_offset + byte
-        content = bytearray(path.read_bytes())
-        content[place] ^= 0x10
-        path.write_bytes(content)
-        if write is write_trajectory:
-            assert refusal(path) == "is damaged: velocity can't be read"
-        refused_however_read(path, "velocity", "can't be read")
-        path.unlink()
+def test_a_flipped_bit_in_large_data_is_found_on_reading(write_large) -> None:
+    path = write_large()
+    with h5py.File(path) as file:
+        place = file["velocity"].id.get_chunk_info(1).byte_offset + 500_000
+    content = bytearray(path.read_bytes())
+    content[place] ^= 0x10
+    path.write_bytes(content)
+    refused_however_read(path, "velocity", "can't be read")
 
 
 def test_no_flipped_bit_and_no_cut_goes_unnoticed(write_trajectory, fields) -> None:
@@ -91,7 +78,6 @@ def test_any_bytes_at_all(tmp_path: Path, content: bytes, signed: bool) -> None:
     "change",
     [
         lambda values: values * np.array([1.0, 0.0, 1.0])[:, None, None],  # a zeroed chunk
-        lambda values: values[::-1],
         lambda values: np.nextafter(values, 2.0),
     ],
 )
@@ -113,14 +99,10 @@ def test_values_that_another_program_changed_are_refused_however_they_are_read(
     ("change", "reason"),
     [
         (lambda file: file.attrs.__setitem__("sound_speed", 11.0), "its digest is not that"),
-        (lambda file: file.attrs.__setitem__("status", np.bytes_("unstable")), "its digest"),
-        (lambda file: file.attrs.__setitem__("spare", 1.0), "its digest is not that"),
         (lambda file: file.attrs.__delitem__("uuid"), "attribute uuid is missing"),
         (lambda file: file.__delitem__("pressure"), "its digest is not that"),
         (lambda file: file["case"].__setitem__((), b"name: other"), "the case in it is not"),
         # Two names for one thing.
-        (lambda file: file.__setitem__("parameters/again", file["parameters"]), "its digest"),
-        (lambda file: file.__setitem__("parameters/again", file["velocity"]), "its digest"),
         (lambda file: file.__setitem__("parameters/again", file["/"]), "its digest"),
     ],
 )
@@ -131,9 +113,9 @@ def test_what_another_program_changed_is_refused(write_trajectory, refusal, chan
     assert refusal(path).startswith(f"is damaged: {reason}")
 
 
-def view(source: str) -> h5py.VirtualLayout:
+def elsewhere() -> h5py.VirtualLayout:
     layout = h5py.VirtualLayout((3, 5), "f8")
-    layout[...] = h5py.VirtualSource(source, "density_fluctuation", (3, 5))
+    layout[...] = h5py.VirtualSource("o.h5", "p", (3, 5))
     return layout
 
 
@@ -144,17 +126,12 @@ def dataset(**given: object):
 @pytest.mark.parametrize(
     ("replace", "reason"),
     [
-        (dataset(data=np.zeros((3, 5))), "pressure is not what was written"),
-        (dataset(data=np.zeros((3, 4), "float32")), "pressure is not what was written"),
         (dataset(data=["a", "b"]), "which no artifact holds"),
         (dataset(shape=(10**6, 10**6), dtype="f8", chunks=(1, 1000)), "is not what was written"),
         (dataset(data=np.zeros((3, 5)), compression="gzip"), "changed by a filter"),
-        (dataset(data=np.zeros((3, 5)), shuffle=True), "changed by a filter"),
         (dataset(shape=(3, 5), dtype="f8", external=[("o.h5", 0, 120)]), "in another file"),
-        (lambda file: file.create_virtual_dataset("pressure", view("o.h5")), "in another file"),
-        (lambda file: file.create_virtual_dataset("pressure", view(".")), "not what was written"),
+        (lambda file: file.create_virtual_dataset("pressure", elsewhere()), "in another file"),
         (lambda file: file.__setitem__("pressure", h5py.ExternalLink("o.h5", "/p")), "is a link"),
-        (lambda file: file.__setitem__("pressure", h5py.SoftLink("/velocity")), "is a link"),
     ],
 )
 def test_data_of_another_program_are_refused(
@@ -164,20 +141,8 @@ def test_data_of_another_program_are_refused(
     path = write_trajectory()
     monkeypatch.chdir(path.parent)
     with h5py.File("o.h5", "w") as file:
-        file["p"] = file["density_fluctuation"] = np.zeros((3, 5))
+        file["p"] = np.zeros((3, 5))
     with h5py.File(path, "r+") as file:
         del file["pressure"]
         replace(file)
     assert reason in refusal(path)
-
-
-def test_names_that_fan_out_are_not_followed(write_trajectory) -> None:
-    """Two names for each group, level after level: a million ways to the last."""
-    path = write_trajectory()
-    with h5py.File(path, "r+") as file:
-        group = file.create_group("fan")
-        for _ in range(19):
-            below = group.create_group("a")
-            group["b"] = below
-            group = below
-    assert probe(path, SCHEMA) is None

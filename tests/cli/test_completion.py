@@ -50,11 +50,3 @@ def test_case_files_here_and_below(complete, tmp_path):
     assert complete("sphrom fom ./sm") == ["./small.yaml"]
     assert complete("sphrom fom cases/") == ["cases/more/one.yml"]
     assert complete("sphrom fom nowhere/") == []
-
-
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_scripts(shell, monkeypatch):
-    monkeypatch.setattr("shellingham.detect_shell", lambda: (shell, f"/bin/{shell}"))
-    result = CliRunner().invoke(app, ["--show-completion"], prog_name="sphrom")
-    assert result.exit_code == 0
-    assert "_SPHROM_COMPLETE" in result.stdout

@@ -10,7 +10,6 @@ import pytest
 
 from sphrom.signals import (
     Terminated,
-    interrupt_behind,
     interrupts_come_again,
     termination_interrupts,
 )
@@ -58,28 +57,6 @@ def test_other_exceptions_are_told_as_before(monkeypatch):
         del thing
     assert reference() is None
     assert told == [ZeroDivisionError]
-
-
-def test_an_interrupt_within_a_call_of_c_code():
-    failed = SystemError("<built-in function f> returned a result with an exception set")
-    failed.__cause__ = KeyboardInterrupt()
-    assert interrupt_behind(failed) is failed.__cause__
-    interrupt = KeyboardInterrupt()
-    assert interrupt_behind(interrupt) is interrupt
-    assert interrupt_behind(SystemError("another")) is None
-
-
-def test_such_an_interrupt_is_told_as_one(sphrom, monkeypatch):
-    def interrupted(*_):
-        try:
-            raise KeyboardInterrupt
-        except KeyboardInterrupt as error:
-            raise SystemError("a result with an exception set") from error
-
-    monkeypatch.setattr("sphrom.cli.stages.run_stage", interrupted)
-    result = sphrom("pod", "case.yaml")
-    assert result.exit_code == 130
-    assert result.stderr == "interrupted\n"
 
 
 @pytest.mark.parametrize(

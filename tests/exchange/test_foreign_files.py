@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import io
-import zipfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -94,25 +92,35 @@ def test_vtk_files_are_read(tmp_path: Path, name, kind, settings, version) -> No
 HEAD = "# vtk DataFile Version 3.0\n\nASCII\nDATASET "
 
 
+def broken_archive() -> bytes:
+    stored = io.BytesIO()
+    np.savez_compressed(stored, x=np.arange(999.0))
+    content = bytearray(stored.getvalue())
+    content[60:100] = bytes(range(60, 100))
+    return bytes(content)
+
+
 @pytest.mark.parametrize(
-    ("name", "content", "says"),
+    ("name", "content"),
     [
-        ("a.vtu", '<VTKFile type="ImageData"/>', "Cannot find UnstructuredGrid element"),
-        ("a.vtp", '<VTKFile type="PolyData"', "Error parsing XML"),
-        ("a.vtk", HEAD + "POLYDATA\nPOINTS -1 float\n", "must not be negative"),
-        ("a.vtk", HEAD + "POLYDATA\nPOINTS 9 float\n", "Error reading ascii data"),
-        ("a.vtk", HEAD + "POLYDATA\nPOINTS 2 float\n0 0 0 0 0", "it ends within a line"),
-        ("a.vtk", HEAD + "POLYDATA\nPOINTS 9 x\n", "Unsupported data type"),
-        ("a.vtk", "", "is damaged"),
+        ("a.vtu", '<VTKFile type="ImageData"/>'),
+        ("a.vtp", '<VTKFile type="PolyData"'),
+        ("a.vtk", HEAD + "POLYDATA\nPOINTS -1 float\n"),
+        ("a.vtk", HEAD + "POLYDATA\nPOINTS 2 float\n0 0 0 0 0"),
+        ("a.vtk", ""),
+        ("a.npz", ""),
+        ("a.npz", broken_archive()),
+        ("a.pvd", '<VTKFile><DataSet timestep="nan" file="a.vtu"/></VTKFile>'),
+        ("a.pvd", '<VTKFile><DataSet timestep="1"/></VTKFile>'),
+        ("a.pvd", b"<VTKFile>\xff</VTKFile>"),
     ],
 )
-def test_vtk_file_that_can_not_be_read_is_refused_on_one_line(
-    tmp_path, name, content, says
-) -> None:
-    (tmp_path / name).write_text(content)
+def test_file_that_can_not_be_read_is_refused_on_one_line(tmp_path, name, content) -> None:
+    path = tmp_path / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(ArtifactError) as caught:
-        read_foreign(tmp_path / name)
-    assert says in str(caught.value)
+        read_foreign(snapshots_in(path)[0].path)
+    assert str(caught.value).startswith(str(path))
     assert len(str(caught.value).splitlines()) == 1
 
 
@@ -169,75 +177,6 @@ def test_links_out_of_a_vtk_hdf_file_are_refused(tmp_path: Path) -> None:
         read_foreign(tmp_path / "a.vtkhdf")
 
 
-def npy(values: object) -> bytes:
-    """Return what NumPy stores of an array."""
-    stored = io.BytesIO()
-    np.save(stored, values)
-    return stored.getvalue()
-
-
-def archive(path: Path, members: dict[str, bytes], compression: int = zipfile.ZIP_DEFLATED) -> None:
-    with zipfile.ZipFile(path, "w", compression) as file:
-        for name, content in members.items():
-            file.writestr(name, content)
-
-
-def changed_header(shift: int, value: int) -> Callable[[Path], None]:
-    """Write an archive, and change a byte of both headers of its only member."""
-
-    def write(path: Path) -> None:
-        archive(path, {"x.npy": npy(np.zeros(3))})
-        content = bytearray(path.read_bytes())
-        for signature, further in ((b"PK\x03\x04", 0), (b"PK\x01\x02", 2)):
-            content[content.index(signature) + further + shift] = value
-        path.write_bytes(content)
-
-    return write
-
-
-def broken(compression: int) -> Callable[[Path], None]:
-    def write(path: Path) -> None:
-        archive(path, {"x.npy": npy(np.arange(999.0))}, compression)
-        content = bytearray(path.read_bytes())
-        content[60:100] = bytes(range(60, 100))
-        path.write_bytes(content)
-
-    return write
-
-
-CLAIM = "{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000, 1000000000), }"
-
-
-def header(text: str) -> bytes:
-    encoded = text.encode() + b"\n"
-    return b"\x93NUMPY\x01\x00" + len(encoded).to_bytes(2, "little") + encoded
-
-
-@pytest.mark.parametrize(
-    "write",
-    [
-        lambda path: path.write_bytes(npy(np.zeros(3))),
-        lambda path: path.touch(),
-        changed_header(6, 1),  # encrypted
-        changed_header(8, 97),  # of unknown compression
-        broken(zipfile.ZIP_DEFLATED),
-        broken(zipfile.ZIP_LZMA),
-        lambda path: archive(path, {"x.npy": header("[" * 9000)}),
-        lambda path: archive(path, {"x.npy": header("{" + " " * 30_000 + "}")}),
-        lambda path: archive(path, {"x.npy": header(CLAIM)}),
-    ],
-)
-def test_archive_that_can_not_be_read_is_refused_on_one_line(tmp_path: Path, write) -> None:
-    path = tmp_path / "a.npz"
-    write(path)
-    with pytest.raises(ArtifactError) as caught:
-        read_foreign(path)
-    assert str(caught.value).startswith(f"{path} is ")
-    assert "is damaged" in str(caught.value)
-    assert len(str(caught.value).splitlines()) == 1
-    assert not str(caught.value).rstrip().endswith(":")
-
-
 def test_archive_is_judged_by_its_size_before_it_is_unpacked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -248,24 +187,3 @@ def test_archive_is_judged_by_its_size_before_it_is_unpacked(
     np.savez(tmp_path / "many.npz", **{f"x{i}": 0 for i in range(1001)})
     with pytest.raises(ArtifactError, match="holds 1001 arrays; a snapshot has at most 1000"):
         read_foreign(tmp_path / "many.npz")
-
-
-@pytest.mark.parametrize(
-    "content",
-    [
-        b'<?xml version="1.0" encoding="klingon"?><VTKFile/>',
-        b'<VTKFile><DataSet timestep="nan" file="a.vtu"/></VTKFile>',
-        b'<VTKFile><DataSet timestep="1"/></VTKFile>',
-        b"<VTKFile>\xff</VTKFile>",
-        b"<a>" * 100_000,
-        b"",
-        b"\0",
-    ],
-)
-def test_collection_that_can_not_be_read_is_refused_on_one_line(tmp_path, content) -> None:
-    path = tmp_path / "a.pvd"
-    path.write_bytes(content)
-    with pytest.raises(ArtifactError) as caught:
-        snapshots_in(path)
-    assert str(caught.value).startswith(str(path))
-    assert len(str(caught.value).splitlines()) == 1

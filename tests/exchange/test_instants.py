@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sphrom.errors import ArtifactError, CaseError
+from sphrom.errors import CaseError
 from sphrom.exchange import instants
 from sphrom.exchange.foreign_files import Source
 from sphrom.exchange.import_options import ImportOptions
@@ -60,13 +60,6 @@ def test_times_are_counted_from_the_start_in_the_unit_of_the_files(hold, options
     found = find_sources(files, ImportOptions(**options))
     assert [str(source.path) for source in found] == [name for name, _ in expected]
     assert [source.time for source in found] == pytest.approx([time for _, time in expected])
-
-
-def test_files_that_begin_later_than_the_case_say_how_to_begin_with_them(hold) -> None:
-    with pytest.raises(CaseError, match=r"--start 5\.0 makes it begin with them"):
-        find_sources(hold({"a": 5.0, "b": 6.0}), ImportOptions())
-    with pytest.raises(ArtifactError, match="is of the same time"):
-        find_sources(hold({"a": 5.0, "b": 5.0}), ImportOptions())
 
 
 def test_the_nearest_snapshots_are_taken_or_four_around_an_instant() -> None:

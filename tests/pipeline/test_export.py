@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
-import os
-import shutil
-import subprocess
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -49,21 +45,6 @@ def listed(path) -> dict[float, str]:
     """Return the files that a .pvd file lists, by time."""
     entries = ElementTree.parse(path).getroot().iter("DataSet")
     return {float(entry.attrib["timestep"]): entry.attrib["file"] for entry in entries}
-
-
-def test_every_artifact_of_a_case_with_fields_opens_as_it_is(place, made_by) -> None:
-    hdf = pytest.importorskip("vtkmodules.vtkIOHDF", reason="VTK is not installed")
-    for name, (schema, _) in made_by.items():
-        if schema in ("spline", "comparison"):
-            continue
-        with h5py.File(place / name) as file:
-            has_points = "position" if "position" in file else "reference_position"
-            stored = file[has_points][...]
-        reader = hdf.vtkHDFReader()
-        reader.SetFileName(str(place / name))
-        reader.Update()
-        points = arrays_of(reader.GetOutputDataObject(0))["points"]
-        np.testing.assert_array_equal(points, flat(stored[0] if stored.ndim == 3 else stored))
 
 
 def test_vtu_files_hold_the_same_numbers_and_their_times(place, sphrom) -> None:
@@ -130,53 +111,6 @@ def test_fields_that_can_not_be_rebuilt_are_told_with_what_does(fast, sphrom) ->
     refused = sphrom("export", "tiny.yaml", "--set", FAST, "--only", "fast")
     assert refused.exit_code == 3
     assert "pod.h5 is missing; make it with `sphrom pod CASE`" in refused.stderr
-
-
-LOOK = """
-import json, sys
-from paraview.simple import OpenDataFile, servermanager
-found = {}
-for path in sys.argv[1:]:
-    reader = OpenDataFile(path)
-    times = list(reader.TimestepValues)
-    reader.UpdatePipeline(times[-1])
-    data = servermanager.Fetch(reader)
-    data = data.GetBlock(0) if data.IsA("vtkMultiBlockDataSet") else data
-    fields = data.GetPointData()
-    found[path] = times, data.GetNumberOfPoints(), {
-        fields.GetArrayName(i): list(fields.GetArray(i).GetTuple(3))
-        for i in range(fields.GetNumberOfArrays())
-    }
-print(json.dumps(found))
-"""
-
-
-@pytest.mark.slow
-def test_paraview_opens_what_is_exported(fast, sphrom) -> None:
-    pvpython = shutil.which("pvpython")
-    if pvpython is None:
-        pytest.skip("pvpython is not installed: nobody looked whether ParaView opens exports")
-    assert sphrom("export", "tiny.yaml", "--set", FAST).exit_code == 0
-    Path("look.py").write_text(LOOK)
-    runs = [
-        fast.parent / "export" / f"{name}-reynolds150.pvd" for name in ("fom", "map", "rom-fast")
-    ]
-    environment = {name: text for name, text in os.environ.items() if name != "PYTHONPATH"}
-    result = subprocess.run(
-        [pvpython, "--force-offscreen-rendering", "look.py", *map(str, runs)],
-        env=environment, capture_output=True, text=True, check=True, timeout=120,
-    )  # fmt: skip
-    found = json.loads(result.stdout.splitlines()[-1])
-    with h5py.File(fast.parent / "fom-reynolds150.h5") as file:
-        times = file["time"][...]
-        velocity, pressure = file["velocity"][-1, 3], file["pressure"][-1, 3]
-    for path in map(str, runs):
-        assert found[path][0] == list(times)
-        assert found[path][1] == 16 * 16
-    seen = found[str(runs[0])][2]
-    assert seen["velocity"] == [*velocity, 0.0]
-    assert seen["pressure"] == [pressure]
-    assert set(found[str(runs[2])][2]) == {"velocity", "pressure", "density_fluctuation"}
 
 
 @pytest.mark.parametrize(

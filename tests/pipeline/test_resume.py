@@ -151,13 +151,6 @@ def test_what_a_killed_process_was_writing_is_removed(place, digests, stop_at) -
     assert digests(place) == before
 
 
-def test_nothing_to_resume_is_no_fault(place, digests) -> None:
-    before = digests(place)
-    (place / FULL).unlink()
-    assert sphrom("run", *TINY, "--resume").exit_code == 0
-    assert digests(place) == before
-
-
 def test_run_passes_resume_on(empty, digests, finished, stop_at) -> None:
     """To whatever was running: here it is stopped in the first full run, and in the second."""
     for step in (9, 3):
@@ -196,21 +189,6 @@ def test_damaged_checkpoints_are_never_gone_on_from(
     assert "warning: " in anew.stderr
     assert digests(place) == before
     assert leftovers(place) == []
-
-
-def test_snapshots_in_another_order_are_not_the_checkpoint_s_own(place, stop_at, killed) -> None:
-    """Each part is whole and of this run; only its number tells its place."""
-    (place / FULL).unlink()
-    stop_at(8)
-    again("full", "--checkpoint-every", 0)
-    parts = sorted(place.glob(f"{FULL}.part-*"))
-    assert len(parts) > 2
-    first, second, *_ = (part.read_bytes() for part in parts)
-    parts[0].write_bytes(second)
-    parts[1].write_bytes(first)
-    refused = again("full", "--resume")
-    assert refused.exit_code == 3
-    assert ".part-1 is another part; `--force`" in refused.stderr
 
 
 def test_a_checkpoint_of_another_case(place, stop_at) -> None:
@@ -255,13 +233,6 @@ def test_a_checkpoint_of_another_version_or_processor(
     assert f"{FULL}: goes on from its checkpoint at step 4 of" in insisted.stdout
     assert f"computed with {name} other there" in insisted.stderr
     assert digests(place) == before
-
-
-def test_insisting_keeps_what_is_valid(place, stopped_elsewhere) -> None:
-    stopped_elsewhere("numpy")
-    kept = (place / "fom-reynolds200.h5").stat().st_ino
-    assert sphrom("fom", *TINY, "--resume", "--force").exit_code == 0
-    assert (place / "fom-reynolds200.h5").stat().st_ino == kept
 
 
 def test_runs_that_nobody_can_insist_on_start_anew(place, digests, stopped_elsewhere) -> None:

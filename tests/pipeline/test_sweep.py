@@ -321,7 +321,6 @@ def test_reduced_runs_on_particles(sphrom, sweep, ready, digests):
     [
         ((), 2, "sweep.reynolds: there are no values to run at"),
         (("--set", VALUES, "--force", "--shard", "1/2"), 2, "to start shards anew, remove"),
-        (("--set", VALUES, "--force", "--collect"), 2, "are not for one another"),
         (("--set", VALUES, "--shard", "1/2", "--collect"), 2, "are not for one another"),
         (("--set", VALUES, "--scheduler", "tcp://127.0.0.1:1"), 2, "--workers: is not for"),
         (("--set", VALUES, "--set", "sweep.model=slo"), 2, "did you mean slow?"),
@@ -357,81 +356,15 @@ def test_a_task_that_kills_its_processes_is_given_up(tmp_path):
         assert (lost, failure.exit_code == 5) == (reynolds < 3.0, reynolds < 3.0)
 
 
-class Outside:
-    """A sweep of full runs in a process of its own, in some more of which the runs are made."""
-
-    def __init__(self, folder: Path, text: str) -> None:
-        (folder / "tiny.yaml").write_text(text)
-        self.out = folder / "runs" / "tiny"
-        self._command = (
-            sys.executable, "-m", "sphrom", "sweep", "tiny.yaml", "--workers", "2", "--set",
-            "sweep.reynolds={low: 100, high: 200, count: 12}",
-        )  # fmt: skip
-        self._options = {"cwd": folder, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-        self.process = subprocess.Popen(self._command, text=True, **self._options)
-
-    def wait_for_parts(self, number: int) -> list[Path]:
-        deadline = time.monotonic() + 120.0
-        while len(found := list((self.out / "sweep-full").glob("part-*.h5"))) < number:
-            assert self.process.poll() is None, self.process.communicate(timeout=30)
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
-        return found
-
-    def children(self) -> list[Path]:
-        path = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
-        known = [Path(f"/proc/{pid}") for pid in path.read_text().split()]
-        return [folder for folder in known if b"spawn_main" in (folder / "cmdline").read_bytes()]
-
-    def states(self) -> list[str]:
-        return [row["status"] for row in rows_of(self.out / "sweep-full.csv")]
-
-    def finish(self) -> None:
-        again = subprocess.run(self._command, text=True, timeout=120, **self._options)
-        assert again.returncode == 0, again.stderr
-
-
-@pytest.fixture
-def outside(tmp_path, case_text):
-    started = Outside(tmp_path, case_text(rom=[], time__final_time=0.4))
-    yield started
-    if started.process.poll() is None:
-        started.process.kill()
-    started.process.communicate(timeout=30)
-
-
-def gone(processes: list[Path]) -> bool:
-    """Whether processes end within some seconds."""
-    deadline = time.monotonic() + 15.0
-    while time.monotonic() < deadline:
-        if not any(map(_runs, processes)):
-            return True
-        time.sleep(0.05)
-    return False
-
-
-def _runs(process: Path) -> bool:
+def runs(process: Path) -> bool:
     try:
         return (process / "stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except (FileNotFoundError, ProcessLookupError):
         return False
 
 
-linux = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks into /proc")
-
-
 @pytest.mark.slow
-@linux
-def test_a_killed_worker_loses_nothing(outside):
-    outside.wait_for_parts(1)
-    os.kill(int(outside.children()[0].name), signal.SIGKILL)
-    _, stderr = outside.process.communicate(timeout=120)
-    assert outside.process.returncode == 0, stderr
-    assert outside.states() == ["complete"] * 12
-
-
-@pytest.mark.slow
-@linux
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks into /proc")
 @pytest.mark.parametrize(
     ("number", "code", "words"),
     [
@@ -440,21 +373,37 @@ def test_a_killed_worker_loses_nothing(outside):
         (signal.SIGKILL, -9, None),
     ],
 )
-def test_a_sweep_that_is_ended_goes_on_where_it_was(outside, number, code, words):
-    parts, workers = outside.wait_for_parts(2), outside.children()
-    outside.process.send_signal(number)
-    _, stderr = outside.process.communicate(timeout=60)
-    assert outside.process.returncode == code
-    assert gone(workers)
+def test_a_sweep_that_is_ended_goes_on_where_it_was(empty, case_text, sphrom, number, code, words):
+    Path("tiny.yaml").write_text(case_text(rom=[], time__final_time=0.4))
+    values = "sweep.reynolds={low: 100, high: 200, count: 12}"
+    command = ("sweep", "tiny.yaml", "--workers", "2", "--set", values)
+    with subprocess.Popen(
+        [sys.executable, "-m", "sphrom", *command],
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+    ) as process:  # fmt: skip
+        deadline = time.monotonic() + 120.0
+        while len(parts := list((empty / "sweep-full").glob("part-*.h5"))) < 2:
+            assert process.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+        process.send_signal(number)
+        _, stderr = process.communicate(timeout=60)
+    assert process.returncode == code
+    deadline = time.monotonic() + 15.0
+    while any(runs(Path("/proc", child)) for child in children):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
     if code > 0:
         assert stderr == words
-        assert not list(outside.out.glob("**/.*.tmp"))
-    kept = {path: path.stat().st_mtime_ns for path in outside.out.glob("fom-*.h5")}
+        assert not list(empty.glob("**/.*.tmp"))
+    kept = {path: path.stat().st_mtime_ns for path in empty.glob("fom-*.h5")}
     assert len(kept) >= len(parts)
-    outside.finish()
-    assert outside.states() == ["complete"] * 12
+    again = sphrom(*command)
+    assert again.exit_code == 0, again.output
+    assert [row["status"] for row in rows_of(empty / "sweep-full.csv")] == ["complete"] * 12
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
-    assert not (outside.out / "sweep-full").exists()
+    assert not (empty / "sweep-full").exists()
 
 
 STARTED = {

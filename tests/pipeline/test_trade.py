@@ -80,14 +80,7 @@ def test_models_are_weighed(weigh, place):
     stored = json.loads((place / "trade" / "trade.json").read_text())
     assert [row["model"] for row in stored["models"]] == [row["model"] for row in rows]
     # In so short a run few modes are no better than a flow that doesn't change.
-    nothing = {row["name"]: row for row in stored["doing_nothing"]}
-    assert len(nothing) == 3
-    judged = ("velocity_field_relative_l2", "pressure_field_relative_l2")
-    for row in stored["models"][1:]:
-        better = [n for n, other in nothing.items() if all(other[f] <= row[f] for f in judged)]
-        assert (row["beaten_by"] in nothing) == bool(better)
-        if row["online_seconds"] >= stored["models"][0]["online_seconds"]:
-            assert row["beaten_by"] is not None
+    assert len(stored["doing_nothing"]) == 3
     free = [row for row in stored["models"][1:] if row["beaten_by"] is None]
     cheapest = min(free, key=lambda row: row["online_seconds"])
     assert stored["recommendation"][0]["model"] == cheapest["model"]
@@ -230,12 +223,3 @@ def test_operators_of_the_case_serve_where_they_are_enough(sphrom, weigh, place)
     weigh((*few, "trade.n_modes=null"))
     assert {row["n_modes"] for row in rows_of(place)[1:]} == {"2", "3"}
     assert (place / "trade" / "operators.h5").exists()
-
-
-def test_no_model_is_within_a_tolerance_at_one_value(weigh, place):
-    few = ("trade.full_runs=false",)
-    words = weigh(few, "--only", "reynolds=150", "--tolerance", "1e-5%")
-    assert {row["parameters"] for row in rows_of(place, "runs")} == {"reynolds=150"}
-    assert "there is no model but the case's own full run" in words
-    stored = json.loads((place / "trade" / "trade.json").read_text())
-    assert stored["recommendation"][0]["model"] is None

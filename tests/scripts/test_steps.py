@@ -52,14 +52,3 @@ def test_differences_vanish_with_the_step_of_the_stored_run(stored, capsys, monk
     shorter = differences("--step", "1e-3", "--until", "0.16")
     assert set(same.values()) == {0.0}
     assert all(0.0 < value < 5.0 for value in shorter.values())
-
-
-@pytest.mark.parametrize(
-    ("reynolds", "options", "told"),
-    [("100", ("--step", "0.1"), "0.02 s, the time between snapshots"),
-     ("100", ("--step", "5e-3", "--until", "3"), "within what is recorded"),
-     ("70", ("--step", "5e-3"), "reynolds=50, reynolds=100")],
-)  # fmt: skip
-def test_what_does_not_fit_is_refused(stored, capsys, monkeypatch, reynolds, options, told):
-    assert _run(stored, monkeypatch, "--reynolds", reynolds, *options) == 2
-    assert told in capsys.readouterr().err

@@ -1,8 +1,6 @@
 from __future__ import annotations
 
-import math
 from dataclasses import replace
-from typing import Any
 
 import pytest
 
@@ -26,21 +24,6 @@ from sphrom.trade.extremes import (
 MODELS = [ReducedModelSection(name="one", evaluation="operators", n_modes=3)]
 
 
-def row(**changes: Any) -> ExtremeRow:
-    keys: dict[str, Any] = {
-        "parameters": "a",
-        "varied": "time step",
-        "value": 1.0,
-        "n_modes": 2,
-        "projection": "galerkin",
-        "calibrated": False,
-        "state": "stable",
-        "velocity_error": math.pi,
-        "compared_with": "full run",
-    }
-    return ExtremeRow(**keys | changes)
-
-
 @pytest.mark.parametrize(
     ("error", "growth", "state"),
     [
@@ -55,10 +38,25 @@ def test_states(error, growth, state):
 
 
 def test_a_map_has_a_marker_for_each_run(tmp_path):
-    states = [(2, 0.5, "stable"), (2, 2.0, "unstable"), (5, 0.5, "inaccurate")]
-    rows = [row(n_modes=n, value=value, state=state) for n, value, state in states]
-    lost = [row(varied="h/dx", state="full unstable"), row(varied="h/dx", state="refused")]
-    figure = draw_extremes([*rows, *lost])
+    rows = [
+        ExtremeRow(
+            parameters="a",
+            varied=varied,
+            value=value,
+            n_modes=n_modes,
+            projection="galerkin",
+            calibrated=False,
+            state=state,
+        )
+        for varied, value, n_modes, state in [
+            ("time step", 0.5, 2, "stable"),
+            ("time step", 2.0, 2, "unstable"),
+            ("time step", 0.5, 5, "inaccurate"),
+            ("h/dx", 1.0, 2, "full unstable"),
+            ("h/dx", 1.0, 2, "refused"),
+        ]
+    ]
+    figure = draw_extremes(rows)
     first, second, *_ = figure.axes
     drawn = {line.get_label(): line.get_xydata().tolist() for line in first.get_lines()}
     assert {name: places for name, places in drawn.items() if places} == {

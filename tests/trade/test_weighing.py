@@ -76,14 +76,6 @@ def advised(rows, without, *tolerance):
     return rows, *recommend(rows, without, Tolerance(*tolerance), MEASURE)
 
 
-def test_a_model_slower_than_the_full_run_is_not_recommended():
-    rows = [full(OWN, 10.0), model("on particles", 20.0, errors(0.1, 0.1))]
-    rows, advice, said = advised(rows, [], 1.0, 1.0)
-    assert rows[1].beaten_by == OWN
-    assert advice.model is None
-    assert f"better than {OWN}" in said
-
-
 def test_a_model_slower_and_worse_than_a_coarser_full_run_is_not_recommended():
     rows = [
         full(OWN, 10.0),
@@ -125,14 +117,6 @@ def test_a_model_pays_from_some_run_on():
     assert "pays from 50 runs on; for fewer take full, coarser" in said
     _, advice, _ = advised(rows, [], 0.6, 0.6)
     assert (advice.full_run, advice.pays_from_run) == (OWN, 11)
-
-
-def test_unknown_seconds_are_not_zero():
-    rows = [full(OWN, None), model("good", 0.5, errors(0.5, 0.5), offline=None)]
-    found, advice, said = advised(rows, [], 1.0, 1.0)
-    assert (found[1].beaten_by, found[1].speed_up) == (None, None)
-    assert (advice.model, advice.full_run, advice.pays_from_run) == ("good", None, None)
-    assert "full run is unknown" in said
 
 
 WEIGHED = [
