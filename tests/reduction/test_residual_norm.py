@@ -45,7 +45,7 @@ def test_fewer_modes_leave_out_more(settings, unprojected, name: str, kept: list
     fewer = replace(
         basis, density_modes=basis.density_modes[kept], velocity_modes=basis.velocity_modes[kept]
     )
-    state, amplitude = np.zeros(5), np.array([AROUND[0].amplitude])
+    state, amplitude = np.zeros(5), np.array([AROUND[0]["amplitude"]])
     state[kept] = settings[name].coordinates[kept]
     expected = unprojected(points, fewer, order=1).residual(state[kept], AROUND[0])
     found = residual_norm(factor, operators, np.array(kept), NU)(state[None, kept], amplitude)
