@@ -17,7 +17,6 @@ import os
 import subprocess
 import sys
 import time
-from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,6 +29,7 @@ from rich.table import Table
 from sphrom.case.loader import load_case
 from sphrom.case.models import Case
 from sphrom.case.sections import ReducedModelSection
+from sphrom.console import SilentReporter
 from sphrom.kernels.jit import set_threads
 from sphrom.online.fast_model import FastModel
 from sphrom.online.particle_runs import build_model, close
@@ -56,22 +56,6 @@ KEPT_EVERY = 4
 TRAIN = ("fom", "map", "pod", "fit-psi", "operators")
 
 Row = dict[str, Any]
-
-
-class Silent:
-    """A reporter that says nothing."""
-
-    def info(self, text: str) -> None:
-        """Do nothing."""
-
-    warn = info
-
-    def table(self, *_: object) -> None:
-        """Do nothing."""
-
-    def progress(self, *_: object) -> nullcontext[Any]:
-        """Count nothing."""
-        return nullcontext(lambda done: None)
 
 
 def sphrom(stage: str, case: Path, *options: str) -> float:
@@ -231,7 +215,7 @@ def show_all(console: Console, results: dict[str, Any]) -> None:
     })  # fmt: skip
     show(console, "whole `sphrom rom` command, training time", results["commands"], {
         "resolution": ("N^(1/2)", "d"), "n_modes": ("M", "d"),
-        "command_none": ("coordinates [s]", ".3g"), "command_probes": ("probes [s]", ".3g"),
+        "command_none": ("coordinates [s]", ".3g"),
         "command_snapshots": ("snapshots [s]", ".3g"),
     })  # fmt: skip
     show(console, "on moving particles", results["faithful"], {
@@ -289,7 +273,7 @@ def main() -> None:
     results["splines"] = arguments.splines
     results |= {kind: [] for kind in ("full", "fast", "commands", "faithful")}
     for resolution, path in paths.items():
-        context = StageContext(load_case(path), path.parent, False, threads, Silent())
+        context = StageContext(load_case(path), path.parent, False, threads, SilentReporter())
         workspace = Workspace(context)
         full = full_row(workspace, arguments.steps)
         results["full"].append(full)

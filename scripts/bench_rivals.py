@@ -32,7 +32,6 @@ from typing import Any
 import numpy as np
 import yaml
 from bench_full import machine
-from bench_reduced import Silent
 from rich.console import Console
 from rich.table import Table
 
@@ -41,6 +40,7 @@ from sphrom.case.loader import load_case
 from sphrom.case.plan import lengthened
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ALL, AUTO, ReducedModelSection
+from sphrom.console import SilentReporter
 from sphrom.kernels.jit import set_threads
 from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.reduction.correction import spline_weights
@@ -144,7 +144,7 @@ class Study:
         for stage in STAGES:
             sphrom(stage, self.path, self.folder)
         self.case = load_case(self.path)
-        context = StageContext(self.case, self.folder, False, 1, Silent())
+        context = StageContext(self.case, self.folder, False, 1, SilentReporter())
         self.workspace = Workspace(context)
         self.basis = read_basis(self.workspace, ALL)
         self.points = read_points(self.workspace)
@@ -229,9 +229,9 @@ def ours(study: Study, n_modes: int | str, **keys: Any) -> Prediction:
         reduced = fast.at(point)
         runs, taken = fast.at_point(point).integrator(reduced).timed(5)
         seconds.append(taken)
-        known = FastRun(fast, point, reduced, runs).estimate
+        known = FastRun(**vars(runs), model=fast, point=point, reduced=reduced).estimate
         if known is not None:
-            estimates.append((float(known.percent[0]), float(known.percent[1])))
+            estimates.append((known.velocity_percent, known.pressure_percent))
         if point == study.inside:
             later = replace(reduced.output_times, n_snapshots=study.longer.n_snapshots)
             longer = fast.run(point, replace(reduced, output_times=later))

@@ -135,7 +135,7 @@ class Bench:
             model = fast_model(self.case, self.case.training.model)
             assert model is not None
             stage = StageModel(self.context, model, points, scratch)
-            found = [stage.compared(p).error[VELOCITY] for p in self.dense if p not in key]
+            found = [stage.compared(p)[0][VELOCITY] for p in self.dense if p not in key]
             self._known[key] = np.array(found)
         return self._known[key]
 

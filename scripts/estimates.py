@@ -19,10 +19,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from sphrom.case.loader import load_case
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
+from sphrom.console import SilentReporter
 from sphrom.metrics.histories import effectivity
 from sphrom.online.fast_model import FastModel
 from sphrom.reduction.error_calibration import LEFT_OUT
@@ -36,13 +39,6 @@ FIELDS = ("velocity", "pressure")
 INSIDE_FACTOR = 2.0
 OUTSIDE_FACTORS = (0.5, 4.0)
 """What an estimate over the error is to be within, inside and outside of training."""
-
-
-class Quiet:
-    """A reporter that keeps everything to itself."""
-
-    def __getattr__(self, name: str) -> Any:
-        return lambda *arguments: None
 
 
 def sphrom(command: str, case: Path, out: Path, settings: dict[str, object]) -> Case:
@@ -64,8 +60,8 @@ def compared(out: Path) -> list[Row]:
 
 def beyond(case: Case, out: Path, long: Case, long_out: Path) -> list[Row]:
     """Run models beyond the trained time, and compare estimates with errors."""
-    workspace = Workspace(StageContext(case, out, False, 1, Quiet()))
-    truth = Workspace(StageContext(long, long_out, False, 1, Quiet()))
+    workspace = Workspace(StageContext(case, out, False, 1, SilentReporter()))
+    truth = Workspace(StageContext(long, long_out, False, 1, SilentReporter()))
     plan = replace(case.plan.steps, n_steps=long.plan.steps.n_steps)
     return [
         {"compared": model.name, "parameters": point.label, "role": "beyond", **figures}
@@ -91,7 +87,8 @@ def run_beyond(
     run = fast.run(point, replace(reduced, output_times=longer))
     if run.estimate is None:
         return None
-    estimates, samples = run.estimate.velocity_and_pressure, run.sampled(probes)
+    estimates = np.stack((run.estimate.velocity, run.estimate.pressure), axis=1)
+    samples = run.sampled(probes.all)
     with truth.open(truth.full_run(point)) as trajectory:
         full = sample_run(case, trajectory, probes.all)
     trained_until = workspace.case.plan.steps.end_time

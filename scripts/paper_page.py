@@ -295,10 +295,10 @@ def _phase(result: Result, claim: Mapping[str, Any], run: str | None) -> str:
 def _signals(result: Result, claim: Mapping[str, Any], run: str | None) -> Any:
     """Return time and v at the station of the full run, then of a reduced one; None without."""
     (point,) = _points(claim)
-    found = [result.comparison.station(name, point) for name in (None, run)]
-    if any(samples is None or not len(samples.time) for samples in found):
+    found = [result.comparison.samples("stations", name, point) for name in (None, run)]
+    if any(each is None or not len(each[1].time) for each in found):
         return None
-    return [(samples.time, samples.velocity[:, 0, 1]) for samples in found if samples]
+    return [(each[1].time, each[1].velocity[:, 0, 1]) for each in found if each]
 
 
 def _reference(result: Result, claim: Mapping[str, Any], run: str | None) -> str:

@@ -456,11 +456,10 @@ class MadeUp:
         }
         self._mass = case.fluid.reference_density * case.plan.particle_spacing**2
 
-    def dataset(self, name: str) -> np.ndarray:
-        return self._data[name]
-
     def read(self, name: str) -> np.ndarray:
         return self._data[name]
+
+    dataset = read
 
     def number(self, name: str) -> float:
         assert name == "mass"

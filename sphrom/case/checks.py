@@ -10,8 +10,8 @@ from collections.abc import Callable, Collection, Iterable, Iterator
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.case.fields import only_one
 from sphrom.case.models import Case
 from sphrom.case.plan import MAX_STEPS, WHOLE_STEPS_TOLERANCE
@@ -33,7 +33,6 @@ from sphrom.kernels import SUPPORT_RATIO
 from sphrom.sph.fluid import ROUNDING
 from sphrom.text import exact, nearest, repeated
 
-Array = NDArray[np.float64]
 Found = Iterator[tuple[str, str]]
 
 WITHIN_WALL = 0.1

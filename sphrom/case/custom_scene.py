@@ -14,10 +14,10 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from pydantic import Field, PrivateAttr, ValidationInfo, model_validator
 from shapely.geometry.base import BaseGeometry
 
+from sphrom.arrays import Array
 from sphrom.case.fields import Coordinate, Place, Positive, SafeName, Section, key
 from sphrom.case.initial_file import read_start, start_fields
 from sphrom.case.scene_section import Defaults, Measures, SceneSection, measures
@@ -29,8 +29,6 @@ from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import SIDES, Domain
 from sphrom.sph.fluid import NONE
 from sphrom.text import shortened
-
-Array = NDArray[np.float64]
 
 N_SAMPLES = 200
 """Points along each edge of the box, or along a wall, at which expressions are looked at."""

@@ -7,16 +7,15 @@ from collections.abc import Collection, Iterator, Mapping
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, model_validator
 
+from sphrom.arrays import Array
 from sphrom.case.fields import Place, SafeName, Section, Whole, key, only_one
 from sphrom.scenes.flows import Channel, Scales, Scene
 from sphrom.scenes.reference_profiles import ReferenceProfile
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import NONE
 
-Array = NDArray[np.float64]
 Defaults = Mapping[str, Any]
 
 

@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.case.custom_scene import CustomScene
 from sphrom.case.fields import Duration, Number, Positive, Section, key
 from sphrom.case.scene_section import Defaults, Measures, SceneSection, measures
@@ -27,8 +28,6 @@ from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import NONE
 from sphrom.text import exact
-
-Array = NDArray[np.float64]
 
 PROBE_SHARE = 0.625
 """Where in the open cavity's channel profiles are taken: at 0.25 m of the paper's 0.4 m."""

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.case.points import REYNOLDS, ParameterPoint, TrainValues
 from sphrom.case.sections import LOCAL, ReducedModelSection
@@ -19,7 +19,6 @@ from sphrom.errors import CaseError
 from sphrom.reduction.greedy import MOST_CORNERED, candidate_places, first_corners
 from sphrom.text import quoted
 
-Array = NDArray[np.float64]
 Ranges = dict[str, tuple[float, float]]
 Row = tuple[tuple[ReducedModelSection | None, ...], tuple[ParameterPoint, ...]]
 """The models of a row of panels, None for the full one, and the points at which all are run."""

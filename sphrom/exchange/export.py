@@ -21,6 +21,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts.layout import Shape
 from sphrom.artifacts.paraview import View, views
 from sphrom.case.points import ParameterPoint
@@ -35,8 +36,6 @@ from sphrom.store.reduced_models import read_points
 from sphrom.store.sampling import probes_of
 from sphrom.store.workspace import Target, Workspace, make_folder
 from sphrom.whole_files import replacement
-
-Array = NDArray[np.float64]
 
 FOLDER = "export"
 """Where files go unless another folder is named, beside the artifacts."""
@@ -69,7 +68,10 @@ class Source:
 
 
 def run(
-    context: StageContext, to: str = FIELDS, into: Path | None = None, at: Sequence[str] = ()
+    context: StageContext,
+    to: str = FIELDS,
+    into: Path | None = None,
+    at: Sequence[str] | None = None,
 ) -> None:
     """Export every artifact of a case that is there and holds fields.
 
@@ -88,7 +90,7 @@ def run(
         raise CaseError(f"--at: goes with --to {PROBES}")
     workspace, folder = Workspace(context), into or context.out / FOLDER
     if to == PROBES:
-        n_written = _write_tables(workspace, folder, at)
+        n_written = _write_tables(workspace, folder, at or ())
     else:
         n_written = _write_all(workspace, folder)
     if n_written == 0:

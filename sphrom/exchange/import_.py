@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.case.loader import given_keys, load_case
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
@@ -41,8 +42,6 @@ from sphrom.sph.fluid import fluctuation_of
 from sphrom.sph.time_loop import DENSITY_LIMIT, Snapshot
 from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Target, Workspace
-
-Array = NDArray[np.float64]
 
 STAGE = "import"
 """The stage of an imported run in its artifact."""

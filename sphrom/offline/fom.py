@@ -6,9 +6,6 @@ artifact of its own, from which the recorded part can be run again.
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from sphrom.artifacts import write_record
 from sphrom.artifacts.records.runs import Packing, Start
 from sphrom.case.points import ParameterPoint
@@ -24,8 +21,6 @@ from sphrom.store.starts import scene_start, start
 from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Target, Workspace
 
-Array = NDArray[np.float64]
-
 
 def run(context: StageContext) -> None:
     """Run the full model at the chosen parameter points.
@@ -38,7 +33,7 @@ def run(context: StageContext) -> None:
     ensure_packed(workspace)
     for point in context.chosen(context.case.plan.points):
         target = ensure_run(workspace, point)
-        remove_checkpoints(workspace, target)
+        remove_checkpoints(target)
         with workspace.open(target) as trajectory:
             if trajectory.text("status") != "complete":
                 raise UnstableError(f"{point.label}: {trajectory.text('status_detail')}")
@@ -81,7 +76,7 @@ def _ensure_spun_up(workspace: Workspace, point: ParameterPoint) -> None:
         workspace.context.report.info(f"{target.path.name}: there, and of this case: kept")
     elif workspace.must_make(target):
         _spin_up(workspace, point)
-    remove_checkpoints(workspace, target)
+    remove_checkpoints(target)
 
 
 def _pack(workspace: Workspace) -> None:

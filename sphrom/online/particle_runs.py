@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
@@ -24,8 +24,6 @@ from sphrom.store.reduced_models import read_modes, read_points
 from sphrom.store.starts import start
 from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Workspace
-
-Array = NDArray[np.float64]
 
 
 def build_model(

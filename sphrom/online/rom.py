@@ -30,7 +30,7 @@ def run(context: StageContext) -> None:
         context.report.info("no reduced model to run")
     for model, point in runs:
         target = ensure_run(workspace, model, point)
-        remove_checkpoints(workspace, target)
+        remove_checkpoints(target)
         with workspace.open(target) as trajectory:
             if trajectory.text("status") != "complete":
                 detail = trajectory.text("status_detail")

@@ -19,10 +19,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.sph.box_domain import BoxDomain, Rectangle
 from sphrom.sph.domain import Domain
 
-Array = NDArray[np.float64]
 VectorField = Callable[[Array], Array]
 """From positions (n_points, 2) [m], vectors (n_points, 2)."""
 Amplitude = Callable[[float], float]

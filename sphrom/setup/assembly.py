@@ -10,8 +10,8 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.scene_section import MeasureSection
@@ -23,8 +23,6 @@ from sphrom.reduction.reduced_rates import memory_length
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis
 from sphrom.sph.fluid import fluctuation_of
 from sphrom.sph.time_loop import TimeSteps
-
-Array = NDArray[np.float64]
 
 
 def initial_fields(case: Case, point: ParameterPoint, position: Array) -> tuple[Array, Array]:

@@ -13,11 +13,8 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
+from sphrom.arrays import Array, Indices, Mask
 from sphrom.sph.domain import ROUNDING, SIDES, Domain, Walls, WallSearch
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 WHOLE_TOLERANCE = 1e-6
 """How far a wall may be from the lattice, over the particle spacing."""

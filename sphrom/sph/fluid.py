@@ -11,12 +11,8 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Generic, Literal, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-
+from sphrom.arrays import Array
 from sphrom.kernels import SUPPORT_RATIO
-
-Array = NDArray[np.float64]
 
 T = TypeVar("T")
 Factors = Mapping[str, float]

@@ -11,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array, Indices
 from sphrom.kernels import advection, sweeps
 from sphrom.kernels.cells import Grid
 from sphrom.kernels.wendland import kernel
@@ -22,8 +22,6 @@ from sphrom.sph.neighbourhood import Neighbourhood
 from sphrom.sph.time_loop import Snapshot
 from sphrom.sph.walls import GhostParticles, WallTerms
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 BodyForce = Callable[[Array, float], Array]
 """The acceleration (2, n_particles) [m/s2] at positions (2, n_particles) [m] and a time [s]."""
 WallSpeed = Callable[[float], float]

@@ -11,15 +11,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array, Indices
 from sphrom.errors import UnstableError
 from sphrom.kernels.blocks import N_CHUNKS, longest_list, split_targets
 from sphrom.kernels.cells import Grid, sort_by_cell
 from sphrom.sph.domain import Domain, first_of
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 CELL_SIZE_RATIO = (0.5, 4.0)
 """Cell width and height over the particle spacing: the fastest of those tried."""

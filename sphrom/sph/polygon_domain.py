@@ -14,10 +14,10 @@ from functools import cached_property
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from shapely.affinity import translate
 from shapely.geometry.base import BaseGeometry
 
+from sphrom.arrays import Array, Indices, Mask
 from sphrom.kernels import segments as segment_sweeps
 from sphrom.kernels.cells import Grid
 from sphrom.sph.domain import ROUNDING, SIDES, Domain, Walls, WallSearch
@@ -30,10 +30,6 @@ from sphrom.sph.polygons import (
     periodic_shifts,
     require_few_crossings,
 )
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 PRECISION = 1e-10
 """To which corners are known, over the size of the box; finer differences are rounding."""

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.errors import UnstableError
 from sphrom.sph.domain import Domain, first_of
 
 if TYPE_CHECKING:
     from sphrom.sph.neighbourhood import Neighbourhood
 
-Array = NDArray[np.float64]
 Item = Mapping[str, NDArray[Any]]
 """One snapshot: what goes into each dataset of a trajectory."""
 

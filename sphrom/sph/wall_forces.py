@@ -14,15 +14,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.sph.domain import Domain
 
 if TYPE_CHECKING:
     from sphrom.sph.domain import Walls
     from sphrom.sph.functional import Functional
 
-Array = NDArray[np.float64]
 
 TORQUE = 2
 """The row of the torque, after the components of the force."""

@@ -14,17 +14,14 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array, Indices
 from sphrom.kernels import advection, ghost_fields, wall_sweeps
 from sphrom.kernels.cells import Grid
 from sphrom.kernels.sweeps import FluidConstants, RegularityConstants, X, gather
 from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fluid import Discretization, Fluid, fluctuation_of, volume_of
 from sphrom.sph.neighbourhood import MOVE_RATIO, Sources, sort_sources
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 CLOSEST, TOUCHING, FELT = 0.25, 0.5, 1.5
 """Distances from a wall over the spacing: nothing moves closer; the first layer's; the second's."""

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, ArtifactWriter
 from sphrom.case.models import Case
 from sphrom.errors import ArtifactError, UnstableError
@@ -21,7 +21,6 @@ if TYPE_CHECKING:  # it loads kernels, which take long, and reduced runs need no
     from sphrom.sph.domain import Walls
     from sphrom.sph.time_loop import Item, Snapshot
 
-Array = NDArray[np.float64]
 
 PARTS = ("pressure", "viscous")
 """Of a force."""
@@ -192,8 +191,6 @@ def require_complete(trajectory: Artifact) -> None:
 
 def snapshot_fields(trajectory: Artifact, snapshot: int) -> tuple[Array, Array, Array]:
     """Return position (N, 2), density fluctuation (N,) and velocity (N, 2) of one snapshot."""
-    return (
-        np.asarray(trajectory.dataset("position")[snapshot]),
-        np.asarray(trajectory.dataset("density_fluctuation")[snapshot]),
-        np.asarray(trajectory.dataset("velocity")[snapshot]),
-    )
+    names = ("position", "density_fluctuation", "velocity")
+    position, density, velocity = (np.asarray(trajectory.dataset(n)[snapshot]) for n in names)
+    return position, density, velocity

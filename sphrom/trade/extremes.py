@@ -320,7 +320,7 @@ def _velocity_error(run: FastRun, full: Samples | None) -> float | None:
     if full is None:
         return None
     probes = probes_of(case)
-    history = compare(run.sampled(probes), full, probes, case.compare.from_time)
+    history = compare(run.sampled(probes.all), full, probes, case.compare.from_time)
     name = f"velocity_{case.trade.probes}_relative_l2"
     return errors_of(history)[name] if len(history.time) else None
 

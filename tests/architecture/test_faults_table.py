@@ -28,7 +28,3 @@ def test_every_fault_has_a_test_that_is_there() -> None:
             path = ROOT / "tests" / file
             assert path.is_file(), f"{fault}: {file}"
             assert test in functions_of(path), f"{fault}: {file} has no {test}"
-
-
-def test_contributors_are_told_of_the_table() -> None:
-    assert "(tests/FAULTS.md)" in (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import subprocess
 import sys
 from pathlib import Path
@@ -35,26 +34,6 @@ def printed_by(code: str) -> list[str]:
 def test_the_command_line_starts_without_numerics(module: str) -> None:
     code = f"import {module}, sys; print(*[m for m in {HEAVY!r} if m in sys.modules])"
     assert printed_by(code) == []
-
-
-def test_kernels_know_no_other_package_of_the_project() -> None:
-    names = printed_by(
-        "import sphrom, sys; before = {*sys.modules}; import sphrom.kernels.sweeps; "
-        "print(*[m for m in sys.modules if 'sphrom' in m and m not in before])"
-    )
-    assert {name.split(".")[1] for name in names if "." in name} == {"kernels"}
-
-
-def test_kernels_are_compiled_in_one_place_only() -> None:
-    """Elsewhere the compiler gives its loops over threads a name, and nothing more."""
-    for source in (ROOT / "sphrom").rglob("*.py"):
-        if source.name == "jit.py":
-            continue
-        for node in ast.walk(ast.parse(source.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Import):
-                assert "numba" not in {alias.name.split(".")[0] for alias in node.names}, source
-            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("numba"):
-                assert {alias.name for alias in node.names} == {"prange"}, source
 
 
 def test_a_case_is_checked_without_kernels_and_files(tmp_path: Path) -> None:

@@ -240,24 +240,16 @@ def test_flow_along_a_ceiling_is_left_alone(
     assert np.array_equal(held(CAVITY, position, u, du), du)
 
 
-def test_pushes_fade_between_the_second_layer_and_the_first() -> None:
-    """Straight at a floor: all beyond 1.5 spacings, half at 1, none at 0.5."""
-    distance = np.array([2.0, 1.5, 1.0, 0.75, 0.5, 0.1])
-    position = np.stack((np.full(6, 6.0), distance))
-    pushed = np.tile([[0.3], [-0.8]], (1, 6))
-    after = held(BOX, position, np.zeros((2, 6)), pushed)
-    assert after[0] == pytest.approx(pushed[0])
-    assert after[1] == pytest.approx(-0.8 * np.array([1.0, 1.0, 0.5, 0.25, 0.0, 0.0]))
-
-
-def test_velocity_across_is_taken_back_from_the_first_layer_on() -> None:
-    """Straight at a floor: nothing at 0.5 spacings, half at 0.375, all of it at 0.25."""
-    distance = np.array([0.6, 0.5, 0.375, 0.25, 0.1])
-    position = np.stack((np.full(5, 6.0), distance))
-    velocity = np.tile([[0.4], [-1.0]], (1, 5))
-    after = held(BOX, position, velocity, np.zeros((2, 5)))
-    assert not after[0].any()
-    assert after[1] == pytest.approx([0.0, 0.0, 0.5, 1.0, 1.0])
+def test_pushes_and_velocities_across_fade_towards_a_floor() -> None:
+    """Pushes from 1.5 spacings to half of one; half as near, velocity is taken back too."""
+    distance = np.array([2.0, 1.5, 1.0, 0.75, 0.5, 0.375, 0.25, 0.1])
+    position, still = np.stack((np.full(8, 6.0), distance)), np.zeros((2, 8))
+    pushed = held(BOX, position, still, np.tile([[0.3], [-0.8]], (1, 8)))
+    assert pushed[0] == pytest.approx(0.3)
+    assert pushed[1] == pytest.approx(-0.8 * np.array([1.0, 1.0, 0.5, 0.25, 0.0, 0.0, 0.0, 0.0]))
+    carried = held(BOX, position, np.tile([[0.4], [-1.0]], (1, 8)), still)
+    assert not carried[0].any()
+    assert carried[1] == pytest.approx([0.0, 0.0, 0.0, 0.0, 0.0, 0.5, 1.0, 1.0])
 
 
 def test_what_has_left_is_not_touched() -> None:

@@ -137,26 +137,17 @@ def _loud(probes, sound, *, bias=0.0):
     return Samples(SNAPSHOTS, velocity.copy(), steady + sound * wave)
 
 
-def test_sound_is_no_error_of_the_pressure_without_sound(cavity):
-    run, full = _loud(cavity, 0.0), _loud(cavity, 0.3)
-    described = _row(compare(run, full, cavity, 0.0, PERIOD))
-    for place in ("line", "field"):
-        assert described[f"pressure_{place}_relative_l2"] > 5.0
-        for measure in ("relative_l2", "relative_l2_peak"):
-            quiet = described[f"pressure_{place}_without_sound_{measure}"]
-            assert quiet == pytest.approx(0.0, abs=1e-10)
-
-
-def test_the_flow_is_an_error_of_the_pressure_without_sound(cavity):
-    run, full = _loud(cavity, 0.0, bias=0.1), _loud(cavity, 0.3)
-    silent = compare(run, _loud(cavity, 0.0), cavity, 0.0)
-    quiet = compare(run, full, cavity, 0.0, PERIOD).without_sound
-    for measure in ("relative_l2", "eq41_by_line_range", "eq41_by_field_range"):
-        for found, expected in (
-            (quiet["pressure_line"], silent.places["pressure_line"]),
-            (quiet["pressure_field"], silent.places["pressure_field"]),
-        ):
-            np.testing.assert_allclose(getattr(found, measure), getattr(expected, measure)[0])
+@pytest.mark.parametrize("bias", [0.0, 0.1])
+def test_sound_is_no_error_of_the_pressure_without_sound_but_the_flow_is(cavity, bias):
+    run = _loud(cavity, 0.0, bias=bias)
+    silent = compare(run, _loud(cavity, 0.0), cavity, 0.0).places
+    loud = compare(run, _loud(cavity, 0.3), cavity, 0.0, PERIOD)
+    for place in ("pressure_line", "pressure_field"):
+        assert loud.places[place].relative_l2.max() > 5.0
+        for measure in ("relative_l2", "eq41_by_line_range", "eq41_by_field_range"):
+            found = getattr(loud.without_sound[place], measure)
+            expected = getattr(silent[place], measure)[0]
+            np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-10)
 
 
 def test_pressure_without_sounds_need_the_whole_window(cavity):

@@ -63,16 +63,6 @@ def test_a_bootstrap_that_draws_every_point_once_is_scipys_estimate():
     np.testing.assert_allclose(total[0], found.total, rtol=1e-12, atol=1e-14)
 
 
-def test_a_design_mixes_one_column_at_a_time():
-    unit = np.random.default_rng(0).random((4, 6))
-    first, second, mixed = parts_of(saltelli_design(unit), 3)
-    assert np.array_equal(np.hstack((first, second)), unit)
-    for column in range(3):
-        changed = (mixed[column] != first).any(axis=0)
-        assert changed.tolist() == [k == column for k in range(3)]
-        assert np.array_equal(mixed[column][:, column], second[:, column])
-
-
 def test_what_does_not_vary_has_no_indices():
     x = design(64, 2)
     found = sobol_indices(np.stack((np.full(len(x), 1e9), x[:, 0]), axis=1), 2)

@@ -96,20 +96,6 @@ def test_a_closed_box_has_its_mean_density_apart(closed: Made) -> None:
     )
 
 
-def test_the_raw_product_has_it_apart_where_asked(make: Callable) -> None:
-    workspace, _ = make(
-        "lid-driven-cavity",
-        16,
-        time={"final_time": 0.05},
-        basis={"inner_product": "raw", "mean_density": "separate", "lagrangian": True},
-    )
-    basis = read_basis(workspace, "all")
-    assert basis.separate_mean
-    assert basis.inner_product.density_offset == 0.0
-    modes = basis.density_modes
-    assert np.abs(weighted_mean(modes, basis.weights)).max() < 1e-12 * np.abs(modes).max()
-
-
 def test_an_open_channel_keeps_a_mean_density_that_may_change(make: Callable) -> None:
     workspace, _ = make(
         "open-cavity",

@@ -11,7 +11,7 @@ import pytest
 from sphrom.case.loader import load_case
 from sphrom.errors import ResourceError
 from sphrom.setup import cost
-from sphrom.setup.cost import BASELINE, needs, require_room
+from sphrom.setup.cost import needs, require_room
 
 
 @pytest.fixture
@@ -50,29 +50,6 @@ def test_what_is_written_is_estimated_well(finished, stage):
     needed = needs(case)[stage].disk
     assert sum(max(0, size) for size in sizes) < 1.2 * needed + 20_000
     assert needed < sum(sizes) + 30_000 * len(sizes)
-
-
-@pytest.mark.parametrize(
-    ("stage", "change"),
-    [
-        ("fom", "discretization.resolution=32"),
-        ("pod", "snapshots.every=1"),
-    ],
-)
-def test_memory_grows_with_what_a_stage_holds(case, stage, change):
-    assert needs(case(change))[stage].ram > needs(case())[stage].ram
-    assert needs(case())[stage].ram > BASELINE
-
-
-def test_the_decomposition_takes_what_it_may(case, limits):
-    large = case("discretization.resolution=400")
-    n_snapshots = 2 * large.plan.steps.n_snapshots
-    whole = 3 * 8 * n_snapshots**2 + 5 * 3 * 8 * n_snapshots * 400**2
-    limits(memory=10**12)
-    unlimited = needs(large)["pod"].ram
-    limits(memory=10**9)
-    limited = needs(large)["pod"].ram
-    assert unlimited - limited == pytest.approx(whole - 4 * 10**8)
 
 
 def test_without_reduced_models_nothing_is_paid_for_them(case):

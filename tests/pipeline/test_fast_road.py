@@ -19,9 +19,8 @@ from sphrom.case.points import ParameterPoint
 from sphrom.online.stored_run import StoredRun
 from sphrom.reduction.memory_operators import project_memory
 from sphrom.reduction.reduced_operators import MemoryOperators
-from sphrom.setup import cost, particles
-from sphrom.sph.fluid import pressure_of
-from sphrom.store.reduced_models import read_basis, read_operators, read_points, read_splines
+from sphrom.setup import particles
+from sphrom.store.reduced_models import read_basis, read_points, read_splines
 
 FAST: dict[str, Any] = {
     "evaluation": "operators",
@@ -106,16 +105,8 @@ def test_a_run_from_operators_loads_no_kernel_of_sph(made):
     place = ("--out", out, "--force", "--quiet", "--set", f"rom={json.dumps(LID['rom'][:1])}")
     command = [sys.executable, "-c", LOADED, "rom", out.parents[1] / "lid.yaml", *place]
     result = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
-    loaded = set(result.stdout.split())
-    kernels = {name.partition("kernels.")[2] for name in loaded if "sphrom.kernels." in name}
-    assert kernels == {"code_cache", "jit", "polynomial", "exponential"}
-    late = {"scipy.optimize", "scipy.interpolate", "scipy.sparse", "scipy.spatial", "matplotlib"}
-    assert not late & loaded
-
-
-def timings(folder: Path) -> list[dict[str, str]]:
-    with (folder / "tables" / "timings.csv").open(newline="") as file:
-        return list(csv.DictReader(file))
+    late = {"sphrom.kernels.sweeps", "scipy.optimize", "scipy.sparse", "matplotlib"}
+    assert not late & set(result.stdout.split())
 
 
 @pytest.mark.parametrize("case", [VORTEX, LID, OPEN], ids=lambda case: case["name"])
@@ -124,23 +115,19 @@ def test_operators_hold_what_the_scene_has(made, case):
     n = max(model["n_modes"] for model in case["rom"])
     with open_artifact(out / "operators.h5", "sphrom/operators", made_by="") as artifact:
         artifact.verify_content()
-        for part in ("inertia", "viscosity"):
-            assert artifact.read(f"bases/all/{part}/quadratic").shape == (n, n, n)
+        assert artifact.read("bases/all/inertia/quadratic").shape == (n, n, n)
         assert ("bases/all/walls/linear" in artifact) == (case is not VORTEX)
         assert ("bases/all/force/constant" in artifact) == (case is OPEN)
         assert artifact.number("bases/all/skewness") < 1e-12
-        assert artifact.number("timing/projection") > 0.0
         assert ("bases/all/memory/3/cubic" in artifact) == (case is not LID)
-        assert ("bases/all/memory/3/force/linear" in artifact) == (case is OPEN)
 
 
-@pytest.mark.parametrize("case", [VORTEX, LID, OPEN], ids=lambda case: case["name"])
+@pytest.mark.parametrize("case", [LID, OPEN], ids=lambda case: case["name"])
 def test_a_run_keeps_its_coordinates_alone(made, case):
-    out = made(case)
-    full_name = {"open": "reynolds2400"}.get(case["name"], "reynolds100")
+    out, value = made(case), "reynolds2400" if case is OPEN else "reynolds100"
     with (
-        run_of(out, f"fast-{full_name}") as run,
-        open_artifact(out / f"fom-{full_name}.h5", "sphrom/trajectory", made_by="") as full,
+        run_of(out, f"fast-{value}") as run,
+        open_artifact(out / f"fom-{value}.h5", "sphrom/trajectory", made_by="") as full,
     ):
         run.verify_content()
         assert run.text("status") == "complete"
@@ -149,10 +136,11 @@ def test_a_run_keeps_its_coordinates_alone(made, case):
         assert run.read("generalized_coordinates").shape == (len(full.read("time")), n_modes)
         # Sound doesn't limit them.
         assert run.text("integrator") == "exponential"
-        assert run.number("step_limit") > 0.0
         assert "velocity" not in run
-        assert "memory_length" not in run.attributes
         assert ("steady/coordinates" in run) == (case is LID)
+        if case is LID:
+            assert run.text("steady/status") == "converged"
+    assert ("steady state converged in" in told(out)) == (case is LID)
 
 
 def test_it_is_as_near_to_the_full_run_as_the_faithful_road(made, peaks):
@@ -161,7 +149,6 @@ def test_it_is_as_near_to_the_full_run_as_the_faithful_road(made, peaks):
     assert fast[0] < 1.5 * faithful[0] + 0.1
     assert fast[1] < 1.5 * faithful[1] + 1.0
     assert apg[0] < 1.5 * faithful[0] + 0.1
-    assert fast != faithful
 
 
 def test_the_memory_length_is_kept_and_told(made):
@@ -173,9 +160,9 @@ def test_the_memory_length_is_kept_and_told(made):
     found = re.search(r"^apg, reynolds=100: .* memory length (\S+) s$", told(out), re.MULTILINE)
     assert found is not None
     assert float(found[1]) == pytest.approx(length, rel=1e-2)
-    rows = timings(out)
-    assert {row["model"] for row in rows} == {"fast", "apg", "faithful"}
-    (row,) = (r for r in rows if (r["model"], r["parameters"]) == ("apg", "reynolds=100"))
+    with (out / "tables" / "timings.csv").open(newline="") as file:
+        rows = {(row["model"], row["parameters"]): row for row in csv.DictReader(file)}
+    row = rows["apg", "reynolds=100"]
     seconds = [float(row[f"{n}_seconds [s]"]) for n in ("full", "reduced")]
     assert float(row["speed_up"]) == pytest.approx(seconds[0] / seconds[1], rel=1e-6)
     assert float(row["memory_length [s]"]) == pytest.approx(length)
@@ -200,44 +187,15 @@ def test_closures_at_any_viscosity_are_those_assembled_there(made, workspace_of,
             np.testing.assert_allclose(one, other, atol=1e-10 * scale)
 
 
-def test_fields_of_every_snapshot_where_they_are_asked_for(made, workspace_of):
-    workspace = workspace_of(made(VORTEX))
-    model = next(m for m in workspace.case.rom if m.name == "apg")
-    with run_of(made(VORTEX), "apg-reynolds100") as run:
-        rebuilt = StoredRun(workspace, run, workspace.case.plan.points[0], model)
-        assert run.read("velocity").shape == (len(rebuilt.time), 256, 2)
-        for snapshot in (0, len(rebuilt.time) - 1):
-            velocity, pressure = rebuilt.fields(snapshot)
-            np.testing.assert_array_equal(run.read("velocity")[snapshot], velocity)
-            np.testing.assert_array_equal(run.read("pressure")[snapshot], pressure)
-        np.testing.assert_allclose(
-            run.read("pressure"),
-            pressure_of(run.read("density_fluctuation"), workspace.case.plan.sound_speed),
-        )
-        with workspace.open(workspace.basis()) as pod:
-            np.testing.assert_array_equal(
-                run.read("reference_position"), pod.read("reference_position")
-            )
-
-
 def test_a_value_without_a_full_run(made, peaks, errors_of):
     out = made(VORTEX)
     names = ("reynolds100", "reynolds150", "reynolds200")
     at = {name: coordinates(out, f"fast-{name}") for name in names}
-    # The vortex starts the same whatever its viscosity is, and decays in their order.
-    np.testing.assert_allclose(at["reynolds150"][0], at["reynolds100"][0], rtol=1e-12)
     sizes = [np.linalg.norm(at[name][-1]) for name in names]
     assert sizes[0] < sizes[1] < sizes[2]
     assert not (out / "fom-reynolds150.h5").exists()
     assert "fast: no full run to compare with at reynolds=150" in told(out)
     assert {row["parameters"] for row in errors_of(out)} == {"reynolds=100", "reynolds=200"}
-
-
-def test_a_value_out_of_the_trained_range_is_warned_of(place, sphrom):
-    result = sphrom("rom", "vortex.yaml", "--force", "--set", "rom.0.parameters=[100, 400]")
-    assert result.exit_code == 0, result.output
-    assert "reynolds=400 is outside of the trained range, 100 to 200" in result.stderr
-    assert (place / "rom-fast-reynolds400.h5").exists()
 
 
 def test_a_value_without_a_spin_up_starts_from_the_nearest(made):
@@ -251,17 +209,13 @@ def test_a_value_without_a_spin_up_starts_from_the_nearest(made):
 @pytest.mark.parametrize("name", ["fast", "apg", "calibrated"])
 def test_the_force_is_that_of_the_time(made, workspace_of, name):
     """From 0.02 to 0.03 s the force falls to a half; from 0 to 0.01 s it would not."""
-    out = made(OPEN)
-    workspace = workspace_of(out)
-    point, model = (
-        workspace.case.plan.points[0],
-        next(m for m in workspace.case.rom if m.name == name),
-    )
+    workspace = workspace_of(made(OPEN))
+    point = workspace.case.plan.points[0]
+    model = next(m for m in workspace.case.rom if m.name == name)
     with (
         StoredRun.opened(workspace, point) as full,
         StoredRun.opened(workspace, point, model) as reduced,
     ):
-        assert reduced.is_complete
         runs = full, reduced
         momenta = [[run.fields(s)[0][:, 0].mean() for s in (0, len(run.time) - 1)] for run in runs]
     exact, (start, end) = momenta
@@ -270,76 +224,30 @@ def test_the_force_is_that_of_the_time(made, workspace_of, name):
     assert end - start == pytest.approx(exact[1] - exact[0], rel=0.05)
 
 
-def test_a_steady_state_is_one(made, workspace_of):
-    out = made(LID)
-    workspace = workspace_of(out)
-    case = workspace.case
-    point = case.plan.train_points[0]
-    with workspace.open(workspace.operators()) as artifact:
-        model = read_operators(artifact, "all", np.arange(8))
-    polynomial = model.at(case.plan.kinematic_viscosity(point))
-    with run_of(out, "fast-reynolds100") as run:
-        assert run.text("steady/status") == "converged"
-        state, last = run.read("steady/coordinates"), run.read("generalized_coordinates")[-1]
-        assert np.linalg.norm(polynomial(state)) == pytest.approx(
-            run.number("steady/residual"), abs=1e-10
-        )
-        assert run.number("steady/residual") < 1e-6 * np.linalg.norm(polynomial(last))
-        growth = np.linalg.eigvals(polynomial.jacobian(state)).real.max()
-        assert run.number("steady/largest_real_part") == pytest.approx(growth)
-        assert 1 <= run.number("steady/n_steps") < 50
-        assert run.number("timing/steady") > 0.0
-    assert "fast, reynolds=100: steady state converged in" in told(out)
-
-
 def test_stale_operators_are_refused(place, sphrom, refused):
     change = ("--set", "operators.error_estimate=false")
     line = refused(sphrom("rom", "vortex.yaml", *change, "--force"))
     assert "operators.h5 was made with another case (operators.error_estimate is auto" in line
-    assert "make it again with `sphrom operators CASE --force`" in line
-    assert sphrom("operators", "vortex.yaml", *change).exit_code == 3
-    assert sphrom("operators", "vortex.yaml", *change, "--force").exit_code == 0
-    assert sphrom("rom", "vortex.yaml", *change, "--force").exit_code == 0
+    for stage in ("operators", "rom"):
+        assert sphrom(stage, "vortex.yaml", *change, "--force").exit_code == 0
 
 
-def test_a_closure_of_another_size_is_made_first(place, sphrom):
+def test_only_a_closure_of_another_size_needs_other_operators(place, sphrom):
     result = sphrom("rom", "vortex.yaml", "--set", "rom.1.n_modes=2", "--force")
     assert result.exit_code == 3
-    assert "sphrom operators CASE --force" in result.stderr
-    # Others than models with the closure need no new operators.
     more = ("--set", "rom.0.n_modes=2", "--set", "rom.0.parameters=[170]")
     kept = sphrom("operators", "vortex.yaml", *more)
-    assert kept.exit_code == 0, kept.output
     assert "operators.h5: there, and of this case: kept" in kept.stdout
 
 
-def test_a_run_that_diverges(place, sphrom, errors_of, peaks):
+def test_a_run_that_diverges(place, sphrom, peaks):
     change = ("--set", "rom.1.memory_length=1000", "--set", "rom.1.time_step=fom")
     result = sphrom("run", "vortex.yaml", *change, "--force", "--threads", 1)
     assert result.exit_code == 4, result.output
-    errors = [line for line in result.stderr.splitlines() if line.startswith("error: ")]
-    assert [line.partition(": unstable after t = ")[0] for line in errors] == [
-        f"error: apg, reynolds={re}" for re in (100, 200)
-    ]
+    assert "error: apg, reynolds=100: unstable after t = " in result.stderr
     assert "is beyond the model's limit of" in result.stderr
     with run_of(place, "apg-reynolds100") as run:
         run.verify_content()
         assert run.text("status") == "unstable"
         assert len(run.read("time")) == len(run.read("velocity")) < 20
-    rows = [row for row in errors_of(place) if row["compared"] == "apg"]
-    assert {row["status"] for row in rows} == {"unstable"}
-    assert not any(row[name] for row in rows for name in row if name.endswith("_peak"))
-    assert "apg" not in {row["model"] for row in timings(place)}
     assert peaks(place, "fast")[0] < 5.0
-    assert sphrom("run", "vortex.yaml", *change).exit_code == 4
-
-
-def test_a_closure_too_large_is_refused(written, sphrom, refused, monkeypatch):
-    train = {"train": {"reynolds": list(range(100, 200))}}
-    model = {"name": "apg", **FAST, "projection": "apg", "n_modes": 200}
-    written({**VORTEX, "parameters": train, "rom": [model]})
-    monkeypatch.setattr(cost, "physical_ram", lambda: 8 * 10**9)
-    line = refused(sphrom("case", "check", "vortex.yaml"), 5)
-    assert re.search(r"about 1\d\d\S* \w+ of memory in operators", line)
-    galerkin = ("--set", "rom.0.projection=galerkin")
-    assert sphrom("case", "check", "vortex.yaml", *galerkin).exit_code == 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from pathlib import Path
 from typing import Any
@@ -33,34 +32,24 @@ OWN: dict[str, Any] = {
 }
 CHANGES = [
     "training.reynolds=[1e-300, 50]",
-    "training.reynolds=[50, 1e300]",
-    "training.reynolds=[50, 50]",
     "training.reynolds=[100, 50]",
-    "training.reynolds=[-50, 50]",
     "fit.parameters={reynolds: 1e-300}",
     "fit.noise=1e300",
     "sweep.reynolds={low: 1e-300, high: 5, count: 3}",
-    "parameters.train={sample: {count: 3, reynolds: [1e-300, 5]}}",
     "parameters.train.reynolds=[1e-12]",
     "parameters.train={reynolds: [100], lid: [" + ",".join(map(str, range(1, 9000))) + "]}",
     "rom=[" + ",".join(f"{{name: m{i}}}" for i in range(101)) + "]",
     "rom." + "1" * 5000 + ".name=x",
     "rom.².name=x",
-    "x" * 9000 + "=1",
     "a." * 100_000 + "b=1",
     "time.final_time=" + "9" * 5000,
     "time.step=" + "[" * 5000,
-    "=1",
 ]
 EXPRESSIONS = [
-    "-" * 900 + "x",
-    "(" * 900,
     "(" * 400 + "x" + ")" * 400,
     "2**" * 300 + "2",
     "9**9**9",
-    "x.a" * 300,
     "f(a=" * 150 + "x" + ")" * 150,
-    "1" * 1001,
     "\x00",
 ]
 ARGUMENTS = [
@@ -70,10 +59,7 @@ ARGUMENTS = [
     ("fom", "pipe"),
     ("fom", "lid.yaml", "--" + "x" * 5000),
     ("fom", "lid.yaml", "--only", "reynolds=" + "9" * 5000),
-    ("fom", "lid.yaml", "--threads", "9" * 5000),
     ("sweep", "lid.yaml", "--shard", "1" * 5000 + "/2"),
-    ("sweep", "lid.yaml", "--shard", "²/3"),
-    ("fit", "lid.yaml", "lab.csv", "--noise", "1e-300"),
     ("fit", "lid.yaml", "tiny_noise.csv"),
     ("fit", "lid.yaml", "huge.csv", "--noise", "1%"),
     ("fit", "lid.yaml", "pipe", "--noise", "1%"),
@@ -86,7 +72,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     found = tmp_path_factory.mktemp("hostile")
     (found / "lid.yaml").write_text(yaml.safe_dump(LID))
     (found / "own.yaml").write_text(yaml.safe_dump(OWN))
-    (found / "lab.csv").write_text("time,wake_u\n0.1,1\n0.2,2\n0.3,3\n")
     (found / "tiny_noise.csv").write_text("time,wake_u,wake_u_noise\n0.1,1,1e-300\n0.2,2,1\n")
     (found / "huge.csv").write_text("time,wake_u\n0.1,1e300\n0.2,2\n")
     os.mkfifo(found / "pipe")
@@ -120,24 +105,3 @@ def test_absurd_arguments(sphrom, folder, monkeypatch, arguments) -> None:
     monkeypatch.chdir(folder)
     require_short_refusal(sphrom(*arguments), 2, 3)
     assert not list(folder.glob("*.h5"))
-
-
-@pytest.mark.slow
-def test_many_small_solids_are_checked(sphrom, folder, monkeypatch) -> None:
-    centres = ([0.1 * (i % 10) + 0.05, 0.1 * (i // 10) + 0.05] for i in range(100))
-    solids = {f"s{i}": {"circle": {"centre": c, "radius": 0.02}} for i, c in enumerate(centres)}
-    case = {**OWN, "scene": {**OWN["scene"], "solids": solids}}
-    monkeypatch.chdir(folder)
-    Path("solids.yaml").write_text(yaml.safe_dump(case))
-    require_short_refusal(sphrom("case", "check", "solids.yaml"), 2)
-
-
-def test_a_start_of_points_on_one_circle(sphrom, folder, monkeypatch) -> None:
-    angles = [2.0 * math.pi * k / 5000 for k in range(5000)]
-    rows = [f"{0.5 + 0.4 * math.cos(a)!r},{0.5 + 0.4 * math.sin(a)!r},0.1,0" for a in angles]
-    monkeypatch.chdir(folder)
-    Path("circle.csv").write_text("\n".join(("x,y,u,v", *rows)))
-    case = {**OWN, "scene": {**OWN["scene"], "initial": {"file": "circle.csv"}}}
-    Path("circle.yaml").write_text(yaml.safe_dump(case))
-    result = sphrom("case", "check", "circle.yaml")
-    assert result.exit_code == 0, result.output

@@ -34,12 +34,6 @@ ALONE = (
     "--set", "basis.subsets={}", "--threads", 1,
 )  # fmt: skip
 """One value, and no local bases."""
-FULL_RUN = (*ALONE, "--set", "rom=[]")
-LEAKING = (
-    "--set", "discretization.walls.continuity=paper",
-    "--set", "discretization.shifting.enabled=false",
-)  # fmt: skip
-"""Walls as printed: the lid sucks particles through at its upstream corner."""
 
 
 def trajectory(path: Path):
@@ -52,34 +46,19 @@ def lid(made) -> Path:
     return made(CASE)
 
 
-@pytest.fixture
-def lid_copy(copied) -> Path:
-    """A copy of the finished folder, to work in; gives the artifacts' folder."""
-    return copied(CASE)
-
-
 def test_trajectories_keep_their_ghosts_and_lose_no_particle(lid):
     domain = load_case(CASE).scene.domain
-    ghosts = []
-    for path in lid.glob("*-reynolds100.h5"):
-        if path.name.startswith("map"):
-            continue
-        with trajectory(path) as run:
+    for name in ("fom", "rom-galerkin", "rom-local"):
+        with trajectory(lid / f"{name}-reynolds100.h5") as run:
             position = run.read("position")
-            ghosts.append((run.read("ghost/position"), run.read("ghost/wall_velocity")))
-            assert run.text("status") == "complete"
-            assert np.isfinite(run.read("pressure")).all()
+            ghosts, velocity = run.read("ghost/position"), run.read("ghost/wall_velocity")
             assert 256 * run.number("mass") == pytest.approx(1.0)
         assert position.shape == (12, 256, 2)
         assert all(domain.contains(snapshot).all() for snapshot in position)
-    assert len(ghosts) == 3
-    for position, velocity in ghosts:
-        assert len(position) == 24**2 - 16**2
-        assert not domain.contains(position).any()
-        moves = (velocity != 0.0).any(axis=1)
-        assert (position[moves, 1] > 1.0).all()
-        assert 0.9 < velocity[:, 0].max() <= 1.0
-        assert not velocity[:, 1].any()
+        assert len(ghosts) == 24**2 - 16**2
+        assert not domain.contains(ghosts).any()
+        assert 0.9 < velocity[ghosts[:, 1] > 1.0].max() <= 1.0
+        assert not velocity[ghosts[:, 1] < 1.0].any()
 
 
 def test_reduced_runs_carry_the_mean_density_apart(lid):
@@ -88,17 +67,6 @@ def test_reduced_runs_carry_the_mean_density_apart(lid):
         assert run.read("generalized_coordinates").shape == (12, 4)
     assert mean.shape == (12,)
     assert np.abs(mean).max() < 0.05 * np.abs(fluctuation).max()
-    with trajectory(lid / "fom-reynolds100.h5") as run:
-        assert "mean_density_fluctuation" not in run
-
-
-def test_a_kept_gauge_is_in_the_modes(lid_copy, sphrom):
-    keep = ("--set", "basis.mean_density=in-modes")
-    for stage in ("pod", "fit-psi", "rom"):
-        result = sphrom(stage, "lid.yaml", *keep, "--force", "--threads", 1)
-        assert result.exit_code == 0, result.output
-    with trajectory(lid_copy / "rom-galerkin-reynolds100.h5") as run:
-        assert "mean_density_fluctuation" not in run
 
 
 def test_tables_tell_walls_flow_and_local_bases(lid, errors_of, peaks):
@@ -113,28 +81,17 @@ def test_tables_tell_walls_flow_and_local_bases(lid, errors_of, peaks):
         ("best possible, all M=4", "reynolds=100", "trained"),
         ("best possible, high M=3", "reynolds=150", "trained"),
     }
-    roles = {r["parameters"]: r["role"] for r in rows if r["compared"] == "local"}
-    assert roles == {
-        "reynolds=50": "trained", "reynolds=75": "predicted", "reynolds=100": "trained",
-        "reynolds=150": "trained",
-    }  # fmt: skip
-    figures = json.loads((lid / "compare.json").read_text())
-    near = {(row["compared"], row["parameters"]) for row in figures["walls"]}
-    assert {("map", "reynolds=75"), ("local", "reynolds=75")} <= near
-    flows = {(row["run"], row["parameters"]) for row in figures["flow"]}
-    assert {("full", "reynolds=50"), ("galerkin", "reynolds=100")} <= flows
-    assert "decay" not in figures
     tables = {path.stem for path in (lid / "tables").glob("*.csv")}
-    assert {"errors", "walls", "flow", "reference", "timings", "stages"} <= tables
+    assert tables >= {"errors", "walls", "flow", "reference", "timings", "stages"}
     # The flow still changes, so it is not shown beside steady profiles.
+    figures = json.loads((lid / "compare.json").read_text())
     assert {row["settled"] for row in figures["reference"]} == {False}
-    told = "reynolds=50, reynolds=100: the flow still changed over the last tenth of the run"
-    assert (lid.parents[1] / "stdout.txt").read_text().count(told) == 1
+    assert {row["bulk_velocity"] for row in figures["flow"]} == {None}
 
 
-def test_local_bases_are_those_of_the_intervals(lid_copy, sphrom, digests):
+def test_local_bases_are_those_of_the_intervals(copied, sphrom, digests):
     """What `local` runs is, to the bit, what the basis by its name runs."""
-    case = copy.deepcopy(CASE)
+    folder, case = copied(CASE), copy.deepcopy(CASE)
     case["rom"] = [
         {"name": name, "n_modes": 3, "basis": name, "parameters": values}
         for name, values in (("low", [50, 75]), ("high", [100, 150]))
@@ -144,7 +101,7 @@ def test_local_bases_are_those_of_the_intervals(lid_copy, sphrom, digests):
     for stage in ("pod", "fit-psi", "rom"):
         result = sphrom(stage, "lid.yaml", "--force", "--threads", 1)
         assert result.exit_code == 0, result.output
-    found = digests(lid_copy)
+    found = digests(folder)
     for name, values in (("low", (50, 75)), ("high", (100, 150))):
         for value in values:
             run = f"reynolds{value}.h5"
@@ -180,18 +137,16 @@ def test_options_run_through(written, sphrom, errors_of, changes):
 
 
 def test_a_particle_beyond_a_wall_ends_the_run(written, sphrom):
+    """With walls as printed, the lid sucks particles through at its upstream corner."""
     out = written(CASE)
-    result = sphrom("run", "lid.yaml", *FULL_RUN, *LEAKING)
+    leaking = ("rom=[]", "discretization.walls.continuity=paper",
+               "discretization.shifting.enabled=false")  # fmt: skip
+    result = sphrom("run", "lid.yaml", *ALONE, *(w for key in leaking for w in ("--set", key)))
     assert result.exit_code == 4
-    found = re.search(
-        r"t = ([\d.]+) s: particle (\d+) at \(([\d.]+), ([\d.]+)\) m.*beyond a wall", result.stderr
-    )
+    # The first of the uppermost row.
+    found = re.search(r"t = ([\d.]+) s: particle 240 at .* m.*beyond a wall", result.stderr)
     assert found, result.stderr
-    time, particle, x, y = (float(text) for text in found.groups())
-    assert 0.0 < time < 0.2
-    assert particle == 240  # the first of the uppermost row
-    assert 0.0 < x < 0.1
-    assert 1.0 < y < 1.02
+    time = float(found[1])
     with trajectory(out / "fom-reynolds100.h5") as run:
         assert run.text("status") == "unstable"
         assert run.read("time")[-1] <= time

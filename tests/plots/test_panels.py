@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -37,10 +35,9 @@ def test_pictures_and_curves_stand_in_one_figure(tmp_path: Path) -> None:
     for text in ("x [m]", "speed [m/s]", "difference [m/s]", "time [s]"):
         assert any(text in labels for labels in texts)
     save(figure, path)
-    content = path.read_bytes()
-    assert content.startswith(b"\x89PNG\r\n\x1a\n")
-    assert 10_000 < len(content) < 2_000_000
-    assert list(tmp_path.iterdir()) == [path]
+    assert 10_000 < path.stat().st_size < 2_000_000
+    with pytest.raises(ArtifactError, match="was not written"):
+        save(figure, tmp_path / "missing" / "plot.png")
 
 
 def test_fields_of_one_label_share_a_scale_and_differences_are_about_zero() -> None:
@@ -48,10 +45,6 @@ def test_fields_of_one_label_share_a_scale_and_differences_are_about_zero() -> N
     assert full.get_clim() == reduced.get_clim()
     assert sum(difference.get_clim()) == 0.0
     np.testing.assert_array_equal(difference.get_array(), 0.1 * SPEED)
-    fields = [replace(FULL, values=values) for values in (np.ones((12, 12)), SPEED - 0.4)]
-    constant, changing = images(draw_grid([fields], FRAME))
-    assert constant.get_clim() == (0.5, 1.5)
-    assert sum(changing.get_clim()) == 0.0
 
 
 def test_no_runaway_and_no_spot_decides_a_scale() -> None:
@@ -59,13 +52,10 @@ def test_no_runaway_and_no_spot_decides_a_scale() -> None:
     shared = images(draw_grid(rows, FRAME, scales={"speed [m/s]": (0.0, 1.0)}))
     ((low, high),) = {image.get_clim() for image in shared}
     assert (low, high) == (pytest.approx(0.0, abs=0.02), 3.0)
-    own = [image.get_clim() for image in images(draw_grid([rows[0]], FRAME))]
-    assert own[1][1] > 1e5 * own[0][1]
     spot = np.tile(np.linspace(0.0, 1.0, 40), (40, 1))
     spot[3, 7] = 1e3
     (image,) = images(draw_grid([[replace(FULL, values=spot)]], FRAME))
     assert image.get_clim()[1] == pytest.approx(1.0, rel=0.1)
-    assert image.colorbar.extend == "max"
 
 
 def test_solid_parts_of_a_wide_box_are_grey_and_its_sides_in_proportion() -> None:
@@ -76,7 +66,6 @@ def test_solid_parts_of_a_wide_box_are_grey_and_its_sides_in_proportion() -> Non
         assert axes.get_aspect() == 1.0
         assert axes.get_facecolor()[:3] == pytest.approx([0.788] * 3, abs=1e-3)
         assert np.isnan(np.ma.filled(axes.images[0].get_array(), np.nan)[:5, :5]).all()
-        assert np.isfinite(axes.images[0].get_clim()).all()
 
 
 def test_a_round_solid_is_drawn_by_its_outline_not_in_the_steps_of_the_grid() -> None:
@@ -90,7 +79,6 @@ def test_a_round_solid_is_drawn_by_its_outline_not_in_the_steps_of_the_grid() ->
             (outline,) = (c for c in axes.collections if len(c.get_paths()[0].vertices))
             radius = np.hypot(*(outline.get_paths()[0].vertices - 0.5).T)
             np.testing.assert_allclose(radius, 0.25, atol=1e-3)
-            assert axes.get_xlim() == (0.0, 1.0)
 
 
 def test_scattered_points_leave_the_outside_of_the_fluid_empty() -> None:
@@ -105,46 +93,15 @@ def test_scattered_points_leave_the_outside_of_the_fluid_empty() -> None:
 def test_errors_from_zero_follow_no_run_that_became_unstable() -> None:
     axes = draw_grid([[replace(PANEL, axes="from zero")]]).axes[0]
     assert axes.get_ylim() == (0.0, pytest.approx(2.3))
-    assert [line.get_label() for line in axes.lines] == ["good", "gone"]
 
 
-def test_logarithmic_axes_leave_zeros_out() -> None:
-    axes = draw_grid([[replace(PANEL, axes="logarithmic", curves=RUNS[:1])]]).axes[0]
-    assert axes.get_yscale() == "log"
-    np.testing.assert_array_equal(axes.lines[0].get_ydata(), [np.nan, *2.0 * X[1:]])
-    assert axes.get_ylim()[0] > 1e-2
-
-
-def test_a_legend_of_long_names_stays_within_the_figure() -> None:
-    curves = [Curve(f"{space} space: {'99.996 % (M = 2), ' * 4}", X, X) for space in "ab"]
-    figure = draw_grid([[replace(PANEL, curves=curves)] * 2])
-    figure.draw_without_rendering()
-    box = figure.legends[0].get_window_extent()
-    assert box.x0 >= 0.0
-    assert box.x1 <= figure.bbox.width
-
-
-@pytest.mark.parametrize("sizes", [(10, 11, 12), (2, 3, 19, 20, 21, 40)])
-def test_labels_of_marked_sizes_stay_apart(sizes: tuple[int, ...]) -> None:
+def test_labels_of_marked_sizes_stay_apart() -> None:
+    sizes = (2, 3, 19, 20, 21, 40)
     curve = Curve("reference space", np.arange(1.0, 61.0), 0.5 ** np.arange(60.0))
     panel = Panel("", "M", "share [%]", [curve], "both logarithmic", sizes)
     figure = draw_grid([[panel] * 2])
     figure.canvas.draw()
     for axes in figure.axes:
         assert len(axes.lines) == 1 + len(sizes)
-        assert axes.texts[0].get_text() == f"M = {sizes[0]}"
         boxes = [text.get_window_extent() for text in axes.texts]
         assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
-
-
-def test_unwritable_plot_is_an_artifact_error(tmp_path: Path) -> None:
-    with pytest.raises(ArtifactError, match="was not written"):
-        save(draw_grid([[PANEL]]), tmp_path / "missing" / "plot.png")
-
-
-def test_matplotlib_is_loaded_only_to_draw() -> None:
-    script = (
-        "import sys, sphrom.plots.panels, sphrom.trade.trade, sphrom.plots.tables;"
-        "sys.exit('matplotlib' in sys.modules)"
-    )
-    assert subprocess.run([sys.executable, "-c", script], check=False, timeout=120).returncode == 0

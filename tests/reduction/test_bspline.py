@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, RectBivariateSpline
 from scipy.ndimage import map_coordinates
 
-from sphrom.reduction.lattice_splines import LatticeSplines, fit_lattice_splines
+from sphrom.reduction.lattice_splines import fit_lattice_splines
 from sphrom.sph.box_domain import BoxDomain, Rectangle
 from sphrom.sph.domain import Domain
 
@@ -50,11 +50,6 @@ def places(domain: Domain, n: int = 500, seed: int = 3) -> Array:
     return domain.lower + np.random.default_rng(seed).random((n, 2)) * domain.lengths
 
 
-def fit(domain: Domain, n: int) -> LatticeSplines:
-    points = domain.fill(domain.lengths[1] / n)
-    return fit_lattice_splines(points, smooth(domain, points), domain)
-
-
 def noise(domain: Domain, n: int, n_columns: int = 5) -> tuple[Array, Array]:
     """Return points and values of no smoothness at all."""
     points = domain.fill(domain.lengths[1] / n)
@@ -79,7 +74,9 @@ def test_orders_of_convergence(domain: Domain) -> None:
     exact, slope = smooth(domain, at), smooth_gradient(domain, at)
     values, gradients = [], []
     for n in sizes:
-        value, gradient = fit(domain, n).values_and_gradients(at)
+        points = domain.fill(domain.lengths[1] / n)
+        fitted = fit_lattice_splines(points, smooth(domain, points), domain)
+        value, gradient = fitted.values_and_gradients(at)
         values.append(float(np.max(np.abs(value - exact))))
         gradients.append(float(np.max(np.abs(gradient - slope))))
     orders = [-np.polyfit(np.log(sizes), np.log(errors), 1)[0] for errors in (values, gradients)]

@@ -19,11 +19,6 @@ TRUE = Polynomial(((np.array([0.5, 0.0, 1.0]), LINEAR, QUADRATIC),))
 OFF = Polynomial(((np.array([0.02, -0.03, 0.01]), 0.01 * np.arange(9.0).reshape(3, 3) - 0.04),))
 
 
-def less(polynomial: Polynomial, correction: Polynomial) -> Polynomial:
-    """Rates that a correction would put right."""
-    return polynomial.plus(correction, -1.0)
-
-
 def correction(runs: list[TrainingRun], *settings: float, **more: float) -> Polynomial:
     """What runs at one viscosity call for."""
     return calibrate(runs, *settings, **more).at(VISCOSITY)
@@ -46,7 +41,7 @@ def runs() -> list[np.ndarray]:
 
 @pytest.mark.parametrize("off", [OFF, OFF.scaled(0.0)], ids=["wrong", "right"])
 def test_a_known_error_of_the_rates_is_found(runs, off):
-    wrong = less(TRUE, off)
+    wrong = TRUE.plus(off, -1.0)
     found = correction(
         [TrainingRun(wrong, run, VISCOSITY) for run in runs], INTERVAL, 0.1, penalty=0.0
     )
@@ -68,7 +63,7 @@ def test_an_error_that_changes_with_the_flow_s_energy_is_found():
     quadratic = np.array([0.0, 0.1, -0.05])[:, None, None] * np.eye(3)
     off = Polynomial(((np.zeros(3), np.zeros((3, 3)), quadratic),))
     true = Polynomial(((np.zeros(3), linear, QUADRATIC),))
-    runs = [TrainingRun(less(true, off), run_of(true, start), VISCOSITY) for start in STARTS]
+    runs = [TrainingRun(true.plus(off, -1.0), run_of(true, start), VISCOSITY) for start in STARTS]
     found = correction(runs, INTERVAL, 0.1, penalty=1e-8)
     for state in ([1.0, 0.5, -0.5], [0.0, -1.0, 0.5]):
         np.testing.assert_allclose(found(np.array(state)), off(np.array(state)), atol=2e-3)
@@ -79,7 +74,7 @@ def test_oscillations_faster_than_the_window_are_averaged_out():
     time = 0.03 * np.arange(400)
     slow = run_of(TRUE, STARTS[0], 1198)[::3]
     sound = 0.02 * np.stack([np.cos(2.0 * np.pi * 12.0 * time + k) for k in range(3)], axis=1)
-    wrong = less(TRUE, Polynomial(((OFF.powers[0][0], np.zeros((3, 3))),)))
+    wrong = TRUE.plus(Polynomial(((OFF.powers[0][0], np.zeros((3, 3))),)), -1.0)
     found = correction([TrainingRun(wrong, slow + sound, VISCOSITY)], 0.03, 0.24, penalty=1e-6)
     assert np.allclose(found.powers[0][0], OFF.powers[0][0], atol=5e-3)
 
@@ -101,7 +96,7 @@ def test_the_body_force_is_no_error_of_the_rates():
 
 def test_runs_shorter_than_the_window_still_count():
     run = run_of(TRUE, STARTS[0], 6)
-    found = correction([TrainingRun(less(TRUE, OFF), run, VISCOSITY)], INTERVAL, 10.0)
+    found = correction([TrainingRun(TRUE.plus(OFF, -1.0), run, VISCOSITY)], INTERVAL, 10.0)
     assert np.isfinite(found.powers[0][1]).all()
     assert np.linalg.norm(found.powers[0][0]) > 0.0
 
@@ -116,10 +111,10 @@ def test_a_known_error_that_follows_the_viscosity_is_found(runs):
     slope = Polynomial(((np.array([0.0, 0.02, 0.0]), np.diag([0.0, 0.1, -0.05])),))
     known = Calibration(OFF, slope, 2e-2)
     wrong = [
-        TrainingRun(less(TRUE, known.at(viscosity)), run, viscosity)
+        TrainingRun(TRUE.plus(known.at(viscosity), -1.0), run, viscosity)
         for run, viscosity in zip(runs, (1e-2, 2e-2, 3e-2), strict=True)
     ]
-    more = [TrainingRun(less(TRUE, known.at(v)), run, v) for run in runs for v in (1e-2, 3e-2)]
+    more = [TrainingRun(TRUE.plus(known.at(v), -1.0), run, v) for run in runs for v in (1e-2, 3e-2)]
     found = calibrate(wrong + more, INTERVAL, 0.1, penalty=1e-9)
     for viscosity in (1e-2, 1.7e-2, 4e-2):
         ours, theirs = found.at(viscosity), known.at(viscosity)
@@ -140,7 +135,7 @@ def test_a_known_error_that_follows_another_parameter_is_found(runs):
     given = [(run, {"lid": lid}) for run in runs for lid in (0.5, 1.0)]
     found = calibrate(
         [
-            TrainingRun(less(TRUE, known.at(VISCOSITY, at)), run, VISCOSITY, None, at)
+            TrainingRun(TRUE.plus(known.at(VISCOSITY, at), -1.0), run, VISCOSITY, None, at)
             for run, at in given
         ],
         INTERVAL,

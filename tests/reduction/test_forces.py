@@ -37,21 +37,13 @@ def test_forces_are_those_of_the_fields(settings, unprojected, name: str) -> Non
     wall = a_wall(points.ghost_drag.shape[1])
     force = project_forces(points, setting.basis, wall)
     states = np.outer((1.0, 0.3), setting.coordinates)
-    found = force.at(states, MEAN, NU, SPEED, np.full(2, AMPLITUDE))
+    some = states * [1.0, 0.0, 0.0, 1.0, 0.0]
+    about = MEAN, NU, SPEED, np.full(2, AMPLITUDE)
+    found = force.at(states, *about)
+    chosen = force.of_modes(np.array([0, 3])).at(some[:, [0, 3]], *about)
+    np.testing.assert_allclose(chosen, force.at(some, *about), rtol=1e-12)
     model = unprojected(points, setting.basis)
     for coordinates, loads in zip(states, found, strict=True):
         q, velocity = model.fields(coordinates)
         wanted = expected(points, wall, q + points.density_scale * MEAN, velocity)
         np.testing.assert_allclose(loads, wanted, rtol=1e-9, atol=1e-11 * np.abs(wanted).max())
-
-
-def test_modes_can_be_chosen(settings) -> None:
-    setting = settings["forced"]
-    force = project_forces(setting.points, setting.basis, a_wall(len(setting.points.ghost_drag.T)))
-    chosen = np.array([0, 3])
-    states = np.zeros((1, len(setting.coordinates)))
-    states[0, chosen] = 1.0, -2.0
-    about = MEAN, NU, SPEED, AMPLITUDE
-    np.testing.assert_allclose(
-        force.of_modes(chosen).at(states[:, chosen], *about), force.at(states, *about), rtol=1e-12
-    )

@@ -31,19 +31,12 @@ def test_what_is_measured_is_that_of_the_fields(settings, name: str) -> None:
     states = np.outer((1.0, 0.3), setting.coordinates)
     for each in ("line", "flux"):
         found = measures[each].at(states, MEAN)
+        few = measures[each].of_modes(np.array([0, 2])).at(states[:, [0, 2]], MEAN)
+        some = measures[each].at(states * [1.0, 0.0, 1.0, 0.0, 0.0], MEAN)
+        for quantity, values in some.items():
+            np.testing.assert_allclose(few[quantity], values, rtol=1e-12)
         for i, coordinates in enumerate(states):
             wanted = weighed(*reconstruct(setting.basis, coordinates, MEAN))[each]
             for quantity, values in wanted.items():
                 scale = np.abs(values).max()
                 np.testing.assert_allclose(found[quantity][i], values, atol=1e-10 * scale)
-
-
-def test_modes_can_be_chosen(settings) -> None:
-    setting = settings["raw"]
-    measure = project_measures(setting.basis, weighed)["line"]
-    chosen = np.array([0, 2])
-    states = np.zeros((1, len(setting.coordinates)))
-    states[0, chosen] = 1.0, -2.0
-    some = measure.of_modes(chosen).at(states[:, chosen], MEAN)
-    for quantity, values in measure.at(states, MEAN).items():
-        np.testing.assert_allclose(some[quantity], values, rtol=1e-12)

@@ -82,17 +82,13 @@ def basis_rows(model: ParticleModel, position) -> np.ndarray:
     return rows
 
 
-def weighted_inverse(model: ParticleModel, position, density) -> np.ndarray:
-    """Return Phi+ (n_coordinates, 3 N) in the model's product."""
-    root = np.repeat(np.sqrt(model.product.weights(model.functional.volume(density))), 3)
-    return np.linalg.pinv(root[:, None] * basis_rows(model, position)) * root
-
-
 def parts(model: ParticleModel, state: np.ndarray):
     """Return position, fields (3, N) scaled, their gradient, and the inverse of the basis."""
     position, fields = model.position(state), model.fields(state)
     scaled = np.vstack((model.product.density_scale * fields.density_fluctuation, fields.velocity))
-    inverse = weighted_inverse(model, position, fields.density_fluctuation)
+    weights = model.product.weights(model.functional.volume(fields.density_fluctuation))
+    root = np.repeat(np.sqrt(weights), 3)
+    inverse = np.linalg.pinv(root[:, None] * basis_rows(model, position)) * root
     return position, scaled, fields.gradient, inverse
 
 

@@ -39,8 +39,14 @@ def _data(seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return density, velocity, volume
 
 
-def _decompose(density, velocity, volume, product, n_modes, **options) -> dict[str, TrialBasis]:
+def _decompose(
+    density, velocity, volume, product, n_modes, sizes=None, **options
+) -> dict[str, TrialBasis]:
+    """Return bases of subsets, and add the numbers of points that were read at once to `sizes`."""
+
     def read_block(points: slice):
+        if sizes is not None:
+            sizes.append(points.stop - points.start)
         return density[:, points], velocity[:, points]
 
     columns = {"all": np.arange(len(density))} | options.pop("snapshots", {})
@@ -57,10 +63,6 @@ def _matrix(first_field, velocity, weights) -> np.ndarray:
     return np.concatenate((first_field * root, flat), axis=1).T
 
 
-def _weighted_modes(basis: TrialBasis) -> np.ndarray:
-    return _matrix(basis.density_modes, basis.velocity_modes, basis.weights)
-
-
 @pytest.mark.parametrize("name", PRODUCTS)
 def test_equals_svd_of_the_weighted_matrix(name: str) -> None:
     density, velocity, volume = _data()
@@ -69,26 +71,16 @@ def test_equals_svd_of_the_weighted_matrix(name: str) -> None:
     whole = _matrix(product.first_field(density), velocity, product.weights(volume))
     left, values, _ = np.linalg.svd(whole, full_matrices=False)
     np.testing.assert_allclose(basis.singular_values["joint"], values, atol=1e-14 * values[0])
-    modes = _weighted_modes(basis)
+    modes = _matrix(basis.density_modes, basis.velocity_modes, basis.weights)
     np.testing.assert_allclose(np.abs(left[:, :6].T @ modes), np.eye(6), atol=1e-9)
     assert np.abs(modes.T @ modes - np.eye(6)).max() < 1e-12
     assert basis.gram_error < 1e-12
 
 
 def test_streamed_equals_unstreamed() -> None:
-    density, velocity, volume = _data()
-    product = PRODUCTS["acoustic"]
-    whole = _decompose(density, velocity, volume, product, 5)["all"]
-    sizes = []
-
-    def read_block(points: slice):
-        sizes.append(points.stop - points.start)
-        return density[:, points], velocity[:, points]
-
-    sets = {"all": 5}, {"all": np.arange(N_SNAPSHOTS)}
-    streamed = decompose(
-        read_block, N_POINTS, N_SNAPSHOTS, product, volume, *sets, ram_limit=SMALL
-    )["all"]
+    data, sizes = (*_data(), PRODUCTS["acoustic"], 5), []
+    whole = _decompose(*data)["all"]
+    streamed = _decompose(*data, sizes=sizes, ram_limit=SMALL)["all"]
     assert max(sizes) * N_SNAPSHOTS * 3 * 8 < SMALL
     assert len(sizes) > 6
     np.testing.assert_allclose(streamed.density_modes, whole.density_modes, atol=1e-10)

@@ -50,13 +50,6 @@ def test_equals_sums_over_many_particles_on_any_number_of_threads(same_on_thread
     assert np.allclose(found.T.ravel(), left, atol=1e-12)
 
 
-def test_what_is_left_is_orthogonal_in_the_weighted_product() -> None:
-    left = PROJECTOR.orthogonal(FIELDS)
-    products = np.einsum("nmp,pn,n->m", BASIS, left, WEIGHTS)
-    assert np.max(np.abs(products)) < 1e-12
-    assert np.allclose(PROJECTOR.orthogonal(left), left, atol=1e-13)
-
-
 def test_the_step_is_relative_to_each_field() -> None:
     """Neither field changes by more than its own size, whatever the units."""
     state = np.vstack((1e-3 * FIELDS[:1], FIELDS[1:]))

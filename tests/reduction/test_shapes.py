@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import shapely
 
-from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.spline import (
     cell_grid,
     default_cell_width,
@@ -41,19 +40,6 @@ CHANNEL = PolygonDomain(
 DOMAINS = {"ring": RING, "channel": CHANNEL}
 
 
-def points_in(domain: PolygonDomain) -> np.ndarray:
-    """Return packed points (n_points, 2)."""
-    ghosts = domain.ghosts(SPACING, 4).position
-    discretization = Discretization(SPACING, 2.0 * SPACING)
-    return pack(domain, discretization, ghosts=ghosts, perturbation=0.3).position
-
-
-def everywhere(domain: PolygonDomain, n: int = 5000) -> np.ndarray:
-    """Return places in the fluid, as near to walls as particles come."""
-    places = np.random.default_rng(0).uniform(domain.lower, domain.upper, (n, 2))
-    return places[domain.wall_distance(places) > 0.25 * SPACING]
-
-
 def smooth(place: np.ndarray) -> np.ndarray:
     """Return fields (n, 3) with the channel's period."""
     x, y = place.T
@@ -64,7 +50,12 @@ def smooth(place: np.ndarray) -> np.ndarray:
 def test_splines_serve_all_of_the_fluid(name: str) -> None:
     """Measured: errors of 8e-6 at worst, and no place in the fluid is without a spline."""
     domain = DOMAINS[name]
-    points, places = points_in(domain), everywhere(domain)
+    ghosts = domain.ghosts(SPACING, 4).position
+    discretization = Discretization(SPACING, 2.0 * SPACING)
+    points = pack(domain, discretization, ghosts=ghosts, perturbation=0.3).position
+    places = np.random.default_rng(0).uniform(domain.lower, domain.upper, (5000, 2))
+    # As near to walls as particles come.
+    places = places[domain.wall_distance(places) > 0.25 * SPACING]
     width = default_cell_width(domain, len(points))
     splines = fit_splines(points, smooth(points), domain, polynomial_degree=3, cell_width=width)
     error = np.abs(splines.values(places) - smooth(places))
@@ -81,17 +72,3 @@ def test_shares_of_fluid_add_up_to_its_area(name: str) -> None:
     assert share.sum() * grid.cell_width * grid.cell_height == pytest.approx(domain.area)
     assert share.min() == 0.0
     assert share.max() == pytest.approx(1.0)
-
-
-@pytest.mark.parametrize("name", DOMAINS)
-def test_particles_are_mapped_onto_points_and_back(name: str) -> None:
-    """Measured: errors of 7e-5 at worst, at walls."""
-    domain = DOMAINS[name]
-    particles, points = points_in(domain), everywhere(domain, 2000)
-    to_points = ReferenceMap(
-        points, domain, particle_spacing=SPACING, smoothing_length=2.0 * SPACING
-    )
-    fields = smooth(particles)
-    density, velocity = to_points(particles, fields[:, 0], fields[:, 1:])
-    error = np.column_stack((density, velocity)) - smooth(points)
-    assert np.abs(error).max() < 2e-4

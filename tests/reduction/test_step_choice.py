@@ -49,19 +49,14 @@ def test_the_error_is_within_the_tolerance_and_not_far_below(tolerance: float) -
     assert n_stable < n_steps < FINEST * n_stable
 
 
-def test_without_sound_in_the_start_stable_steps_are_fine() -> None:
-    n_steps, n_stable = steps(decaying_sound(), 1e-4, np.array([1.0, 0.0, 0.0]))
-    assert n_steps == n_stable
-
-
-def test_a_run_that_diverges_in_any_steps_is_left_to_stable_ones() -> None:
-    n_steps, n_stable = steps(decaying_sound(rate=8.0), 1e-4)
-    assert n_steps == n_stable
-
-
-def test_there_is_a_limit_to_how_fine_steps_become() -> None:
-    n_steps, n_stable = steps(decaying_sound(), 1e-14)
-    assert n_steps == FINEST * n_stable
+@pytest.mark.parametrize(
+    ("rate", "tolerance", "sound", "finer"),
+    [(-0.3, 1e-4, 0.0, 1), (8.0, 1e-4, 0.5, 1), (-0.3, 1e-14, 0.5, FINEST)],
+    ids=["no sound in the start", "divergent in any steps", "a limit to how fine they become"],
+)
+def test_steps_are_stable_or_as_fine_as_can_be(rate, tolerance, sound, finer) -> None:
+    n_steps, n_stable = steps(decaying_sound(rate), tolerance, np.array([1.0, sound, 0.0]))
+    assert n_steps == finer * n_stable
 
 
 def test_the_tolerance_is_a_part_of_what_the_basis_leaves_out() -> None:

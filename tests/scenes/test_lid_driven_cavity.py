@@ -9,25 +9,6 @@ from sphrom.sph.walls import build_walls
 LENGTH, SPEED = 2.0, 1.5
 
 
-def ghosts(lid: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return places and velocities of four layers of ghosts, ten along a side."""
-    scene = LidDrivenCavity(LENGTH, SPEED, lid)  # type: ignore[arg-type]
-    walls = build_walls(scene.domain, 0.2, 4, scene.wall_velocity)
-    return walls.position, walls.velocity
-
-
-def test_is_closed_all_around_and_starts_at_rest() -> None:
-    scene = LidDrivenCavity(LENGTH, SPEED)
-    position = np.random.default_rng(0).uniform(0.0, LENGTH, (7, 2))
-    assert scene.domain.has_walls
-    assert scene.domain.periodic == (False, False)
-    assert scene.domain.area == LENGTH**2
-    assert not scene.initial_velocity(position).any()
-    assert scene.initial_pressure(position).tolist() == [0.0] * 7
-    assert scene.body_force is None
-    assert scene.exact is None
-
-
 def test_regularised_lid_is_flat_amid_and_vanishes_at_its_ends() -> None:
     scene = LidDrivenCavity(1.0, 1.0)
     x = np.array([0.0, 0.5, 1.0, 0.9])
@@ -39,20 +20,16 @@ def test_regularised_lid_is_flat_amid_and_vanishes_at_its_ends() -> None:
 
 @pytest.mark.parametrize("lid", ["regularised", "uniform"])
 def test_only_ghosts_above_the_box_move_and_only_along_it(lid: str) -> None:
-    position, velocity = ghosts(lid)
-    x, y = position.T
+    """Beside corners that stand."""
+    scene = LidDrivenCavity(LENGTH, SPEED, lid)  # type: ignore[arg-type]
+    walls = build_walls(scene.domain, 0.2, 4, scene.wall_velocity)
+    x, y = walls.position.T
     above = (y > LENGTH) & (x > 0.0) & (x < LENGTH)
     assert np.count_nonzero(above) == 40
-    assert np.array_equal(velocity[:, 0] > 0.0, above)
-    assert not velocity[:, 1].any()
-
-
-def test_uniform_lid_moves_at_its_speed_beside_corners_that_stand() -> None:
-    position, velocity = ghosts("uniform")
-    assert set(velocity[:, 0]) == {0.0, SPEED}
-    corner = (position[:, 1] > LENGTH) & ((position[:, 0] < 0.0) | (position[:, 0] > LENGTH))
-    assert np.count_nonzero(corner) == 32
-    assert not velocity[corner].any()
+    assert np.array_equal(walls.velocity[:, 0] > 0.0, above)
+    assert not walls.velocity[:, 1].any()
+    if lid == "uniform":
+        assert set(walls.velocity[:, 0]) == {0.0, SPEED}
 
 
 def test_a_ramp_is_smooth_at_both_ends() -> None:
