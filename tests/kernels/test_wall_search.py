@@ -156,9 +156,9 @@ def test_nothing_moves_towards_walls_that_meet_at_any_angle(
     size = 1e-2 * (np.abs(u).sum() + np.abs(du).sum())
     for way in ways:
         distance = -position @ way
-        if distance <= CLOSEST and (away > 0.5 or angle < 90.0):
+        if distance <= LIMITS[0] and (away > 0.5 or angle < 90.0):
             assert (u[:, 0] + after) @ way <= size
-        if distance <= TOUCHING and angle < 90.0:
+        if distance <= LIMITS[1] and angle < 90.0:
             assert after @ way <= size
 
 
