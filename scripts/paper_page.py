@@ -449,7 +449,7 @@ def hours_of_steps(case: Case, tables: Mapping[str, Any]) -> str:
     timings = [row for row in tables.get("timings", []) if row["full_seconds"] is not None]
     if not timings:
         return ""
-    plan, names = case.plan.steps, {model.name for model in case.rom if model.on_particles}
+    plan, names = case.plan.steps, {model.name for model in case.rom if not model.from_operators}
     full = {row["parameters"]: row["full_seconds"] for row in timings}
     steps = (plan.n_steps + plan.n_spin_up_steps) / plan.n_steps
     hours = float(np.mean(list(full.values()))) * steps * len(case.plan.points) / 3600.0

@@ -38,7 +38,7 @@ from sphrom.metrics.histories import compare
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.metrics.series import exponential_rate, kinetic_energy
 from sphrom.online.stored_run import StoredRun
-from sphrom.scenes.flows import ExactFlow
+from sphrom.scenes.flows import TaylorGreen
 from sphrom.setup.assembly import role_of
 from sphrom.setup.context import StageContext
 from sphrom.setup.particles import sampler
@@ -88,13 +88,13 @@ def run(context: StageContext) -> None:
     tell_answer(workspace, tables)
 
 
-def _exact_flows(case: Case) -> list[tuple[ParameterPoint, ExactFlow]]:
+def _exact_flows(case: Case) -> list[tuple[ParameterPoint, TaylorGreen]]:
     """Return the exact solutions that full runs are compared with, and their points."""
     flows = ((point, case.plan.flow(point).exact) for point in case.plan.points)
     return [(point, flow) for point, flow in flows if flow is not None and case.compare.exact]
 
 
-def _decay(workspace: Workspace, point: ParameterPoint, flow: ExactFlow) -> DecayRow:
+def _decay(workspace: Workspace, point: ParameterPoint, flow: TaylorGreen) -> DecayRow:
     exact = flow.energy_decay_rate
     with workspace.open(workspace.full_run(point)) as trajectory:
         velocities, mass = trajectory.dataset("velocity"), trajectory.number("mass")

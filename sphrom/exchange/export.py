@@ -31,7 +31,7 @@ from sphrom.exchange.import_options import place
 from sphrom.online.stored_run import StoredRun
 from sphrom.plots.tables import write_csv
 from sphrom.setup.context import StageContext
-from sphrom.sph import state_equation
+from sphrom.sph.fluid import pressure_of
 from sphrom.store.reduced_models import read_points
 from sphrom.store.sampling import probes_of
 from sphrom.store.workspace import Target, Workspace, make_folder
@@ -149,7 +149,7 @@ def _opened(workspace: Workspace, item: Item) -> Iterator[Source]:
         def stored(name: str, index: Any) -> NDArray[Any]:
             return np.asarray(artifact.dataset(name)[index])
 
-        if model is None or point is None or model.on_particles or POINTS in artifact:
+        if model is None or point is None or not model.from_operators or POINTS in artifact:
             yield Source(schema, shapes, stored)
             return
         points, sound_speed = read_points(workspace), workspace.case.plan.sound_speed
@@ -158,7 +158,7 @@ def _opened(workspace: Workspace, item: Item) -> Iterator[Source]:
             POINTS: points.__getitem__,
             "density_fluctuation": lambda index: state(index)[0],
             "velocity": lambda index: state(index)[1],
-            "pressure": lambda index: state_equation.pressure(state(index)[0], sound_speed),
+            "pressure": lambda index: pressure_of(state(index)[0], sound_speed),
         }
         shape = (artifact.length("time"), len(points))
         shapes |= dict.fromkeys(computed, shape)

@@ -37,7 +37,8 @@ from sphrom.setup import assembly, particles
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import require_room
 from sphrom.setup.particles import MeasuredFields
-from sphrom.sph import fluid, state_equation
+from sphrom.sph import fluid
+from sphrom.sph.fluid import fluctuation_of
 from sphrom.sph.time_loop import DENSITY_LIMIT, Snapshot
 from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Target, Workspace
@@ -312,7 +313,7 @@ class Converter:
             pressure = given.field(self.about.pressure, "--pressure") * self._scales["pressure"]
             if self.about.zero_mean_pressure:
                 pressure = pressure - pressure.mean()
-            fluctuation = state_equation.density_fluctuation(pressure, self._case.plan.sound_speed)
+            fluctuation = fluctuation_of(pressure, self._case.plan.sound_speed)
         largest = float(np.abs(fluctuation).max()) / reference
         self.largest_fluctuation = max(self.largest_fluctuation, largest)
         if largest > DENSITY_LIMIT:

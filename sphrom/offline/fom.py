@@ -15,8 +15,8 @@ from sphrom.setup.context import StageContext
 from sphrom.setup.cost import describe_cost, describe_run, require_room
 from sphrom.setup.particles import MeasuredFields
 from sphrom.sph.packing import MAX_ITERATIONS, pack
-from sphrom.sph.time_loop import Clock, TimeSteps, integrate, march
-from sphrom.store.checkpoints import Checkpoints, remove_checkpoints
+from sphrom.sph.time_loop import Clock, TimeSteps, march
+from sphrom.store.checkpoints import Checkpoints, integrate, remove_checkpoints
 from sphrom.store.starts import scene_start, start
 from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Target, Workspace
@@ -130,10 +130,11 @@ def _spin_up(workspace: Workspace, point: ParameterPoint) -> None:
             checkpoints.progress(f"spin-up, {point.label}", n_steps) as advance,
             checkpoints.kept_if_stopped(),
         ):
-            end = begin.state if checkpoints.begin is None else checkpoints.begin.state
+            from_step, reached = checkpoints.begin, checkpoints.reached
+            end = begin.state if from_step is None else from_step.state
             try:
                 for _, kept in march(
-                    model, begin.state, steps, density, clock, advance, checkpoints
+                    model, begin.state, steps, density, clock, advance, from_step, reached
                 ):
                     end = kept
             except UnstableError as error:

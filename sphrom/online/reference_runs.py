@@ -38,7 +38,7 @@ from sphrom.reduction.reference_model import Integrator
 from sphrom.reduction.trial_basis import reconstruct
 from sphrom.setup import assembly
 from sphrom.setup.assembly import field_measures
-from sphrom.sph import state_equation
+from sphrom.sph.fluid import pressure_of
 from sphrom.store.reduced_models import read_points
 from sphrom.store.trajectory import field_datasets, force_datasets, write_positions
 from sphrom.store.workspace import Workspace
@@ -233,4 +233,4 @@ def _write_fields(run: FastRun, artifact: ArtifactWriter) -> None:
         density, velocity = reconstruct(run.reduced.basis, state, mean)
         densities.append(density)
         velocities.append(velocity)
-        pressures.append(state_equation.pressure(density, workspace.case.plan.sound_speed))
+        pressures.append(pressure_of(density, workspace.case.plan.sound_speed))

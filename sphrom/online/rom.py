@@ -43,6 +43,6 @@ def ensure_run(workspace: Workspace, model: ReducedModelSection, point: Paramete
     """Run a reduced model at a parameter point if that is yet to be done."""
     target = workspace.reduced_run(model, point)
     if workspace.must_make(target):
-        kind = "particle_runs" if model.on_particles else "reference_runs"
+        kind = "reference_runs" if model.from_operators else "particle_runs"
         import_module(f"sphrom.online.{kind}").run_point(workspace, model, point)
     return target

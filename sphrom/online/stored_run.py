@@ -18,7 +18,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.measures import Quantities
 from sphrom.reduction.trial_basis import TrialBasis, reconstruct, truncate
-from sphrom.sph import state_equation
+from sphrom.sph.fluid import pressure_of
 from sphrom.store.reduced_models import basis_used, read_basis, read_modes, read_points
 from sphrom.store.sampling import Samples, expand, sample_run
 from sphrom.store.trajectory import read_quantities
@@ -39,7 +39,7 @@ class StoredRun:
         model: ReducedModelSection | None = None,
     ) -> None:
         self._workspace, self._run, self._point = workspace, run, point
-        self._rebuilt = None if model is None or model.on_particles else model
+        self._rebuilt = None if model is None or not model.from_operators else model
         self.time = run.read("time")
         self.mass = run.number("mass")
 
@@ -97,7 +97,7 @@ class StoredRun:
             velocity, pressure = map(np.asarray, stored)
             return velocity, pressure
         density, velocity = self.rebuilt(snapshot)
-        return velocity, state_equation.pressure(density, self._workspace.case.plan.sound_speed)
+        return velocity, pressure_of(density, self._workspace.case.plan.sound_speed)
 
     def sampled(
         self,

@@ -72,8 +72,9 @@ class WallForces:
         """
         forces, functional = self._functional.ghost_forces(state, time), self._functional
         speed = 1.0 if functional.wall_speed is None else functional.wall_speed(time)
+        viscosity = functional.fluid.reference_density * functional.fluid.kinematic_viscosity
         found = {}
         for name, wall in self.walls.items():
             found[name] = np.stack([wall.loads(part) for part in forces])
-            found[name][1, TORQUE] -= functional.fluid.dynamic_viscosity * speed * wall.circulation
+            found[name][1, TORQUE] -= viscosity * speed * wall.circulation
         return found

@@ -20,11 +20,13 @@ from pathlib import Path
 
 import numpy as np
 
+from sphrom.arrays import Array
 from sphrom.artifacts import ArtifactWriter, locked, read_record, write_record
 from sphrom.artifacts.records.runs import Checkpoint
 from sphrom.errors import ArtifactError, UnstableError
 from sphrom.setup.cost import MOST_PENDING
-from sphrom.sph.time_loop import Item, RunState
+from sphrom.sph.time_loop import Clock, Item, Model, RunState, TimeSteps, march
+from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Target, Workspace
 from sphrom.version import __version__
 
@@ -88,7 +90,7 @@ class Checkpoints:
             self.begin = RunState(kept.step, state, kept.neighbours_at, kept.seconds)
             self._book = _Book(kept.step, kept.n_parts)
             artifact.add_time(kept.wall_seconds)
-        self._reached: tuple[RunState, float, int, int] | None = None
+        self._reached: tuple[RunState, TimeSteps, int] | None = None
         self._pending_bytes = 0
         self._cost = self.seconds = 0.0
         self._since = time.monotonic()
@@ -116,12 +118,12 @@ class Checkpoints:
             self._book.pending.append(item)
             self._pending_bytes += sum(values.nbytes for values in item.values())
 
-    def reached(self, run_state: RunState, time_reached: float, n_steps: int) -> None:
+    def reached(self, run_state: RunState, steps: TimeSteps) -> None:
         """Take where the run stands, and write a checkpoint if one is due.
 
         Raises ArtifactError when somebody has removed what is being written.
         """
-        self._reached = (run_state, time_reached, n_steps, len(self._book.pending))
+        self._reached = (run_state, steps, len(self._book.pending))
         waited = time.monotonic() - self._since
         every = self._context.checkpoint_every
         apart = max(every, self._cost / LARGEST_SHARE) if every > 0.0 else 0.0
@@ -237,7 +239,7 @@ class Checkpoints:
         book, reached = self._book, self._reached
         if reached is None or reached[0].step == book.step:
             return
-        run_state, time_reached, n_steps, n_pending = reached
+        run_state, steps, n_pending = reached
         n_parts = book.n_parts + (n_pending > 0)
         if n_pending:
             self._write_part(n_parts, book.pending[:n_pending])
@@ -245,8 +247,8 @@ class Checkpoints:
             state=np.atleast_2d(run_state.state),
             neighbours_at=run_state.neighbours_at,
             step=run_state.step,
-            n_steps=n_steps,
-            time=time_reached,
+            n_steps=steps.n_steps,
+            time=steps.time(run_state.step),
             n_parts=n_parts,
             computed_with="\n".join(map(": ".join, computes_with().items())),
             seconds=run_state.seconds,
@@ -255,6 +257,37 @@ class Checkpoints:
         self._write_state(kept)
         self._book = _Book(kept.step, n_parts, book.pending[n_pending:])
         self._pending_bytes = 0
+
+
+def integrate(
+    model: Model,
+    state: Array,
+    steps: TimeSteps,
+    reference_density: float,
+    trajectory: TrajectoryWriter,
+    advance: Callable[[int], None],
+    checkpoints: Checkpoints,
+) -> UnstableError | None:
+    """Take all steps of a run and write its snapshots; return what ended it early, if anything.
+
+    A run that was stopped goes on from its checkpoint; one that is stopped leaves one.
+    """
+    clock = Clock()
+    failure: UnstableError | None = None
+    for item in checkpoints.snapshots():
+        trajectory.write(item)
+    begin, reached = checkpoints.begin, checkpoints.reached
+    with checkpoints.kept_if_stopped():
+        try:
+            for step, kept in march(
+                model, state, steps, reference_density, clock, advance, begin, reached
+            ):
+                item = trajectory.append(steps.time(step), step, model.snapshot(kept))
+                checkpoints.add(item)
+        except UnstableError as error:
+            failure = error
+    trajectory.finish(failure, clock.seconds, checkpoints.seconds, clock.least_step)
+    return failure
 
 
 def _computed_otherwise(kept: Checkpoint) -> str:

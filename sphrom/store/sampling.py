@@ -15,9 +15,9 @@ from sphrom.metrics.samples import Probes, Samples, grid_points, spread
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.trial_basis import TrialBasis, mean_density_fluctuation, project
-from sphrom.scenes.flows import ExactFlow
+from sphrom.scenes.flows import TaylorGreen
 from sphrom.setup.particles import sampler
-from sphrom.sph import state_equation
+from sphrom.sph.fluid import pressure_of
 from sphrom.store.trajectory import snapshot_fields
 
 ON_WALL = 1e-6
@@ -78,12 +78,12 @@ def sample_run(
             if trajectory.text("status") == "complete":
                 raise ArtifactError(f"{trajectory.path}, snapshot {snapshot}: {error}") from error
             return Samples(times[chosen[:i]], velocities[:i], pressures[:i])
-        pressures[i] = state_equation.pressure(density, case.plan.sound_speed)
+        pressures[i] = pressure_of(density, case.plan.sound_speed)
         advance(1)
     return Samples(times[chosen], velocities, pressures)
 
 
-def sample_exact(flow: ExactFlow, probes: Probes, times: Array) -> Samples:
+def sample_exact(flow: TaylorGreen, probes: Probes, times: Array) -> Samples:
     """Evaluate an exact solution."""
     return Samples(
         times,
@@ -100,7 +100,7 @@ def sample_mapped(case: Case, mapped: Artifact, sample: ReferenceMap) -> Samples
     for snapshot in range(len(densities)):
         density, velocity = sample(position, densities[snapshot], fields[snapshot])
         velocities.append(velocity)
-        pressures.append(state_equation.pressure(density, case.plan.sound_speed))
+        pressures.append(pressure_of(density, case.plan.sound_speed))
     return Samples(mapped.read("time"), np.array(velocities), np.array(pressures))
 
 
@@ -133,4 +133,4 @@ def expand(
     values = splines.values(points).reshape(len(points), -1, 3)
     fields = np.einsum("pmf,sm->spf", values, coordinates, optimize=True)
     density = basis.inner_product.density_fluctuation(fields[..., 0]) + mean_density[:, None]
-    return Samples(times, fields[..., 1:], state_equation.pressure(density, case.plan.sound_speed))
+    return Samples(times, fields[..., 1:], pressure_of(density, case.plan.sound_speed))

@@ -13,7 +13,7 @@ from sphrom.artifacts import Artifact, ArtifactWriter
 from sphrom.case.models import Case
 from sphrom.errors import ArtifactError, UnstableError
 from sphrom.metrics.measures import UNITS, FieldMeasure, Quantities
-from sphrom.sph import state_equation
+from sphrom.sph.fluid import pressure_of
 from sphrom.sph.wall_forces import TORQUE, WallForces
 
 if TYPE_CHECKING:  # it loads kernels, which take long, and reduced runs need none of it
@@ -139,7 +139,7 @@ class TrajectoryWriter:
             "position": snapshot.position.T,
             "velocity": snapshot.velocity.T,
             "density_fluctuation": snapshot.density_fluctuation,
-            "pressure": state_equation.pressure(snapshot.density_fluctuation, self._sound_speed),
+            "pressure": pressure_of(snapshot.density_fluctuation, self._sound_speed),
             "generalized_coordinates": np.asarray(snapshot.coordinates),
             "mean_density_fluctuation": np.asarray(snapshot.mean_density_fluctuation),
         }
