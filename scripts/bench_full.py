@@ -36,10 +36,9 @@ from sphrom.kernels.jit import set_threads
 from sphrom.scenes.flows import LidDrivenCavity, TaylorGreen
 from sphrom.sph import functional as functional_module
 from sphrom.sph import neighbourhood as neighbourhood_module
-from sphrom.sph import state_equation
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
-from sphrom.sph.fluid import Discretization, Fluid
+from sphrom.sph.fluid import Discretization, Fluid, fluctuation_of
 from sphrom.sph.functional import Functional
 from sphrom.sph.packing import pack
 from sphrom.sph.time_loop import runge_kutta_step
@@ -92,9 +91,7 @@ def flow(scene: str, resolution: int, ratio: float) -> tuple[Functional, np.ndar
         return Functional(fluid, discretization, domain, walls=walls), state
     vortex = TaylorGreen(1.0, 1.0, fluid.reference_density, fluid.kinematic_viscosity)
     position = packed(resolution, domain)
-    fluctuation = state_equation.density_fluctuation(
-        vortex.initial_pressure(position), fluid.sound_speed
-    )
+    fluctuation = fluctuation_of(vortex.initial_pressure(position), fluid.sound_speed)
     state = np.vstack((position.T, fluctuation, vortex.initial_velocity(position).T))
     return Functional(fluid, discretization, domain), state
 

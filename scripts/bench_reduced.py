@@ -168,7 +168,7 @@ def faithful_row(workspace: Workspace, projection: str, n_steps: int, full: Row)
     """Time steps of a model on moving particles."""
     case = workspace.case
     (point,) = case.plan.train_points
-    (section,) = [m for m in case.rom if m.on_particles and m.projection == projection]
+    (section,) = [m for m in case.rom if not m.from_operators and m.projection == projection]
     reduced, state = build_model(workspace, section, point)
     close(case, section, reduced, state, 0.0)
     time_step = case.plan.steps.time_step

@@ -229,9 +229,9 @@ def ours(study: Study, n_modes: int | str, **keys: Any) -> Prediction:
         reduced = fast.at(point)
         runs, taken = fast.at_point(point).integrator(reduced).timed(5)
         seconds.append(taken)
-        known = FastRun(fast, point, reduced, runs).estimate
+        known = FastRun(**vars(runs), model=fast, point=point, reduced=reduced).estimate
         if known is not None:
-            estimates.append((float(known.percent[0]), float(known.percent[1])))
+            estimates.append((known.velocity_percent, known.pressure_percent))
         if point == study.inside:
             later = replace(reduced.output_times, n_snapshots=study.longer.n_snapshots)
             longer = fast.run(point, replace(reduced, output_times=later))

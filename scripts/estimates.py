@@ -19,6 +19,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from sphrom.case.loader import load_case
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
@@ -85,7 +87,8 @@ def run_beyond(
     run = fast.run(point, replace(reduced, output_times=longer))
     if run.estimate is None:
         return None
-    estimates, samples = run.estimate.velocity_and_pressure, run.sampled(probes)
+    estimates = np.stack((run.estimate.velocity, run.estimate.pressure), axis=1)
+    samples = run.sampled(probes.all)
     with truth.open(truth.full_run(point)) as trajectory:
         full = sample_run(case, trajectory, probes.all)
     trained_until = workspace.case.plan.steps.end_time

@@ -295,10 +295,10 @@ def _phase(result: Result, claim: Mapping[str, Any], run: str | None) -> str:
 def _signals(result: Result, claim: Mapping[str, Any], run: str | None) -> Any:
     """Return time and v at the station of the full run, then of a reduced one; None without."""
     (point,) = _points(claim)
-    found = [result.comparison.station(name, point) for name in (None, run)]
-    if any(samples is None or not len(samples.time) for samples in found):
+    found = [result.comparison.samples("stations", name, point) for name in (None, run)]
+    if any(each is None or not len(each[1].time) for each in found):
         return None
-    return [(samples.time, samples.velocity[:, 0, 1]) for samples in found if samples]
+    return [(each[1].time, each[1].velocity[:, 0, 1]) for each in found if each]
 
 
 def _reference(result: Result, claim: Mapping[str, Any], run: str | None) -> str:
@@ -449,7 +449,7 @@ def hours_of_steps(case: Case, tables: Mapping[str, Any]) -> str:
     timings = [row for row in tables.get("timings", []) if row["full_seconds"] is not None]
     if not timings:
         return ""
-    plan, names = case.plan.steps, {model.name for model in case.rom if model.on_particles}
+    plan, names = case.plan.steps, {model.name for model in case.rom if not model.from_operators}
     full = {row["parameters"]: row["full_seconds"] for row in timings}
     steps = (plan.n_steps + plan.n_spin_up_steps) / plan.n_steps
     hours = float(np.mean(list(full.values()))) * steps * len(case.plan.points) / 3600.0

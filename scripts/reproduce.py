@@ -246,7 +246,7 @@ def _seconds(run: Run) -> float:
     runs = sum(missing(workspace.full_run(point)) for point in case.plan.points)
     steps = float((plan.n_steps + plan.n_spin_up_steps) * runs)
     neighbours = case.plan.discretization.n_neighbours
-    for model in (m for m in case.rom if m.on_particles):
+    for model in (m for m in case.rom if not m.from_operators):
         given = model.time_step if isinstance(model.time_step, float) else plan.time_step
         cost = _galerkin_cost(model.size, case.plan.lattice_splines, neighbours)
         cost += CLOSURE if model.has_memory else 0.0

@@ -29,7 +29,7 @@ from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.setup.particles import sampler
-from sphrom.sph import state_equation
+from sphrom.sph.fluid import pressure_of
 from sphrom.sph.time_loop import Clock, TimeSteps, march
 from sphrom.store.sampling import probes_of
 from sphrom.store.starts import start
@@ -122,7 +122,7 @@ def _both(
                 (known, snapshot_fields(stored, snapshot)),
             ):
                 density, velocity = sample(*own)
-                fields.append((velocity, state_equation.pressure(density, case.plan.sound_speed)))
+                fields.append((velocity, pressure_of(density, case.plan.sound_speed)))
             if snapshot and snapshot % ceil(steps.n_snapshots / LINES) == 0:
                 off = relative_l2(found[-1][0], known[-1][0], field_axes=2)
                 print(f"t = {steps.time(step):.6g} s: velocity is off by {off:.3g} %, after "

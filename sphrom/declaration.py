@@ -35,13 +35,12 @@ from typing import (
 )
 
 import numpy as np
-from numpy.typing import NDArray
+
+from sphrom.arrays import Array, Indices
 
 # Another major version is refused; a newer minor version only adds.
 SCHEMA_VERSION = "1.1"
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 Tensors = tuple[Array, ...]
 """Those of a polynomial, by degree."""
 

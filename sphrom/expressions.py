@@ -13,11 +13,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.text import shortened
-
-Array = NDArray[np.float64]
 
 MAX_LENGTH = 1000
 """Characters of an expression."""

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from sphrom.artifacts import inspection
 from sphrom.case.models import Case
 from sphrom.reduction.mode_fields import mode_fields, mode_gradients, weighted_rows
-from sphrom.sph.fluid import FlowConditions
 
 Array = NDArray[np.float64]
 
@@ -321,8 +320,11 @@ def rates_at_points(points, q, u, gradients, conditions, order=None) -> Array:
     ----------
     q, u : (n_points,) and (2, n_points) [m/s].
     gradients : (3, 2, n_points) of q and of the velocity by x and y [1/s].
+    conditions : the viscosity [m2/s], the body force's amplitude, the walls' speed over the given
+        one, and the factors of drives by parameter.
     order : of the expansion of rho0/rho, None for none.
     """
+    conditions = {"amplitude": 0.0, "wall_speed": 1.0, **conditions}
     terms = points.terms(q[:, None], u[..., None])
     continuity = points.diffusion(q[:, None])[:, 0]
     continuity -= (points.sound_speed + q) * terms.divergence[:, 0]
@@ -332,13 +334,13 @@ def rates_at_points(points, q, u, gradients, conditions, order=None) -> Array:
     force = np.zeros_like(u) if points.body_force is None else points.body_force
     for name, drive in points.drives.items():
         if drive.walls is not None:
-            drag = drag + conditions.factors[name] * points.friction_of(drive.walls.T)
+            drag = drag + conditions["factors"][name] * points.friction_of(drive.walls.T)
         if drive.force is not None:
-            force = force + conditions.factors[name] * drive.force
-    speed = conditions.wall_speed * (conditions.amplitude if points.walls_driven else 1.0)
-    push = conditions.kinematic_viscosity * (terms.laplacian[..., 0] + speed * drag)
+            force = force + conditions["factors"][name] * drive.force
+    speed = conditions["wall_speed"] * (conditions["amplitude"] if points.walls_driven else 1.0)
+    push = conditions["viscosity"] * (terms.laplacian[..., 0] + speed * drag)
     push -= points.sound_speed * terms.pressure_gradient[..., 0]
-    share, own = q / points.sound_speed, conditions.amplitude * force
+    share, own = q / points.sound_speed, conditions["amplitude"] * force
     head, more = points.head_push(own), points.head_push(own * share)
     if order is None:
         acceleration = (push + head + more) / (1.0 + share) + own
@@ -375,7 +377,7 @@ class UnprojectedModel:
         return self._modes.scaled_density @ factors, self._modes.velocity @ factors
 
     def full_rates(
-        self, coordinates: Array, conditions: FlowConditions, change: Array | None = None
+        self, coordinates: Array, conditions: dict, change: Array | None = None
     ) -> Array:
         """Return the rates (3, n_points) [m/s2] of q and of the velocity, after a change."""
         slopes = self._slopes @ self._modes.coefficients(coordinates)
@@ -385,14 +387,12 @@ class UnprojectedModel:
             slopes = slopes + np.stack([self.points.gradients(field) for field in change])
         return rates_at_points(self.points, q, u, slopes, conditions, self.order)
 
-    def __call__(
-        self, coordinates: Array, conditions: FlowConditions, change: Array | None = None
-    ) -> Array:
+    def __call__(self, coordinates: Array, conditions: dict, change: Array | None = None) -> Array:
         """Return the rates (n_modes,) of the generalized coordinates."""
         rates = self.full_rates(coordinates, conditions, change)
         return np.einsum("mfn,fn->m", self._weights, rates)
 
-    def memory(self, coordinates: Array, conditions: FlowConditions) -> Array:
+    def memory(self, coordinates: Array, conditions: dict) -> Array:
         """Return Eq. 3.22's term (n_modes,); a quadratic's central difference is its derivative."""
         inside, modes = self(coordinates, conditions), self._modes
         n = modes.n_modes
@@ -402,9 +402,7 @@ class UnprojectedModel:
         ahead, back = (self(coordinates, conditions, s * rest) for s in (1e-3, -1e-3))
         return (ahead - back) / 2e-3
 
-    def residual(
-        self, coordinates: Array, conditions: FlowConditions, rates: Array | None = None
-    ) -> float:
+    def residual(self, coordinates: Array, conditions: dict, rates: Array | None = None) -> float:
         """Return |R - Phi da/dt| of rates (n_modes,), by default the projected ones."""
         rates = self(coordinates, conditions) if rates is None else rates
         found = self.full_rates(coordinates, conditions)

@@ -10,10 +10,11 @@ refused here in the same words, as an error of `sphrom.errors`.
 """
 
 from sphrom.api.model import Model
-from sphrom.api.result import ErrorEstimate, Result, Sensitivities
+from sphrom.api.result import Result, Sensitivities
 from sphrom.api.study import Study, open
 from sphrom.artifacts.records.fit import FittedHistory
 from sphrom.fit.fit import Estimate, Fit
+from sphrom.online.error_estimates import ErrorEstimate
 
 __all__ = [
     "ErrorEstimate",

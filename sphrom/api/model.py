@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from sphrom.api.result import ErrorEstimate, Result, Sensitivities, finite_array, labelled_measures
+from sphrom.api.result import Result, Sensitivities, finite_array, labelled_measures
+from sphrom.arrays import Array
 from sphrom.case.checks import steady_problem
 from sphrom.case.hints import beyond_training, extrapolation
 from sphrom.case.loader import parameter_point
@@ -27,21 +28,19 @@ from sphrom.fit.measurements import read_measurements
 from sphrom.fit.model import TrainingDifferences, box_of
 from sphrom.online import rom
 from sphrom.online.basis_model import quantities_of
-from sphrom.online.fast_model import FastModel, FastRun
+from sphrom.online.fast_model import FastModel
 from sphrom.online.sensitivities import tangents
 from sphrom.reduction.polynomial_model import SteadyState, steady_state
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup.context import StageContext
 from sphrom.signals import guarded
-from sphrom.store.sampling import Probes, Samples, sample_run
+from sphrom.store.sampling import Samples, sample_run
 from sphrom.store.trajectory import measured_of
 from sphrom.store.workspace import Workspace
 from sphrom.text import nearest, quoted
 
 if TYPE_CHECKING:
     import xarray
-
-Array = NDArray[np.float64]
 
 
 class Model:
@@ -130,9 +129,9 @@ class Model:
             coordinates=run.coordinates,
             correction=run.correction,
             time_step=run.time_step,
-            error_estimate=_error_estimate(run),
+            error_estimate=run.estimate,
             _case=self._workspace.case,
-            _sample=lambda points: run.sampled(Probes.at(points)),
+            _sample=run.sampled,
             _measured=run.measured,
         )
 
@@ -168,7 +167,7 @@ class Model:
         def fields(points: Array) -> list[Samples]:
             mean, run = reduced.mean_density_fluctuation, found.run
             moved = zip(run + found.coordinates, mean + found.mean_changes, strict=True)
-            sampled = partial(fast.sampled, self._point, Probes.at(points), found.time)
+            sampled = partial(fast.sampled, self._point, points, found.time)
             return [sampled(*state) for state in ((run, mean), *moved)]
 
         return Sensitivities(
@@ -323,12 +322,3 @@ class Model:
                 _sample=sampled,
                 _measured=measured_of(workspace.case, trajectory),
             )
-
-
-def _error_estimate(run: FastRun) -> ErrorEstimate | None:
-    found = run.estimate
-    if found is None:
-        return None
-    velocity, pressure = found.velocity_and_pressure.T
-    of_velocity, of_pressure = map(float, found.percent)
-    return ErrorEstimate(velocity, pressure, of_velocity, of_pressure, found.extrapolates)

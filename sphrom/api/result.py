@@ -7,11 +7,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import COMPONENTS, UNITS, Quantities
+from sphrom.online.error_estimates import ErrorEstimate
 from sphrom.online.sensitivities import Tangents
 from sphrom.setup.assembly import field_measures
 from sphrom.signals import guarded
@@ -20,7 +22,6 @@ from sphrom.store.sampling import Samples
 if TYPE_CHECKING:
     import xarray
 
-Array = NDArray[np.float64]
 Variable = tuple[object, ...]
 """Axes, values and attributes."""
 
@@ -50,22 +51,6 @@ def labelled_measures(
                 f"{name}_place component", measure.position, "m", f"places of {name}"
             )
     return xarray.Dataset(variables, coordinates, dict(attributes)).set_xindex("time")
-
-
-@dataclass(frozen=True)
-class ErrorEstimate:
-    """Estimated errors of a run, without a full run to compare with."""
-
-    velocity: Array
-    """(n_snapshots,) root mean square of the velocity's error over the fluid [m/s]."""
-    pressure: Array
-    """(n_snapshots,) the same of the pressure less its mean [Pa]."""
-    velocity_percent: float
-    """Of the run, over the root mean square of its velocity [%]."""
-    pressure_percent: float
-    """Of the run, over the root mean square of its pressure less its mean [%]."""
-    extrapolates: bool
-    """Whether the run is outside of the trained parameters and times."""
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)

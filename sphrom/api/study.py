@@ -14,7 +14,6 @@ from sphrom.case.loader import load_case, parameter_point
 from sphrom.case.models import Case
 from sphrom.console import Reporter
 from sphrom.errors import CaseError
-from sphrom.setup.context import StageContext
 from sphrom.signals import guarded
 from sphrom.text import nearest, quoted
 
@@ -107,7 +106,7 @@ class Study:
             default.
         checkpoint_every : seconds from one checkpoint of a run to the next.
         """
-        context = self._with(resume, checkpoint_every)
+        context = stages.with_checkpoints(self._context, resume=resume, every=checkpoint_every)
         stages.run_all(context, until)
 
     @guarded()
@@ -137,7 +136,8 @@ class Study:
         name = stage.replace("_", "-")
         if name not in known:
             raise CaseError(f"no stage is called {quoted(stage)}; {nearest(name, known)}")
-        context = stages.selected(self._with(resume, checkpoint_every), name, only)
+        context = stages.with_checkpoints(self._context, resume=resume, every=checkpoint_every)
+        context = stages.selected(context, name, only)
         stages.run_stage(name, context, **options)
 
     @guarded()
@@ -157,9 +157,6 @@ class Study:
             raise CaseError(f"no model has the name {quoted(name)}; {nearest(str(name), sections)}")
         context = replace(self._context, keep_valid=True)
         return Model(context, sections[name], parameter_point(self.case, parameters))
-
-    def _with(self, resume: bool, checkpoint_every: float) -> StageContext:
-        return stages.with_checkpoints(self._context, resume=resume, every=checkpoint_every)
 
 
 @guarded(computes=False)

@@ -83,7 +83,8 @@ def _modes(group: str, given: Iterable[str]) -> dict[str, str]:
 
 def _view(schema: str, given: Mapping[str, Shape], points: str, fields: Mapping[str, str]) -> View:
     there = {name: dataset for name, dataset in fields.items() if dataset in given}
-    first = {name: _axes(schema, name)[0] for name in (points, *there.values())}
+    known = {name: SCHEMAS[schema].dataset(name) for name in (points, *there.values())}
+    first = {name: "" if field is None else field.axes[0] for name, field in known.items()}
     stepped = frozenset(name for name, axis in first.items() if axis in STEP_AXES)
     return View(
         points=points,
@@ -93,11 +94,6 @@ def _view(schema: str, given: Mapping[str, Shape], points: str, fields: Mapping[
         n_steps=max((given[name][0] for name in stepped), default=0),
         stepped=stepped,
     )
-
-
-def _axes(schema: str, name: str) -> tuple[str, ...]:
-    known = SCHEMAS[schema].dataset(name)
-    return ("",) if known is None else known.axes
 
 
 def add_view(file: h5py.File, schema: str, given: Mapping[str, Shape]) -> None:

@@ -10,8 +10,8 @@ from collections.abc import Callable, Collection, Iterable, Iterator
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.case.fields import only_one
 from sphrom.case.models import Case
 from sphrom.case.plan import MAX_STEPS, WHOLE_STEPS_TOLERANCE
@@ -33,7 +33,6 @@ from sphrom.kernels import SUPPORT_RATIO
 from sphrom.sph.fluid import ROUNDING
 from sphrom.text import exact, nearest, repeated
 
-Array = NDArray[np.float64]
 Found = Iterator[tuple[str, str]]
 
 WITHIN_WALL = 0.1
@@ -146,12 +145,10 @@ def _check_geometry(case: Case) -> Found:
 def nearest_fitting_resolution(case: Case) -> int | None:
     """Return the nearest resolution at which walls fit the lattice, None if none is near."""
     domain, length = case.scene.domain, case.scene.resolved_length
-    resolution = case.discretization.resolution
-    for distance in range(resolution // 2):
-        for candidate in (resolution + distance, resolution - distance):
-            if domain.fits_lattice(length / candidate):
-                return candidate
-    return None
+    resolution, half = case.discretization.resolution, case.discretization.resolution // 2
+    near = range(resolution - half + 1, resolution + half)
+    fitting = (number for number in near if domain.fits_lattice(length / number))
+    return min(fitting, key=lambda number: (abs(number - resolution), -number), default=None)
 
 
 def _check_support(case: Case) -> Found:
@@ -319,7 +316,7 @@ def _model_problems(case: Case, model: ReducedModelSection) -> Found:
         yield "parameters", f"there are no {model.parameters} values"
     if not isinstance(model.parameters, str):
         yield from _check_repeated("parameters", points)
-        for point in points if model.on_particles else ():
+        for point in () if model.from_operators else points:
             if point not in plan.points:
                 known = nearest_point(point, plan.points).label
                 yield "parameters", f"{point.label} has no full run; the nearest is {known}"
@@ -336,9 +333,8 @@ def _model_problems(case: Case, model: ReducedModelSection) -> Found:
 
 def steady_problem(case: Case) -> str | None:
     """Return why a case has no steady states, or None."""
-    if case.plan.largest_body_force > 0.0 and case.scene.drive_changes:
-        return "the scene's body force changes with time: there is no steady state"
-    return None
+    changes = case.plan.largest_body_force > 0.0 and case.scene.drive_changes
+    return "the scene's body force changes with time: there is no steady state" if changes else None
 
 
 def _check_fixed_points(case: Case) -> Found:

@@ -10,26 +10,25 @@ import math
 from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from pydantic import Field, PrivateAttr, ValidationInfo, model_validator
 from shapely.geometry.base import BaseGeometry
 
-from sphrom.case.fields import Coordinate, Positive, SafeName, Section, key
+from sphrom.arrays import Array
+from sphrom.case.fields import Coordinate, Place, Positive, SafeName, Section, key
 from sphrom.case.initial_file import read_start, start_fields
-from sphrom.case.scene_section import NONE, Defaults, Measures, SceneSection, measures
-from sphrom.case.shapes import Point, ShapeSection
+from sphrom.case.scene_section import Defaults, Measures, SceneSection, measures
+from sphrom.case.shapes import ShapeSection
 from sphrom.errors import CaseError
 from sphrom.expressions import CONSTANTS, FUNCTIONS, MOST_QUOTED, Expression
 from sphrom.scenes.flows import CustomFlow, Drive, Scales, Scene
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import SIDES, Domain
+from sphrom.sph.fluid import NONE
 from sphrom.text import shortened
-
-Array = NDArray[np.float64]
 
 N_SAMPLES = 200
 """Points along each edge of the box, or along a wall, at which expressions are looked at."""
@@ -57,8 +56,8 @@ Vector = Annotated[tuple[Value, ...], Field(min_length=2, max_length=2)]
 class BoxSection(Section):
     """The box that the flow is in."""
 
-    lower: Point = key((0.0, 0.0), "its lower left corner", unit="m")
-    upper: Point = key((1.0, 1.0), "its upper right corner", unit="m")
+    lower: Place = key((0.0, 0.0), "its lower left corner", unit="m")
+    upper: Place = key((1.0, 1.0), "its upper right corner", unit="m")
     periodic: tuple[Literal["x", "y"], ...] = key((), "axes along which the flow repeats")
 
 
@@ -110,16 +109,6 @@ class InitialSection(Section):
             return start_fields(str(self.file), str(self.sha256))(position)
         except ValueError as error:
             raise CaseError(f"scene.initial.file: {error}") from error
-
-
-class DrivingExpression(NamedTuple):
-    """An expression that drives the flow, as far as it varies in space."""
-
-    where: str
-    """Its key in the scene."""
-    factor: str
-    """The parameter that multiplies it; empty where none does."""
-    expression: Expression
 
 
 class CustomScene(SceneSection):
@@ -291,20 +280,21 @@ class CustomScene(SceneSection):
         """Return those of some parameters that walls' velocities or the force's field depend on."""
         drives = [expression for _, _, expression in self._drives()]
 
-        def drives_flow(name: str) -> bool:
-            return name in self.walls or any(each.degree_in([name]) > 0.0 for each in drives)
+        return tuple(
+            name
+            for name in names
+            if name in self.walls or any(each.degree_in([name]) > 0.0 for each in drives)
+        )
 
-        return tuple(name for name in names if drives_flow(name))
-
-    def _drives(self) -> Iterator[DrivingExpression]:
-        """Yield the expressions that drive the flow."""
+    def _drives(self) -> Iterator[tuple[str, str, Expression]]:
+        """Yield the key, the parameter that multiplies it, if any, and each driving expression."""
         for name, wall in self.walls.items():
             for value in wall.velocity or ():
                 where = f"walls.{name}.velocity"
-                yield DrivingExpression(where, name, self._expression(where, value, "x", "y"))
+                yield where, name, self._expression(where, value, "x", "y")
         for value in self.body_force:
             whole = self._expression("body_force", value, "x", "y", "t")
-            yield DrivingExpression("body_force", "", whole.separated("t")[0])
+            yield "body_force", "", whole.separated("t")[0]
 
     def check_at(self, values: Mapping[str, float]) -> None:
         """Raise ValueError where the scene can't be had with some values of its parameters."""
@@ -326,11 +316,6 @@ class CustomScene(SceneSection):
     def resolved_length(self) -> float:
         """L of the Reynolds number [m]."""
         return self.reference_length or self.domain.lengths[0]
-
-    @property
-    def probe_line(self) -> float:
-        """x of the line midway along the box [m]."""
-        return 0.5 * (self.domain.lower[0] + self.domain.upper[0])
 
     def _expression(self, where: str, value: float | str, *variables: str) -> Expression:
         text = value if isinstance(value, str) else repr(value)

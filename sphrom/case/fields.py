@@ -18,6 +18,8 @@ NAME_PATTERN = r"^[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}$"
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[Number, Field(ge=SMALLEST, le=LARGEST)]
 Coordinate = Annotated[Number, Field(ge=-LARGEST, le=LARGEST)]
+Place = Annotated[tuple[Coordinate, ...], Field(min_length=2, max_length=2)]
+"""x and y."""
 Duration = Annotated[Number, Field(ge=0.0, le=LARGEST)]
 Whole = Annotated[int, Field(strict=True)]
 Flag = Annotated[bool, Field(strict=True)]

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 
 from sphrom.case.checks import beyond_limits
 from sphrom.case.models import Case
-from sphrom.case.points import REYNOLDS, ParameterPoint, outside
+from sphrom.case.points import ParameterPoint, outside
 from sphrom.case.sections import AUTO
 from sphrom.case.studies import sweep_model, sweep_points
 
@@ -57,10 +57,7 @@ def extrapolation(case: Case, point: ParameterPoint) -> str | None:
     beyond = outside(point, case.plan.train_points)
     if not beyond:
         return None
-    ranges = " and ".join(
-        each if name == REYNOLDS and not point.others else f"{each} of {name}"
-        for name, each in beyond.items()
-    )
+    ranges = " and ".join(f"{each} of {name}" for name, each in beyond.items())
     where = f"{point.label} is outside of the trained range, {ranges}"
     return f"{where}: a reduced model extrapolates there"
 

@@ -8,13 +8,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.case.fields import LARGEST
 from sphrom.text import shortened, visible
 from sphrom.whole_files import read_whole
-
-Array = NDArray[np.float64]
 
 COLUMNS = ("x", "y", "u", "v", "p")
 """Of these the last may lack."""

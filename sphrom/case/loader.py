@@ -62,13 +62,9 @@ def load_case(
         raise _error(name, document, problems, changed) from error
     if problems := case_problems(case, force=force):
         raise _error(name, document, problems, changed)
-    return _with_fitting_model(case)
-
-
-def _with_fitting_model(case: Case) -> Case:
-    """Return a valid case; if it lists no model, the usual one has no more modes than snapshots."""
     if "rom" in case.model_fields_set:
         return case
+    # The model of a case that lists none has no more modes than there are snapshots.
     (model,) = case.rom
     most = min(model.size, case.basis.n_modes or model.size, case.plan.n_basis_snapshots(ALL))
     return case.model_copy(update={"rom": (model.model_copy(update={"n_modes": most}),)})

@@ -8,7 +8,7 @@ first asked for, so that the checks of a case can use the parts that don't depen
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 from fractions import Fraction
 from functools import cached_property
@@ -63,12 +63,9 @@ class Plan:
     @cached_property
     def reference_smoothing_length(self) -> float:
         """h of the map onto the reference space [m]."""
-        section = self._case.reference
-        if section.smoothing_length_ratio is not None:
-            return section.smoothing_length_ratio * self.particle_spacing
-        if section.method == "mls":
-            return MLS_SMOOTHING_LENGTH_RATIO * self.particle_spacing
-        return self.smoothing_length
+        section, own = self._case.reference, self._case.discretization.smoothing_length_ratio
+        usual = MLS_SMOOTHING_LENGTH_RATIO if section.method == "mls" else own
+        return (section.smoothing_length_ratio or usual) * self.particle_spacing
 
     @cached_property
     def n_particles(self) -> int:
@@ -337,7 +334,9 @@ class Plan:
         """Return the training points of a subset; those that aren't there stand for themselves."""
         trained = self.train_points
         if subset.box is not None:
-            return tuple(point for point in trained if _in_box(point, subset.bounds))
+            bounds = subset.bounds.items()
+            rows = zip(trained, (point.as_dict() for point in trained), strict=True)
+            return tuple(p for p, row in rows if all(a <= row[n] <= b for n, (a, b) in bounds))
         values = subset.reynolds or ()
         if len(self.parameter_names) == 1:
             return tuple(map(ParameterPoint, values))
@@ -348,26 +347,21 @@ class Plan:
 
         Intervals are half-open, [low, high); those that end highest of all hold their end too.
         """
+        boxes = {name: subset.bounds for name, subset in self._case.basis.subsets.items()}
         top: dict[str, float] = {}
-        for bounds in self._boxes.values():
+        for bounds in boxes.values():
             for name, (low, high) in bounds.items():
                 if low < high:
                     top[name] = max(high, top.get(name, high))
-
-        def within(bounds: Mapping[str, tuple[float, float]]) -> bool:
-            return all(
-                low <= value < high or low < value == high == top[name]
-                for name, value in point.as_dict().items()
-                if name in bounds
-                for low, high in (bounds[name],)
+        at = point.as_dict()
+        return [
+            subset
+            for subset, bounds in boxes.items()
+            if all(
+                low <= at[name] < high or low < at[name] == high == top[name]
+                for name, (low, high) in bounds.items()
             )
-
-        return [name for name, bounds in self._boxes.items() if within(bounds)]
-
-    @cached_property
-    def _boxes(self) -> dict[str, dict[str, tuple[float, float]]]:
-        """The ranges of parameters that each subset is the local basis of, by its name."""
-        return {name: subset.bounds for name, subset in self._case.basis.subsets.items()}
+        ]
 
     @cached_property
     def n_modes(self) -> int:
@@ -486,8 +480,3 @@ def lengthened(steps: TimeSteps, final_time: float) -> TimeSteps:
             f"{MAX_STEPS:g} steps; the nearest is {nearest:.12g}; got {final_time:g}"
         )
     return replace(steps, n_steps=whole * steps.every)
-
-
-def _in_box(point: ParameterPoint, bounds: Mapping[str, tuple[float, float]]) -> bool:
-    values = point.as_dict()
-    return all(low <= values.get(name, low) <= high for name, (low, high) in bounds.items())

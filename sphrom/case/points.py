@@ -11,7 +11,7 @@ import math
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import cached_property, partial
 from itertools import pairwise, product
 from typing import Annotated, Any, Literal
 
@@ -160,11 +160,17 @@ class SampleSection(Section):
         """What is given of each parameter, such as its least and greatest value."""
         return self.__pydantic_extra__ or {}
 
-    @property
+    @cached_property
     def points(self) -> list[dict[str, float]]:
         """The sampled points, to six digits."""
-        rows = _sampled(self.method, self.count, self.seed, tuple(self.entries.values()))
-        return [dict(zip(self.entries, row, strict=True)) for row in rows]
+        shares = unit_sample(self.method, self.count, self.seed, len(self.entries))
+        return [
+            {
+                name: float(f"{low + (high - low) * share:.{DIGITS}g}")
+                for share, (name, (low, high)) in zip(row, self.entries.items(), strict=True)
+            }
+            for row in shares.tolist()
+        ]
 
 
 def unit_sample(method: str, count: int, seed: int, n_parameters: int) -> NDArray[np.float64]:
@@ -178,20 +184,6 @@ def unit_sample(method: str, count: int, seed: int, n_parameters: int) -> NDArra
         # Counts other than powers of two are less balanced, which is no harm here.
         warnings.simplefilter("ignore", UserWarning)
         return np.asarray(kinds[method](n_parameters, rng=seed).random(count))
-
-
-@lru_cache(maxsize=64)
-def _sampled(
-    method: str, count: int, seed: int, bounds: tuple[tuple[float, ...], ...]
-) -> tuple[tuple[float, ...], ...]:
-    shares = unit_sample(method, count, seed, len(bounds))
-    return tuple(
-        tuple(
-            float(f"{low + (high - low) * share:.{DIGITS}g}")
-            for share, (low, high) in zip(row, bounds, strict=True)
-        )
-        for row in shares.tolist()
-    )
 
 
 class GivenPoints(Section):

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Collection, Iterator, Mapping
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, model_validator
 
-from sphrom.case.fields import Coordinate, SafeName, Section, Whole, key, only_one
+from sphrom.arrays import Array
+from sphrom.case.fields import Place, SafeName, Section, Whole, key, only_one
 from sphrom.scenes.flows import Channel, Scales, Scene
 from sphrom.scenes.reference_profiles import ReferenceProfile
 from sphrom.sph.domain import Domain
+from sphrom.sph.fluid import NONE
 
-Array = NDArray[np.float64]
 Defaults = Mapping[str, Any]
-NONE: Mapping[str, float] = MappingProxyType({})
-"""No values of parameters: each is the scene's own."""
 
 
 class SceneSection(Section):
@@ -57,7 +54,7 @@ class SceneSection(Section):
     @property
     def probe_line(self) -> float:
         """x of the vertical line that runs are compared along [m]."""
-        return 0.5 * self.domain.lengths[0]
+        return 0.5 * (self.domain.lower[0] + self.domain.upper[0])
 
     def parameters(self, reference_speed: float) -> dict[str, float]:
         """Return what may vary beside the viscosity, and its values here [of each its own unit].
@@ -127,8 +124,6 @@ class SceneSection(Section):
         """Yield keys of the scene that a user should look at again, and why."""
         yield from ()
 
-
-Place = Annotated[tuple[Coordinate, ...], Field(min_length=2, max_length=2)]
 
 KINDS = ("force_on", "flow_rate", "probe", "line")
 """What can be measured."""

@@ -10,9 +10,10 @@ from typing import Any, ClassVar, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.case.custom_scene import CustomScene
 from sphrom.case.fields import Duration, Number, Positive, Section, key
-from sphrom.case.scene_section import NONE, Defaults, Measures, SceneSection, measures
+from sphrom.case.scene_section import Defaults, Measures, SceneSection, measures
 from sphrom.scenes.flows import (
     Channel,
     LidDrivenCavity,
@@ -25,9 +26,8 @@ from sphrom.scenes.flows import (
 from sphrom.scenes.reference_profiles import OPEN_CAVITY_SPEED, ReferenceProfile, profiles_for
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
+from sphrom.sph.fluid import NONE
 from sphrom.text import exact
-
-Array = NDArray[np.float64]
 
 PROBE_SHARE = 0.625
 """Where in the open cavity's channel profiles are taken: at 0.25 m of the paper's 0.4 m."""
@@ -133,11 +133,8 @@ class LidDrivenCavityScene(SceneSection):
     def problems(self, final_time: float) -> Iterator[tuple[str, str]]:
         """Refuse a lid that is not up to speed at the end."""
         if self.lid_ramp >= final_time:
-            yield (
-                "lid_ramp",
-                f"the lid must be up to speed before time.final_time, {exact(final_time)} s; "
-                f"got {exact(self.lid_ramp)}",
-            )
+            end, ramp = exact(final_time), exact(self.lid_ramp)
+            yield "lid_ramp", f"must end before time.final_time, {end} s; got {ramp}"
 
 
 class BodyForceSection(Section):
@@ -180,16 +177,15 @@ class OpenCavityScene(SceneSection):
 
     @cached_property
     def _cavity(self) -> OpenCavity:
-        return OpenCavity(force=LogisticForce(**self.body_force.model_dump()))
+        return OpenCavity(force=self._force(NONE))
 
-    def _with_force(self, values: Mapping[str, float]) -> OpenCavity:
-        cavity = self._cavity
-        magnitude = values.get("body_force", cavity.force.magnitude)
-        return replace(cavity, force=replace(cavity.force, magnitude=magnitude))
+    def _force(self, values: Mapping[str, float]) -> LogisticForce:
+        own = self.body_force.model_dump()
+        return LogisticForce(**{**own, "magnitude": values.get("body_force", own["magnitude"])})
 
     def flow(self, scales: Scales) -> Scene:
         """Return the cavity; its force decides how fast it flows."""
-        return self._with_force(scales.values)
+        return replace(self._cavity, force=self._force(scales.values))
 
     def parameters(self, reference_speed: float) -> dict[str, float]:
         """Return the magnitude of the body force, b0 [m/s2]."""
@@ -212,7 +208,7 @@ class OpenCavityScene(SceneSection):
 
     def largest_body_force(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
         """Return what the body force's acceleration never exceeds [m/s2]."""
-        return abs(self._with_force(values).force.largest)
+        return abs(self._force(values).largest)
 
     @property
     def drive_changes(self) -> bool:

@@ -262,13 +262,11 @@ class ReducedModelSection(Section):
         return int(self.n_modes)
 
     @property
-    def on_particles(self) -> bool:
-        """Whether its rates are evaluated on moving particles."""
-        return not self.from_operators
-
-    @property
     def from_operators(self) -> bool:
-        """Whether its rates are polynomials, from operators that are projected once."""
+        """Whether its rates are polynomials, from operators that are projected once.
+
+        Else they are evaluated on moving particles.
+        """
         return self.evaluation == "operators"
 
     @property

@@ -18,7 +18,7 @@ from pydantic import Field, ValidationInfo, model_validator
 from shapely import affinity
 from shapely.geometry.base import BaseGeometry
 
-from sphrom.case.fields import LARGEST, Coordinate, Number, Positive, Section, key, only_one
+from sphrom.case.fields import LARGEST, Coordinate, Number, Place, Positive, Section, key, only_one
 from sphrom.sph.polygons import disc, require_few_crossings
 from sphrom.text import shortened, visible
 from sphrom.whole_files import read_whole
@@ -41,13 +41,11 @@ COMBINATIONS: dict[str, Callable[[list[BaseGeometry]], BaseGeometry]] = {
     "difference": lambda shapes: shapely.difference(shapes[0], shapely.union_all(shapes[1:])),
 }
 
-Point = Annotated[tuple[Coordinate, ...], Field(min_length=2, max_length=2)]
-
 
 class CircleSection(Section):
     """A circle."""
 
-    centre: Point = key(..., "its centre", unit="m")
+    centre: Place = key(..., "its centre", unit="m")
     radius: Positive = key(..., "its radius", unit="m")
 
     def geometry(self) -> BaseGeometry:
@@ -58,8 +56,8 @@ class CircleSection(Section):
 class RectangleSection(Section):
     """A rectangle along the axes."""
 
-    lower: Point = key(..., "its lower left corner", unit="m")
-    upper: Point = key(..., "its upper right corner", unit="m")
+    lower: Place = key(..., "its lower left corner", unit="m")
+    upper: Place = key(..., "its upper right corner", unit="m")
 
     def geometry(self) -> BaseGeometry:
         """Return the rectangle [m]. Raises ValueError where its corners are the wrong way round."""
@@ -87,7 +85,7 @@ class ShapeSection(Section):
 
     circle: CircleSection | None = key(None, "a circle")
     rectangle: RectangleSection | None = key(None, "a rectangle along the axes")
-    polygon: Annotated[tuple[Point, ...], Field(min_length=3)] | None = key(
+    polygon: Annotated[tuple[Place, ...], Field(min_length=3)] | None = key(
         None, "corners in their order; the last is joined to the first", unit="m"
     )
     file: str | None = key(
@@ -108,7 +106,7 @@ class ShapeSection(Section):
     rotate: Annotated[Number, Field(ge=-360.0, le=360.0)] = key(
         0.0, "angle about the centroid, anticlockwise", unit="deg"
     )
-    translate: Point = key((0.0, 0.0), "how far it is moved", unit="m")
+    translate: Place = key((0.0, 0.0), "how far it is moved", unit="m")
 
     @model_validator(mode="before")
     @classmethod

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.case.points import REYNOLDS, ParameterPoint, TrainValues
 from sphrom.case.sections import LOCAL, ReducedModelSection
@@ -19,7 +19,6 @@ from sphrom.errors import CaseError
 from sphrom.reduction.greedy import MOST_CORNERED, candidate_places, first_corners
 from sphrom.text import quoted
 
-Array = NDArray[np.float64]
 Ranges = dict[str, tuple[float, float]]
 Row = tuple[tuple[ReducedModelSection | None, ...], tuple[ParameterPoint, ...]]
 """The models of a row of panels, None for the full one, and the points at which all are run."""
@@ -158,17 +157,18 @@ class Box:
 
 
 class Region:
-    """The box of a case's training."""
+    """The box of a case's training.
+
+    Attributes
+    ----------
+    names : the parameters of all points, the Reynolds number first.
+    """
 
     def __init__(self, case: Case) -> None:
         self._case, ranges = case, case.training.ranges
         own = {REYNOLDS: case.plan.train_points[0].reynolds}
         self._box = Box(ranges, {} if REYNOLDS in ranges else own)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The parameters of all points, the Reynolds number first."""
-        return tuple(dict.fromkeys((REYNOLDS, *self._box.names)))
+        self.names = tuple(dict.fromkeys((REYNOLDS, *ranges)))
 
     def point(self, place: Array) -> ParameterPoint:
         """Return the point at a place (n_parameters,) of the unit box, to a few digits."""
@@ -181,15 +181,18 @@ class Region:
 
     def places(self, points: Sequence[ParameterPoint]) -> Array:
         """Return where points are (n_points, n_parameters), in the unit box if in the region."""
-        rows = [[self._box.share(n, p.as_dict()[n]) for n in self._box.names] for p in points]
+        ranges = self._box.ranges
+        rows = [[self._box.share(n, p.as_dict()[n]) for n in ranges] for p in points]
         return np.array(rows).reshape(len(points), -1)
 
     def contains(self, point: ParameterPoint) -> bool:
         """Return whether a point lies in the region."""
         values = point.as_dict()
-        if tuple(values) != self.names or any(values[n] != v for n, v in self._box.fixed.items()):
-            return False
-        return all(low <= values[name] <= high for name, (low, high) in self._box.ranges.items())
+        known = {name: (value, value) for name, value in self._box.fixed.items()}
+        ends = {**known, **self._box.ranges}
+        return values.keys() == ends.keys() and all(
+            low <= values[name] <= high for name, (low, high) in ends.items()
+        )
 
     def candidates(self) -> list[ParameterPoint]:
         """Return the points at which errors are estimated, each once."""
@@ -207,29 +210,27 @@ class Region:
         found = list(dict.fromkeys((*corners, *known)))
         if number > MOST_CORNERED:
             return found
+
+        def settings(points: Sequence[ParameterPoint]) -> tuple[object, float]:
+            plan = trained_at(self._case, points).plan
+            return plan.steps, plan.sound_speed
+
         every = [self.point(np.array(place)) for place in product((0.0, 1.0), repeat=number)]
-        everywhere = _settings(trained_at(self._case, [*found, *every]))
+        everywhere = settings([*found, *every])
         for corner in every:
-            if _settings(trained_at(self._case, found)) == everywhere:
+            if settings(found) == everywhere:
                 break
             found = list(dict.fromkeys((*found, corner)))
         return found
 
 
-def _settings(case: Case) -> tuple[object, float]:
-    return case.plan.steps, case.plan.sound_speed
-
-
 def trained_at(case: Case, points: Sequence[ParameterPoint]) -> Case:
     """Return a case that is trained at some points, not checked."""
-    parameters = case.parameters.model_copy(update={"train": train_values(case, points)})
+    if points[0].others:
+        # Test points that name no Reynolds number have the first of these.
+        own = case.parameters.train.reynolds[:1]
+        train = TrainValues(points=tuple(point.as_dict() for point in points), reynolds=own)
+    else:
+        train = TrainValues(reynolds=tuple(point.reynolds for point in points))
+    parameters = case.parameters.model_copy(update={"train": train})
     return case.model_copy(update={"parameters": parameters})
-
-
-def train_values(case: Case, points: Sequence[ParameterPoint]) -> TrainValues:
-    """Return the section `parameters.train` of a case with some points."""
-    if not points[0].others:
-        return TrainValues(reynolds=tuple(point.reynolds for point in points))
-    # Test points that name no Reynolds number have the first of these.
-    own = case.parameters.train.reynolds[:1]
-    return TrainValues(points=tuple(point.as_dict() for point in points), reynolds=own)

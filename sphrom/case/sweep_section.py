@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from functools import lru_cache
+from functools import cached_property
 from typing import Annotated, Literal
 
 import numpy as np
@@ -133,38 +133,26 @@ class DrawnSection(SampleSection):
         drawn = any(isinstance(entry, DistributionSection) for entry in self.entries.values())
         return drawn or self.method in ("random", "saltelli")
 
-    @property
+    @cached_property
     def points(self) -> list[dict[str, float]]:
         """The points: of random parameters with all digits, else with six."""
         if not self.has_statistics:
             return super().points
-        entries = tuple(
-            (entry.distribution, tuple(entry.arguments.items()))
-            if isinstance(entry, DistributionSection)
-            else entry
-            for entry in self.entries.values()
-        )
-        rows = _drawn(self.method, self.count, self.seed, entries)
-        return [dict(zip(self.entries, row, strict=True)) for row in rows]
-
-
-@lru_cache(maxsize=8)
-def _drawn(
-    method: str, count: int, seed: int, entries: tuple[tuple[object, ...], ...]
-) -> tuple[tuple[float, ...], ...]:
-    """Return points of a design; entries are ranges, or names of distributions with arguments."""
-    if method == "saltelli":
-        shares = saltelli_design(unit_sample("sobol", count, seed, 2 * len(entries)))
-    else:
-        shares = unit_sample(method, count, seed, len(entries))
-    columns = []
-    for entry, column in zip(entries, shares.T, strict=True):
-        match entry:
-            case (str(name), tuple(arguments)):
-                columns.append(draws.quantiles(name, dict(arguments), column))
-            case (float(low), float(high)):
+        n_parameters = len(self.entries)
+        if self.method == "saltelli":
+            pairs = unit_sample("sobol", self.count, self.seed, 2 * n_parameters)
+            shares = saltelli_design(pairs)
+        else:
+            shares = unit_sample(self.method, self.count, self.seed, n_parameters)
+        columns = []
+        for entry, column in zip(self.entries.values(), shares.T, strict=True):
+            if isinstance(entry, DistributionSection):
+                columns.append(draws.quantiles(entry.distribution, entry.arguments, column))
+            else:
+                low, high = entry
                 columns.append(low + (high - low) * column)
-    return tuple(map(tuple, np.stack(columns, axis=1).tolist()))
+        rows = np.stack(columns, axis=1).tolist()
+        return [dict(zip(self.entries, row, strict=True)) for row in rows]
 
 
 class SweepSection(Section):

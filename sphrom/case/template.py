@@ -13,7 +13,7 @@ from typing import Any, get_args
 
 from sphrom.case import schema
 from sphrom.case.models import Case
-from sphrom.case.scenes import AnyScene, kind_of_section
+from sphrom.case.scenes import DEFAULTS, AnyScene, kind_of_section
 from sphrom.case.sections import ProjectionName
 from sphrom.case.yaml_reader import Path, dump_yaml
 from sphrom.errors import CaseError
@@ -56,7 +56,7 @@ def title(path: FilePath) -> str:
 
 def scene_kinds() -> tuple[str, ...]:
     """Return the kinds of scene that a case can have."""
-    return tuple(map(kind_of_section, get_args(AnyScene)))
+    return tuple(DEFAULTS)
 
 
 def require_kind(kind: str | None) -> str:

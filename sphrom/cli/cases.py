@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from sphrom.cli import completion
-from sphrom.cli.options import Options, command, option, run_stage
+from sphrom.cli.options import Options, command, option, stage_command
 from sphrom.console import tell
 from sphrom.errors import CaseError
 from sphrom.whole_files import open_to_write
@@ -34,7 +34,7 @@ def write_new(target: Path, text: str, next_step: str, *, force: bool) -> None:
     tell(f"wrote {target}{next_step}")
 
 
-@command(cases, "check", ("case", "out", "overrides", "force"))
+@stage_command(cases, "check", ("case", "out", "overrides", "force"))
 def check(options: Options) -> None:
     """Check a case, and tell what it would cost; exit code 5 if it would not fit this machine.
 
@@ -42,10 +42,9 @@ def check(options: Options) -> None:
     Example, with a step to try:
       sphrom case check cases/taylor_green_demo.yaml --set time.step=1e-3
     """
-    run_stage("check", options)
 
 
-@command(cases, "draw", ("case", "overrides", "force"))
+@stage_command(cases, "draw", ("case", "overrides", "force"))
 def draw(
     options: Options,
     output: Annotated[
@@ -64,7 +63,6 @@ def draw(
     Example:
       sphrom case draw cases/gallery/cylinder.yaml -o cylinder.svg
     """
-    run_stage("draw", options, output=output)
 
 
 @command(cases, "show", ("case", "overrides", "force"))

@@ -7,6 +7,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import wraps
 from inspect import Parameter, Signature, signature
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
@@ -148,6 +149,25 @@ def command(
         )
         app.command(name, help=help or function.__doc__)(run)
         return function
+
+    return decorate
+
+
+def stage_command(
+    app: typer.Typer, name: str, taken: Sequence[str] = WHOLE
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Return a decorator that adds the command of a stage, which gets all options of its own.
+
+    The function that it takes has no body: its parameters are the command's own options, and its
+    docstring is the help.
+    """
+
+    def decorate(function: Callable[..., None]) -> Callable[..., None]:
+        @wraps(function)
+        def run(options: Options, **own: Any) -> None:
+            run_stage(name, options, **own)
+
+        return command(app, name, taken)(run)
 
     return decorate
 

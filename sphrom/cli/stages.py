@@ -20,6 +20,7 @@ from sphrom.cli.options import (
     option,
     parameters_of,
     run_stage,
+    stage_command,
 )
 from sphrom.errors import CaseError
 from sphrom.exchange.import_options import ImportOptions
@@ -41,7 +42,7 @@ OF_FILES = ("case", "out", "overrides", "force", "quiet", "only")
 """The options of commands that take or make other programs' files."""
 
 
-@command(stages, "fom", ALL)
+@stage_command(stages, "fom", ALL)
 def fom(options: Options) -> None:
     """Run the full model at every parameter value: fom-<parameters>.h5.
 
@@ -53,10 +54,9 @@ def fom(options: Options) -> None:
       sphrom fom cases/taylor_green_demo.yaml --only reynolds=100 --threads 2
       sphrom fom cases/taylor_green_demo.yaml --only reynolds=100 --threads 2 --resume
     """
-    run_stage("fom", options)
 
 
-@command(stages, "map", BY_POINT)
+@stage_command(stages, "map", BY_POINT)
 def map_(options: Options) -> None:
     """Map snapshots onto the reference space: map-<parameters>.h5.
 
@@ -64,10 +64,9 @@ def map_(options: Options) -> None:
     Example, with the Shepard filter, into a folder that already holds the full runs:
       sphrom map cases/taylor_green_demo.yaml --out runs/demo --set reference.method=shepard
     """
-    run_stage("map", options)
 
 
-@command(stages, "pod")
+@stage_command(stages, "pod")
 def pod(options: Options) -> None:
     """Extract the trial basis from the mapped snapshots: pod.h5.
 
@@ -75,10 +74,9 @@ def pod(options: Options) -> None:
     Example, with 20 modes, writing over an earlier basis:
       sphrom pod cases/taylor_green_demo.yaml --set basis.n_modes=20 --force
     """
-    run_stage("pod", options)
 
 
-@command(stages, "fit-psi")
+@stage_command(stages, "fit-psi")
 def fit_psi(options: Options) -> None:
     """Fit splines to the modes: psi.h5.
 
@@ -86,10 +84,9 @@ def fit_psi(options: Options) -> None:
     Example, with splines of a higher order:
       sphrom fit-psi cases/taylor_green_demo.yaml --set psi.order=5 --set psi.polynomial_degree=2
     """
-    run_stage("fit-psi", options)
 
 
-@command(stages, "operators")
+@stage_command(stages, "operators")
 def operators(options: Options) -> None:
     """Project the right-hand side on the reference points onto the basis: operators.h5.
 
@@ -100,10 +97,9 @@ def operators(options: Options) -> None:
     Example, without the data for error estimates:
       sphrom operators cases/taylor_green_demo.yaml --set operators.error_estimate=false
     """
-    run_stage("operators", options)
 
 
-@command(stages, "rom", ALL)
+@stage_command(stages, "rom", ALL)
 def rom(options: Options) -> None:
     """Run the reduced models: rom-<name>-<parameters>.h5.
 
@@ -115,10 +111,9 @@ def rom(options: Options) -> None:
       sphrom rom cases/taylor_green_demo.yaml --only reynolds=150
       sphrom rom cases/taylor_green_demo.yaml --only fast-m5
     """
-    run_stage("rom", options)
 
 
-@command(stages, "compare")
+@stage_command(stages, "compare")
 def compare(options: Options) -> None:
     """Compare reduced with full runs: tables, figures, compare.h5.
 
@@ -126,10 +121,9 @@ def compare(options: Options) -> None:
     Example, leaving out the start, where the flow settles:
       sphrom compare cases/taylor_green_demo.yaml --set compare.from_time=0.1
     """
-    run_stage("compare", options)
 
 
-@command(stages, "figures")
+@stage_command(stages, "figures")
 def figures(options: Options) -> None:
     """Draw the figures that a case asks for in compare.figures: figures/<name>.png.
 
@@ -140,10 +134,9 @@ def figures(options: Options) -> None:
       sphrom run cases/taylor_green.yaml --set discretization.resolution=40 --out runs/coarse
       sphrom figures cases/taylor_green.yaml --set discretization.resolution=40 --out runs/coarse
     """
-    run_stage("figures", options)
 
 
-@command(stages, "report")
+@stage_command(stages, "report")
 def report(options: Options) -> None:
     """Write one HTML page of a case and its results: report.html.
 
@@ -154,10 +147,9 @@ def report(options: Options) -> None:
       sphrom run cases/taylor_green_demo.yaml
       sphrom report cases/taylor_green_demo.yaml
     """
-    run_stage("report", options)
 
 
-@command(stages, "run", (*WHOLE, "resume", "checkpoint_every"))
+@stage_command(stages, "run", (*WHOLE, "resume", "checkpoint_every"))
 def run(options: Options) -> None:
     """Run all stages that are needed, keeping what is there and valid.
 
@@ -165,7 +157,6 @@ def run(options: Options) -> None:
     Example, the whole pipeline on a coarser grid, in a folder of its own:
       sphrom run cases/taylor_green_demo.yaml --set discretization.resolution=40 --out runs/coarse
     """
-    run_stage("run", options)
 
 
 @command(stages, "trade", (*BY_POINT, "checkpoint_every"))
@@ -235,7 +226,7 @@ def sweep(
     run_stage("sweep", options, workers=workers, scheduler=scheduler, shard=share, collect=collect)
 
 
-@command(stages, "fit", WITHOUT_THREADS)
+@stage_command(stages, "fit", WITHOUT_THREADS)
 def fit(
     options: Options,
     measurements: Annotated[
@@ -268,10 +259,9 @@ def fit(
     Example, with noise of 1 % of each history's range, the lid's speed known:
       sphrom fit cavity.yaml probes.csv --noise 1% --set fit.parameters.lid=0.8
     """
-    run_stage("fit", options, measurements=measurements, noise=noise, name=name)
 
 
-@command(stages, "train")
+@stage_command(stages, "train")
 def train(
     options: Options,
     tolerance: Annotated[str | None, option("PERCENT", "Error allowed, such as 1%.")] = None,
@@ -300,8 +290,6 @@ def train(
     Example, a model that is wrong by no more than one percent, from at most eight full runs:
       sphrom train case.yaml --set 'training.reynolds=[50, 1000]' --tolerance 1% --budget 8
     """
-    asked = {"workers": workers, "scheduler": scheduler, "write_case": write_case}
-    run_stage("train", options, tolerance=tolerance, budget=budget, **asked)
 
 
 @command(stages, "import", (*OF_FILES, "threads"), own=parameters_of(ImportOptions).values())
@@ -347,7 +335,7 @@ def import_(
     run_stage("import", options, files=files, about=about)
 
 
-@command(stages, "export", OF_FILES)
+@stage_command(stages, "export", OF_FILES)
 def export(
     options: Options,
     to: Annotated[
@@ -375,4 +363,3 @@ def export(
       sphrom export cases/taylor_green_demo.yaml --to csv --at 0.25,0.5
       sphrom export cases/taylor_green_demo.yaml --only fast-m5 --into vtu
     """
-    run_stage("export", options, to=to, into=into, at=at or ())

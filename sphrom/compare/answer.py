@@ -11,9 +11,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from sphrom.compare.costs import break_even, offline_seconds
-from sphrom.compare.mode_figures import bases_used
 from sphrom.compare.tables import Tables, best_name
 from sphrom.plots.tables import format_figure
+from sphrom.store.reduced_models import basis_used
 from sphrom.store.workspace import Workspace
 from sphrom.text import counted, duration
 
@@ -158,7 +158,7 @@ def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
         unseen = [pair for pair in found if pair[1].role != "trained"] or found
         error, worst = max(unseen, key=lambda pair: pair[0][0])
         point = points[worst.parameters]
-        ((basis, n_modes),) = bases_used(workspace, [model], point)
+        basis, n_modes = basis_used(workspace, model, point)
         best = best_name(basis, n_modes)
         nearest = [r for r in tables.errors if (r.compared, r.parameters) == (best, point.label)]
         own = (model.name, point.label)

@@ -14,11 +14,12 @@ from sphrom.compare.costs import reduced_timing, stage_timings, undisturbed_seco
 from sphrom.compare.measured import (
     Measured,
     MeasureRow,
+    flow_row,
     measure_rows,
     measured_of_best,
     measured_of_map,
 )
-from sphrom.compare.mode_figures import bases_used, spectrum_rows
+from sphrom.compare.mode_figures import spectrum_rows
 from sphrom.compare.references import compare_with_references
 from sphrom.compare.stored_comparison import ComparisonWriter
 from sphrom.compare.tables import (
@@ -35,50 +36,30 @@ from sphrom.compare.tables import (
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.metrics.histories import compare
 from sphrom.metrics.samples import Probes, Samples
-from sphrom.metrics.series import exponential_rate, flow_row, kinetic_energy
+from sphrom.metrics.series import exponential_rate, kinetic_energy
 from sphrom.online.stored_run import StoredRun
-from sphrom.scenes.flows import ExactFlow
+from sphrom.scenes.flows import TaylorGreen
 from sphrom.setup.assembly import role_of
 from sphrom.setup.context import StageContext
 from sphrom.setup.particles import sampler
-from sphrom.store.reduced_models import read_modes
+from sphrom.store.reduced_models import basis_used, read_modes
 from sphrom.store.sampling import probes_of, sample_best, sample_exact, sample_mapped
 from sphrom.store.trajectory import measured_of, require_complete
 from sphrom.store.workspace import Workspace
 
 
-def bulk_velocity(case: Case, samples: Samples, probes: Probes) -> float | None:
-    """Return the mean of u over the scene's channel, and over time [m/s]; None without one."""
-    channel = case.scene.channel
-    if channel is None or not len(samples.time):
-        return None
-    inside = channel.contains(probes.grid)
-    # Points on the channel's floor are left out of the grid: fluid is at rest there.
-    step = case.scene.domain.lengths[1] / probes.grid_shape[0]
-    height = channel.height * len(np.unique(probes.grid[inside, 0]))
-    flux = samples.velocity[:, probes.on_grid][:, inside, 0].sum(axis=1) * step
-    return float(flux.mean()) / height
-
-
 def run(context: StageContext) -> None:
-    """Compare all runs of the case, and tell the answer."""
-    tables = make(context)
-    if tables is not None:
-        tell_answer(Workspace(context), tables)
+    """Compare all runs of the case, write artifact, tables and plots, and tell the answer.
 
-
-def make(context: StageContext) -> Tables | None:
-    """Compare all runs of the case; write `compare.h5`, `compare.json`, tables and plots.
-
-    Returns the tables, empty where there is nothing to compare; None where the artifact was made
-    before but its tables are damaged.
+    Where an artifact that was made before has damaged tables, it warns and tells nothing.
     """
     workspace, case = Workspace(context), context.case
     if not (case.rom or case.scene.domain.has_walls or _exact_flows(case)):
         context.report.info(
             "nothing to compare: no reduced models, and no solution to compare with"
         )
-        return Tables()
+        tell_answer(workspace, Tables())
+        return
     _tell_unseen(workspace)
     target = workspace.comparison()
     is_new = workspace.must_make(target)
@@ -100,20 +81,20 @@ def make(context: StageContext) -> Tables | None:
             context.report.warn(
                 f"{workspace.out / FILE} is missing or damaged; `{MADE_BY} --force` writes it again"
             )
-            return None
+            return
     if case.compare.plots:
         draw_comparison(workspace, tables, again=is_new)
     show(context.report, tables)
-    return tables
+    tell_answer(workspace, tables)
 
 
-def _exact_flows(case: Case) -> list[tuple[ParameterPoint, ExactFlow]]:
+def _exact_flows(case: Case) -> list[tuple[ParameterPoint, TaylorGreen]]:
     """Return the exact solutions that full runs are compared with, and their points."""
     flows = ((point, case.plan.flow(point).exact) for point in case.plan.points)
     return [(point, flow) for point, flow in flows if flow is not None and case.compare.exact]
 
 
-def _decay(workspace: Workspace, point: ParameterPoint, flow: ExactFlow) -> DecayRow:
+def _decay(workspace: Workspace, point: ParameterPoint, flow: TaylorGreen) -> DecayRow:
     exact = flow.energy_decay_rate
     with workspace.open(workspace.full_run(point)) as trajectory:
         velocities, mass = trajectory.dataset("velocity"), trajectory.number("mass")
@@ -190,7 +171,8 @@ class _PointComparison:
         with workspace.open(workspace.mapped(self.point)) as mapped:
             self._add(sample_mapped(case, mapped, sampler(case, self.probes.all)), "map")
             self._measure("map", measured_of_map(case, mapped))
-            for name, size in bases_used(workspace, self.models, self.point):
+            used = {basis_used(workspace, model, self.point) for model in self.models}
+            for name, size in sorted(used):
                 best, modes = best_name(name, size), read_modes(workspace, name, size)
                 samples = sample_best(case, mapped, *modes, self.probes)
                 self._add(samples, best, basis=name, n_modes=size)
@@ -200,7 +182,7 @@ class _PointComparison:
     def _compare_model(self, model: ReducedModelSection) -> None:
         workspace, case, point = self.workspace, self.case, self.point
         target = workspace.reduced_run(model, point)
-        ((basis, size),) = bases_used(workspace, [model], point)
+        basis, size = basis_used(workspace, model, point)
         with workspace.open(target) as trajectory:
             status = trajectory.text("status")
             run = StoredRun(workspace, trajectory, point, model)
@@ -213,9 +195,7 @@ class _PointComparison:
                     self.full,
                     self.probes,
                     from_time=case.compare.from_time,
-                    compared=model.name,
-                    parameters=point.label,
-                    role=role_of(case, basis, point),
+                    **self._described(model.name, basis),
                 )
                 if estimate is not None:
                     self.tables.estimates.append(estimate)
@@ -234,8 +214,7 @@ class _PointComparison:
     def _describe_flow(self, name: str, run: StoredRun, samples: Samples) -> None:
         """Describe the flow of a run in a scene with walls; one that failed at once has none."""
         if self.case.scene.domain.has_walls and len(samples.time):
-            bulk = bulk_velocity(self.case, samples, self.probes)
-            row = flow_row(name, self.point.label, run, samples, self.probes, bulk)
+            row = flow_row(self.case, name, self.point.label, run, samples, self.probes)
             self.tables.flow.append(row)
 
     def _measure(
@@ -245,14 +224,13 @@ class _PointComparison:
             measured,
             self.measured,
             self.full.time >= self.case.compare.from_time,
-            compared=name,
-            parameters=self.point.label,
             n_modes=n_modes,
-            role=self._role(basis),
+            **self._described(name, basis),
         )
 
-    def _role(self, basis: str | None) -> str:
-        return "" if basis is None else role_of(self.case, basis, self.point)
+    def _described(self, name: str, basis: str | None) -> dict[str, str]:
+        role = "" if basis is None else role_of(self.case, basis, self.point)
+        return {"compared": name, "parameters": self.point.label, "role": role}
 
     def _add(
         self,
@@ -278,13 +256,7 @@ class _PointComparison:
                 f"which the {against} solution varies over the probes"
             )
         row = error_row(
-            history,
-            compared=compared,
-            against=against,
-            parameters=self.point.label,
-            role=self._role(basis),
-            n_modes=n_modes,
-            status=status,
+            history, status, n_modes, against=against, **self._described(compared, basis)
         )
         self.tables.errors.append(row)
         if against == FULL and (near := wall_row(row, history)) is not None:

@@ -11,8 +11,8 @@ from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts.records.comparison import Series
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
@@ -35,7 +35,6 @@ from sphrom.store.workspace import Workspace
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 LABELS = {
     "speed": "speed [m/s]",
@@ -238,8 +237,8 @@ class _PointFigures:
         x, y = self.probes.stations[0]
         curves = []
         for name in (None, *(model.name for model in self.complete)):
-            if (run := self.comparison.station(name, self.point)) is not None:
-                curves.append(_curve(name, run.time, run.velocity[:, 0, 1]))
+            if (found := self.comparison.samples("stations", name, self.point)) is not None:
+                curves.append(_curve(name, found[1].time, found[1].velocity[:, 0, 1]))
         title = f"{self.point.label}, at x = {x:.4g} m, y = {y:.4g} m"
         return draw_grid([[Panel("", "time [s]", "v [m/s]", curves)]], title=title)
 

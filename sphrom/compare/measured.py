@@ -1,18 +1,27 @@
-"""Forces, flow rates, probes and lines over time: maps, bases and reduced runs beside full runs."""
+"""Forces, flow rates, probes and lines over time: maps, bases and reduced runs beside full runs.
+
+The flow of each run is described by figures of its own, such as speeds and a frequency.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts import Artifact
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.metrics.measures import UNITS, Quantities, components, errors_of, mean_square
+from sphrom.metrics.samples import Probes, Samples
+from sphrom.metrics.series import dominant_frequency, kinetic_energy
 from sphrom.online.basis_model import fields_of, forces_of
+from sphrom.online.stored_run import StoredRun
 from sphrom.reduction.reduced_measures import calibrate_force
 from sphrom.reduction.trial_basis import kept_modes, mean_density_fluctuation, project, truncate
 from sphrom.setup.particles import MeasuredFields
@@ -53,7 +62,7 @@ class MeasureRow:
     """At the worst instant."""
 
 
-def named_components(quantity: str, values: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+def named_components(quantity: str, values: Array) -> dict[str, Array]:
     """Return values by component as tables name them: `u`, but `force_x`."""
     prefix = "force_" if quantity == "force" else ""
     return {f"{prefix}{name}": each for name, each in components(quantity, values).items()}
@@ -103,13 +112,12 @@ def measure_rows(
     own: Measured,
     full: Measured,
     counted: NDArray[np.bool_],
-    *,
-    compared: str,
-    parameters: str,
-    n_modes: int | None,
-    role: str,
+    **described: Any,
 ) -> Iterator[MeasureRow]:
-    """Yield the rows of a run beside the full one, over the snapshots (n_snapshots,) that count."""
+    """Yield the rows of a run beside the full one, over the snapshots (n_snapshots,) that count.
+
+    Compared run, parameters, number of modes and role are `described` as in the rows.
+    """
     for measured, quantities in own.items():
         for quantity, values in quantities.items():
             reference = full[measured][quantity][counted]
@@ -123,13 +131,93 @@ def measure_rows(
                     measured=measured,
                     quantity=component,
                     unit=UNITS[quantity],
-                    compared=compared,
-                    parameters=parameters,
-                    n_modes=n_modes,
-                    role=role,
+                    **described,
                     mean=float(found.mean()),
                     least=float(found.min()),
                     greatest=float(found.max()),
                     relative_l2=errors[0],
                     relative_l2_peak=errors[1],
                 )
+
+
+@dataclass(frozen=True)
+class FlowRow:
+    """The flow of one run; of one that became unstable, as far as it came."""
+
+    run: str
+    parameters: str
+    from_time: float = field(metadata={"unit": "s"})
+    to_time: float = field(metadata={"unit": "s"})
+    largest_speed: float = field(metadata={"unit": "m/s"})
+    """Of all particles, the mean over time."""
+    kinetic_energy: float = field(metadata={"unit": "J/m"})
+    """The mean over time."""
+    bulk_velocity: float | None = field(metadata={"unit": "m/s"})
+    """The mean of u over the channel beside a cavity, and over time; None without a channel."""
+    mean_pressure_drift: float = field(metadata={"unit": "Pa"})
+    """The largest change of the particles' mean pressure since the first snapshot."""
+    pressure_deviation: float = field(metadata={"unit": "Pa"})
+    """The pressure's standard deviation over the particles, its mean over the later half."""
+    pressure_drift_ratio: float | None
+    """That drift over that deviation; None for a pressure that is the same everywhere."""
+    dominant_frequency: float | None = field(metadata={"unit": "Hz"})
+    """Of v at the station; None without a station, or an oscillation of two periods or more."""
+
+
+def _bulk_velocity(case: Case, samples: Samples, probes: Probes) -> float | None:
+    """Return the mean of u over the scene's channel, and over time [m/s]; None without one."""
+    channel = case.scene.channel
+    if channel is None or not len(samples.time):
+        return None
+    inside = channel.contains(probes.grid)
+    # Points on the channel's floor are left out of the grid: fluid is at rest there.
+    step = case.scene.domain.lengths[1] / probes.grid_shape[0]
+    height = channel.height * len(np.unique(probes.grid[inside, 0]))
+    flux = samples.velocity[:, probes.on_grid][:, inside, 0].sum(axis=1) * step
+    return float(flux.mean()) / height
+
+
+def flow_row(
+    case: Case,
+    name: str,
+    parameters: str,
+    run: StoredRun,
+    samples: Samples,
+    probes: Probes,
+) -> FlowRow:
+    """Describe the flow of a run, full or reduced, from its fields and its samples at probes."""
+    speed, energy, mean_pressure, deviations = _over_time(run)
+    drift = float(np.abs(mean_pressure - mean_pressure[0]).max())
+    deviation = float(deviations[len(deviations) // 2 :].mean())
+    frequency = None
+    if len(probes.stations):
+        velocity = samples.velocity[:, probes.at_stations][:, 0, 1]
+        with suppress(ValueError):
+            frequency = dominant_frequency(samples.time, velocity)
+    return FlowRow(
+        run=name,
+        parameters=parameters,
+        from_time=float(run.time[0]),
+        to_time=float(run.time[-1]),
+        largest_speed=float(speed.mean()),
+        kinetic_energy=float(energy.mean()),
+        bulk_velocity=_bulk_velocity(case, samples, probes),
+        mean_pressure_drift=drift,
+        pressure_deviation=deviation,
+        pressure_drift_ratio=drift / deviation if deviation > 0.0 else None,
+        dominant_frequency=frequency,
+    )
+
+
+def _over_time(run: StoredRun) -> Array:
+    """Return largest speed, energy, mean and deviation of the pressure (4, n_snapshots)."""
+    figures = np.empty((4, len(run.time)))
+    for snapshot in range(len(run.time)):
+        velocity, pressure = run.fields(snapshot)
+        figures[:, snapshot] = (
+            np.hypot(*velocity.T).max(),
+            kinetic_energy(velocity, run.mass),
+            pressure.mean(),
+            pressure.std(),
+        )
+    return figures

@@ -6,23 +6,20 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.case.models import Case
-from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
 from sphrom.compare.tables import SpectrumRow
 from sphrom.errors import ArtifactError
 from sphrom.metrics.histories import cumulative_singular_value_share, energy
 from sphrom.plots.panels import Curve, Field, Frame, Panel, draw_grid
 from sphrom.setup.draw import solids_within
-from sphrom.store.reduced_models import sized
+from sphrom.store.reduced_models import basis_used
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 SPACES = {
     "reference": ("bases", "reference_position"),
@@ -44,23 +41,10 @@ def frame_of(case: Case) -> Frame:
     return Frame(extent, None if box.fills_box else solids_within(box, extent))
 
 
-def bases_used(
-    workspace: Workspace, models: Sequence[ReducedModelSection], point: ParameterPoint
-) -> list[tuple[str, int]]:
-    """Return the bases that models use at a point, and how many modes of each, in order."""
-    basis_for = workspace.case.plan.basis_for
-    return sorted({(basis_for(m, point), sized(workspace, m, point).size) for m in models})
-
-
 def model_sizes(workspace: Workspace, basis: str) -> list[int]:
     """Return how many modes of a basis models use."""
     case = workspace.case
-    used = (
-        pair
-        for model in case.rom
-        for point in case.plan.rom_points(model)
-        for pair in bases_used(workspace, [model], point)
-    )
+    used = (basis_used(workspace, m, point) for m in case.rom for point in case.plan.rom_points(m))
     return sorted({size for name, size in used if name == basis})
 
 

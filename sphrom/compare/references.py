@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts import Artifact
 from sphrom.artifacts.records.comparison import ReferenceProfile as Profile
 from sphrom.case.models import Case
@@ -19,8 +20,6 @@ from sphrom.case.points import ParameterPoint
 from sphrom.metrics.samples import Probes
 from sphrom.scenes.reference_profiles import ReferenceProfile
 from sphrom.store.sampling import ON_WALL, ROUNDING, sample_run
-
-Array = NDArray[np.float64]
 
 SETTLED = 0.01
 """The largest change of a settled flow, over U, or rho U2 for a pressure."""

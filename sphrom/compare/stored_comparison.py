@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, ArtifactWriter, read_record, write_record
 from sphrom.artifacts.records.comparison import Ranges, ReferenceProfile, Series
 from sphrom.artifacts.records.comparison import Samples as StoredSamples
@@ -20,8 +21,6 @@ from sphrom.metrics.samples import Probes, Samples
 from sphrom.plots.tables import flat
 from sphrom.store.workspace import Workspace
 from sphrom.text import exact
-
-Array = NDArray[np.float64]
 
 
 class ComparisonWriter:
@@ -106,18 +105,14 @@ class StoredComparison:
 
         A run that became unstable has so many instants as it has. One that did at once has none.
         """
-        found = self._samples("centreline", run, point)
+        found = self.samples("centreline", run, point)
         empty = np.empty((0, 2)), Samples(np.empty(0), np.empty((0, 0, 2)), np.empty((0, 0)))
         return empty if found is None else found
 
-    def station(self, run: str | None, point: ParameterPoint) -> Samples | None:
-        """Return a run at the scene's stations, None where it has none."""
-        found = self._samples("stations", run, point)
-        return None if found is None else found[1]
-
-    def _samples(
-        self, kind: str, run: str | None, point: ParameterPoint
+    def samples(
+        self, kind: Literal["centreline", "stations"], run: str | None, point: ParameterPoint
     ) -> tuple[Array, Samples] | None:
+        """Return where the line or the stations are, and a run there; None where it has none."""
         group = f"{kind}/{FULL if run is None else group_of(run)}/{point.file_label}"
         if f"{group}/time" not in self._artifact:
             return None

@@ -10,13 +10,12 @@ import numpy as np
 
 from sphrom.artifacts import Artifact
 from sphrom.compare.costs import RunTiming, StageTiming
-from sphrom.compare.measured import MeasureRow
+from sphrom.compare.measured import FlowRow, MeasureRow
 from sphrom.compare.references import ReferenceRow
 from sphrom.console import Reporter
 from sphrom.metrics.histories import (
     EFFECTIVITY,
     ERRORS,
-    NO_ERRORS,
     QUANTITIES,
     Errors,
     History,
@@ -26,7 +25,6 @@ from sphrom.metrics.histories import (
     norms_of,
 )
 from sphrom.metrics.samples import Probes, Samples
-from sphrom.metrics.series import FlowRow
 from sphrom.plots.tables import (
     MISSING,
     about,
@@ -84,10 +82,8 @@ class ErrorRow:
     role: str
     """`trained` where the parameter was trained on, else `predicted`."""
     status: str
-    errors: Errors = field(metadata=columns(ERRORS, "%"))
-    at_end: Errors = field(metadata=columns(AT_END, "%"))
-    """At the last instant."""
-    without_sound: Errors = field(metadata=columns(WITHOUT_SOUND, "%"))
+    errors: Errors = field(metadata=columns((*ERRORS, *AT_END, *WITHOUT_SOUND), "%"))
+    """At the last instant with `_end`; pressures averaged over sound with `_without_sound`."""
 
     @property
     def in_field(self) -> tuple[float, float] | None:
@@ -183,26 +179,17 @@ RECORDS: Mapping[str, type[DataclassInstance]] = {
 
 
 def error_row(
-    history: History,
-    *,
-    compared: str,
-    against: str,
-    parameters: str,
-    role: str,
-    n_modes: int | None = None,
-    status: str = "complete",
+    history: History, status: str = "complete", n_modes: int | None = None, **described: str
 ) -> ErrorRow:
-    """Summarise a history."""
-    errors, ends = NO_ERRORS, dict[str, float | None].fromkeys(AT_END)
-    without_sound = dict[str, float | None].fromkeys(WITHOUT_SOUND)
+    """Summarise the history of a comparison that is `described` as in its row."""
+    errors = dict[str, float | None].fromkeys((*ERRORS, *AT_END, *WITHOUT_SOUND))
     if status == "complete" and len(history.time):
-        errors = errors_of(history)
-        at_end = (history.places[f"{quantity}_field"].relative_l2[-1] for quantity in QUANTITIES)
-        ends = dict(zip(AT_END, map(float, at_end), strict=True))
+        errors |= errors_of(history)
+        for name, quantity in zip(AT_END, QUANTITIES, strict=True):
+            errors[name] = float(history.places[f"{quantity}_field"].relative_l2[-1])
         for place, series in history.without_sound.items():
-            without_sound |= norms_of(f"{place}_without_sound", series)
-    described = (compared, against, parameters, n_modes, role, status)
-    return ErrorRow(*described, errors, ends, without_sound)
+            errors |= norms_of(f"{place}_without_sound", series)
+    return ErrorRow(**described, n_modes=n_modes, status=status, errors=errors)
 
 
 def wall_row(described: ErrorRow, history: History) -> WallRow | None:
@@ -220,18 +207,16 @@ def estimate_row(
     probes: Probes,
     *,
     from_time: float,
-    compared: str,
-    parameters: str,
-    role: str,
+    **described: str,
 ) -> EstimateRow | None:
     """Return how good a run's estimates are; None where it has none, or no errors."""
     if "error_estimate/velocity" not in artifact:
         return None
     estimates = np.stack([artifact.read(f"error_estimate/{name}") for name in FIELDS], axis=1)
     if artifact.text("error_estimate/training") == "outside":
-        role = "extrapolated"
+        described["role"] = "extrapolated"
     found = effectivity(estimates, run, reference, probes, from_time=from_time, left_out=LEFT_OUT)
-    return None if found is None else EstimateRow(compared, parameters, role, found)
+    return None if found is None else EstimateRow(**described, figures=found)
 
 
 def show(report: Reporter, tables: Tables) -> None:
@@ -249,14 +234,18 @@ def show(report: Reporter, tables: Tables) -> None:
             f"{format_figure(100.0 * change)} % of U or rho U^2: no steady profile is shown"
         )
     settled = [r for r in tables.reference if r.settled]
-    for title, rows in (
+    whole: tuple[tuple[str, Sequence[DataclassInstance]], ...] = (
         ("errors near walls, within a support radius, and farther in", tables.walls),
         ("full runs against reference solutions, means over the time from and to", settled),
         ("the flow", tables.flow),
         ("decay of the full run's kinetic energy", tables.decay),
         ("cost of the time steps, writing left out", tables.timings),
-    ):
-        _show_whole(report.details, title, rows)
+    )
+    for title, rows in whole:  # all columns, as their files have them
+        if rows:
+            names = [heading.replace("_", " ") for heading in headings(type(rows[0]))]
+            cells = [[*map(format_figure, flat(row).values())] for row in rows]
+            report.details.table(title, names, cells)
 
 
 def _show(
@@ -269,13 +258,6 @@ def _show(
             for r in map(flat, rows)
         ]
         report.table(title, [heading for heading, _ in columns], cells)
-
-
-def _show_whole(report: Reporter, title: str, rows: Sequence[DataclassInstance]) -> None:
-    """Show all columns of rows, as their file has them."""
-    if rows:
-        names = [heading.replace("_", " ") for heading in headings(type(rows[0]))]
-        report.table(title, names, [[*map(format_figure, flat(r).values())] for r in rows])
 
 
 def _norm(name: str) -> Callable[[Cells], str]:

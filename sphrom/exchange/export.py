@@ -21,6 +21,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts.layout import Shape
 from sphrom.artifacts.paraview import View, views
 from sphrom.case.points import ParameterPoint
@@ -30,13 +31,11 @@ from sphrom.exchange.import_options import place
 from sphrom.online.stored_run import StoredRun
 from sphrom.plots.tables import write_csv
 from sphrom.setup.context import StageContext
-from sphrom.sph import state_equation
+from sphrom.sph.fluid import pressure_of
 from sphrom.store.reduced_models import read_points
 from sphrom.store.sampling import probes_of
 from sphrom.store.workspace import Target, Workspace, make_folder
 from sphrom.whole_files import replacement
-
-Array = NDArray[np.float64]
 
 FOLDER = "export"
 """Where files go unless another folder is named, beside the artifacts."""
@@ -69,7 +68,10 @@ class Source:
 
 
 def run(
-    context: StageContext, to: str = FIELDS, into: Path | None = None, at: Sequence[str] = ()
+    context: StageContext,
+    to: str = FIELDS,
+    into: Path | None = None,
+    at: Sequence[str] | None = None,
 ) -> None:
     """Export every artifact of a case that is there and holds fields.
 
@@ -88,7 +90,7 @@ def run(
         raise CaseError(f"--at: goes with --to {PROBES}")
     workspace, folder = Workspace(context), into or context.out / FOLDER
     if to == PROBES:
-        n_written = _write_tables(workspace, folder, at)
+        n_written = _write_tables(workspace, folder, at or ())
     else:
         n_written = _write_all(workspace, folder)
     if n_written == 0:
@@ -147,7 +149,7 @@ def _opened(workspace: Workspace, item: Item) -> Iterator[Source]:
         def stored(name: str, index: Any) -> NDArray[Any]:
             return np.asarray(artifact.dataset(name)[index])
 
-        if model is None or point is None or model.on_particles or POINTS in artifact:
+        if model is None or point is None or not model.from_operators or POINTS in artifact:
             yield Source(schema, shapes, stored)
             return
         points, sound_speed = read_points(workspace), workspace.case.plan.sound_speed
@@ -156,7 +158,7 @@ def _opened(workspace: Workspace, item: Item) -> Iterator[Source]:
             POINTS: points.__getitem__,
             "density_fluctuation": lambda index: state(index)[0],
             "velocity": lambda index: state(index)[1],
-            "pressure": lambda index: state_equation.pressure(state(index)[0], sound_speed),
+            "pressure": lambda index: pressure_of(state(index)[0], sound_speed),
         }
         shape = (artifact.length("time"), len(points))
         shapes |= dict.fromkeys(computed, shape)

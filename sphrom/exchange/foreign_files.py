@@ -24,6 +24,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts.inspection import Fault, damage, inspect, open_file, require_own_data
 from sphrom.artifacts.layout import index_not_finite
 from sphrom.errors import ArtifactError, CaseError
@@ -31,8 +32,6 @@ from sphrom.exchange import vtk_process
 from sphrom.machine import available_ram
 from sphrom.text import data_size, shortened
 from sphrom.whole_files import Unreadable, read_whole, require_size
-
-Array = NDArray[np.float64]
 
 COMPONENTS = ("x", "y", "z")
 TIME_NAMES = ("TimeValue", "time", "t", "TIME")

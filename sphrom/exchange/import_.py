@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.case.loader import given_keys, load_case
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
@@ -36,12 +37,11 @@ from sphrom.setup import assembly, particles
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import require_room
 from sphrom.setup.particles import MeasuredFields
-from sphrom.sph import fluid, state_equation
+from sphrom.sph import fluid
+from sphrom.sph.fluid import fluctuation_of
 from sphrom.sph.time_loop import DENSITY_LIMIT, Snapshot
 from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Target, Workspace
-
-Array = NDArray[np.float64]
 
 STAGE = "import"
 """The stage of an imported run in its artifact."""
@@ -313,7 +313,7 @@ class Converter:
             pressure = given.field(self.about.pressure, "--pressure") * self._scales["pressure"]
             if self.about.zero_mean_pressure:
                 pressure = pressure - pressure.mean()
-            fluctuation = state_equation.density_fluctuation(pressure, self._case.plan.sound_speed)
+            fluctuation = fluctuation_of(pressure, self._case.plan.sound_speed)
         largest = float(np.abs(fluctuation).max()) / reference
         self.largest_fluctuation = max(self.largest_fluctuation, largest)
         if largest > DENSITY_LIMIT:

@@ -17,16 +17,14 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange.foreign_files import Source, read_foreign, snapshots_in
 from sphrom.exchange.import_options import ImportOptions
 from sphrom.sph.domain import Domain
 from sphrom.sph.time_loop import Snapshot, TimeSteps
 from sphrom.text import shortened
-
-Array = NDArray[np.float64]
 
 TIME_TOLERANCE = 1e-2
 """How far snapshots may be from the instants to be taken for them, over the time between two."""
@@ -168,9 +166,8 @@ def interpolated(
         farthest, seconds = float(np.hypot(*offset).max()), abs(node - nodes[nearest])
         if farthest > FARTHEST * fastest * seconds + spacing:
             raise CaseError(
-                f"--sort-by: a particle moves by {farthest:.4g} m within {seconds:.4g} s, and none "
-                f"is faster than {fastest:.4g} m/s: the files have their particles in different "
-                "orders; --sort-by names the field that numbers them"
+                f"--sort-by: a particle moves by {farthest:.4g} m within {seconds:.4g} s, faster "
+                "than any is: its order differs between files; name the field with its number"
             )
         moved += weight * offset
     parts = [(weight, snapshot) for weight, (_, snapshot) in zip(weights, near, strict=True)]

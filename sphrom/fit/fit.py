@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts import write_record
 from sphrom.artifacts.records import fit as records
 from sphrom.artifacts.records.fit import FittedHistory
@@ -237,9 +237,6 @@ def _shown(estimate: Estimate) -> tuple[str, ...]:
         format_figure(share, 2),
         estimate.remark,
     )
-
-
-Array = NDArray[np.float64]
 
 
 def fit(

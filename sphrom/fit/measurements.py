@@ -23,8 +23,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from sphrom.arrays import Array
 from sphrom.case.checks import outside_fluid
 from sphrom.case.fields import LARGEST
 from sphrom.case.models import Case
@@ -34,7 +35,6 @@ from sphrom.metrics.measures import COMPONENTS, UNITS
 from sphrom.text import nearest, quoted, repeated, shortened, visible
 from sphrom.whole_files import read_whole
 
-Array = NDArray[np.float64]
 Place = tuple[float, float]
 
 MOST_BYTES = 16 * 1024 * 1024

@@ -15,8 +15,8 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array, Indices
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import Box, Ranges
 from sphrom.errors import CaseError, UnstableError
@@ -36,8 +36,6 @@ from sphrom.store.reduced_models import read_points
 from sphrom.store.trajectory import read_quantities, snapshot_fields
 from sphrom.text import exact
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 TrainingDifferences = dict[Hashable, tuple[Array, Array]]
 """Of histories in training runs, by basis and histories, with the sizes of errors over the fluid.
 Fits of one model share them."""
@@ -78,7 +76,7 @@ class FittedModel:
             sample, speed = sampler(self._case, places), self._case.plan.sound_speed
             self.unnamed = MeasuredFields({UNNAMED: FieldMeasure(places)}, sample, speed)
         self._measures: dict[str, Mapping[str, ReducedMeasure]] = {}
-        self._linear: dict[str, Sequence[Array | None]] = {}
+        self._stepped: dict[str, ReferenceModel] = {}
         self._n_steps = 1
 
     def point(self, place: Array) -> ParameterPoint:
@@ -92,7 +90,7 @@ class FittedModel:
 
     def _automatic_steps(self, point: ParameterPoint) -> int:
         reduced = self.fast.at(point)
-        self._linear.setdefault(self.fast.basis_at(point), reduced.linear_parts)
+        self._stepped.setdefault(self.fast.basis_at(point), reduced)
         try:
             return reference_model.automatic(reduced).steps.n_steps
         except UnstableError:
@@ -107,10 +105,9 @@ class FittedModel:
         """
         basis = self.fast.basis_at(point) if basis is None else basis
         found = self.fast.on_basis(basis).equations(point)
-        if basis not in self._linear:
+        if basis not in self._stepped:
             model = self.fast.on_basis(basis)
-            (trained,) = model.projected(model.points[:1], in_training=True)
-            self._linear[basis] = trained.linear_parts
+            (self._stepped[basis],) = model.projected(model.points[:1], in_training=True)
         if basis not in self._measures:
             self._measures[basis] = {}
             if (fields := self.unnamed) is not None:
@@ -119,7 +116,7 @@ class FittedModel:
                     found.basis, lambda *state: fields(position, *state)
                 )
         measures = {**found.measures, **self._measures[basis]}
-        return replace(found.with_linear_parts(self._linear[basis]), measures=measures)
+        return replace(found.with_steps_of(self._stepped[basis]), measures=measures)
 
     def integrator(self, reduced: ReferenceModel) -> Integrator:
         """Return the steps of a model, as many at all parameters."""
@@ -224,7 +221,7 @@ def error_samples(model: FittedModel, place: Array, known: TrainingDifferences) 
     reduced = model.reduced(point)
     run = fast.run(point, reduced, model.integrator(reduced))
     found = run.estimate
-    if found is None or found.errors is None:
+    if found is None:
         return None
     key = (name, tuple((h.measure, h.place, h.quantity, h.component) for h in model.histories))
     if key not in known:

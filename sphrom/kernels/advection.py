@@ -7,10 +7,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from numba import prange
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array, Indices
 from sphrom.kernels.blocks import N_CHUNKS, list_candidates
 from sphrom.kernels.cells import Grid, range_in_row, rows_within
 from sphrom.kernels.jit import parallel, term
@@ -26,9 +25,6 @@ from sphrom.kernels.sweeps import (
     shifting_push,
 )
 from sphrom.kernels.wendland import gradient_factor, kernel, laplacian_weight
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 FIRST = VOLUME + 1
 """The row of `source` at which fields stand whose gradients are wanted."""

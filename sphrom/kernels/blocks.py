@@ -13,13 +13,10 @@ no loop has a scalar rest. Positions in the list are relative to the block's fir
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array, Indices
 from sphrom.kernels.cells import Grid, range_beside_box, rows_within
 from sphrom.kernels.jit import serial, term
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 BLOCK_COLUMNS = 4
 """Cells of a row whose targets are a block: the fastest of those tried."""

@@ -13,13 +13,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
 from numba import prange
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.kernels.jit import parallel, term
 
-Array = NDArray[np.float64]
 Four = tuple[float, float, float, float]
 
 

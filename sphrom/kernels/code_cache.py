@@ -11,6 +11,7 @@ import hashlib
 import os
 import secrets
 import tempfile
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,8 +29,7 @@ class CodeCache:
     """A folder of compiled code, None where the user has none."""
 
     folder: Path | None
-    fault: str | None = None
-    """Why nothing can be written there."""
+    writable: bool = True
 
     def read(self, name: str) -> bytes | None:
         """Return what is kept under a name; None where there is nothing, or it is damaged."""
@@ -40,37 +40,39 @@ class CodeCache:
         digest, content = kept[:DIGEST_SIZE], kept[DIGEST_SIZE:]
         return content if hashlib.sha256(content).digest() == digest else None
 
-    def write(self, name: str, content: bytes) -> str | None:
-        """Keep something under a name, over what is there; return why it can't be kept."""
-        if self.folder is None or self.fault is not None:
-            return None
+    def write(self, name: str, content: bytes) -> None:
+        """Keep something under a name, over what is there; warn where it can't be kept."""
+        if self.folder is None or not self.writable:
+            return
         temporary = self.folder / f".{name}.{secrets.token_hex(8)}"
         try:
             temporary.write_bytes(hashlib.sha256(content).digest() + content)
             temporary.replace(self.folder / name)
         except OSError as error:
-            return _fault(self.folder, error)
+            _warn_of(self.folder, error)
         finally:
             temporary.unlink(missing_ok=True)
-        return None
 
 
 def find_cache(name: str) -> CodeCache:
-    """Return the cache of a name in the user's folder, with its fault where it can't be written."""
+    """Return the cache of a name in the user's folder, and warn where it can't be written."""
     named, folder = next(filter(None, map(os.environ.get, VARIABLES)), None), None
     try:
         folder = (Path(named) if named else Path.home() / ".cache") / "sphrom" / name
         folder.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()
     except (OSError, RuntimeError) as error:
-        return CodeCache(folder, _fault(folder, error))
+        _warn_of(folder, error)
+        return CodeCache(folder, writable=False)
     return CodeCache(folder)
 
 
-def _fault(folder: Path | None, error: Exception) -> str:
+def _warn_of(folder: Path | None, error: Exception) -> None:
     where = "" if folder is None else f" in {folder}"
     reason = getattr(error, "strerror", None) or str(error).rstrip(".")
-    return (
+    warnings.warn(
         f"compiled kernels can't be kept{where}: {reason}; every command compiles them anew; "
-        f"choose another folder with {VARIABLES[0]}"
+        f"choose another folder with {VARIABLES[0]}",
+        CodeCacheWarning,
+        stacklevel=1,
     )

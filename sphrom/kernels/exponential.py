@@ -8,14 +8,9 @@ product with a matrix each, and the end of a step is the last of them.
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from sphrom.arrays import Array, Indices
 from sphrom.kernels.jit import term
 from sphrom.kernels.polynomial import evaluate, fill_monomials
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 @term

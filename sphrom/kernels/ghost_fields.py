@@ -7,17 +7,13 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from numba import prange
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array, Indices
 from sphrom.kernels.cells import Grid, range_in_row, rows_within
 from sphrom.kernels.jit import parallel, term
 from sphrom.kernels.sweeps import DENSITY, VOLUME, U, V, X, Y
 from sphrom.kernels.wendland import gradient_factor, kernel
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 @term

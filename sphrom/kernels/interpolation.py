@@ -9,16 +9,12 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from numba import prange
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array, Indices
 from sphrom.kernels.cells import Grid, range_in_row, rows_within
 from sphrom.kernels.jit import parallel, term
 from sphrom.kernels.wendland import kernel
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 N_TERMS = 6
 """Terms of a quadratic polynomial in two dimensions: 1, x, y, x^2, x y, y^2."""

@@ -17,7 +17,6 @@ from __future__ import annotations
 import hashlib
 import pickle
 import sys
-import warnings
 from collections.abc import Callable
 from functools import lru_cache
 from importlib.metadata import version
@@ -34,7 +33,7 @@ from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
 
 from sphrom.kernels import asked_for
-from sphrom.kernels.code_cache import CodeCache, CodeCacheWarning, find_cache
+from sphrom.kernels.code_cache import CodeCache, find_cache
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -113,14 +112,7 @@ JITCPUCodegen._library_class = _OwnCopies
 @lru_cache(maxsize=1)
 def code_cache() -> CodeCache:
     """Return where code is kept; warns, once, where it can't be."""
-    cache = find_cache(source_hash())
-    _warn_of(cache.fault)
-    return cache
-
-
-def _warn_of(fault: str | None) -> None:
-    if fault is not None:
-        warnings.warn(fault, CodeCacheWarning, stacklevel=1)
+    return find_cache(source_hash())
 
 
 class _KeptCode(NullCache):
@@ -148,7 +140,7 @@ class _KeptCode(NullCache):
             content = dumps(compiled._reduce())
         except RuntimeError:
             return
-        _warn_of(code_cache().write(self._file(signature, compiled.codegen), content))
+        code_cache().write(self._file(signature, compiled.codegen), content)
 
     def _file(self, signature: Any, codegen: Any) -> str:
         made_for = hashlib.sha256(repr((signature, codegen.magic_tuple())).encode())

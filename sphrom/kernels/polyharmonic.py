@@ -15,15 +15,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
 from numba import prange
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array, Indices
 from sphrom.kernels.cells import Grid
 from sphrom.kernels.jit import parallel, term
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 # Guards ln 0 and 1/0 where a position meets a point; the offset or r^2 in front is zero there.
 TINY = 1e-200

@@ -11,13 +11,8 @@ only the leading columns are used.
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from sphrom.arrays import Array, Indices
 from sphrom.kernels.jit import term
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 @term

@@ -10,13 +10,10 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from numba import prange
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.kernels.jit import parallel, term
-
-Array = NDArray[np.float64]
 
 N_CHUNKS = 32
 """In which particles are shared out."""

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from numba import prange
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array, Indices
 from sphrom.kernels.jit import parallel, term
 from sphrom.kernels.sweeps import U, V, X, Y
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 @term

@@ -12,17 +12,13 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from numba import prange
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array, Indices
 from sphrom.kernels.cells import Grid
 from sphrom.kernels.jit import parallel, term
 from sphrom.kernels.rectangles import shifting_change
 from sphrom.kernels.sweeps import U, V, X, Y
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 # Columns of a segment: its two ends, and where the segment before it begins [m].
 X0, Y0, X1, Y1, X_BEFORE, Y_BEFORE = range(6)

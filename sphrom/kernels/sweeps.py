@@ -25,17 +25,13 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
 from numba import prange
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array, Indices
 from sphrom.kernels.blocks import N_CHUNKS, list_candidates
 from sphrom.kernels.cells import Grid
 from sphrom.kernels.jit import parallel, term
 from sphrom.kernels.wendland import gradient_factor, kernel, laplacian_weight
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 # Rows of `source`.
 X, Y, DENSITY, U, V, VOLUME, PRESSURE, VISCOUS, GRADIENT_X, GRADIENT_Y, SHIFT_U, SHIFT_V = range(12)

@@ -8,15 +8,10 @@ along s.
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from sphrom.arrays import Array, Indices
 from sphrom.kernels.exponential import _add, _ends, _stages
 from sphrom.kernels.jit import term
 from sphrom.kernels.polynomial import evaluate, fill_monomials
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 @term

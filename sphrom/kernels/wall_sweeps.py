@@ -20,10 +20,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from numba import prange
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array, Indices
 from sphrom.kernels.cells import Grid, range_in_row, rows_within
 from sphrom.kernels.jit import parallel, term
 from sphrom.kernels.sweeps import (
@@ -43,9 +42,6 @@ from sphrom.kernels.sweeps import (
     shifting_push,
 )
 from sphrom.kernels.wendland import gradient_factor, kernel, laplacian_weight
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 # Rows of a ghost: how deep behind the wall it lies, where velocities are extrapolated, else 0; 1
 # along the normals of its wall that count, else 0; w_gj V_g phi_g over W_gj.

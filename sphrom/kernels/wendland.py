@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from numba import prange
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.kernels.jit import parallel, term
 
 LAPLACIAN_SHAPE = 55.0 / 84.0
@@ -46,7 +45,6 @@ def laplacian_weight(square: float, inverse_length: float) -> float:
     return 1.0 - LAPLACIAN_SHAPE * square * inverse_length * inverse_length
 
 
-Array = NDArray[np.float64]
 
 
 @parallel

@@ -38,7 +38,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from sphrom.declaration import Array, Record, attribute, dataset
+from sphrom.arrays import Array
+from sphrom.declaration import Record, attribute, dataset
 
 CONFIDENCE = 0.95
 """Of intervals."""
@@ -188,7 +189,9 @@ def spread(
         mean_error, root_error = errors.mean(axis=0), np.sqrt(np.mean(errors**2, axis=0))
     mean, deviation = values.mean(axis=0), values.std(axis=0)
     of_mean = Z * deviation / np.sqrt(len(values)) + mean_error
-    of_deviation = _deviation_error(values - mean, deviation) + root_error
+    moment, size = np.mean((values - mean) ** 4, axis=0), 2.0 * deviation
+    excess = Z * np.sqrt(np.maximum(moment - deviation**4, 0.0) / len(values))
+    of_deviation = np.divide(excess, size, out=np.zeros_like(size), where=size > 0.0) + root_error
     ends = np.array([-1.0, 1.0])[:, None]
     return OutputStatistics(
         mean=mean,
@@ -202,13 +205,6 @@ def spread(
         along=along,
         model_error="unknown" if errors is None else "estimated",
     )
-
-
-def _deviation_error(departures: Array, deviation: Array) -> Array:
-    """Return half of the interval of a standard deviation, from departures from the mean."""
-    excess = np.maximum(np.mean(departures**4, axis=0) - deviation**4, 0.0) / len(departures)
-    size = 2.0 * deviation
-    return np.divide(Z * np.sqrt(excess), size, out=np.zeros_like(size), where=size > 0.0)
 
 
 def _quantiles(ordered: Array, levels: tuple[float, ...]) -> Array:

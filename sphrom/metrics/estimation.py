@@ -35,7 +35,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from sphrom.arrays import Array
+
 Model = Callable[[Array], tuple[Array, Array] | None]
 """From a place in the unit box (n_parameters,), values (n_values,) and their derivatives
 (n_values, n_parameters); None where the model has no values."""

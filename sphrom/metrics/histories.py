@@ -23,10 +23,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.metrics.series import hat, moving_average
-
-Array = NDArray[np.float64]
 
 QUANTITIES = ("velocity", "pressure")
 PLACES = ("velocity_field", "velocity_line", "pressure_field", "pressure_line")

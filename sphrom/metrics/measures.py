@@ -15,9 +15,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from sphrom.arrays import Array
+
 Quantities = Mapping[str, Array]
 """By UNITS, what one measurement gives."""
 

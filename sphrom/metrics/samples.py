@@ -13,8 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from sphrom.arrays import Array, Mask
 
 
 @dataclass(frozen=True)
@@ -33,12 +32,6 @@ class Probes:
     """(n_grid,) which points are nearer to a wall than a support radius; None without walls."""
     stations: Array = field(default_factory=lambda: np.empty((0, 2)))
     """(n_stations, 2), where histories are kept; none in most scenes."""
-
-    @classmethod
-    def at(cls, points: Array) -> Probes:
-        """Return stations (n_points, 2) alone."""
-        none = np.empty((0, 2))
-        return cls(none, none, (0, 0), stations=points)
 
     @property
     def all(self) -> Array:

@@ -7,8 +7,8 @@ import math
 import time
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts import write_record
 from sphrom.errors import CaseError
 from sphrom.reduction.lattice_splines import LatticeSplines, fit_lattice_splines
@@ -18,8 +18,6 @@ from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.setup.context import StageContext
 from sphrom.store.reduced_models import read_basis, read_points
 from sphrom.store.workspace import Workspace
-
-Array = NDArray[np.float64]
 
 
 def run(context: StageContext) -> None:

@@ -6,9 +6,6 @@ artifact of its own, from which the recorded part can be run again.
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from sphrom.artifacts import write_record
 from sphrom.artifacts.records.runs import Packing, Start
 from sphrom.case.points import ParameterPoint
@@ -18,13 +15,11 @@ from sphrom.setup.context import StageContext
 from sphrom.setup.cost import describe_cost, describe_run, require_room
 from sphrom.setup.particles import MeasuredFields
 from sphrom.sph.packing import MAX_ITERATIONS, pack
-from sphrom.sph.time_loop import Clock, TimeSteps, integrate, march
-from sphrom.store.checkpoints import Checkpoints, remove_checkpoints
+from sphrom.sph.time_loop import Clock, TimeSteps, march
+from sphrom.store.checkpoints import Checkpoints, integrate, remove_checkpoints
 from sphrom.store.starts import scene_start, start
 from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Target, Workspace
-
-Array = NDArray[np.float64]
 
 
 def run(context: StageContext) -> None:
@@ -38,7 +33,7 @@ def run(context: StageContext) -> None:
     ensure_packed(workspace)
     for point in context.chosen(context.case.plan.points):
         target = ensure_run(workspace, point)
-        remove_checkpoints(workspace, target)
+        remove_checkpoints(target)
         with workspace.open(target) as trajectory:
             if trajectory.text("status") != "complete":
                 raise UnstableError(f"{point.label}: {trajectory.text('status_detail')}")
@@ -81,7 +76,7 @@ def _ensure_spun_up(workspace: Workspace, point: ParameterPoint) -> None:
         workspace.context.report.info(f"{target.path.name}: there, and of this case: kept")
     elif workspace.must_make(target):
         _spin_up(workspace, point)
-    remove_checkpoints(workspace, target)
+    remove_checkpoints(target)
 
 
 def _pack(workspace: Workspace) -> None:
@@ -135,10 +130,11 @@ def _spin_up(workspace: Workspace, point: ParameterPoint) -> None:
             checkpoints.progress(f"spin-up, {point.label}", n_steps) as advance,
             checkpoints.kept_if_stopped(),
         ):
-            end = begin.state if checkpoints.begin is None else checkpoints.begin.state
+            from_step, reached = checkpoints.begin, checkpoints.reached
+            end = begin.state if from_step is None else from_step.state
             try:
                 for _, kept in march(
-                    model, begin.state, steps, density, clock, advance, checkpoints
+                    model, begin.state, steps, density, clock, advance, from_step, reached
                 ):
                     end = kept
             except UnstableError as error:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, ArtifactWriter
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
@@ -17,8 +17,6 @@ from sphrom.setup.cost import require_room
 from sphrom.store.starts import initial_positions
 from sphrom.store.trajectory import require_complete, snapshot_fields
 from sphrom.store.workspace import Workspace
-
-Array = NDArray[np.float64]
 
 
 def run(context: StageContext) -> None:

@@ -13,8 +13,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, ArtifactWriter, write_record
 from sphrom.artifacts.records.reduced_models import BasisOperators, Estimate, HeldOut, WallForce
 from sphrom.case.plan import MAX_STEPS
@@ -66,8 +66,6 @@ from sphrom.store.reduced_models import (
 from sphrom.store.starts import starts_record
 from sphrom.store.trajectory import read_forces
 from sphrom.store.workspace import Workspace
-
-Array = NDArray[np.float64]
 
 N_STATES = 10
 """Training snapshots of a run, about, around which the step limit is looked at."""

@@ -6,8 +6,8 @@ import time
 from contextlib import ExitStack
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, ArtifactWriter, write_record
 from sphrom.case.hints import few_snapshots
 from sphrom.errors import CaseError
@@ -19,8 +19,6 @@ from sphrom.setup.cost import decomposition_ram_limit, require_room
 from sphrom.store.reduced_models import inner_product
 from sphrom.store.trajectory import require_complete
 from sphrom.store.workspace import Workspace
-
-Array = NDArray[np.float64]
 
 SHOWN_MODES = (1, 2, 5, 10, 20, 30)
 

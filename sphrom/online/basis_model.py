@@ -11,8 +11,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, read_record
 from sphrom.case.models import Case
 from sphrom.case.plan import MAX_STEPS
@@ -56,7 +56,6 @@ from sphrom.store.workspace import Workspace
 if TYPE_CHECKING:
     from sphrom.reduction.mode_splines import ModeSplines
 
-Array = NDArray[np.float64]
 Start = Callable[[ParameterPoint], Fields]
 """The fields on the reference points at the start of a run at a parameter point."""
 
@@ -299,8 +298,7 @@ def steps_of(section: ReducedModelSection, reduced: ReferenceModel, full_steps: 
     if output_times.duration > MAX_STEPS * reduced.step_limit:
         raise CaseError(
             f"rom: {section.name} is stable with steps of {reduced.step_limit:.3g} s only, which "
-            f"are more than {MAX_STEPS:g} in all; choose fewer modes, a shorter memory_length or a "
-            "time_step"
+            f"are more than {MAX_STEPS:g}; choose fewer modes, a memory_length or a time_step"
         )
     return reference_model.automatic_whole(reduced)
 

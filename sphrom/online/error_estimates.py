@@ -8,14 +8,15 @@ the runs do, whatever the number of points is, and the fit is the same for all p
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts import ArtifactWriter, read_record, write_record
-from sphrom.artifacts.records.coordinates import ErrorEstimate
+from sphrom.artifacts.records.coordinates import ErrorEstimate as StoredEstimate
 from sphrom.case.points import ParameterPoint
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.error_calibration import (
@@ -34,41 +35,27 @@ if TYPE_CHECKING:
     from sphrom.online.basis_model import BasisModel
     from sphrom.online.fast_model import FastRun
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
+@dataclass(frozen=True, repr=False)
+class ErrorEstimate:
+    """Estimated errors of a run, without a full run to compare with."""
 
-@dataclass(frozen=True)
-class Estimate:
-    """The estimated errors of a run without a full run."""
-
+    velocity: Array
+    """(n_snapshots,) root mean square of the velocity's error over the fluid [m/s]."""
+    pressure: Array
+    """(n_snapshots,) the same of the pressure less its mean [Pa]."""
+    velocity_percent: float
+    """Of the run, over the root mean square of its velocity [%]."""
+    pressure_percent: float
+    """Of the run, over the root mean square of its pressure less its mean [%]."""
+    extrapolates: bool
+    """Whether the run is outside of the trained parameters and times."""
     residual: Array
-    """(n_snapshots,) its norm [/s]."""
-    fitted: LocalErrorCalibration
+    """(n_snapshots,) norm of the part of the rates that the basis leaves out [/s]."""
     errors: Array
     """(n_snapshots, 2) root mean squares of the errors of velocity and c0 rho'/rho0 [m/s]."""
     sizes: Array
     """(n_snapshots, 2) root mean squares of the fields themselves [m/s]."""
-    extrapolates: bool
-    """Whether the run is outside of the trained parameters and times."""
-    units: Array
-    """(2,) from errors in [m/s] to those of velocity [m/s] and pressure [Pa]."""
-
-    @property
-    def velocity_and_pressure(self) -> Array:
-        """(n_snapshots, 2) the errors in [m/s] and [Pa]."""
-        return self.errors * self.units
-
-    @property
-    def percent(self) -> Array:
-        """(2,) the errors over the fields' sizes, both root mean squares over the run [%]."""
-        squares = np.mean(self.errors**2, axis=0) / np.mean(self.sizes**2, axis=0)
-        return np.asarray(100.0 * np.sqrt(squares))
-
-    @property
-    def factors(self) -> Array | None:
-        """(2,) within which training errors are of their estimates; None where nothing tells."""
-        return None if self.extrapolates else self.fitted.factors
 
 
 @dataclass(frozen=True)
@@ -94,8 +81,8 @@ def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
     trained = run.model.at_point(run.point).trained_errors
     if trained is None:
         return
-    found = estimate(run)
-    if found is None:
+    fitted, found = trained.at(run.point), estimate(run)
+    if fitted is None or found is None:
         artifact.write(
             "residual", trained.residual(run.point, run.reduced, run.time, run.coordinates)
         )
@@ -105,12 +92,27 @@ def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
         )
         return
     artifact.write("residual", found.residual)
-    _write(artifact, run, found)
+    factors = [None, None]
+    if fitted.factors is not None and not found.extrapolates:
+        factors = fitted.factors.tolist()
+    constants = [float(constant) for constant in fitted.constants * trained.units]
+    stored = StoredEstimate(
+        velocity=found.velocity,
+        pressure=found.pressure,
+        change=fitted.changes(run.coordinates),
+        decay_rate=fitted.decay_rate,
+        training="outside" if found.extrapolates else "inside",
+        velocity_constant=constants[0],
+        pressure_constant=constants[1],
+        velocity_factor=factors[0],
+        pressure_factor=factors[1],
+    )
+    write_record(artifact, stored, "error_estimate")
     artifact.annotate("timing/error_estimate", time.perf_counter() - started)
-    report.info(_told(run, found))
+    report.info(_told(run, found, factors))
 
 
-def estimate(run: FastRun) -> Estimate | None:
+def estimate(run: FastRun) -> ErrorEstimate | None:
     """Estimate the errors of a run; None where the case wants no estimates or can't have them.
 
     Runs of one model share the fits to its training runs.
@@ -120,14 +122,14 @@ def estimate(run: FastRun) -> Estimate | None:
     if trained is None or fitted is None:
         return None
     residual = trained.residual(run.point, run.reduced, run.time, run.coordinates)
-    return Estimate(
-        residual=residual,
-        fitted=fitted,
-        errors=fitted.errors(run.time, residual, run.coordinates),
-        sizes=trained.products.sizes(run.coordinates),
-        extrapolates=fitted.extrapolates(len(run.time)),
-        units=trained.units,
-    )
+    errors = fitted.errors(run.time, residual, run.coordinates)
+    sizes = trained.products.sizes(run.coordinates)
+    squares = np.mean(errors**2, axis=0) / np.mean(sizes**2, axis=0)
+    of_velocity, of_pressure = (100.0 * np.sqrt(squares)).tolist()
+    velocity, pressure = (errors * trained.units).T
+    beyond = fitted.extrapolates(len(run.time))
+    percent = of_velocity, of_pressure
+    return ErrorEstimate(velocity, pressure, *percent, beyond, residual, errors, sizes)
 
 
 def steady_errors(run: FastRun, state: Array) -> SteadyErrors | None:
@@ -214,33 +216,13 @@ class TrainedErrors:
         return norm(coordinates, None if reduced.amplitude is None else reduced.amplitude(times))
 
 
-def _write(artifact: ArtifactWriter, run: FastRun, found: Estimate) -> None:
-    """Write an estimate: root mean squares in [m/s] and [Pa], and the fitted constants."""
-    velocity, pressure = found.velocity_and_pressure.T
-    constants = [float(constant) for constant in found.fitted.constants * found.units]
-    factors = [None, None] if found.factors is None else [float(f) for f in found.factors]
-    stored = ErrorEstimate(
-        velocity=velocity,
-        pressure=pressure,
-        change=found.fitted.changes(run.coordinates),
-        decay_rate=found.fitted.decay_rate,
-        training="outside" if found.extrapolates else "inside",
-        velocity_constant=constants[0],
-        pressure_constant=constants[1],
-        velocity_factor=factors[0],
-        pressure_factor=factors[1],
-    )
-    write_record(artifact, stored, "error_estimate")
-
-
-def _told(run: FastRun, found: Estimate) -> str:
+def _told(run: FastRun, found: ErrorEstimate, factors: Sequence[float | None]) -> str:
     """Return an estimate in words: in % of the fields' root mean squares over the run."""
     at_end = 100.0 * found.errors[-1] / found.sizes[-1]
     parts = []
-    for k, (field, mean, end) in enumerate(zip(FIELDS, found.percent, at_end, strict=True)):
-        trust = "" if found.factors is None else (
-            f", right to a factor of {found.factors[k]:.2g} in training"
-        )  # fmt: skip
+    means = found.velocity_percent, found.pressure_percent
+    for field, mean, end, factor in zip(FIELDS, means, at_end, factors, strict=True):
+        trust = "" if factor is None else f", right to a factor of {factor:.2g} in training"
         parts.append(f"{field} {format_figure(mean)} % ({format_figure(end)} % at the end{trust})")
     text = f"{run.name}: estimated errors: {', '.join(parts)}"
     if not found.extrapolates:

@@ -13,21 +13,19 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
 from sphrom.metrics.measures import Quantities
-from sphrom.metrics.samples import Probes, Samples
+from sphrom.metrics.samples import Samples
 from sphrom.online.basis_model import BasisModel, quantities_of
-from sphrom.online.error_estimates import Estimate, estimate
+from sphrom.online.error_estimates import ErrorEstimate, estimate
 from sphrom.reduction.polynomial_model import Run
 from sphrom.reduction.reference_model import Integrator, ReferenceModel
 from sphrom.store.starts import MappedStarts
 from sphrom.store.workspace import Workspace
-
-Array = NDArray[np.float64]
 
 
 class FastModel:
@@ -79,7 +77,7 @@ class FastModel:
         """
         reduced = reduced or self.at(point)
         integrator = integrator or self.at_point(point).integrator(reduced)
-        return FastRun(self, point, reduced, integrator.run())
+        return FastRun(**vars(integrator.run()), model=self, point=point, reduced=reduced)
 
     def at(self, point: ParameterPoint) -> ReferenceModel:
         """Return the model at a parameter point."""
@@ -96,20 +94,20 @@ class FastModel:
             self._prepared |= dict(zip(those, found, strict=True))
 
     def sampled(
-        self, point: ParameterPoint, probes: Probes, time: Array, coordinates: Array, mean: float
+        self, point: ParameterPoint, points: Array, time: Array, coordinates: Array, mean: float
     ) -> Samples:
-        """Return velocity and pressure at probes of coordinates (n_snapshots, n_modes).
+        """Return velocity and pressure at points (n_points, 2) of coordinates (..., n_modes).
 
         `mean` is the density fluctuation that is carried apart [kg/m3].
         """
         from sphrom.store.sampling import expand
 
         case, model, means = self.workspace.case, self.at_point(point), np.full(len(time), mean)
-        return expand(case, model.basis, model.splines, probes.all, time, coordinates, means)
+        return expand(case, model.basis, model.splines, points, time, coordinates, means)
 
 
-@dataclass(frozen=True)
-class FastRun:
+@dataclass(frozen=True, kw_only=True)
+class FastRun(Run):
     """A run of a model, and the model that made it."""
 
     model: FastModel
@@ -117,7 +115,6 @@ class FastRun:
     point: ParameterPoint
     reduced: ReferenceModel
     """The model at the point."""
-    run: Run
 
     @property
     def name(self) -> str:
@@ -125,29 +122,9 @@ class FastRun:
         return f"{self.model.section.name}, {self.point.label}"
 
     @property
-    def time(self) -> Array:
-        """(n_snapshots,) [s]."""
-        return self.run.time
-
-    @property
-    def time_step(self) -> float:
-        """[s]."""
-        return self.run.time_step
-
-    @property
-    def coordinates(self) -> Array:
-        """(n_snapshots, n_modes), NaN once it has diverged."""
-        return self.run.coordinates
-
-    @property
-    def correction(self) -> Array | None:
-        """(n_snapshots, n_modes) the part of the coordinates that training runs add, if any do."""
-        return self.run.correction
-
-    @property
     def failure(self) -> UnstableError | None:
         """Why the run ended early; None where it didn't."""
-        if math.isnan(at := self.run.diverged_at):
+        if math.isnan(at := self.diverged_at):
             return None
         return UnstableError(
             f"unstable after t = {at:.6g} s: the coordinates are beyond those of a flow as fast as "
@@ -161,7 +138,7 @@ class FastRun:
         return quantities_of(case, self.point, self.reduced, self.time, self.coordinates)
 
     @property
-    def estimate(self) -> Estimate | None:
+    def estimate(self) -> ErrorEstimate | None:
         """The estimated errors of the run; None where the case wants none or can't have them."""
         return estimate(self)
 
@@ -169,15 +146,14 @@ class FastRun:
     def done(self) -> FastRun:
         """The run as far as it went before it diverged."""
         n_done = int(np.isfinite(self.coordinates).all(axis=1).sum())
-        run = replace(
-            self.run,
+        return replace(
+            self,
             time=self.time[:n_done],
             coordinates=self.coordinates[:n_done],
             correction=None if self.correction is None else self.correction[:n_done],
         )
-        return replace(self, run=run)
 
-    def sampled(self, probes: Probes) -> Samples:
-        """Return velocity and pressure at probes, by the splines of the modes."""
+    def sampled(self, points: Array) -> Samples:
+        """Return velocity and pressure at points (n_points, 2) [m], by the splines of the modes."""
         mean = self.reduced.mean_density_fluctuation
-        return self.model.sampled(self.point, probes, self.time, self.coordinates, mean)
+        return self.model.sampled(self.point, points, self.time, self.coordinates, mean)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
@@ -18,14 +18,12 @@ from sphrom.reduction.trial_basis import mean_density_fluctuation, project
 from sphrom.setup import assembly, particles
 from sphrom.setup.assembly import memory_length_of
 from sphrom.setup.particles import MeasuredFields
-from sphrom.sph.time_loop import TimeSteps, integrate
-from sphrom.store.checkpoints import Checkpoints
+from sphrom.sph.time_loop import TimeSteps
+from sphrom.store.checkpoints import Checkpoints, integrate
 from sphrom.store.reduced_models import read_modes, read_points
 from sphrom.store.starts import start
 from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Workspace
-
-Array = NDArray[np.float64]
 
 
 def build_model(

@@ -15,8 +15,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts import ArtifactWriter, write_record
 from sphrom.artifacts.records.coordinates import Converged, Steady, SteadyMeasured
 from sphrom.case.points import ParameterPoint
@@ -38,12 +38,10 @@ from sphrom.reduction.reference_model import Integrator
 from sphrom.reduction.trial_basis import reconstruct
 from sphrom.setup import assembly
 from sphrom.setup.assembly import field_measures
-from sphrom.sph import state_equation
+from sphrom.sph.fluid import pressure_of
 from sphrom.store.reduced_models import read_points
 from sphrom.store.trajectory import field_datasets, force_datasets, write_positions
 from sphrom.store.workspace import Workspace
-
-Array = NDArray[np.float64]
 
 N_TIMED = 5
 """Repetitions of a run, and of the search for a steady state, to time them."""
@@ -146,7 +144,7 @@ def run_point(workspace: Workspace, section: ReducedModelSection, point: Paramet
     attributes = assembly.run_attributes(workspace.case, point, integrator.steps.time_step)
     with workspace.create(target, attributes) as artifact:
         found, seconds = integrator.timed(N_TIMED)
-        run = FastRun(model, point, reduced, found)
+        run = FastRun(**vars(found), model=model, point=point, reduced=reduced)
         _write(run, artifact)
         artifact.annotate("status", "complete" if run.failure is None else "unstable")
         if run.failure is not None:
@@ -235,4 +233,4 @@ def _write_fields(run: FastRun, artifact: ArtifactWriter) -> None:
         density, velocity = reconstruct(run.reduced.basis, state, mean)
         densities.append(density)
         velocities.append(velocity)
-        pressures.append(state_equation.pressure(density, workspace.case.plan.sound_speed))
+        pressures.append(pressure_of(density, workspace.case.plan.sound_speed))

@@ -30,7 +30,7 @@ def run(context: StageContext) -> None:
         context.report.info("no reduced model to run")
     for model, point in runs:
         target = ensure_run(workspace, model, point)
-        remove_checkpoints(workspace, target)
+        remove_checkpoints(target)
         with workspace.open(target) as trajectory:
             if trajectory.text("status") != "complete":
                 detail = trajectory.text("status_detail")
@@ -43,6 +43,6 @@ def ensure_run(workspace: Workspace, model: ReducedModelSection, point: Paramete
     """Run a reduced model at a parameter point if that is yet to be done."""
     target = workspace.reduced_run(model, point)
     if workspace.must_make(target):
-        kind = "particle_runs" if model.on_particles else "reference_runs"
+        kind = "reference_runs" if model.from_operators else "particle_runs"
         import_module(f"sphrom.online.{kind}").run_point(workspace, model, point)
     return target

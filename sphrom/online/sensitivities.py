@@ -21,8 +21,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
@@ -31,8 +31,6 @@ from sphrom.online.fast_model import FastModel
 from sphrom.reduction import reference_model
 from sphrom.reduction.exponential_steps import Change, ExponentialModel
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
-
-Array = NDArray[np.float64]
 
 STEP = 1e-5
 """Of central differences of coefficients, over the size of a parameter."""
@@ -78,11 +76,6 @@ class _Sides:
         assert self.above.leading is not None
         return replace(self, below=self.below.leading, above=self.above.leading)
 
-    def starting_as(self, model: ReferenceModel) -> _Sides:
-        """Return the same with the start of another model."""
-        below, above = (_starting_as(side, model) for side in (self.below, self.above))
-        return replace(self, below=below, above=above)
-
     def slope(self, of: Callable[[ReferenceModel], Any]) -> Any:
         """Return how a number or array of the model changes, per unit of the parameter."""
         return (of(self.above) - of(self.below)) / self.width
@@ -127,12 +120,17 @@ def tangents(
     case, basis = model.workspace.case, model.basis_at(point)
     sides = [_sides(model, point, name, basis) for name in names]
     if case.time.spin_up > 0.0:
-        sides = [side.starting_as(reduced) for side in sides]
+        sides = [
+            replace(s, below=_starting_as(s.below, reduced), above=_starting_as(s.above, reduced))
+            for s in sides
+        ]
     steps = (integrator or reference_model.automatic(reduced)).with_steps(step_factor)
     times = reduced.output_times
     run, changes = _completed(reduced, sides, steps)
     if not (np.isfinite(run).all() and np.isfinite(changes).all()):
         raise UnstableError("the run diverges, so that it has no derivatives")
+    modes = reduced.basis.velocity_modes.reshape(reduced.basis.n_modes, -1)
+    gradient = run @ (modes @ modes.T)  # of the kinetic energy
     means = np.array([s.slope(lambda model: model.mean_density_fluctuation) for s in sides])
     return Tangents(
         tuple(names),
@@ -140,7 +138,7 @@ def tangents(
         run,
         changes,
         means,
-        _energy(case, reduced, run, changes),
+        np.asarray(case.plan.mass * np.einsum("sm,psm->ps", gradient, changes)),
         _forces(case, point, reduced, sides, run, changes, means),
         _measured(reduced, run, changes, means),
     )
@@ -184,13 +182,6 @@ def _sides(model: FastModel, point: ParameterPoint, name: str, basis: str) -> _S
     )
     below, above = (model.on_basis(basis).equations(each) for each in (low, high))
     return _Sides(below, above, (low, high), high.as_dict()[name] - low.as_dict()[name])
-
-
-def _energy(case: Case, reduced: ReferenceModel, run: Array, changes: Array) -> Array:
-    """Return the derivatives (n_parameters, n_snapshots) of the kinetic energy [J/m]."""
-    modes = reduced.basis.velocity_modes.reshape(reduced.basis.n_modes, -1)
-    gradient = run @ (modes @ modes.T)
-    return np.asarray(case.plan.mass * np.einsum("sm,psm->ps", gradient, changes))
 
 
 def _measured(

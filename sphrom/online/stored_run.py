@@ -11,20 +11,18 @@ from contextlib import contextmanager
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts import Artifact
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.measures import Quantities
 from sphrom.reduction.trial_basis import TrialBasis, reconstruct, truncate
-from sphrom.sph import state_equation
-from sphrom.store.reduced_models import read_basis, read_modes, read_points, sized
+from sphrom.sph.fluid import pressure_of
+from sphrom.store.reduced_models import basis_used, read_basis, read_modes, read_points
 from sphrom.store.sampling import Samples, expand, sample_run
 from sphrom.store.trajectory import read_quantities
 from sphrom.store.workspace import Workspace
-
-Array = NDArray[np.float64]
 
 
 class StoredRun:
@@ -41,7 +39,7 @@ class StoredRun:
         model: ReducedModelSection | None = None,
     ) -> None:
         self._workspace, self._run, self._point = workspace, run, point
-        self._rebuilt = None if model is None or model.on_particles else model
+        self._rebuilt = None if model is None or not model.from_operators else model
         self.time = run.read("time")
         self.mass = run.number("mass")
 
@@ -68,18 +66,14 @@ class StoredRun:
         return read_quantities(self._run, name)
 
     @cached_property
+    def _used(self) -> tuple[str, int]:
+        assert self._rebuilt is not None
+        return basis_used(self._workspace, self._rebuilt, self._point)
+
+    @cached_property
     def _basis(self) -> TrialBasis:
-        return truncate(read_basis(self._workspace, self._basis_name), self._n_modes)
-
-    @property
-    def _basis_name(self) -> str:
-        assert self._rebuilt is not None
-        return self._workspace.case.plan.basis_for(self._rebuilt, self._point)
-
-    @property
-    def _n_modes(self) -> int:
-        assert self._rebuilt is not None
-        return sized(self._workspace, self._rebuilt, self._point).size
+        name, n_modes = self._used
+        return truncate(read_basis(self._workspace, name), n_modes)
 
     @cached_property
     def _coordinates(self) -> Array:
@@ -103,7 +97,7 @@ class StoredRun:
             velocity, pressure = map(np.asarray, stored)
             return velocity, pressure
         density, velocity = self.rebuilt(snapshot)
-        return velocity, state_equation.pressure(density, self._workspace.case.plan.sound_speed)
+        return velocity, pressure_of(density, self._workspace.case.plan.sound_speed)
 
     def sampled(
         self,
@@ -119,7 +113,7 @@ class StoredRun:
         chosen = range(len(self.time)) if snapshots is None else snapshots
         if self._rebuilt is None:
             return sample_run(case, run, points, advance, chosen)
-        basis, splines = read_modes(self._workspace, self._basis_name, self._n_modes)
+        basis, splines = read_modes(self._workspace, *self._used)
         means = np.full(len(chosen), run.number("mean_density_fluctuation"))
         coordinates = self._coordinates[chosen]
         return expand(case, basis, splines, points, self.time[chosen], coordinates, means)

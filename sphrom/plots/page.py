@@ -85,14 +85,11 @@ def animation(
     legends: Sequence[Html],
     caption: str,
     extent: Sequence[str] = ("", "", "", ""),
-    n_rows: int = 2,
-    described: str = "",
 ) -> Html:
     """Return PNG files that are shown one after the other, under the heads of their columns.
 
     A slider and a button move it; without scripts the middle frame is shown. `extent` has the ends
-    of both axes of each panel: left, right, lower, upper [m]. `described` says what it shows, where
-    the caption doesn't say all.
+    of both axes of each panel: left, right, lower, upper [m].
     """
     middle, (left, right, lower, upper) = len(frames) // 2, extent
     encoded = [base64.b64encode(frame).decode("ascii") for frame in frames]
@@ -103,8 +100,8 @@ def animation(
         element(
             "div",
             element("div", *(element("span", head) for head in heads), class_="heads"),
-            _axis("y", upper, lower, n_rows),
-            _image(frames[middle], described or caption),
+            _axis("y", upper, lower, 2),
+            _image(frames[middle], caption),
             _axis("x", left, right, len(heads)),
             class_="panels",
         ),

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
+from sphrom.arrays import Array
 from sphrom.metrics.samples import grid_points
 from sphrom.plots.canvas import (
     DASHES,
@@ -42,7 +42,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 Extent = tuple[float, float, float, float]
 Range = tuple[float, float]
 Role = Literal["run", "full", "exact", "best", "level", "reference"]

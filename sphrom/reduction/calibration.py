@@ -35,12 +35,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.metrics.series import hat, moving_average
 from sphrom.reduction.reduced_rates import Polynomial
-
-Array = NDArray[np.float64]
 
 PENALTY = 1e-2
 """lambda. Measured on cavities: ten times as much or a tenth changes little; a hundred times less

@@ -41,9 +41,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from sphrom.arrays import Array, Indices
 
 NEARNESS = 1e-4
 """Weight of the distances beside that of the error at the point."""
@@ -112,8 +111,6 @@ def interpolation_weights(places: Array, place: Array) -> tuple[Array, float]:
     return weights, missed * largest if missed > INSIDE else 0.0
 
 
-Indices = NDArray[np.int64]
-
 CORRELATIONS = np.concatenate(([1e-6], np.linspace(0.02, 0.98, 49), [1.0 - 1e-6]))
 """Correlations of the defects at the two training points farthest apart, that are tried."""
 WORTHWHILE = 0.9
@@ -173,7 +170,11 @@ def learn_correction(
         return None
     between = _distances(places, places)
     lengths = -between.max() / np.log(CORRELATIONS)
-    missed = np.array([_held_out_squares(between, defects, length) for length in lengths])
+    missed = np.empty((len(lengths), defects.shape[2]))  # squares that the other runs leave
+    for k, length in enumerate(lengths):
+        inverse = np.linalg.inv(np.exp(-between / length))
+        errors = np.einsum("jk,ksm->jsm", inverse / np.diag(inverse)[:, None], defects)
+        missed[k] = np.sum(errors**2, axis=(0, 1))
     left, whole = missed.min(axis=0), np.sum(defects**2, axis=(0, 1))
     given = [modes for modes in groups or (np.arange(len(left)),) if len(modes)]
     vain = [modes for modes in given if left[modes].sum() > WORTHWHILE * whole[modes].sum()]
@@ -183,13 +184,6 @@ def learn_correction(
         defects = defects.copy()
         defects[..., np.concatenate(vain)] = 0.0
     return Correction(places, defects, lengths[np.argmin(missed, axis=0)])
-
-
-def _held_out_squares(between: Array, defects: Array, length: float) -> Array:
-    """Return sums of squares (n_modes,) of what the other runs leave of each run's defects."""
-    inverse = np.linalg.inv(np.exp(-between / length))
-    errors = np.einsum("jk,ksm->jsm", inverse / np.diag(inverse)[:, None], defects)
-    return np.sum(errors**2, axis=(0, 1))
 
 
 def faded(correction: Array, n_snapshots: int) -> Array:

@@ -17,10 +17,10 @@ from collections.abc import Callable, Iterator, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.errors import ResourceError
 from sphrom.reduction.trial_basis import JOINT, InnerProduct, TrialBasis
 
-Array = NDArray[np.float64]
 ReadBlock = Callable[[slice], tuple[Array, Array]]
 """From a slice of points, the density fluctuation (n_snapshots, n_block) [kg/m3] and the velocity
 (n_snapshots, n_block, 2) [m/s] of all snapshots there."""

@@ -40,13 +40,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array, Indices
 from sphrom.reduction.correction import interpolation_weights
 from sphrom.reduction.held_out import UnheldShares
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 FIELDS = ("velocity", "pressure")
 """The fields whose errors are estimated, in this order."""

@@ -17,8 +17,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array, Indices
 from sphrom.kernels import exponential as kernels
 from sphrom.reduction.polynomial_model import (
     EXPONENTIAL,
@@ -27,9 +27,6 @@ from sphrom.reduction.polynomial_model import (
     PolynomialModel,
 )
 from sphrom.reduction.reduced_rates import Polynomial
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 N_INTEGRALS = 3
 """Number of phi functions for a parabola."""

@@ -19,10 +19,8 @@ from itertools import product
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from sphrom.arrays import Array, Indices
 
 MOST_CORNERED = 8
 """Parameters up to which all corners of the region are candidates."""

@@ -38,14 +38,11 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array, Indices
 from sphrom.declaration import Record, dataset
 from sphrom.reduction.correction import interpolation_weights, learn_correction
 from sphrom.reduction.trial_basis import TrialBasis
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 OF_FIELDS = ", of velocity and of c0 rho'/rho0 less its mean"
 _UNHELD = (

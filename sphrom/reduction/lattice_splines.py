@@ -17,15 +17,13 @@ import math
 from dataclasses import field, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import solve_banded
 
+from sphrom.arrays import Array, Indices
 from sphrom.kernels import bspline
 from sphrom.reduction.mode_splines import LatticeCoefficients, ModeSplines
 from sphrom.sph.domain import Domain
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 LATTICE_TOLERANCE = 1e-6
 """How far a point may be from the lattice, over its spacing."""

@@ -24,8 +24,8 @@ from dataclasses import dataclass
 from itertools import combinations_with_replacement, permutations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.declaration import Tensors
 from sphrom.reduction.mode_fields import (
     BLOCK_VALUES,
@@ -41,7 +41,6 @@ from sphrom.reduction.reduced_rates import Polynomial
 from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.sph.fixed_points import EVERYWHERE, FixedPoints, Terms
 
-Array = NDArray[np.float64]
 Pairs = list[tuple[int, int]]
 
 

@@ -11,13 +11,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.trial_basis import TrialBasis, weighted_mean
 from sphrom.sph.fixed_points import FixedPoints, Rows
-
-Array = NDArray[np.float64]
 
 BLOCK_VALUES = 2**21
 """Values of a field at a block of points."""

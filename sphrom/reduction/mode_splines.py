@@ -10,13 +10,11 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from sphrom.arrays import Array, Indices
 from sphrom.declaration import Record, dataset
 from sphrom.reduction.trial_basis import TrialBasis, kept_modes
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 CELL_WIDTH_RATIO = 3.0
 """Cell width over the spacing of points, 81 points a system. At 2 (36 points) the error of a cubic

@@ -19,8 +19,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.declaration import Tensors
 from sphrom.reduction.mode_fields import (
     BLOCK_VALUES,
@@ -44,7 +44,6 @@ from sphrom.sph.fixed_points import FixedPoints, Terms
 from sphrom.sph.fluid import NONE
 from sphrom.sph.wall_forces import TORQUE, MeasuredWall
 
-Array = NDArray[np.float64]
 Advance = Callable[[int], None]
 """Called with the number of points that have been done."""
 

@@ -27,9 +27,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from sphrom.arrays import Array
 from sphrom.errors import UnstableError
 from sphrom.kernels import projection
 from sphrom.reduction.mode_splines import ModeSplines
@@ -38,7 +38,6 @@ from sphrom.sph.domain import first_of
 from sphrom.sph.functional import Functional, Rates
 from sphrom.sph.time_loop import Snapshot
 
-Array = NDArray[np.float64]
 Derivative = Callable[[Array, float], Array]
 """From a field and a step, the derivative of the rates along the field, by a finite difference."""
 

@@ -11,13 +11,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array, Indices
 from sphrom.kernels import polynomial as kernels
 from sphrom.reduction.reduced_rates import Polynomial, largest_steps
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 Amplitude = Callable[[Array], Array]
 """The amplitude at times (n_times,) [s]."""
 

@@ -32,13 +32,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.declaration import Record, dataset, part
 from sphrom.metrics.measures import Quantities
 from sphrom.reduction.reduced_operators import FORCE, VALUE, VISCOSITY, WALLS, with_drives
 from sphrom.reduction.trial_basis import TrialBasis, reconstruct
 from sphrom.sph.fluid import Factors
-
-Array = NDArray[np.float64]
 
 N_OTHER_TERMS = 2
 """Terms before the coordinates."""

@@ -38,14 +38,11 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array, Indices
 from sphrom.declaration import Record, Tensors, dataset, part, tensors
 from sphrom.reduction.reduced_rates import Polynomial, pack
 from sphrom.sph.fluid import NONE, Factors
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 VISCOSITY = " per m2/s of viscosity"
 WALLS = f"{VISCOSITY}, at the walls' speed"

@@ -18,10 +18,8 @@ from itertools import combinations_with_replacement, pairwise, zip_longest
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.arrays import Array, Indices
 from sphrom.declaration import Tensors
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 HIGHEST_DEGREE = 3
 STABLE_RADIUS = 4.0

@@ -21,8 +21,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.reduction.correction import faded
 from sphrom.reduction.exponential_steps import ExponentialModel
 from sphrom.reduction.polynomial_model import (
@@ -36,8 +36,6 @@ from sphrom.reduction.polynomial_model import (
 from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure
 from sphrom.reduction.reduced_rates import Polynomial
 from sphrom.reduction.trial_basis import JOINT, TrialBasis
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -92,15 +90,12 @@ class ReferenceModel:
         leading = None if leading is None else replace(leading, basis=self.basis)
         return replace(self, leading=leading)
 
-    @property
-    def linear_parts(self) -> tuple[Array | None, Array | None]:
-        """The linear parts of exponential steps: of all modes, and of the leading ones."""
-        return self.linear, None if self.leading is None else self.leading.linear
-
-    def with_linear_parts(self, parts: Sequence[Array | None]) -> ReferenceModel:
-        """Return the model with other such parts."""
-        leading = None if self.leading is None else replace(self.leading, linear=parts[1])
-        return replace(self, linear=parts[0], leading=leading)
+    def with_steps_of(self, other: ReferenceModel) -> ReferenceModel:
+        """Return the model with the linear parts that exponential steps of another one have."""
+        leading = self.leading
+        if leading is not None and other.leading is not None:
+            leading = replace(leading, linear=other.leading.linear)
+        return replace(self, linear=other.linear, leading=leading)
 
     def spread(self, leading: Array) -> Array:
         """Return coordinates (..., n_modes) of which the leading ones alone are not zero."""

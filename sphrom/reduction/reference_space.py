@@ -13,13 +13,11 @@ layer has an error of 6e-2 at h = 2 dx, and of 0.12 at h = 4 dx.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.kernels import SUPPORT_RATIO, interpolation
 from sphrom.sph.domain import Domain
 from sphrom.sph.neighbourhood import sort_sources
-
-Array = NDArray[np.float64]
 
 METHODS = ("shepard", "mls")
 

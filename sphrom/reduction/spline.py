@@ -31,9 +31,10 @@ from collections.abc import Callable
 from dataclasses import field, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import lapack
 
+from sphrom.arrays import Array, Indices
 from sphrom.kernels import polyharmonic
 from sphrom.kernels.cells import Grid, sort_by_cell
 from sphrom.reduction.mode_splines import (
@@ -43,9 +44,6 @@ from sphrom.reduction.mode_splines import (
     polynomial_terms,
 )
 from sphrom.sph.domain import Domain
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 FACES = ((0, -1), (0, 1), (-1, 0), (1, 0))
 CORNERS = ((-1, -1), (-1, 1), (1, -1), (1, 1))
@@ -330,9 +328,8 @@ def fit_splines(
             if not condition_number[cell] < WORST_CONDITION_NUMBER:
                 x, y = cell_centre(grid, cell)
                 raise ValueError(
-                    f"the points around the cell at ({x:.6g}, {y:.6g}) m do not determine a spline "
-                    f"of order {order} with a polynomial of degree {polynomial_degree}: points "
-                    "coincide or lie on one line, or the order is too high for this cell width"
+                    f"the points around the cell at ({x:.6g}, {y:.6g}) m do not determine a spline:"
+                    " they coincide or lie on one line, or the order is too high for this cell"
                 )
             radial[:, here] = weights[: matrix.shape[0] - n_terms].T
             polynomial[cell] = weights[matrix.shape[0] - n_terms :]

@@ -27,9 +27,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.declaration import Record, attribute, dataset
-
-Array = NDArray[np.float64]
 
 JOINT = "joint"
 """The name of singular values of density and velocity as one."""

@@ -18,6 +18,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.answer import DIGITS, Answer, find_answer, percent
@@ -51,7 +52,6 @@ from sphrom.sweep.statistics import FIGURES, beside
 from sphrom.text import duration
 from sphrom.whole_files import write_whole
 
-Array = NDArray[np.float64]
 Pixels = NDArray[np.uint8]
 
 PAGE = "report.html"
@@ -118,18 +118,15 @@ def run(context: StageContext) -> None:
         f"{about.get('software', 'sphrom')}, compared {about.get('date', '')} on "
         f"{about.get('threads', 1)} threads. All digits are in the tables beside this page."
     )
-    first_parts = [] if answer is None else [_headline(answer)]
-    page = render(case.name, _lead(case), sections, footer, first_parts).encode()
-    write_whole(out / PAGE, page)
-    context.report.info(f"wrote {out / PAGE} ({len(page) / 1e6:.1f} MB)")
-
-
-def _lead(case: Case) -> str:
     reduced = sum(len(case.plan.rom_points(model)) for model in case.rom)
-    return (
+    lead = (
         f"{case.scene.title}: full runs at {len(case.plan.points)} parameter values, "
         f"{reduced} reduced runs, and how far they are from each other."
     )
+    first_parts = [] if answer is None else [_headline(answer)]
+    page = render(case.name, lead, sections, footer, first_parts).encode()
+    write_whole(out / PAGE, page)
+    context.report.info(f"wrote {out / PAGE} ({len(page) / 1e6:.1f} MB)")
 
 
 def _headline(answer: Answer) -> Html:

@@ -14,15 +14,15 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.sph.box_domain import BoxDomain, Rectangle
 from sphrom.sph.domain import Domain
 
-Array = NDArray[np.float64]
 VectorField = Callable[[Array], Array]
 """From positions (n_points, 2) [m], vectors (n_points, 2)."""
 Amplitude = Callable[[float], float]
@@ -66,20 +66,6 @@ class Channel:
     """Whether positions (n_points, 2) [m] lie where all that flows through it passes."""
 
 
-class ExactFlow(Protocol):
-    """An exact solution of incompressible flow; positions are (n_particles, 2)."""
-
-    @property
-    def energy_decay_rate(self) -> float:
-        """The rate at which the kinetic energy's logarithm changes [1/s]."""
-
-    def velocity(self, position: Array, time: float) -> Array:
-        """Return the velocity (n_particles, 2) [m/s] at a time [s]."""
-
-    def pressure(self, position: Array, time: float) -> Array:
-        """Return the pressure (n_particles,) [Pa] at a time [s]."""
-
-
 class Scene(ABC):
     """A flow to simulate, in SI units; positions are (n_particles, 2) unless they say otherwise."""
 
@@ -116,8 +102,8 @@ class Scene(ABC):
         return self.wall_amplitude if self.body_force is None else self.body_force.amplitude
 
     @property
-    def exact(self) -> ExactFlow | None:
-        """The exact solution, or None where none is known."""
+    def exact(self) -> TaylorGreen | None:
+        """The exact solution of incompressible flow, or None where none is known."""
         return None
 
 

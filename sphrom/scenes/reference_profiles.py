@@ -15,9 +15,8 @@ from importlib import resources
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from sphrom.arrays import Array
 
 REYNOLDS_TOLERANCE = 1e-6
 """How far, relatively, a Reynolds number may be from that of a reference."""

@@ -10,8 +10,8 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.scene_section import MeasureSection
@@ -21,17 +21,15 @@ from sphrom.reduction.correction import interpolation_weights
 from sphrom.reduction.polynomial_model import Amplitude, OutputTimes
 from sphrom.reduction.reduced_rates import memory_length
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis
-from sphrom.sph import state_equation
+from sphrom.sph.fluid import fluctuation_of
 from sphrom.sph.time_loop import TimeSteps
-
-Array = NDArray[np.float64]
 
 
 def initial_fields(case: Case, point: ParameterPoint, position: Array) -> tuple[Array, Array]:
     """Return the density fluctuation (N,) and the velocity (N, 2) at positions (N, 2)."""
     flow = case.plan.flow(point)
     pressure = flow.initial_pressure(position)
-    fluctuation = state_equation.density_fluctuation(pressure, case.plan.sound_speed)
+    fluctuation = fluctuation_of(pressure, case.plan.sound_speed)
     return fluctuation, flow.initial_velocity(position)
 
 

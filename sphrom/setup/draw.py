@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
 from sphrom.plots.canvas import COLOURS, FORMATS, INK, new_figure, save, styled
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 PIXELS = 500
 """Along the longer side of the picture, at which distances from walls are looked up."""

@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError, UnstableError
@@ -18,15 +18,12 @@ from sphrom.metrics.measures import FieldMeasure, Quantities
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.scenes.flows import Scene
 from sphrom.setup.assembly import field_measures
-from sphrom.sph import state_equation
 from sphrom.sph.domain import Walls
 from sphrom.sph.fixed_points import FixedPoints
-from sphrom.sph.fluid import Drive
+from sphrom.sph.fluid import Drive, pressure_of
 from sphrom.sph.functional import Functional
 from sphrom.sph.wall_forces import MeasuredWall, WallForces, measured_wall
 from sphrom.sph.walls import build_walls
-
-Array = NDArray[np.float64]
 
 SAMPLING_RATIO = 2.0
 """Smoothing length of the moving least squares that sample particles, over the spacing."""
@@ -200,7 +197,7 @@ class MeasuredFields:
             density, found = self.sample(position, density_fluctuation, velocity)
         except ValueError as error:
             raise UnstableError(f"unstable where fields are measured: {error}") from error
-        pressure = state_equation.pressure(density, self.sound_speed)
+        pressure = pressure_of(density, self.sound_speed)
         ends = np.cumsum([len(measure.position) for measure in self.measures.values()])
         parts = zip(*(np.split(each, ends[:-1]) for each in (found, pressure)), strict=True)
         return {

@@ -13,11 +13,8 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
+from sphrom.arrays import Array, Indices, Mask
 from sphrom.sph.domain import ROUNDING, SIDES, Domain, Walls, WallSearch
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 WHOLE_TOLERANCE = 1e-6
 """How far a wall may be from the lattice, over the particle spacing."""
@@ -144,18 +141,13 @@ class BoxDomain(Domain):
 
     def fill(self, particle_spacing: float) -> Array:
         """Return the cell centres (n_particles, 2) [m] of a square lattice, those in the fluid."""
-        axes = [
-            low + (np.arange(round(length / particle_spacing)) + 0.5) * particle_spacing
-            for low, length in zip(self.lower, self.lengths, strict=True)
-        ]
-        x, y = np.meshgrid(*axes)
+        x, y = self._lattice(particle_spacing, 0)
         points = np.stack((x.ravel(), y.ravel()), axis=1)
         return points[self.contains(points)] if self.has_walls else points
 
     def ghosts(self, particle_spacing: float, n_layers: int) -> Walls:
         """Return the lattice points (n_ghosts, 2) [m] within some layers of the fluid."""
-        axes = [self._lattice_axis(axis, particle_spacing, n_layers) for axis in range(2)]
-        x, y = np.meshgrid(*axes)
+        x, y = self._lattice(particle_spacing, n_layers)
         position = np.stack((x.ravel(), y.ravel()), axis=1)
         fluid = self.contains(position).reshape(x.shape)
         beside, above = (self._dilated(fluid, axis, n_layers) for axis in range(2))
@@ -187,11 +179,14 @@ class BoxDomain(Domain):
                 wall[place[:, axis] > self.upper[axis]] = high
         return wall
 
-    def _lattice_axis(self, axis: int, spacing: float, n_layers: int) -> Array:
-        extra = 0 if self.periodic[axis] else n_layers
-        n_points = round(self.lengths[axis] / spacing) + 2 * extra
-        points = np.arange(n_points, dtype=np.float64) + 0.5 - extra
-        return self.lower[axis] + spacing * points
+    def _lattice(self, spacing: float, n_layers: int) -> tuple[Array, ...]:
+        """Return x and y (ny, nx) [m] of a lattice that goes some layers beyond walls."""
+        axes = []
+        for axis in range(2):
+            extra = 0 if self.periodic[axis] else n_layers
+            n_points = round(self.lengths[axis] / spacing) + 2 * extra
+            axes.append(self.lower[axis] + spacing * (np.arange(n_points) + 0.5 - extra))
+        return np.meshgrid(*axes)
 
     def _dilated(self, mask: Mask, axis: int, n_layers: int) -> Mask:
         """Return where a mask (ny, nx) holds within some layers along an axis (0 is x)."""

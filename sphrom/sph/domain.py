@@ -15,14 +15,10 @@ from typing import Any
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
+from sphrom.arrays import Array, Indices, Mask
 from sphrom.sph.polygons import ROUNDING, least_widths
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 FINEST = 5e-5
 """Finer features aren't looked at when widths are measured, over the size of the box."""

@@ -43,8 +43,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fluid import Discretization, Drive, Fluid
 from sphrom.sph.point_sums import (
@@ -58,7 +58,6 @@ from sphrom.sph.point_sums import (
     some_rows,
 )
 
-Array = NDArray[np.float64]
 N_BLOCK_FIELDS = 8
 """Fields whose diffusion is computed at once."""
 

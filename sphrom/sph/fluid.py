@@ -1,19 +1,24 @@
-"""What a fluid is, how it is cut into particles, and the time steps that both allow."""
+"""A fluid with its linear state equation (Eq. 2.8), its discretization, and stable time steps.
+
+The state equation is for density fluctuations rho - rho_0.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Generic, Literal, TypeVar
 
+from sphrom.arrays import Array
 from sphrom.kernels import SUPPORT_RATIO
 
 T = TypeVar("T")
 Factors = Mapping[str, float]
 """The values of the parameters by name."""
 NONE: Factors = MappingProxyType({})
+"""Each parameter has the value that the scene has."""
 
 
 @dataclass(frozen=True)
@@ -50,24 +55,20 @@ class Fluid:
     max_speed: float
     """U_max [m/s], the largest speed expected."""
 
-    @property
-    def dynamic_viscosity(self) -> float:
-        """mu [Pa s]."""
-        return self.reference_density * self.kinematic_viscosity
+
+def pressure_of(density_fluctuation: Array, sound_speed: float) -> Array:
+    """Return the pressure [Pa] of density fluctuations [kg/m3]."""
+    return sound_speed**2 * density_fluctuation
 
 
-@dataclass(frozen=True)
-class FlowConditions:
-    """What moves or resists the fluid at one instant."""
+def fluctuation_of(pressure: Array, sound_speed: float) -> Array:
+    """Return the density fluctuation [kg/m3] that has a pressure [Pa]."""
+    return pressure / sound_speed**2
 
-    kinematic_viscosity: float
-    """[m2/s]."""
-    wall_speed: float = 1.0
-    """s, over the velocity that walls were given."""
-    amplitude: float = 0.0
-    """beta, over the body force that was given; it multiplies s too where walls are driven."""
-    factors: Factors = field(default_factory=dict)
-    """The values of the parameters that drive the flow."""
+
+def volume_of(density_fluctuation: Array, reference_density: float, mass: float) -> Array:
+    """Return the volume [m2] of particles of one mass [kg/m]."""
+    return mass / (reference_density + density_fluctuation)
 
 
 @dataclass(frozen=True)

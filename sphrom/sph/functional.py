@@ -11,20 +11,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array, Indices
 from sphrom.kernels import advection, sweeps
 from sphrom.kernels.cells import Grid
 from sphrom.kernels.wendland import kernel
-from sphrom.sph import state_equation
 from sphrom.sph.domain import Domain, Walls
-from sphrom.sph.fluid import Discretization, Fluid
+from sphrom.sph.fluid import Discretization, Fluid, volume_of
 from sphrom.sph.neighbourhood import Neighbourhood
 from sphrom.sph.time_loop import Snapshot
 from sphrom.sph.walls import GhostParticles, WallTerms
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 BodyForce = Callable[[Array, float], Array]
 """The acceleration (2, n_particles) [m/s2] at positions (2, n_particles) [m] and a time [s]."""
 WallSpeed = Callable[[float], float]
@@ -142,7 +139,11 @@ class Functional:
         if force is not None:
             out[1:] += force
         if self.discretization.fixed_volume:
-            self._keep_volume(density_fluctuation, out[0])
+            # A domain that fluid fills has one volume; the sums of continuity don't know it. The
+            # mean pressure would follow how particles are arranged, and drift.
+            density = self.fluid.reference_density + density_fluctuation
+            compressibility = self.mass / density**2
+            out[0] -= np.sum(compressibility * out[0]) / np.sum(compressibility)
         return Rates(
             density=out[0],
             velocity=out[1:],
@@ -213,16 +214,6 @@ class Functional:
             raise ValueError("there are no walls")
         return walls.forces(self._fluid_constants)
 
-    def _keep_volume(self, density_fluctuation: Array, rate: Array) -> None:
-        """Take the mean out of the density's rate, in place, so that the sum of volumes stays.
-
-        A domain that fluid fills has one volume; the sums of continuity don't know it. Without
-        this the mean pressure follows how particles are arranged, and drifts.
-        """
-        density = self.fluid.reference_density + density_fluctuation
-        compressibility = self.mass / density**2
-        rate -= np.sum(compressibility * rate) / np.sum(compressibility)
-
     def _wall_terms(self, source: Array, force: Array | None, time: float) -> WallTerms | None:
         if self.ghosts is None:
             return None
@@ -283,33 +274,28 @@ class Functional:
 
     def volume(self, density_fluctuation: Array) -> Array:
         """Return the particles' volumes (N,) [m2]."""
-        return state_equation.volume(density_fluctuation, self.fluid.reference_density, self.mass)
+        return volume_of(density_fluctuation, self.fluid.reference_density, self.mass)
 
     def _sources(self, position: Array, density_fluctuation: Array, velocity: Array) -> Array:
         self.neighbourhood.update(position)
+        near = self.neighbourhood.sources
+        shape = (self._n_fields, near.particle.size)
+        # Kept, because getting so much memory anew takes as long as filling it.
+        if self._source.shape != shape:
+            self._source = np.empty(shape)
         volume = self.volume(density_fluctuation)
-        return self._gathered(np.vstack((position, density_fluctuation, velocity, volume)))
+        fields = np.vstack((position, density_fluctuation, velocity, volume))
+        sweeps.gather(near.particle, near.image, fields, sweeps.X, self._source)
+        return self._source
 
     def _search(self) -> tuple[Grid, Indices, float, float]:
         """Return what every sweep searches neighbours with."""
         near = self.neighbourhood.sources
         return near.grid, near.cell_start, self.neighbourhood.reach, self._inverse_length
 
-    def _gathered(self, fields: Array) -> Array:
-        near = self.neighbourhood.sources
-        shape = (self._n_fields, near.particle.size)
-        # Kept, because getting so much memory anew takes as long as filling it.
-        if self._source.shape != shape:
-            self._source = np.empty(shape)
-        source = self._source
-        sweeps.gather(near.particle, near.image, fields, sweeps.X, source)
-        return source
-
     # As the time loop sees it
 
-    def rates(self, state: Array, time: float) -> Array:
-        """Return the rates of a state (Eq. 2.17)."""
-        return self(state, time)
+    rates = __call__
 
     def position(self, state: Array) -> Array:
         """Return the positions (2, n_particles) [m]."""

@@ -11,15 +11,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array, Indices
 from sphrom.errors import UnstableError
 from sphrom.kernels.blocks import N_CHUNKS, longest_list, split_targets
 from sphrom.kernels.cells import Grid, sort_by_cell
 from sphrom.sph.domain import Domain, first_of
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 CELL_SIZE_RATIO = (0.5, 4.0)
 """Cell width and height over the particle spacing: the fastest of those tried."""
@@ -71,6 +68,7 @@ class Neighbourhood:
     sources : the sorted sources.
     block_start : (n_blocks + 1,) where blocks begin among the targets.
     reach : how far to search [m].
+    built_at : (2, n_particles) where the list was built [m]; None once forgotten.
     scratch : memory for the lists of candidates of the blocks that threads work on.
     """
 
@@ -86,17 +84,12 @@ class Neighbourhood:
         self._support_radius = support_radius
         self._particle_spacing = particle_spacing
         self._move_limit = MOVE_RATIO * particle_spacing
-        self._built: Array | None = None
+        self.built_at: Array | None = None
         self.scratch = np.empty((N_CHUNKS, n_fields, 0))
 
     def forget(self) -> None:
         """Build the list anew at the next update, wherever the particles are."""
-        self._built = None
-
-    @property
-    def built_at(self) -> Array | None:
-        """The positions (2, n_particles) [m] that the list was built at; None once forgotten."""
-        return self._built
+        self.built_at = None
 
     def rebuild_at(self, position: Array | None) -> None:
         """Build the list as it was built at positions (2, n_particles) [m], or forget it.
@@ -116,8 +109,8 @@ class Neighbourhood:
         UnstableError
             When a position is not finite, or beyond all walls by more than the list could cover.
         """
-        if self._built is not None and self._built.shape == position.shape:
-            offset = position - self._built
+        if self.built_at is not None and self.built_at.shape == position.shape:
+            offset = position - self.built_at
             moved = math.sqrt(float(np.max(offset[0] ** 2 + offset[1] ** 2)))
             if moved <= self._move_limit:
                 self.reach = self._support_radius + moved
@@ -126,12 +119,9 @@ class Neighbourhood:
         margin = self._support_radius + 2.0 * self._move_limit
         _require_near(position, self._domain, margin)
         self.sources = sort_sources(position, self._domain, margin, self._particle_spacing)
-        self._split()
         self.reach = self._support_radius
-        self._built = position.copy()
-
-    def _split(self) -> None:
-        """Share the targets out in blocks, and see that there is memory for their lists."""
+        self.built_at = position.copy()
+        # Targets are shared out in blocks, and their lists need memory.
         near = self.sources
         self.block_start = split_targets(near.targets, near.grid, near.cell_start)
         limit = SLACK * self._move_limit

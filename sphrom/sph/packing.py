@@ -17,15 +17,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.kernels import sweeps
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Discretization
 from sphrom.sph.neighbourhood import Neighbourhood
-
-Array = NDArray[np.float64]
 
 MAX_ITERATIONS = 2000
 """Iterations after which packing stops."""

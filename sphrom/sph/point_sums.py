@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
+from sphrom.arrays import Array
 from sphrom.kernels.wendland import LAPLACIAN_SHAPE, weigh
 from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fluid import Discretization
 from sphrom.sph.neighbourhood import periodic_images
 from sphrom.sph.walls import NEAREST
 
-Array = NDArray[np.float64]
 Matrix = Any
 """A sparse matrix in compressed rows."""
 Rows = slice | NDArray[np.int64]

@@ -14,10 +14,10 @@ from functools import cached_property
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from shapely.affinity import translate
 from shapely.geometry.base import BaseGeometry
 
+from sphrom.arrays import Array, Indices, Mask
 from sphrom.kernels import segments as segment_sweeps
 from sphrom.kernels.cells import Grid
 from sphrom.sph.domain import ROUNDING, SIDES, Domain, Walls, WallSearch
@@ -30,10 +30,6 @@ from sphrom.sph.polygons import (
     periodic_shifts,
     require_few_crossings,
 )
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 PRECISION = 1e-10
 """To which corners are known, over the size of the box; finer differences are rounding."""
@@ -266,18 +262,12 @@ class PolygonDomain(Domain):
 
         They are the points of a lattice that are deepest in the fluid, moved away from walls.
         """
-        points, distance = fitted_lattice(
-            self, particle_spacing, self.n_particles(particle_spacing)
-        )
-        chosen = points[self._deepest(points, distance, particle_spacing)]
-        return off_walls(chosen, self, NEAREST * particle_spacing)
-
-    def _deepest(self, points: Array, distance: Array, particle_spacing: float) -> Indices:
-        """Return the points that are deepest in the fluid, as many as fill it, in their order."""
+        number = self.n_particles(particle_spacing)
+        points, distance = fitted_lattice(self, particle_spacing, number)
         # Equally deep points are chosen in their order, whatever rounding makes of them.
         depth = np.rint(distance / (math.sqrt(ROUNDING) * particle_spacing))
-        order = np.argsort(-depth, kind="stable")
-        return np.sort(order[: self.n_particles(particle_spacing)])
+        deepest = np.argsort(-depth, kind="stable")[:number]
+        return off_walls(points[np.sort(deepest)], self, NEAREST * particle_spacing)
 
     def ghosts(self, particle_spacing: float, n_layers: int) -> Walls:
         """Return points (n_ghosts, 2) [m] in rows behind walls."""

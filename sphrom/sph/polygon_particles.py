@@ -19,9 +19,8 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
+from sphrom.arrays import Array
 from sphrom.sph.domain import Domain
-
-Array = NDArray[np.float64]
 
 CORNER = math.radians(20.0)
 """A row that turns by more than this at a point has a corner there."""

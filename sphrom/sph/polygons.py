@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from shapely.affinity import translate
 from shapely.geometry.base import BaseGeometry
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from sphrom.arrays import Array, Mask
+
 Lengths = tuple[float, float]
 """Of the box, along x and y [m]."""
 Periodic = tuple[bool, bool]

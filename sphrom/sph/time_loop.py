@@ -5,20 +5,20 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.errors import UnstableError
 from sphrom.sph.domain import Domain, first_of
 
 if TYPE_CHECKING:
     from sphrom.sph.neighbourhood import Neighbourhood
 
-Array = NDArray[np.float64]
 Item = Mapping[str, NDArray[Any]]
 """One snapshot: what goes into each dataset of a trajectory."""
 
@@ -120,50 +120,6 @@ class RunState:
     """What the steps so far have taken [s]."""
 
 
-class Recorder(Protocol):
-    """Takes the snapshots of a run, as a trajectory's writer does."""
-
-    def append(self, time: float, step: int, snapshot: Snapshot) -> Item:
-        """Write one snapshot, and return what was written."""
-
-    def write(self, item: Item) -> None:
-        """Write one snapshot as it was written before."""
-
-    def finish(
-        self,
-        failure: UnstableError | None,
-        seconds: float | None,
-        checkpoint_seconds: float = 0.0,
-        least_step: float = math.inf,
-    ) -> None:
-        """Say how the run ended, and how long its time steps and its checkpoints took [s]."""
-
-
-class Checkpoints(Protocol):
-    """Keeps what a run needs to go on after it was stopped.
-
-    Attributes
-    ----------
-    begin : where the run goes on from; None where it starts anew.
-    seconds : the time that writing checkpoints has taken [s].
-    """
-
-    begin: RunState | None
-    seconds: float
-
-    def snapshots(self) -> Iterator[Item]:
-        """Read back the snapshots that were done before."""
-
-    def add(self, item: Item) -> None:
-        """Take a snapshot that the next checkpoint has to hold."""
-
-    def reached(self, run_state: RunState, time_reached: float, n_steps: int) -> None:
-        """Take where the run stands, and write a checkpoint if one is due."""
-
-    def kept_if_stopped(self) -> AbstractContextManager[None]:
-        """Write a checkpoint when anything ends the block early."""
-
-
 @dataclass
 class Clock:
     """Adds up the time of the steps alone: not that of compiling, looking or writing."""
@@ -189,36 +145,6 @@ class Clock:
         return n_steps * self.least_step if math.isfinite(self.least_step) else self.seconds
 
 
-def integrate(
-    model: Model,
-    state: Array,
-    steps: TimeSteps,
-    reference_density: float,
-    trajectory: Recorder,
-    advance: Callable[[int], None],
-    checkpoints: Checkpoints,
-) -> UnstableError | None:
-    """Take all steps of a run and write its snapshots; return what ended it early, if anything.
-
-    A run that was stopped goes on from its checkpoint; one that is stopped leaves one.
-    """
-    clock = Clock()
-    failure: UnstableError | None = None
-    for item in checkpoints.snapshots():
-        trajectory.write(item)
-    with checkpoints.kept_if_stopped():
-        try:
-            for step, kept in march(
-                model, state, steps, reference_density, clock, advance, checkpoints
-            ):
-                item = trajectory.append(steps.time(step), step, model.snapshot(kept))
-                checkpoints.add(item)
-        except UnstableError as error:
-            failure = error
-    trajectory.finish(failure, clock.seconds, checkpoints.seconds, clock.least_step)
-    return failure
-
-
 def march(
     model: Model,
     state: Array,
@@ -226,18 +152,22 @@ def march(
     reference_density: float,
     clock: Clock,
     advance: Callable[[int], None],
-    checkpoints: Checkpoints | None = None,
+    begin: RunState | None = None,
+    reached: Callable[[RunState, TimeSteps], None] = lambda run_state, steps: None,
 ) -> Iterator[tuple[int, Array]]:
     """Take all steps of a run, and yield the number and the state of those to keep.
 
-    From a checkpoint it goes on as if it had never stopped, and yields what is still to come.
+    Parameters
+    ----------
+    begin : where a run was stopped: it goes on as if it never had been, and what is still to come
+        is yielded.
+    reached : called after each step with where the run stands.
 
     Raises
     ------
     UnstableError
         When a step can't be taken, or leads out of what the model is for.
     """
-    begin = None if checkpoints is None else checkpoints.begin
     first = 0
     if begin is not None:
         state, clock.seconds, first = begin.state, begin.seconds, begin.step + 1
@@ -261,9 +191,7 @@ def march(
             check_position(model.position(state), model.domain, step, steps.time(step))
         if keep:
             yield step, state
-        if checkpoints is not None:
-            run_state = RunState(step, state, model.neighbourhood.built_at, clock.seconds)
-            checkpoints.reached(run_state, steps.time(step), steps.n_steps)
+        reached(RunState(step, state, model.neighbourhood.built_at, clock.seconds), steps)
 
 
 def watched_step(

@@ -14,15 +14,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.sph.domain import Domain
 
 if TYPE_CHECKING:
     from sphrom.sph.domain import Walls
     from sphrom.sph.functional import Functional
 
-Array = NDArray[np.float64]
 
 TORQUE = 2
 """The row of the torque, after the components of the force."""
@@ -73,8 +72,9 @@ class WallForces:
         """
         forces, functional = self._functional.ghost_forces(state, time), self._functional
         speed = 1.0 if functional.wall_speed is None else functional.wall_speed(time)
+        viscosity = functional.fluid.reference_density * functional.fluid.kinematic_viscosity
         found = {}
         for name, wall in self.walls.items():
             found[name] = np.stack([wall.loads(part) for part in forces])
-            found[name][1, TORQUE] -= functional.fluid.dynamic_viscosity * speed * wall.circulation
+            found[name][1, TORQUE] -= viscosity * speed * wall.circulation
         return found

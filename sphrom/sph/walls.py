@@ -14,18 +14,14 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array, Indices
 from sphrom.kernels import advection, ghost_fields, wall_sweeps
 from sphrom.kernels.cells import Grid
 from sphrom.kernels.sweeps import FluidConstants, RegularityConstants, X, gather
-from sphrom.sph import state_equation
 from sphrom.sph.domain import Domain, Walls
-from sphrom.sph.fluid import Discretization, Fluid
+from sphrom.sph.fluid import Discretization, Fluid, fluctuation_of, volume_of
 from sphrom.sph.neighbourhood import MOVE_RATIO, Sources, sort_sources
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 CLOSEST, TOUCHING, FELT = 0.25, 0.5, 1.5
 """Distances from a wall over the spacing: nothing moves closer; the first layer's; the second's."""
@@ -107,10 +103,8 @@ class GhostParticles:
             force = density * body_force[:, sources.particle]
             head = np.empty_like(fluctuation)
             ghost_fields.ghost_heads(self._position, source, force, weights, *search, head)
-            fluctuation = fluctuation + state_equation.density_fluctuation(
-                head, self.fluid.sound_speed
-            )
-        volume = state_equation.volume(fluctuation, self.fluid.reference_density, self._mass)
+            fluctuation = fluctuation + fluctuation_of(head, self.fluid.sound_speed)
+        volume = volume_of(fluctuation, self.fluid.reference_density, self._mass)
         fields = np.zeros((wall_sweeps.N_GHOST_ROWS, fluctuation.size))
         fields[:2] = self._position
         fields[wall_sweeps.DENSITY] = fluctuation

@@ -20,11 +20,13 @@ from pathlib import Path
 
 import numpy as np
 
+from sphrom.arrays import Array
 from sphrom.artifacts import ArtifactWriter, locked, read_record, write_record
 from sphrom.artifacts.records.runs import Checkpoint
 from sphrom.errors import ArtifactError, UnstableError
 from sphrom.setup.cost import MOST_PENDING
-from sphrom.sph.time_loop import Item, RunState
+from sphrom.sph.time_loop import Clock, Item, Model, RunState, TimeSteps, march
+from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Target, Workspace
 from sphrom.version import __version__
 
@@ -43,83 +45,6 @@ def computes_with() -> Mapping[str, str]:
         digest.update(source.read_bytes())
     program = f"{__version__} with sources {digest.hexdigest()[:8]}"
     return {"sphrom": program, **compiled_with()}
-
-
-class CheckpointFiles:
-    """The files of one target's checkpoint."""
-
-    def __init__(self, workspace: Workspace, target: Target) -> None:
-        self._workspace = workspace
-        self._target = target
-        self._state = self._aside("checkpoint", "sphrom/checkpoint")
-
-    @property
-    def there(self) -> bool:
-        """Whether there is a checkpoint, valid or not."""
-        return self._state.path.exists()
-
-    def latest(self) -> Checkpoint:
-        """Return the checkpoint. Raises ArtifactError unless it is whole, with all its parts."""
-        with self._workspace.open_aside(self._state) as artifact:
-            artifact.verify_content()
-            kept = read_record(artifact, Checkpoint)
-        for number in range(1, kept.n_parts + 1):
-            target = self._part(number)
-            if not target.path.exists():
-                raise ArtifactError(f"{target.path} is missing; `--force` starts anew")
-            with self._workspace.open_aside(target) as part:
-                part.verify_content()
-                if part.number("number") != number:
-                    raise ArtifactError(f"{target.path} is another part; `--force` starts anew")
-        return kept
-
-    def write(self, kept: Checkpoint) -> None:
-        """Write a state, over the one before. Raises ArtifactError."""
-        with self._workspace.create_aside(self._state) as artifact:
-            write_record(artifact, kept)
-
-    def write_part(self, number: int, items: Sequence[Item]) -> None:
-        """Write snapshots, all before which are in parts of lower numbers. Raises ArtifactError."""
-        with self._workspace.create_aside(self._part(number), {"number": number}) as artifact:
-            for name in items[0]:
-                artifact.write(name, np.array([item[name] for item in items]))
-
-    def snapshots(self, kept: Checkpoint) -> Iterator[Item]:
-        """Read the snapshots of a checkpoint, one after the other."""
-        for number in range(1, kept.n_parts + 1):
-            with self._workspace.open_aside(self._part(number)) as part:
-                for i in range(part.length("step")):
-                    yield {name: part.dataset(name)[i] for name in part.datasets}
-
-    def remove(self) -> None:
-        """Remove all files, those that a killed process was writing too.
-
-        The state goes first, as it counts on the parts. Raises ArtifactError where a folder has
-        the name of a file: it is not removed.
-        """
-        files = self.left()
-        if folder := next(filter(Path.is_dir, files), None):
-            raise ArtifactError(f"{folder} is a folder where a checkpoint has to be: remove it")
-        for path in files:
-            path.unlink(missing_ok=True)
-
-    def left(self) -> list[Path]:
-        """Return all paths with names of checkpoints or parts, of use or not."""
-        folder, name = self._target.path.parent, escape(self._target.path.name)
-        endings = ("checkpoint*", "part-*")
-        return [
-            path
-            for ending in endings
-            for hidden in ("", ".")
-            for path in folder.glob(f"{hidden}{name}.{ending}")
-        ]
-
-    def _part(self, number: int) -> Target:
-        return self._aside(f"part-{number}", "sphrom/trajectory-part")
-
-    def _aside(self, ending: str, schema: str) -> Target:
-        path = self._target.path
-        return replace(self._target, path=path.with_name(f"{path.name}.{ending}"), schema=schema)
 
 
 @dataclass(frozen=True)
@@ -152,21 +77,20 @@ class Checkpoints:
         Raises ArtifactError when a checkpoint is there, but neither `resume` nor `force` is asked
         for, or it can't be continued.
         """
-        self._context = workspace.context
-        self._name = target.path.name
-        self._artifact = artifact
-        self._files = CheckpointFiles(workspace, target)
+        self._workspace, self._target, self._artifact = workspace, target, artifact
+        self._context, self._name = workspace.context, target.path.name
+        self._state = self._aside("checkpoint", "sphrom/checkpoint")
         self._kept = kept = self._found()
         self._book = _Book()
         self.begin = None
         if kept is None:
-            self._files.remove()
+            _remove(target)
         else:
             state = kept.state if len(kept.state) > 1 else kept.state[0]
             self.begin = RunState(kept.step, state, kept.neighbours_at, kept.seconds)
             self._book = _Book(kept.step, kept.n_parts)
             artifact.add_time(kept.wall_seconds)
-        self._reached: tuple[RunState, float, int, int] | None = None
+        self._reached: tuple[RunState, TimeSteps, int] | None = None
         self._pending_bytes = 0
         self._cost = self.seconds = 0.0
         self._since = time.monotonic()
@@ -183,8 +107,10 @@ class Checkpoints:
 
     def snapshots(self) -> Iterator[Item]:
         """Read back the snapshots that were done before."""
-        if self._kept is not None:
-            yield from self._files.snapshots(self._kept)
+        for number in range(1, 1 + (0 if self._kept is None else self._kept.n_parts)):
+            with self._workspace.open_aside(self._part(number)) as part:
+                for i in range(part.length("step")):
+                    yield {name: part.dataset(name)[i] for name in part.datasets}
 
     def add(self, item: Item) -> None:
         """Take a snapshot that the next checkpoint has to hold."""
@@ -192,12 +118,12 @@ class Checkpoints:
             self._book.pending.append(item)
             self._pending_bytes += sum(values.nbytes for values in item.values())
 
-    def reached(self, run_state: RunState, time_reached: float, n_steps: int) -> None:
+    def reached(self, run_state: RunState, steps: TimeSteps) -> None:
         """Take where the run stands, and write a checkpoint if one is due.
 
         Raises ArtifactError when somebody has removed what is being written.
         """
-        self._reached = (run_state, time_reached, n_steps, len(self._book.pending))
+        self._reached = (run_state, steps, len(self._book.pending))
         waited = time.monotonic() - self._since
         every = self._context.checkpoint_every
         apart = max(every, self._cost / LARGEST_SHARE) if every > 0.0 else 0.0
@@ -225,13 +151,46 @@ class Checkpoints:
                 )
             raise
 
+    def _latest(self) -> Checkpoint:
+        """Return what is there. Raises ArtifactError unless it is whole, with all its parts."""
+        with self._workspace.open_aside(self._state) as artifact:
+            artifact.verify_content()
+            kept = read_record(artifact, Checkpoint)
+        for number in range(1, kept.n_parts + 1):
+            target = self._part(number)
+            if not target.path.exists():
+                raise ArtifactError(f"{target.path} is missing; `--force` starts anew")
+            with self._workspace.open_aside(target) as part:
+                part.verify_content()
+                if part.number("number") != number:
+                    raise ArtifactError(f"{target.path} is another part; `--force` starts anew")
+        return kept
+
+    def _write_state(self, kept: Checkpoint) -> None:
+        """Write a state, over the one before. Raises ArtifactError."""
+        with self._workspace.create_aside(self._state) as artifact:
+            write_record(artifact, kept)
+
+    def _write_part(self, number: int, items: Sequence[Item]) -> None:
+        """Write snapshots, all before which are in parts of lower numbers. Raises ArtifactError."""
+        with self._workspace.create_aside(self._part(number), {"number": number}) as artifact:
+            for name in items[0]:
+                artifact.write(name, np.array([item[name] for item in items]))
+
+    def _part(self, number: int) -> Target:
+        return self._aside(f"part-{number}", "sphrom/trajectory-part")
+
+    def _aside(self, ending: str, schema: str) -> Target:
+        path = self._target.path
+        return replace(self._target, path=path.with_name(f"{path.name}.{ending}"), schema=schema)
+
     def _found(self) -> Checkpoint | None:
         """Return the checkpoint to go on from; None where the run starts anew."""
-        if not self._files.there:
+        if not self._state.path.exists():
             return None
         context, report = self._context, self._context.report
         try:
-            kept = self._files.latest()
+            kept = self._latest()
         except ArtifactError as error:
             if not context.force:
                 raise
@@ -280,24 +239,55 @@ class Checkpoints:
         book, reached = self._book, self._reached
         if reached is None or reached[0].step == book.step:
             return
-        run_state, time_reached, n_steps, n_pending = reached
+        run_state, steps, n_pending = reached
         n_parts = book.n_parts + (n_pending > 0)
         if n_pending:
-            self._files.write_part(n_parts, book.pending[:n_pending])
+            self._write_part(n_parts, book.pending[:n_pending])
         kept = Checkpoint(
             state=np.atleast_2d(run_state.state),
             neighbours_at=run_state.neighbours_at,
             step=run_state.step,
-            n_steps=n_steps,
-            time=time_reached,
+            n_steps=steps.n_steps,
+            time=steps.time(run_state.step),
             n_parts=n_parts,
             computed_with="\n".join(map(": ".join, computes_with().items())),
             seconds=run_state.seconds,
             wall_seconds=self._artifact.age,
         )
-        self._files.write(kept)
+        self._write_state(kept)
         self._book = _Book(kept.step, n_parts, book.pending[n_pending:])
         self._pending_bytes = 0
+
+
+def integrate(
+    model: Model,
+    state: Array,
+    steps: TimeSteps,
+    reference_density: float,
+    trajectory: TrajectoryWriter,
+    advance: Callable[[int], None],
+    checkpoints: Checkpoints,
+) -> UnstableError | None:
+    """Take all steps of a run and write its snapshots; return what ended it early, if anything.
+
+    A run that was stopped goes on from its checkpoint; one that is stopped leaves one.
+    """
+    clock = Clock()
+    failure: UnstableError | None = None
+    for item in checkpoints.snapshots():
+        trajectory.write(item)
+    begin, reached = checkpoints.begin, checkpoints.reached
+    with checkpoints.kept_if_stopped():
+        try:
+            for step, kept in march(
+                model, state, steps, reference_density, clock, advance, begin, reached
+            ):
+                item = trajectory.append(steps.time(step), step, model.snapshot(kept))
+                checkpoints.add(item)
+        except UnstableError as error:
+            failure = error
+    trajectory.finish(failure, clock.seconds, checkpoints.seconds, clock.least_step)
+    return failure
 
 
 def _computed_otherwise(kept: Checkpoint) -> str:
@@ -310,9 +300,32 @@ def _computed_otherwise(kept: Checkpoint) -> str:
     )
 
 
-def remove_checkpoints(workspace: Workspace, target: Target) -> None:
+def _left(target: Target) -> list[Path]:
+    """Return all paths with names of checkpoints or parts, of use or not: states first."""
+    folder, name = target.path.parent, escape(target.path.name)
+    return [
+        path
+        for ending in ("checkpoint*", "part-*")
+        for hidden in ("", ".")
+        for path in folder.glob(f"{hidden}{name}.{ending}")
+    ]
+
+
+def _remove(target: Target) -> None:
+    """Remove all files of a checkpoint, those that a killed process was writing too.
+
+    The state goes first, as it counts on the parts. Raises ArtifactError where a folder has
+    the name of a file: it is not removed.
+    """
+    files = _left(target)
+    if folder := next(filter(Path.is_dir, files), None):
+        raise ArtifactError(f"{folder} is a folder where a checkpoint has to be: remove it")
+    for path in files:
+        path.unlink(missing_ok=True)
+
+
+def remove_checkpoints(target: Target) -> None:
     """Remove the checkpoints of an artifact that is there, unless somebody makes it anew."""
-    files = CheckpointFiles(workspace, target)
-    if files.left():
+    if _left(target):
         with suppress(ArtifactError), locked(target.path):
-            files.remove()
+            _remove(target)

@@ -14,6 +14,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, read_record
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
@@ -26,8 +27,6 @@ from sphrom.reduction.reduced_operators import ReducedOperators
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis, project, truncate
 from sphrom.setup import assembly
 from sphrom.store.workspace import Workspace
-
-Array = NDArray[np.float64]
 
 N_BLOCK_SNAPSHOTS = 16
 """Snapshots that are projected at once."""
@@ -182,11 +181,12 @@ def memory_timing(basis: str, n_modes: int) -> str:
     return f"timing/memory-{basis}-{n_modes}"
 
 
-def sized(
+def basis_used(
     workspace: Workspace, model: ReducedModelSection, point: ParameterPoint
-) -> ReducedModelSection:
-    """Return a model with its number of modes at a point, where training runs chose it."""
-    return sized_in(workspace, model, workspace.case.plan.basis_for(model, point))
+) -> tuple[str, int]:
+    """Return the basis that a model uses at a point, and how many of its modes."""
+    name = workspace.case.plan.basis_for(model, point)
+    return name, sized_in(workspace, model, name).size
 
 
 def sized_in(workspace: Workspace, model: ReducedModelSection, name: str) -> ReducedModelSection:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts import Artifact
 from sphrom.case.models import Case
 from sphrom.errors import ArtifactError, CaseError
@@ -15,13 +15,10 @@ from sphrom.metrics.samples import Probes, Samples, grid_points, spread
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.trial_basis import TrialBasis, mean_density_fluctuation, project
-from sphrom.scenes.flows import ExactFlow
+from sphrom.scenes.flows import TaylorGreen
 from sphrom.setup.particles import sampler
-from sphrom.sph import state_equation
-from sphrom.sph.domain import Domain
+from sphrom.sph.fluid import pressure_of
 from sphrom.store.trajectory import snapshot_fields
-
-Array = NDArray[np.float64]
 
 ON_WALL = 1e-6
 """Points nearer to a wall than this part of the spacing are on it."""
@@ -39,7 +36,9 @@ def probes_of(case: Case) -> Probes:
     spans = domain.sections(x)
     if not spans:
         raise CaseError(f"compare.line: there is no fluid at x = {x:g} m")
-    n_line, shape = case.compare.line_points, _grid_shape(domain, case.compare.grid)
+    n_line, longer = case.compare.line_points, max(domain.lengths)
+    n_columns, n_rows = (max(2, round(case.compare.grid * s / longer)) for s in domain.lengths)
+    shape = n_rows, n_columns
     points = grid_points(domain.lower, domain.upper, shape)
     in_fluid, near_walls = None, None
     if domain.has_walls:
@@ -55,13 +54,6 @@ def probes_of(case: Case) -> Probes:
         near_walls=near_walls,
         stations=case.scene.stations(case.plan.probe_line),
     )
-
-
-def _grid_shape(domain: Domain, n_points: int) -> tuple[int, int]:
-    """Return rows and columns of a grid with so many points along the longer side of the box."""
-    longer = max(domain.lengths)
-    columns, rows = (max(2, round(n_points * length / longer)) for length in domain.lengths)
-    return rows, columns
 
 
 def sample_run(
@@ -86,12 +78,12 @@ def sample_run(
             if trajectory.text("status") == "complete":
                 raise ArtifactError(f"{trajectory.path}, snapshot {snapshot}: {error}") from error
             return Samples(times[chosen[:i]], velocities[:i], pressures[:i])
-        pressures[i] = state_equation.pressure(density, case.plan.sound_speed)
+        pressures[i] = pressure_of(density, case.plan.sound_speed)
         advance(1)
     return Samples(times[chosen], velocities, pressures)
 
 
-def sample_exact(flow: ExactFlow, probes: Probes, times: Array) -> Samples:
+def sample_exact(flow: TaylorGreen, probes: Probes, times: Array) -> Samples:
     """Evaluate an exact solution."""
     return Samples(
         times,
@@ -108,7 +100,7 @@ def sample_mapped(case: Case, mapped: Artifact, sample: ReferenceMap) -> Samples
     for snapshot in range(len(densities)):
         density, velocity = sample(position, densities[snapshot], fields[snapshot])
         velocities.append(velocity)
-        pressures.append(state_equation.pressure(density, case.plan.sound_speed))
+        pressures.append(pressure_of(density, case.plan.sound_speed))
     return Samples(mapped.read("time"), np.array(velocities), np.array(pressures))
 
 
@@ -141,4 +133,4 @@ def expand(
     values = splines.values(points).reshape(len(points), -1, 3)
     fields = np.einsum("pmf,sm->spf", values, coordinates, optimize=True)
     density = basis.inner_product.density_fluctuation(fields[..., 0]) + mean_density[:, None]
-    return Samples(times, fields[..., 1:], state_equation.pressure(density, case.plan.sound_speed))
+    return Samples(times, fields[..., 1:], pressure_of(density, case.plan.sound_speed))

@@ -6,8 +6,8 @@ The map loads the kernels of SPH, which runs from stored starts don't need.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, read_record
 from sphrom.artifacts.records.reduced_models import Starts
 from sphrom.artifacts.records.runs import Start
@@ -17,7 +17,6 @@ from sphrom.setup import assembly
 from sphrom.store.reduced_models import read_points
 from sphrom.store.workspace import Workspace
 
-Array = NDArray[np.float64]
 Fields = tuple[Array, Array]
 """Density fluctuation (n_points,) [kg/m3] and velocity (n_points, 2) [m/s]."""
 

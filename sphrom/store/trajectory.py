@@ -7,13 +7,13 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, ArtifactWriter
 from sphrom.case.models import Case
 from sphrom.errors import ArtifactError, UnstableError
 from sphrom.metrics.measures import UNITS, FieldMeasure, Quantities
-from sphrom.sph import state_equation
+from sphrom.sph.fluid import pressure_of
 from sphrom.sph.wall_forces import TORQUE, WallForces
 
 if TYPE_CHECKING:  # it loads kernels, which take long, and reduced runs need none of it
@@ -21,7 +21,6 @@ if TYPE_CHECKING:  # it loads kernels, which take long, and reduced runs need no
     from sphrom.sph.domain import Walls
     from sphrom.sph.time_loop import Item, Snapshot
 
-Array = NDArray[np.float64]
 
 PARTS = ("pressure", "viscous")
 """Of a force."""
@@ -140,7 +139,7 @@ class TrajectoryWriter:
             "position": snapshot.position.T,
             "velocity": snapshot.velocity.T,
             "density_fluctuation": snapshot.density_fluctuation,
-            "pressure": state_equation.pressure(snapshot.density_fluctuation, self._sound_speed),
+            "pressure": pressure_of(snapshot.density_fluctuation, self._sound_speed),
             "generalized_coordinates": np.asarray(snapshot.coordinates),
             "mean_density_fluctuation": np.asarray(snapshot.mean_density_fluctuation),
         }
@@ -192,8 +191,6 @@ def require_complete(trajectory: Artifact) -> None:
 
 def snapshot_fields(trajectory: Artifact, snapshot: int) -> tuple[Array, Array, Array]:
     """Return position (N, 2), density fluctuation (N,) and velocity (N, 2) of one snapshot."""
-    return (
-        np.asarray(trajectory.dataset("position")[snapshot]),
-        np.asarray(trajectory.dataset("density_fluctuation")[snapshot]),
-        np.asarray(trajectory.dataset("velocity")[snapshot]),
-    )
+    names = ("position", "density_fluctuation", "velocity")
+    position, density, velocity = (np.asarray(trajectory.dataset(n)[snapshot]) for n in names)
+    return position, density, velocity

@@ -281,7 +281,7 @@ class Workspace:
     def reduced_run(self, model: ReducedModelSection, point: ParameterPoint) -> Target:
         """What a reduced model gave at a parameter point."""
         made_from = {"operators": self.operators()} if model.from_operators else {}
-        if model.on_particles:
+        if not model.from_operators:
             made_from["splines"] = self.splines()
         about = {"point": point.as_dict(), **_about(model, "parameters")}
         start = self._start(self.case.plan.start_point(point))
@@ -317,7 +317,7 @@ class Workspace:
             parents["basis"] = self.basis()
             if model.from_operators:
                 parents["operators"] = self.operators()
-            if model.on_particles or section.probes:
+            if not model.from_operators or section.probes:
                 parents["splines"] = self.splines()
         return self._target("sweep", sweep_name(self.case), about, parents)
 

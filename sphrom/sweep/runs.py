@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts import SCHEMAS, Artifact, ArtifactWriter, write_record
 from sphrom.artifacts.records.sweep import Statistics
 from sphrom.case.points import ParameterPoint
@@ -25,7 +25,7 @@ from sphrom.case.studies import sweep_model, sweep_name
 from sphrom.case.study_sections import FULL
 from sphrom.errors import ArtifactError, SphromError, UnstableError
 from sphrom.metrics.measures import PLACED, Quantities, components, of_a_run
-from sphrom.metrics.samples import Probes, Samples
+from sphrom.metrics.samples import Samples
 from sphrom.metrics.series import kinetic_energy
 from sphrom.offline import fom
 from sphrom.online import rom
@@ -37,8 +37,6 @@ from sphrom.store.sampling import sample_run
 from sphrom.store.trajectory import measured_of
 from sphrom.store.workspace import Target, Workspace
 from sphrom.sweep.workers import Failure, Task
-
-Array = NDArray[np.float64]
 
 LOADS = ("force_x", "force_y", "torque")
 """What columns call the loads on a wall."""
@@ -95,7 +93,7 @@ class SweptModel:
     def __init__(self, workspace: Workspace) -> None:
         self.workspace = workspace
         self._model = sweep_model(workspace.case)
-        self._probes = Probes.at(probe_places(workspace))
+        self._probes = probe_places(workspace)
         self._fast = None
         if self._model is not None and self._model.from_operators:
             self._fast = FastModel(workspace, self._model)
@@ -140,10 +138,10 @@ class SweptModel:
             values = _values(trajectory.read("time"), step, energies, speed)
             if self._model is not None:
                 values["generalized_coordinates"] = trajectory.read("generalized_coordinates")
-            if len(self._probes.all):
-                values |= _at_probes(sample_run(case, trajectory, self._probes.all))
+            if len(self._probes):
+                values |= _at_probes(sample_run(case, trajectory, self._probes))
             values |= _kept(measured_of(case, trajectory))
-        remove_checkpoints(self.workspace, target)
+        remove_checkpoints(target)
         return RunRecord(point, COMPLETE, values=values)
 
     def _of_fast(self, run: FastRun) -> RunRecord:
@@ -159,15 +157,14 @@ class SweptModel:
         values = _values(run.time, run.time_step, energies, speed)
         values["generalized_coordinates"] = run.coordinates
         if (found := run.estimate) is not None:
-            velocity, pressure = found.velocity_and_pressure.T
             values |= {
-                f"{ERROR}velocity": float(found.percent[0]),
-                f"{ERROR}pressure": float(found.percent[1]),
+                f"{ERROR}velocity": found.velocity_percent,
+                f"{ERROR}pressure": found.pressure_percent,
                 f"{ERROR}extrapolated": int(found.extrapolates),
-                f"{ERROR}velocity_over_time": velocity,
-                f"{ERROR}pressure_over_time": pressure,
+                f"{ERROR}velocity_over_time": found.velocity,
+                f"{ERROR}pressure_over_time": found.pressure,
             }
-        if len(self._probes.all):
+        if len(self._probes):
             values |= _at_probes(run.sampled(self._probes))
         values |= _kept(run.measured)
         derivatives = _derivatives(run) if self.workspace.case.sweep.sensitivities else {}

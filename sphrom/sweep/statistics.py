@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts.records.sweep import OutputIndices, OutputStatistics, Statistics
 from sphrom.case.models import Case
 from sphrom.case.points import outside
@@ -33,7 +33,6 @@ from sphrom.sweep.runs import ERROR, RunRecord
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 Values = Sequence[Mapping[str, Any]]
 """Of complete runs, as their records have them."""
 Along = Literal["time", "line"]

@@ -22,11 +22,10 @@ from sphrom.case.study_sections import TradeSection
 from sphrom.errors import CaseError, UnstableError
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.offline import fom, operators
+from sphrom.online.stored_run import StoredRun
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.sph.time_loop import Clock, TimeSteps, march
-from sphrom.store.sampling import sample_run
-from sphrom.store.trajectory import read_quantities
 from sphrom.store.workspace import Workspace
 
 FOLDER = "trade"
@@ -242,12 +241,10 @@ def sampled(
     workspace: Workspace, point: ParameterPoint, probes: Probes, measured: str | None = None
 ) -> Samples:
     """Sample a full run at the probes, with a measurement by its name."""
-    case, report, text = workspace.case, workspace.context.report, f"sample full run, {point.label}"
+    report, text = workspace.context.report, f"sample full run, {point.label}"
     with (
-        workspace.open(workspace.full_run(point)) as trajectory,
-        report.progress(text, len(trajectory.dataset("time"))) as advance,
+        StoredRun.opened(workspace, point) as run,
+        report.progress(text, len(run.time)) as advance,
     ):
-        found = sample_run(case, trajectory, probes.all, advance)
-        if measured is None:
-            return found
-        return replace(found, measured=read_quantities(trajectory, measured))
+        found = run.sampled(probes.all, advance=advance)
+        return found if measured is None else replace(found, measured=run.measured(measured))

@@ -16,9 +16,9 @@ import numpy as np
 
 from sphrom.case.checks import case_problems, coarser_resolution
 from sphrom.case.models import Case
-from sphrom.case.points import ParameterPoint, ParameterSection, TestValues
+from sphrom.case.points import ParameterPoint, ParameterSection
 from sphrom.case.sections import ALL, ReducedModelSection
-from sphrom.case.studies import train_values
+from sphrom.case.studies import trained_at
 from sphrom.errors import CaseError, ResourceError, UnstableError
 from sphrom.metrics.histories import compare, errors_of
 from sphrom.metrics.samples import Samples
@@ -251,7 +251,7 @@ def coarser(
     It has runs at some points and no others, one basis, and the case's snapshots.
     """
     changes: dict[str, Any] = {
-        "parameters": ParameterSection(train=train_values(case, points), test=TestValues()),
+        "parameters": ParameterSection(train=trained_at(case, points).parameters.train),
         "basis": case.basis.model_copy(update={"subsets": {}, "lagrangian": False}),
         "operators": case.operators.model_copy(update={"error_estimate": False}),
         "compare": case.compare.model_copy(update={"figures": ()}),
@@ -320,7 +320,7 @@ def _velocity_error(run: FastRun, full: Samples | None) -> float | None:
     if full is None:
         return None
     probes = probes_of(case)
-    history = compare(run.sampled(probes), full, probes, case.compare.from_time)
+    history = compare(run.sampled(probes.all), full, probes, case.compare.from_time)
     name = f"velocity_{case.trade.probes}_relative_l2"
     return errors_of(history)[name] if len(history.time) else None
 

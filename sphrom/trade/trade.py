@@ -25,7 +25,14 @@ from sphrom.metrics.samples import Samples
 from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.plots.canvas import plain_logarithmic, save
 from sphrom.plots.panels import Curve, Panel, draw_grid
-from sphrom.plots.tables import UNKNOWN, about, format_figure, write_csv, write_json
+from sphrom.plots.tables import (
+    UNKNOWN,
+    about,
+    format_figure,
+    rows_of_columns,
+    write_csv,
+    write_json,
+)
 from sphrom.reduction import reference_model
 from sphrom.setup.assembly import role_of
 from sphrom.setup.context import StageContext
@@ -195,9 +202,10 @@ class _Trade:
         reduced = fast.at(point)
         steps = reference_model.automatic(reduced).with_steps(factor)
         found, seconds = steps.timed(self.case.trade.repeats)
-        run, samples = FastRun(fast, point, reduced, found), None
+        run = FastRun(**vars(found), model=fast, point=point, reduced=reduced)
+        samples = None
         if run.failure is None:
-            samples = run.sampled(self.probes)
+            samples = run.sampled(self.probes.all)
             if measure is not None:
                 samples = replace(samples, measured=run.measured[measure])
         return self._row(label, role, point, run.time_step, seconds, samples)
@@ -254,7 +262,7 @@ def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None)
     words = ""
     if tolerance is not None:
         advice, words = recommend(rows, without, tolerance, measure)
-        tables["recommendation"] = [advice]
+        tables["recommendation"] = rows_of_columns(dict.fromkeys(advice), [advice])
     case, seconds = workspace.case, timed_words(workspace.case)
     origin = about(case.name, workspace.threads)
     write_json(

@@ -291,31 +291,18 @@ class Tolerance:
         return all(error is not None and error <= allowed for error, allowed in found)
 
 
-@dataclass(frozen=True)
-class Recommendation:
-    """The cheapest model within a tolerance; None where there is none worth its seconds."""
-
-    velocity_tolerance: float
-    pressure_tolerance: float
-    judged_by: str
-    model: str | None
-    full_run: str | None
-    """The cheapest full run within the tolerance, for few runs; None where that is unknown."""
-    pays_from_run: int | None
-    """How many runs make the model cheaper than that; None where that is unknown."""
-    without_a_model: str | None
-    """The alternative without any run that is within the tolerance, where there is one."""
-
-
 def recommend(
     rows: Sequence[ModelRow],
     without: Sequence[Alternative],
     tolerance: Tolerance,
     measure: Measure,
-) -> tuple[Recommendation, str]:
+) -> tuple[dict[str, Any], str]:
     """Return which model to take within a tolerance, and the same in words.
 
-    The case's own full run is the first row.
+    The case's own full run is the first row. It is the cheapest `model` that is worth its seconds,
+    None where there is none. Beside it stand the cheapest `full_run`, for few runs, and how many
+    runs make the model cheaper than that; None where these are unknown. `without_a_model` is the
+    alternative without any run that is within the tolerance.
     """
     fit = [row for row in rows if tolerance.allows(row.errors, measure)]
     chosen = _cheapest([row for row in fit if row is not rows[0]])
@@ -324,15 +311,15 @@ def recommend(
     pays = None
     if chosen is not None and full is not None and chosen.online_seconds is not None:
         pays = break_even(chosen.offline_seconds, full.online_seconds, chosen.online_seconds)
-    advice = Recommendation(
-        tolerance.velocity,
-        tolerance.pressure,
-        measure.words,
-        None if chosen is None else chosen.model,
-        None if full is None else full.model,
-        pays,
-        enough[0] if enough else None,
-    )
+    advice = {
+        "velocity_tolerance": tolerance.velocity,
+        "pressure_tolerance": tolerance.pressure,
+        "judged_by": measure.words,
+        "model": None if chosen is None else chosen.model,
+        "full_run": None if full is None else full.model,
+        "pays_from_run": pays,
+        "without_a_model": enough[0] if enough else None,
+    }
     allowed = " and ".join(
         f"{tolerance.of(q):g} % of {q.replace('_', ' ')}" for q in measure.quantities
     )
@@ -363,7 +350,7 @@ def _best(rows: Sequence[ModelRow], quantity: str, measure: Measure) -> str:
     return f"{quantity} {format_figure(error)} % by {model}"
 
 
-def _described(chosen: ModelRow, advice: Recommendation, measure: Measure) -> str:
+def _described(chosen: ModelRow, advice: Mapping[str, Any], measure: Measure) -> str:
     """Return a model with its errors, its gain and the run from which it pays."""
     errors = ", ".join(
         f"{q} {format_figure(measure.of(chosen.errors, q))} %" for q in measure.quantities
@@ -373,9 +360,9 @@ def _described(chosen: ModelRow, advice: Recommendation, measure: Measure) -> st
         text += "and the time of the full run is unknown"
     else:
         text += f"{format_figure(chosen.speed_up)} times faster than the full run"
-    if chosen.kind != "full" and advice.pays_from_run is not None:
+    if chosen.kind != "full" and advice["pays_from_run"] is not None:
         text += (
             "; counting the cost of making it, it pays from "
-            f"{counted(advice.pays_from_run, 'run')} on; for fewer take {advice.full_run}"
+            f"{counted(advice['pays_from_run'], 'run')} on; for fewer take {advice['full_run']}"
         )
     return text

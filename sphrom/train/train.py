@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.case.checks import case_problems
 from sphrom.case.loader import case_of_text
 from sphrom.case.models import Case, resolved_yaml
@@ -45,8 +46,6 @@ from sphrom.sweep.workers import Failure, Task, check_options, start_workers
 from sphrom.text import exact
 from sphrom.train.outcome import FOLDER, HeldOut, Outcome, Stage, publish
 from sphrom.whole_files import require_writable, write_whole
-
-Array = NDArray[np.float64]
 
 CASE_FILE = "case.yaml"
 """What the case with the chosen points is called, in the training's folder."""
@@ -168,9 +167,8 @@ class _Training:
             )
         if len(self.starts) >= self.section.budget:
             raise CaseError(
-                f"training.budget: training starts from {len(self.starts)} full runs (the region's "
-                "ends, and those of parameters.train that are there) and needs at least one more, "
-                f"to test what the model promises; got {self.section.budget}"
+                f"training.budget: training starts from {len(self.starts)} full runs, and needs at "
+                f"least one more to test what the model promises; got {self.section.budget}"
             )
 
     def _context_of(self, points: Sequence[ParameterPoint]) -> StageContext:

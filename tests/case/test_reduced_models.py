@@ -11,8 +11,8 @@ TRAINED = "parameters: {train: {reynolds: [100, 200]}}\n"
 LID = "name: small\nscene:\n  kind: lid-driven-cavity\n"
 OPEN = "name: small\nscene:\n  kind: open-cavity\n"
 OUTSIDE = (
-    "rom.0.parameters: reynolds=300 is outside of the trained range, 100 to 200: a reduced model "
-    "extrapolates there"
+    "rom.0.parameters: reynolds=300 is outside of the trained range, 100 to 200 of reynolds: a "
+    "reduced model extrapolates there"
 )
 
 
@@ -35,7 +35,7 @@ def test_readings_that_fixed_points_do_not_have(load, refusal, base, key, given,
     override = f"discretization.{key}={given}"
     (line,) = refusal(fast(), override, **bases)
     assert line.startswith(f"--set: discretization.{key}: must be {needed} for models with")
-    assert load("rom: [{name: x}]\n", override, **bases).rom[0].on_particles
+    assert not load("rom: [{name: x}]\n", override, **bases).rom[0].from_operators
 
 
 def test_values_without_a_full_run_are_for_the_reference_points(load):

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from sphrom.case.points import ParameterPoint
-from sphrom.compare.compare import bulk_velocity
-from sphrom.metrics.series import flow_row
+from sphrom.compare.measured import flow_row
 from sphrom.online.stored_run import StoredRun
 from sphrom.store.sampling import probes_of, sample_run
 
@@ -18,8 +17,7 @@ def _row(case, trajectory):
     probes = probes_of(case)
     samples = sample_run(case, trajectory, probes.all)
     run = StoredRun(SimpleNamespace(case=case), trajectory, ParameterPoint(1.0))
-    bulk = bulk_velocity(case, samples, probes)
-    return flow_row("full", "reynolds=1", run, samples, probes, bulk)
+    return flow_row(case, "full", "reynolds=1", run, samples, probes)
 
 
 def test_open_cavity_with_a_wave(case_of, made_up):

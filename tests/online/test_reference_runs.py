@@ -66,7 +66,7 @@ def test_more_steps_than_a_run_can_take_are_refused() -> None:
 def test_a_run_that_grows_is_kept_until_it_is_no_flow() -> None:
     interval = PLAN.snapshot_interval
     runs, seconds = timed(growing(1.0 / interval), 4 * (PLAN.n_snapshots - 1))
-    failure = FastRun(Mock(), Mock(), Mock(), runs).failure
+    failure = FastRun(**vars(runs), model=Mock(), point=Mock(), reduced=Mock()).failure
     assert failure is not None
     assert "unstable after t = " in str(failure)
     kept = np.isfinite(runs.coordinates[:, 0])
@@ -74,7 +74,8 @@ def test_a_run_that_grows_is_kept_until_it_is_no_flow() -> None:
     assert runs.coordinates[kept].max() < 1e3
     assert seconds > 0.0
     steady, _ = timed(growing(0.0), 1)
-    assert FastRun(Mock(), Mock(), Mock(), steady).failure is None
+    still = FastRun(**vars(steady), model=Mock(), point=Mock(), reduced=Mock())
+    assert still.failure is None
 
 
 @pytest.mark.parametrize("weight", [0.01, 1.0])

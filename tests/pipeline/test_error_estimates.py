@@ -14,7 +14,6 @@ from sphrom.artifacts import open_artifact
 from sphrom.case.loader import load_case
 from sphrom.case.points import ParameterPoint
 from sphrom.setup import particles
-from sphrom.sph.fluid import FlowConditions
 from sphrom.store.reduced_models import read_modes, read_points
 
 COMPARE = {"plots": False, "grid": 12, "line_points": 21}
@@ -82,7 +81,7 @@ def test_the_residual_is_that_at_all_points(made, workspace_of, unprojected, cas
     viscosity = workspace.case.plan.kinematic_viscosity(ParameterPoint(reynolds))
     for k in (0, 3, len(times) - 1):
         amplitude = 0.0 if closed else flow.body_force.amplitude(float(times[k]))
-        expected = model.residual(states[k], FlowConditions(viscosity, amplitude=amplitude))
+        expected = model.residual(states[k], {"viscosity": viscosity, "amplitude": amplitude})
         if closed:
             # The closure leaves the projected rates, by little.
             assert expected < residuals[k] < 1.1 * expected

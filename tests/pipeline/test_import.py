@@ -285,7 +285,7 @@ def test_particles_in_another_order_are_not_interpolated(case, sphrom) -> None:
     names = write_uneven(lambda time: np.random.default_rng(int(1e3 * time)).permutation(N))
     refused = sphrom("import", case, *names)
     assert refused.exit_code == 2
-    assert "in different orders; --sort-by names the field that numbers them" in refused.stderr
+    assert "--sort-by: a particle moves by" in refused.stderr
     result = sphrom("import", case, *names, "--sort-by", "id")
     assert result.exit_code == 0, result.output
     np.testing.assert_allclose(imported()["velocity"][1][:, 1], moving(0.05)["v"], atol=1e-12)

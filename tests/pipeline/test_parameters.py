@@ -23,7 +23,6 @@ from sphrom.reduction.reduced_rates import Polynomial
 from sphrom.reduction.trial_basis import TrialBasis, reconstruct
 from sphrom.setup import assembly, particles
 from sphrom.sph.fixed_points import FixedPoints
-from sphrom.sph.fluid import FlowConditions
 from sphrom.store.workspace import Workspace
 
 LID = {
@@ -134,7 +133,7 @@ def test_operators_at_any_point_are_those_assembled_there(unprojected, given):
     ]
     assert norms[0](states, amplitude) == pytest.approx(norms[1](states, amplitude), rel=1e-9)
 
-    around = FlowConditions(nu, amplitude=1.3, factors=factors)
+    around = {"viscosity": nu, "amplitude": 1.3, "factors": factors}
     rates = unprojected(points, basis, order=1)(states[0], around)
     assert rates == pytest.approx(operators.at(nu, factors=factors)(states[0], 1.3), rel=1e-10)
 

@@ -24,7 +24,7 @@ from sphrom.offline import fom
 from sphrom.setup.context import StageContext
 from sphrom.sph import time_loop
 from sphrom.store import checkpoints
-from sphrom.store.checkpoints import CheckpointFiles, Checkpoints, computes_with
+from sphrom.store.checkpoints import Checkpoints, computes_with
 
 TINY = ("tiny.yaml", "--threads", "1")
 FULL = "fom-reynolds100.h5"
@@ -258,7 +258,7 @@ def test_a_disk_that_is_full_at_a_checkpoint_does_not_end_a_run(
 
     before = digests(place)
     (place / FULL).unlink()
-    monkeypatch.setattr(CheckpointFiles, "write", refuse)
+    monkeypatch.setattr(Checkpoints, "_write_state", refuse)
     monkeypatch.setattr(checkpoints, "MOST_PENDING", most_pending)
     result = again("full", "--checkpoint-every", 0)
     assert result.exit_code == 0

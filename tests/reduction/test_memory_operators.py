@@ -8,10 +8,9 @@ import pytest
 from sphrom.reduction.memory_operators import project_memory
 from sphrom.reduction.operator_projection import project_operators
 from sphrom.reduction.polynomial_model import OutputTimes, PolynomialModel
-from sphrom.sph.fluid import FlowConditions
 
 NU = 0.01
-AROUND = FlowConditions(NU, amplitude=-1.4)
+AROUND = {"viscosity": NU, "amplitude": -1.4}
 
 
 @pytest.mark.parametrize("advection", ["spline", "sph"])
@@ -21,7 +20,7 @@ def test_the_polynomial_is_the_closure(setting, unprojected, advection: str) -> 
     direct = unprojected(setting.points, setting.basis, splines, order=1)
     for scale in (1.0, 0.3):
         expected = direct.memory(scale * setting.coordinates, AROUND)
-        found = memory(scale * setting.coordinates, AROUND.amplitude)
+        found = memory(scale * setting.coordinates, AROUND["amplitude"])
         assert np.max(np.abs(found - expected)) < 1e-9 * np.max(np.abs(expected))
 
 

@@ -43,8 +43,8 @@ def test_every_claim_can_be_looked_up(scene):
         assert claim.get("basis", "all") in corrected.plan.bases
         assert claim.get("modes", 1) <= corrected.plan.n_modes
         if "run" in claim:
-            assert names[claim["run"]].on_particles
-            assert not names[claim["fast"]].on_particles
+            assert not names[claim["run"]].from_operators
+            assert names[claim["fast"]].from_operators
             assert claim["run"] in {model.name for model in printed.rom}
             run_at = {point.reynolds for point in corrected.plan.rom_points(names[claim["run"]])}
             assert set(claim["reynolds"]) <= run_at

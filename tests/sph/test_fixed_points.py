@@ -10,7 +10,7 @@ import pytest
 
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.fixed_points import FixedPoints
-from sphrom.sph.fluid import Discretization, FlowConditions, Fluid
+from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
 from sphrom.sph.walls import build_walls
 
@@ -73,7 +73,11 @@ class Setting:
         return np.vstack((SCALE * rates.density, rates.velocity))
 
     def rates(self, q, velocity, order, speed: float = 0.0, amplitude: float = 0.0):
-        conditions = FlowConditions(FLUID.kinematic_viscosity, speed, amplitude)
+        conditions = {
+            "viscosity": FLUID.kinematic_viscosity,
+            "wall_speed": speed,
+            "amplitude": amplitude,
+        }
         gradients = np.zeros((3, 2, len(self.position)))
         return self.at_points(self.points, q, velocity, gradients, conditions, order)
 
@@ -132,7 +136,7 @@ def test_driven_walls_move_with_the_amplitude(setting) -> None:
     )
     velocity, gradients = np.stack((here.u, here.v)), np.zeros((3, 2, here.q.size))
     for amplitude in (0.0, 0.7):
-        around = FlowConditions(FLUID.kinematic_viscosity, 2.0, amplitude)
+        around = {"viscosity": FLUID.kinematic_viscosity, "wall_speed": 2.0, "amplitude": amplitude}
         found = here.at_points(driven, 0.1 * here.q, velocity, gradients, around)
         close(found, here.rates(0.1 * here.q, velocity, None, 2.0 * amplitude), 1e-12)
 
@@ -230,7 +234,7 @@ def test_nothing_depends_on_the_reference_density(setting) -> None:
         here.domain,
         here.walls(1.0),
     )
-    around = FlowConditions(FLUID.kinematic_viscosity)
+    around = {"viscosity": FLUID.kinematic_viscosity, "amplitude": 0.0}
     state = (here.q, np.stack((here.u, here.v)), np.zeros((3, 2, here.q.size)), around)
     first, second = (here.at_points(each, *state) for each in (here.points, dense))
     assert np.array_equal(first, second)

@@ -7,8 +7,14 @@ import math
 import numpy as np
 import pytest
 
-from sphrom.sph import state_equation
-from sphrom.sph.fluid import Discretization, Fluid, step_limits
+from sphrom.sph.fluid import (
+    Discretization,
+    Fluid,
+    fluctuation_of,
+    pressure_of,
+    step_limits,
+    volume_of,
+)
 
 
 def test_step_limits() -> None:
@@ -29,8 +35,8 @@ def test_numbers_of_a_fluid_and_its_particles() -> None:
 def test_state_equation() -> None:
     """Eq. 2.8, on fluctuations: a small pressure on a large density keeps its digits."""
     fluctuation = np.array([0.0, 1e-9, -2.0])
-    pressure = state_equation.pressure(fluctuation, 10.0)
+    pressure = pressure_of(fluctuation, 10.0)
     assert np.allclose(pressure, [0.0, 1e-7, -200.0], rtol=1e-15, atol=0.0)
-    back = state_equation.density_fluctuation(pressure, 10.0)
+    back = fluctuation_of(pressure, 10.0)
     assert np.allclose(back, fluctuation, rtol=1e-15, atol=0.0)
-    assert state_equation.volume(fluctuation, 1000.0, 5.0) == pytest.approx([5e-3, 5e-3, 5 / 998])
+    assert volume_of(fluctuation, 1000.0, 5.0) == pytest.approx([5e-3, 5e-3, 5 / 998])

@@ -86,9 +86,9 @@ def test_a_model_slower_and_worse_than_a_coarser_full_run_is_not_recommended():
     ]
     found, advice, _ = advised(rows, [], 1.0, 1.0)
     assert [row.beaten_by for row in found] == [None, None, OWN, "full, coarser", None]
-    assert (advice.model, advice.full_run) == ("full, coarser", "full, coarser")
+    assert (advice["model"], advice["full_run"]) == ("full, coarser", "full, coarser")
     _, advice, _ = advised(rows, [], 1.0, 0.45)
-    assert (advice.model, advice.full_run) == ("as good in pressure", OWN)
+    assert (advice["model"], advice["full_run"]) == ("as good in pressure", OWN)
 
 
 def test_a_model_that_is_worse_than_a_training_run_is_not_recommended():
@@ -101,10 +101,10 @@ def test_a_model_that_is_worse_than_a_training_run_is_not_recommended():
     ]
     found, advice, said = advised(rows, without, 10.0, 10.0)
     assert [row.beaten_by for row in found] == [None, NEAREST, None, None]
-    assert (advice.model, advice.without_a_model) == ("better in pressure", NEAREST)
+    assert (advice["model"], advice["without_a_model"]) == ("better in pressure", NEAREST)
     assert said.endswith(f"without any model, {NEAREST} is within it too")
     _, advice, said = advised(rows, without, 1.5, 3.0)
-    assert (advice.model, advice.without_a_model) == ("good", None)
+    assert (advice["model"], advice["without_a_model"]) == ("good", None)
 
 
 def test_a_model_pays_from_some_run_on():
@@ -113,10 +113,14 @@ def test_a_model_pays_from_some_run_on():
     found, advice, said = advised(rows, [], 1.0, 1.0)
     assert [row.speed_up for row in found] == [1.0, 4.0, 20.0]
     assert [row.break_even_runs for row in found] == [None, None, 11]
-    assert (advice.model, advice.full_run, advice.pays_from_run) == ("good", "full, coarser", 50)
+    assert (advice["model"], advice["full_run"], advice["pays_from_run"]) == (
+        "good",
+        "full, coarser",
+        50,
+    )
     assert "pays from 50 runs on; for fewer take full, coarser" in said
     _, advice, _ = advised(rows, [], 0.6, 0.6)
-    assert (advice.full_run, advice.pays_from_run) == (OWN, 11)
+    assert (advice["full_run"], advice["pays_from_run"]) == (OWN, 11)
 
 
 WEIGHED = [
@@ -140,7 +144,7 @@ WEIGHED = [
 )
 def test_the_cheapest_within_a_tolerance(tolerance, name):
     _, advice, said = advised(WEIGHED, [], *tolerance)
-    assert advice.model == name
+    assert advice["model"] == name
     assert ("velocity 0.100 % by slower and pressure 0.100 % by slower" in said) == (name is None)
 
 
@@ -211,7 +215,7 @@ def test_a_measured_force_is_one_quantity_by_which_models_are_judged():
     assert [row.fronts["measured_front"] for row in rows] == [False, True, True, False]
     assert not any(row.fronts["velocity_front"] for row in rows)
     advice, said = recommend(rows, [], Tolerance(1.5, 0.1), judged)
-    assert advice.model == "1.0"
+    assert advice["model"] == "1.0"
     assert said.startswith("within 1.5 % of force (relative L2 error of drag over time)")
 
 

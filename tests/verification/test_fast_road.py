@@ -32,10 +32,9 @@ from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.spline import LocalSplines, default_cell_width, fit_splines
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis, project
 from sphrom.scenes.flows import LidDrivenCavity, OpenCavity, Scene, TaylorGreen
-from sphrom.sph import state_equation
 from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fixed_points import FixedPoints
-from sphrom.sph.fluid import Discretization, FlowConditions, Fluid
+from sphrom.sph.fluid import Discretization, Fluid, fluctuation_of
 from sphrom.sph.functional import Functional
 from sphrom.sph.packing import pack
 from sphrom.sph.time_loop import runge_kutta_step
@@ -206,9 +205,7 @@ def train(flow: Flow) -> Training:
     for reynolds in flow.reynolds:
         scene, fluid = flow.scene(reynolds), flow.fluid(reynolds)
         full = Functional(fluid, flow.discretization, domain, flow.walls, scene.body_force)
-        density = state_equation.density_fluctuation(
-            scene.initial_pressure(position), fluid.sound_speed
-        )
+        density = fluctuation_of(scene.initial_pressure(position), fluid.sound_speed)
         state = np.vstack((position.T, density, scene.initial_velocity(position).T))
         for n in range(n_steps + 1):
             if n % EVERY == 0:
@@ -326,10 +323,10 @@ def test_projected_operators_are_the_projected_rates(
     direct = unprojected(model.points, model.basis, model.splines, order=1)
     for reynolds in (FLOWS[name].reynolds[0], UNSEEN[name]):
         viscosity = FLOWS[name].viscosity(reynolds)
-        around = FlowConditions(viscosity, amplitude=40.0)
+        around = {"viscosity": viscosity, "amplitude": 40.0}
         rates = model.operators.at(viscosity)
         for state in model.states[::10]:
-            close(rates(state, around.amplitude), direct(state, around), 1e-10)
+            close(rates(state, around["amplitude"]), direct(state, around), 1e-10)
 
 
 @ALL

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from sphrom.declaration import Array, Record, attribute, dataset, part
+from sphrom.arrays import Array
+from sphrom.declaration import Record, attribute, dataset, part
 
 _PLACES = {"line": "on the line", "field": "over the whole field"}
 _NORMS = {"velocity": "velocity", "pressure": "pressure less its mean there"}

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal
 
+from sphrom.arrays import Array
 from sphrom.artifacts.records.runs import Force, Measured, Settings, Status
-from sphrom.declaration import Array, Record, attribute, dataset, part
+from sphrom.declaration import Record, attribute, dataset, part
 
 Converged = Literal["converged", "not converged"]
 _CONSTANT = "error over the residual's integral that decays, in training"

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from sphrom.declaration import Array, Record, attribute, dataset, part
+from sphrom.arrays import Array
+from sphrom.declaration import Record, attribute, dataset, part
 
 
 class FittedHistory(Record):

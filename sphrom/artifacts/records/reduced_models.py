@@ -5,8 +5,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from sphrom.arrays import Array, Indices
 from sphrom.artifacts.records.runs import Medium
-from sphrom.declaration import Array, Indices, Record, attribute, dataset, part
+from sphrom.declaration import Record, attribute, dataset, part
 from sphrom.reduction.held_out import OF_FIELDS, FieldProducts, UnheldShares
 from sphrom.reduction.mode_splines import CellSplines, LatticeCoefficients
 from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure

@@ -7,7 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from sphrom.declaration import Array, Indices, Record, attribute, dataset, part
+from sphrom.arrays import Array, Indices
+from sphrom.declaration import Record, attribute, dataset, part
 
 _ABOUT = "about a solid's centroid, or about the box's centre on a side of it"
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from sphrom.declaration import Array, Indices, Record, attribute, dataset, part
+from sphrom.arrays import Array, Indices
+from sphrom.declaration import Record, attribute, dataset, part
 from sphrom.metrics.draws import OutputIndices, OutputStatistics
 
 
