@@ -29,7 +29,7 @@ from sphrom.reduction.held_out import UnheldShares
 from sphrom.reduction.reduced_operators import ResidualFactor, residual_norm
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup.assembly import places_of
-from sphrom.store.reduced_models import read_operators
+from sphrom.store.trained_models import read_operators
 
 if TYPE_CHECKING:
     from sphrom.online.basis_model import BasisModel

@@ -35,7 +35,7 @@ from sphrom.reduction.trial_basis import reconstruct
 from sphrom.setup import assembly
 from sphrom.setup.assembly import field_measures
 from sphrom.sph.fluid import pressure_of
-from sphrom.store.reduced_models import read_points
+from sphrom.store.trained_models import read_points
 from sphrom.store.trajectory import field_datasets, force_datasets, write_positions
 from sphrom.store.workspace import Workspace
 
