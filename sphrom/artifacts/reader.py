@@ -274,9 +274,8 @@ def _looked_through(file: h5py.File) -> Contents:
         if SCHEMAS[kind].dataset(name) is not None:
             raise Fault(f"is damaged: {name} is not what was written")
     lines = {
-        name: dataset_line(dtype, shape, contents.digests[name])
-        for name, (shape, dtype) in contents.datasets.items()
-        if name in contents.digests
+        name: dataset_line(contents.datasets[name][1], contents.datasets[name][0], digest)
+        for name, digest in contents.digests.items()
     }
     if content_digest(kind, contents.attributes, lines) != contents.attributes["content_sha256"]:
         raise Fault("is damaged: its digest is not that of what it holds")

@@ -11,7 +11,6 @@ import typer
 
 DEPTH = 3
 """Folders below this one, itself included, in which case files are looked for."""
-_SUFFIXES = (".yaml", ".yml")
 
 
 def case_files(incomplete: str) -> list[str]:
@@ -19,7 +18,7 @@ def case_files(incomplete: str) -> list[str]:
     folder = glob.escape(incomplete[: incomplete.rfind("/") + 1])
     found = (name for depth in range(DEPTH) for name in glob.glob(f"{folder}{'*/' * depth}*.y*ml"))
     return sorted(
-        name for name in found if name.startswith(incomplete) and name.endswith(_SUFFIXES)
+        name for name in found if name.startswith(incomplete) and name.endswith((".yaml", ".yml"))
     )
 
 

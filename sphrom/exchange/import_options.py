@@ -77,8 +77,7 @@ class ImportOptions:
             raise CaseError("--density, --pressure: name one, from which the other follows")
         if self.zero_mean_pressure and self.pressure is None:
             raise CaseError("--zero-mean-pressure: goes with --pressure")
-        numbers = {"--time-step": self.time_step, "--seconds": self.seconds}
-        for name, value in numbers.items():
+        for name, value in {"--time-step": self.time_step, "--seconds": self.seconds}.items():
             if value is not None and not 0.0 < value < math.inf:
                 raise CaseError(f"{name}: must be a finite number above zero; got {value:g}")
         if not math.isfinite(self.start):

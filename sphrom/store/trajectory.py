@@ -113,8 +113,7 @@ class TrajectoryWriter:
         if fields is not None:
             write_positions(artifact, fields.measures)
             for name, measure in fields.measures.items():
-                n_places = len(measure.position)
-                still = measure.of(np.zeros((n_places, 2)), np.zeros(n_places))
+                still = measure.of(np.zeros_like(measure.position), np.zeros(len(measure.position)))
                 at_rest |= field_datasets({name: still})
         shapes |= {name: np.shape(values) for name, values in at_rest.items()}
         self._streams = {

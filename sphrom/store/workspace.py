@@ -94,7 +94,6 @@ class Workspace:
         self._without_figures = self.case.model_copy(
             update={"compare": self.case.compare.model_copy(update={"figures": ()})}
         )
-        self._folders = context.folders
         self._inputs: dict[str, dict[str, object]] = {}
         self._reasons = context.known.reasons
         self._identities = context.known.identities
@@ -373,7 +372,7 @@ class Workspace:
         }
         sections = frozenset({*kind.sections, *kind.partly})
         return Target(
-            path=self._folders.get(kind.schema, self.out) / kind.name.format(label),
+            path=self.context.folders.get(kind.schema, self.out) / kind.name.format(label),
             schema=f"sphrom/{kind.schema}",
             stage=kind.stage,
             made_by=f"sphrom {kind.stage} CASE",
