@@ -401,30 +401,26 @@ def _about_the_search(box: Box, found: Sequence[Minimum], shares: Array) -> Iter
     best = found[0]
     if not best.converged:
         yield "the search has not converged: chi^2 may have a lower minimum"
-    yield from _undetermined(box.names, shares)
-    for name, on_it in zip(box.names, best.at_bound, strict=True):
+    combined = [
+        name for name, s in zip(box.names, shares, strict=True) if SHOWN_SHARE < s <= WHOLLY
+    ]
+    for name, share, on_it in zip(box.names, shares, best.at_bound, strict=True):
+        if share > WHOLLY or combined == [name]:
+            yield f"the data don't determine {name} within its range"
         if on_it:
             value = exact(float(f"{box.values(best.place)[name]:.6g}"))
             yield (
                 f"{name} is at the bound of its range, {value}: the data may ask for a value "
                 "beyond it, and the intervals don't hold"
             )
+    if len(combined) > 1:
+        yield f"the data determine a combination of {' and '.join(combined)} only"
     if len(found) > 1 and shares.min() <= WHOLLY:
         fits = [
             ", ".join(f"{name}={box.values(other.place)[name]:.4g}" for name in box.names)
             for other in found[1:]
         ]
         yield f"other fits are nearly as good: {'; '.join(fits)}"
-
-
-def _undetermined(names: Sequence[str], shares: Array) -> Iterator[str]:
-    """Yield sentences on parameters with shares (n_free,) in undetermined directions."""
-    combined = [n for n, share in zip(names, shares, strict=True) if SHOWN_SHARE < share <= WHOLLY]
-    for name, share in zip(names, shares, strict=True):
-        if share > WHOLLY or combined == [name]:
-            yield f"the data don't determine {name} within its range"
-    if len(combined) > 1:
-        yield f"the data determine a combination of {' and '.join(combined)} only"
 
 
 def _about_the_fit(fitted: Fit, weights: Weights) -> Iterator[str]:

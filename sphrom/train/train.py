@@ -31,7 +31,7 @@ from sphrom.metrics.histories import TIME_TOLERANCE
 from sphrom.offline import fit_psi, fom, operators, pod
 from sphrom.offline import map as map_stage
 from sphrom.online.fast_model import FastModel, FastRun
-from sphrom.reduction.greedy import Ending, choose, ending
+from sphrom.reduction.greedy import choose, ending
 from sphrom.reduction.trial_basis import (
     TrialBasis,
     mean_density_fluctuation,
@@ -184,6 +184,7 @@ class _Training:
                 "a smaller region, time.courant_number or finer resolution may help"
             )
         points, stages, earlier = self.starts, list[Stage](), tuple[HeldOut, ...]()
+        fields = self.section.fields
         while True:
             model = StageModel(self.context, self.model, points, self.folder)
             name, estimates = f"error of {self.model.name}, {len(points)} full runs", []
@@ -192,23 +193,19 @@ class _Training:
                     estimates.append(model.estimate(point))
                     advance(1)
             stage = Stage(points, self.candidates, np.array(estimates), model.floor(), earlier)
-            ended = self._ending(stage)
+            ended = ending(
+                stage.worst(fields)[0],
+                float(stage.floor[list(fields)].max()),
+                self.section.percent,
+                n_held_out=sum(run.failure is None for run in stage.earlier),
+                n_left=self.section.budget - len(self._tried(stage)),
+            )
             if ended is not None:
                 return Outcome(self.case, self.model.name, (*stages, stage), ended)
             found = self._predicted(stage, model)
             stages.append(replace(stage, held_out=found))
             earlier += found
             points += tuple(run.point for run in found if run.failure is None)
-
-    def _ending(self, stage: Stage) -> Ending | None:
-        fields = self.section.fields
-        return ending(
-            stage.worst(fields)[0],
-            float(stage.floor[list(fields)].max()),
-            self.section.percent,
-            n_held_out=sum(run.failure is None for run in stage.earlier),
-            n_left=self.section.budget - len(self._tried(stage)),
-        )
 
     @staticmethod
     def _tried(stage: Stage) -> list[ParameterPoint]:
@@ -282,7 +279,11 @@ def make(
     workspace = Workspace(replace(context, known=KnownArtifacts()))
     fom.ensure_packed(workspace)
     missing = [p for p in points if workspace.reason_to_make(workspace.full_run(p)) is not None]
-    failed = _run(workspace, missing, workers, scheduler) if missing else []
+    failed: list[Failure] = []
+    if missing:
+        number = min(workers or runs_that_fit(context.case, "fom"), len(missing))
+        with start_workers(number, scheduler, context.report) as found:
+            failed = found.run("full runs", workspace, missing, make_run)
     for failure in failed:
         if failure.exit_code != UnstableError.exit_code:
             raise error_of(failure.exit_code, f"{failure.point.label}: {failure.reason}")
@@ -298,17 +299,6 @@ def make(
     report = context.report.brief(progress=True)
     map_stage.run(replace(workspace.context, only=stable, report=report))
     return problems
-
-
-def _run(
-    workspace: Workspace,
-    points: Sequence[ParameterPoint],
-    workers: int | None,
-    scheduler: str | None,
-) -> list[Failure]:
-    number = min(workers or runs_that_fit(workspace.case, "fom"), len(points))
-    with start_workers(number, scheduler, workspace.context.report) as found:
-        return found.run("full runs", workspace, points, make_run)
 
 
 def make_run(task: Task) -> tuple[Failure, ...]:
