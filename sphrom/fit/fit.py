@@ -181,7 +181,7 @@ def run(
     must_make = workspace.must_make(target)
     workspace.require(workspace.operators())
     box = box_of(fit_ranges(case, model), fit_values(case))
-    found = fit(FastModel(workspace, model), box, data)
+    found = fit(FastModel(workspace, model), box, data, {})
     if must_make:
         with workspace.create(target) as artifact:
             write_record(artifact, found)
@@ -239,12 +239,7 @@ def _shown(estimate: Estimate) -> tuple[str, ...]:
     )
 
 
-def fit(
-    fast: FastModel,
-    box: Box,
-    measurements: Measurements,
-    known: TrainingDifferences | None = None,
-) -> Fit:
+def fit(fast: FastModel, box: Box, measurements: Measurements, known: TrainingDifferences) -> Fit:
     """Estimate parameters of a model from measured histories.
 
     Parameters
@@ -276,7 +271,7 @@ def fit(
     if not first:
         raise UnstableError(f"{fast.section.name} is unstable at all starts of the search")
     start = first[0].place
-    samples, found = error_samples(model, start, {} if known is None else known), first
+    samples, found = error_samples(model, start, known), first
     if samples is not None:
         time = model.reduced(model.point(start)).output_times.time
         each = [model.at_instants(time, sample) for sample in samples]
