@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 import sphrom
 from sphrom.case.studies import fit_ranges
+from sphrom.fit.forward_model import FittedModel, TrainingDifferences, box_of, error_samples
 from sphrom.fit.measurements import Measurements, read_measurements
-from sphrom.fit.model import FittedModel, TrainingDifferences, box_of, error_samples
 from sphrom.metrics.estimation import Weights, minima, uncertainty
 from sphrom.online.fast_model import FastModel
 from sphrom.store.workspace import Workspace

@@ -552,4 +552,7 @@ def main() -> int:
 
 
 if __name__ == "__main__":
+    LAYER = {"NUMBA_THREADING_LAYER": "workqueue"}
+    if not LAYER.items() <= os.environ.items():  # numba has begun OpenMP, which ends children
+        os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **LAYER})
     sys.exit(main())

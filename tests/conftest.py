@@ -371,16 +371,20 @@ class UnprojectedModel:
         self._slopes = mode_gradients(points, self._modes, splines)(everywhere)
         self._weights = weighted_rows(basis, self._modes, everywhere)
 
+    def _factors(self, coordinates: Array) -> Array:
+        """Return the factors of the modes, and that of the constant part if there is one."""
+        return np.append(coordinates, np.ones(self._modes.n_fields - self._modes.n_modes))
+
     def fields(self, coordinates: Array) -> tuple[Array, Array]:
         """Return q (n_points,) and the velocity (2, n_points) of coordinates (n_modes,) [m/s]."""
-        factors = self._modes.coefficients(coordinates)
+        factors = self._factors(coordinates)
         return self._modes.scaled_density @ factors, self._modes.velocity @ factors
 
     def full_rates(
         self, coordinates: Array, conditions: dict, change: Array | None = None
     ) -> Array:
         """Return the rates (3, n_points) [m/s2] of q and of the velocity, after a change."""
-        slopes = self._slopes @ self._modes.coefficients(coordinates)
+        slopes = self._slopes @ self._factors(coordinates)
         q, u = self.fields(coordinates)
         if change is not None:
             q, u = q + change[0], u + change[1:]

@@ -24,8 +24,8 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import fit_ranges, fit_values, percent, require_basis, trained_ranges
 from sphrom.errors import CaseError, UnstableError
 from sphrom.fit.fit import Fit, fit
+from sphrom.fit.forward_model import TrainingDifferences, box_of
 from sphrom.fit.measurements import read_measurements
-from sphrom.fit.model import TrainingDifferences, box_of
 from sphrom.online import rom
 from sphrom.online.basis_model import quantities_of
 from sphrom.online.fast_model import FastModel

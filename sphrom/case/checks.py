@@ -1,6 +1,7 @@
 """What must hold between the sections of a case; each section checks itself.
 
-A check yields a key, such as `rom.0.basis`, and what is wrong with it.
+`case_problems` is the way in: the loader calls it. A check yields a key, such as `rom.0.basis`, and
+what is wrong with it.
 """
 
 from __future__ import annotations

@@ -18,12 +18,12 @@ from pydantic import Field, PrivateAttr, ValidationInfo, model_validator
 from shapely.geometry.base import BaseGeometry
 
 from sphrom.arrays import Array
+from sphrom.case.expressions import CONSTANTS, FUNCTIONS, MOST_QUOTED, Expression
 from sphrom.case.fields import Coordinate, Place, Positive, SafeName, Section, key
 from sphrom.case.initial_file import read_start, start_fields
 from sphrom.case.scene_section import Defaults, Measures, SceneSection, measures
 from sphrom.case.shapes import ShapeSection
 from sphrom.errors import CaseError
-from sphrom.expressions import CONSTANTS, FUNCTIONS, MOST_QUOTED, Expression
 from sphrom.scenes.flows import CustomFlow, Drive, Scales, Scene
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import SIDES, Domain

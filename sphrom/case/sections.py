@@ -1,7 +1,8 @@
 """The sections of a case file on bases, reduced models and their comparison.
 
-`sphrom.case.full_model_sections` holds those of the full model, `sphrom.case.scenes` the scenes and
-the defaults that differ for other kinds of scene than a periodic flow.
+`sphrom.case.full_model_sections` holds those of the full model, `sphrom.case.study_sections` and
+`sphrom.case.sweep_section` those of studies, `sphrom.case.scenes` the scenes and the defaults that
+differ for other kinds of scene than a periodic flow.
 """
 
 from __future__ import annotations
@@ -146,9 +147,8 @@ class ReducedModelSection(Section):
     name: SafeName = key(..., "what its files and tables call it")
     evaluation: EvaluationName = key(
         "particles",
-        "how its rates are computed: on moving particles, which costs as much as a full run; from "
-        "operators that are projected once, on the fixed points of the reference space; or at all "
-        "of those points, which checks the operators",
+        "how its rates are computed: on moving particles, which costs as much as a full run; or "
+        "from operators that are projected once, on the fixed points of the reference space",
     )
     projection: ProjectionName = key(
         "galerkin", "Galerkin (Alg. 3.4) or adjoint Petrov-Galerkin (Alg. 3.5)"
@@ -173,8 +173,8 @@ class ReducedModelSection(Section):
     time_step: Positive | Literal["auto", "fom"] = key(
         "auto",
         "its time step; fom takes the full model's; auto does so too on particles, and on "
-        "reference points takes exponential steps, which sound doesn't limit (with rates from "
-        "points: stable ones), so fine that they add little to what the basis leaves out",
+        "reference points takes exponential steps, which sound doesn't limit, so fine that they "
+        "add little to what the basis leaves out",
         unit="s",
     )
     calibrated: Flag | Literal["auto"] = key(

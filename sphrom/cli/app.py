@@ -11,7 +11,7 @@ import typer
 from typer.core import TyperGroup
 
 from sphrom.cli.cases import cases
-from sphrom.cli.stages import stages
+from sphrom.cli.stage_commands import stages
 from sphrom.console import LONGEST_LINE, tell
 from sphrom.errors import SphromError
 from sphrom.signals import Terminated, guarded, termination_interrupts

@@ -10,10 +10,10 @@ import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from sphrom.compare.comparison_tables import ErrorRow, Tables, best_name
 from sphrom.compare.costs import RunTiming, break_even, offline_seconds
-from sphrom.compare.tables import ErrorRow, Tables, best_name
 from sphrom.plots.tables import format_figure
-from sphrom.store.reduced_models import basis_used
+from sphrom.store.trained_models import basis_used
 from sphrom.store.workspace import Workspace
 from sphrom.text import counted, duration
 

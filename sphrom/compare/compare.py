@@ -10,6 +10,17 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.case.study_sections import FULL
 from sphrom.compare.answer import tell_answer
 from sphrom.compare.comparison_figures import draw_comparison
+from sphrom.compare.comparison_tables import (
+    FILE,
+    MADE_BY,
+    DecayRow,
+    Tables,
+    best_name,
+    error_row,
+    estimate_row,
+    show,
+    wall_row,
+)
 from sphrom.compare.costs import reduced_timing, stage_timings, undisturbed_seconds
 from sphrom.compare.measured import (
     Measured,
@@ -22,28 +33,17 @@ from sphrom.compare.measured import (
 from sphrom.compare.mode_figures import spectrum_rows
 from sphrom.compare.references import compare_with_references
 from sphrom.compare.stored_comparison import ComparisonWriter
-from sphrom.compare.tables import (
-    FILE,
-    MADE_BY,
-    DecayRow,
-    Tables,
-    best_name,
-    error_row,
-    estimate_row,
-    show,
-    wall_row,
-)
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.metrics.histories import compare
 from sphrom.metrics.samples import Samples
 from sphrom.metrics.series import exponential_rate, kinetic_energy
-from sphrom.online.stored_run import StoredRun
 from sphrom.scenes.flows import TaylorGreen
 from sphrom.setup.assembly import role_of
 from sphrom.setup.context import StageContext
 from sphrom.setup.particles import sampler
-from sphrom.store.reduced_models import basis_used, read_modes
 from sphrom.store.sampling import probes_of, sample_best, sample_exact, sample_mapped
+from sphrom.store.stored_run import StoredRun
+from sphrom.store.trained_models import basis_used, read_modes
 from sphrom.store.trajectory import measured_of, require_complete
 from sphrom.store.workspace import Workspace
 

@@ -18,18 +18,18 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import Row
 from sphrom.case.study_sections import FULL
+from sphrom.compare.comparison_tables import BEST, Tables
 from sphrom.compare.measured import named_components
 from sphrom.compare.mode_figures import draw_modes, draw_spectrum, frame_of, model_sizes
 from sphrom.compare.stored_comparison import StoredComparison
-from sphrom.compare.tables import BEST, Tables
 from sphrom.metrics.histories import without_mean
 from sphrom.metrics.measures import UNITS
 from sphrom.metrics.samples import Probes, Samples
-from sphrom.online.stored_run import StoredRun
 from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Field, Panel, Role, draw_grid
 from sphrom.setup.assembly import field_measures
 from sphrom.store.sampling import probes_of
+from sphrom.store.stored_run import StoredRun
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:

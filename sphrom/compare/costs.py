@@ -12,7 +12,7 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.histories import compression_factor, field_compression_factor
-from sphrom.store.reduced_models import memory_timing
+from sphrom.store.trained_models import memory_timing
 from sphrom.store.workspace import Target, Workspace
 
 SECONDS = {"unit": "s"}

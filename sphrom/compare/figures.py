@@ -29,10 +29,10 @@ from sphrom.compare.comparison_figures import LABELS, draw_lines
 from sphrom.compare.mode_figures import draw_spectrum, frame_of, mode_fields
 from sphrom.compare.stored_comparison import StoredComparison
 from sphrom.errors import ArtifactError
-from sphrom.online.stored_run import StoredRun
 from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Field, Panel, draw_grid
 from sphrom.setup.context import StageContext
+from sphrom.store.stored_run import StoredRun
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:

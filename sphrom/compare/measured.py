@@ -21,11 +21,11 @@ from sphrom.metrics.measures import UNITS, Quantities, components, errors_of, me
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.metrics.series import dominant_frequency, kinetic_energy
 from sphrom.online.basis_model import fields_of, forces_of
-from sphrom.online.stored_run import StoredRun
 from sphrom.reduction.reduced_measures import calibrate_force
 from sphrom.reduction.trial_basis import kept_modes, mean_density_fluctuation, project, truncate
 from sphrom.setup.particles import MeasuredFields
-from sphrom.store.reduced_models import (
+from sphrom.store.stored_run import StoredRun
+from sphrom.store.trained_models import (
     read_basis,
     read_force_records,
     read_measure,

@@ -14,8 +14,8 @@ from sphrom.artifacts.records.comparison import Ranges, ReferenceProfile, Series
 from sphrom.artifacts.records.comparison import Samples as StoredSamples
 from sphrom.case.points import ParameterPoint
 from sphrom.case.study_sections import FULL
+from sphrom.compare.comparison_tables import ErrorRow
 from sphrom.compare.references import ReferenceRow
-from sphrom.compare.tables import ErrorRow
 from sphrom.metrics.histories import EQ41, History, instantaneous_range, relative_discrepancy
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.plots.tables import flat

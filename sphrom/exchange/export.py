@@ -28,12 +28,12 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange.import_options import place
-from sphrom.online.stored_run import StoredRun
 from sphrom.plots.tables import write_csv
 from sphrom.setup.context import StageContext
 from sphrom.sph.fluid import pressure_of
-from sphrom.store.reduced_models import read_points
 from sphrom.store.sampling import probes_of
+from sphrom.store.stored_run import StoredRun
+from sphrom.store.trained_models import read_points
 from sphrom.store.workspace import Target, Workspace, make_folder
 from sphrom.whole_files import replacement
 

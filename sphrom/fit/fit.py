@@ -20,8 +20,8 @@ from sphrom.case.points import REYNOLDS
 from sphrom.case.studies import Box, fast_model, fit_ranges, fit_values, percent, trained_ranges
 from sphrom.console import Reporter
 from sphrom.errors import CaseError, UnstableError
+from sphrom.fit.forward_model import FittedModel, TrainingDifferences, box_of, error_samples
 from sphrom.fit.measurements import Measurements, read_measurements
-from sphrom.fit.model import FittedModel, TrainingDifferences, box_of, error_samples
 from sphrom.metrics.estimation import (
     CONFIDENCE,
     Minimum,

@@ -16,7 +16,7 @@ from sphrom.reduction.mode_splines import basis_columns
 from sphrom.reduction.spline import LocalSplines, default_cell_width, fit_splines, fitting_cells
 from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.setup.context import StageContext
-from sphrom.store.reduced_models import read_basis, read_points
+from sphrom.store.trained_models import read_basis, read_points
 from sphrom.store.workspace import Workspace
 
 

@@ -66,21 +66,17 @@ def _map_point(workspace: Workspace, point: ParameterPoint, points: Array) -> No
             densities = artifact.stream("density_fluctuation", points.shape[:1], len(times))
             velocities = artifact.stream("velocity", points.shape, len(times))
             for snapshot in range(len(times)):
-                density, velocity = _mapped(to_reference, trajectory, snapshot)
+                try:
+                    density, velocity = to_reference(*snapshot_fields(trajectory, snapshot))
+                except ValueError as error:
+                    raise CaseError(
+                        f"reference.smoothing_length_ratio: snapshot {snapshot}: {error}"
+                    ) from error
                 densities.append(density)
                 velocities.append(velocity)
                 advance(1)
             artifact.annotate("timing/map", time.perf_counter() - started)
             _report_errors(workspace, point, trajectory, to_reference, points, artifact)
-
-
-def _mapped(to_reference: ReferenceMap, trajectory: Artifact, snapshot: int) -> tuple[Array, Array]:
-    try:
-        return to_reference(*snapshot_fields(trajectory, snapshot))
-    except ValueError as error:
-        raise CaseError(
-            f"reference.smoothing_length_ratio: snapshot {snapshot}: {error}"
-        ) from error
 
 
 def _report_errors(

@@ -54,7 +54,8 @@ from sphrom.setup.context import StageContext
 from sphrom.setup.cost import require_room
 from sphrom.setup.particles import MeasuredFields
 from sphrom.sph.fixed_points import FixedPoints
-from sphrom.store.reduced_models import (
+from sphrom.store.starts import starts_record
+from sphrom.store.trained_models import (
     calibrated,
     mapped_runs,
     memory_timing,
@@ -63,7 +64,6 @@ from sphrom.store.reduced_models import (
     read_splines,
     training_runs,
 )
-from sphrom.store.starts import starts_record
 from sphrom.store.trajectory import read_forces
 from sphrom.store.workspace import Workspace
 

@@ -16,7 +16,7 @@ from sphrom.reduction.decomposition import decompose
 from sphrom.reduction.trial_basis import JOINT, Modes, TrialBasis, weighted_mean
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import decomposition_ram_limit, require_room
-from sphrom.store.reduced_models import inner_product
+from sphrom.store.trained_models import inner_product
 from sphrom.store.trajectory import require_complete
 from sphrom.store.workspace import Workspace
 

@@ -40,7 +40,8 @@ from sphrom.reduction.trial_basis import (
     truncate,
 )
 from sphrom.setup.assembly import amplitude_of, drives, memory_length_of, output_times_of, places_of
-from sphrom.store.reduced_models import (
+from sphrom.store.starts import Fields
+from sphrom.store.trained_models import (
     calibrated,
     read_basis,
     read_force_records,
@@ -49,7 +50,6 @@ from sphrom.store.reduced_models import (
     read_wall_force,
     sized_in,
 )
-from sphrom.store.starts import Fields
 from sphrom.store.trajectory import totals
 from sphrom.store.workspace import Workspace
 
@@ -142,7 +142,7 @@ class BasisModel:
     @cached_property
     def splines(self) -> ModeSplines:
         """The splines of the model's modes."""
-        from sphrom.store.reduced_models import read_modes  # they load their kernels
+        from sphrom.store.trained_models import read_modes  # they load their kernels
 
         return read_modes(self.workspace, self.name, self.section.size)[1]
 

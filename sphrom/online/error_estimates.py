@@ -29,7 +29,7 @@ from sphrom.reduction.held_out import UnheldShares
 from sphrom.reduction.reduced_operators import ResidualFactor, residual_norm
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup.assembly import places_of
-from sphrom.store.reduced_models import read_operators
+from sphrom.store.trained_models import read_operators
 
 if TYPE_CHECKING:
     from sphrom.online.basis_model import BasisModel
@@ -78,10 +78,10 @@ def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
     It does nothing where the case asks for no estimates.
     """
     report, started = run.model.workspace.context.report, time.perf_counter()
-    trained = run.model.at_point(run.point).trained_errors
+    trained, fitted = _fitted(run)
     if trained is None:
         return
-    fitted, found = trained.at(run.point), estimate(run)
+    found = estimate(run)
     if fitted is None or found is None:
         artifact.write(
             "residual", trained.residual(run.point, run.reduced, run.time, run.coordinates)
@@ -117,8 +117,7 @@ def estimate(run: FastRun) -> ErrorEstimate | None:
 
     Runs of one model share the fits to its training runs.
     """
-    trained = run.model.at_point(run.point).trained_errors
-    fitted = None if trained is None else trained.at(run.point)
+    trained, fitted = _fitted(run)
     if trained is None or fitted is None:
         return None
     residual = trained.residual(run.point, run.reduced, run.time, run.coordinates)
@@ -132,13 +131,17 @@ def estimate(run: FastRun) -> ErrorEstimate | None:
     return ErrorEstimate(velocity, pressure, *percent, beyond, residual, errors, sizes)
 
 
+def _fitted(run: FastRun) -> tuple[TrainedErrors | None, LocalErrorCalibration | None]:
+    trained = run.model.at_point(run.point).trained_errors
+    return trained, None if trained is None else trained.at(run.point)
+
+
 def steady_errors(run: FastRun, state: Array) -> SteadyErrors | None:
     """Estimate the errors of a steady state (n_modes,) that was found from where a run ended.
 
     None where the run has no estimates.
     """
-    trained = run.model.at_point(run.point).trained_errors
-    fitted = None if trained is None else trained.at(run.point)
+    trained, fitted = _fitted(run)
     if trained is None or fitted is None:
         return None
     residual = float(trained.residual(run.point, run.reduced, run.time[-1:], state[None])[0])

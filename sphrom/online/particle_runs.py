@@ -9,19 +9,15 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
-from sphrom.reduction.particle_model import (
-    AdjointPetrovGalerkin,
-    ParticleModel,
-    reduced_jacobian,
-)
+from sphrom.reduction.particle_model import ParticleModel, reduced_jacobian
 from sphrom.reduction.trial_basis import mean_density_fluctuation, project
 from sphrom.setup import assembly, particles
 from sphrom.setup.assembly import memory_length_of
 from sphrom.setup.particles import MeasuredFields
 from sphrom.sph.time_loop import TimeSteps
 from sphrom.store.checkpoints import Checkpoints, integrate
-from sphrom.store.reduced_models import read_modes, read_points
 from sphrom.store.starts import start
+from sphrom.store.trained_models import read_modes, read_points
 from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Workspace
 
@@ -62,8 +58,9 @@ def close(
 ) -> None:
     """Give a model the closure that the case asks for, set up at a state and time [s]."""
     if model.projection != "galerkin":
-        length = memory_length_of(case, model, lambda: reduced_jacobian(reduced, state, time))
-        reduced.closure = AdjointPetrovGalerkin(length)
+        reduced.memory_length = memory_length_of(
+            case, model, lambda: reduced_jacobian(reduced, state, time)
+        )
 
 
 def run_point(workspace: Workspace, model: ReducedModelSection, point: ParameterPoint) -> None:
@@ -99,8 +96,7 @@ def run_point(workspace: Workspace, model: ReducedModelSection, point: Parameter
                 failure: UnstableError | None = UnstableError(f"unstable at the start: {error}")
                 trajectory.finish(failure, 0.0)
             else:
-                if reduced.closure is not None:
-                    length = reduced.closure.memory_length
+                if (length := reduced.memory_length) is not None:
                     artifact.annotate("memory_length", length)
                     workspace.context.report.info(f"{model.name}: memory length {length:.3g} s")
                 density = case.fluid.reference_density

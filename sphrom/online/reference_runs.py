@@ -10,22 +10,18 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from sphrom.arrays import Array
 from sphrom.artifacts import ArtifactWriter, write_record
 from sphrom.artifacts.records.coordinates import Converged, Steady, SteadyMeasured
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.console import Reporter
 from sphrom.metrics.measures import UNITS, Quantities, components
-from sphrom.online.basis_model import fields_of, forces_of, quantities_of
+from sphrom.online.basis_model import fields_of, forces_of
 from sphrom.online.error_estimates import (
-    SteadyErrors,
     distance_from,
     estimate_errors,
     steady_errors,
@@ -33,13 +29,13 @@ from sphrom.online.error_estimates import (
 from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.polynomial_model import EXPONENTIAL, steady_state
-from sphrom.reduction.reduced_rates import Polynomial, spectrum
+from sphrom.reduction.reduced_rates import spectrum
 from sphrom.reduction.reference_model import Integrator
 from sphrom.reduction.trial_basis import reconstruct
 from sphrom.setup import assembly
 from sphrom.setup.assembly import field_measures
 from sphrom.sph.fluid import pressure_of
-from sphrom.store.reduced_models import read_points
+from sphrom.store.trained_models import read_points
 from sphrom.store.trajectory import field_datasets, force_datasets, write_positions
 from sphrom.store.workspace import Workspace
 
@@ -49,33 +45,19 @@ FAR = 0.05
 """Distance from the nearest training state over the state's norm, beyond which to warn."""
 
 
-def seek_steady_state(
-    artifact: ArtifactWriter,
-    report: Reporter,
-    run: str,
-    polynomial: Polynomial,
-    state: Array,
-    amplitude: float = 0.0,
-    *,
-    trained: Array,
-    estimated: Callable[[Array], SteadyErrors | None] = lambda state: None,
-    measured: Callable[[Array], Mapping[str, Quantities]] = lambda state: {},
-) -> None:
-    """Look for a steady state by Newton's method, write and report it.
+def seek_steady_state(run: FastRun, artifact: ArtifactWriter) -> None:
+    """Look for a steady state by Newton's method from the end of a run, write and report it.
 
     If none is found, the state with the smallest residual is written as not converged.
-
-    Parameters
-    ----------
-    amplitude : at the end of the run, from where on nothing changes.
-    trained : (n_states, n_modes) coordinates of training states.
-    estimated : returns the estimated errors of a steady state (n_modes,).
-    measured : returns what is measured in states (n_states, n_modes), by name.
     """
+    report, model = run.model.workspace.context.report, run.model.at_point(run.point)
+    polynomial, amplitude = run.reduced.polynomial, 0.0
+    if run.reduced.amplitude is not None:
+        amplitude = float(run.reduced.amplitude(run.time)[-1])
     taken = []
     for _ in range(N_TIMED):
         started = time.perf_counter()
-        found = steady_state(polynomial, state, amplitude=amplitude)
+        found = steady_state(polynomial, run.coordinates[-1], amplitude=amplitude)
         taken.append(time.perf_counter() - started)
     seconds = float(np.median(taken))
     growth = spectrum(polynomial.jacobian(found.coordinates, amplitude)).largest_real_part
@@ -83,16 +65,16 @@ def seek_steady_state(
     stored = Steady.of(found, status=status, largest_real_part=growth)
     artifact.annotate("timing/steady", seconds)
     text = (
-        f"{run}: steady state {status} in {found.n_steps} Newton steps, {1e3 * seconds:.3g} ms: "
-        f"residual {found.residual:.2g}, largest real part {growth:.3g} 1/s"
+        f"{run.name}: steady state {status} in {found.n_steps} Newton steps, "
+        f"{1e3 * seconds:.3g} ms: residual {found.residual:.2g}, largest real part {growth:.3g} 1/s"
     )
     if not found.converged:
         write_record(artifact, stored, "steady")
         report.warn(text)
         return
     report.info(text)
-    distance = distance_from(trained, found.coordinates)
-    errors = estimated(found.coordinates)
+    distance = distance_from(model.states, found.coordinates)
+    errors = steady_errors(run, found.coordinates)
     if errors is not None:
         distance = min(distance, errors.distance)
         stored = replace(
@@ -101,17 +83,18 @@ def seek_steady_state(
             velocity_error_estimate=float(errors.errors[0]),
             pressure_error_estimate=float(errors.errors[1]),
         )
-    quantities = measured(found.coordinates[None])
-    there = {name: _at_once(each) for name, each in quantities.items()}
-    write_record(artifact, replace(stored, training_distance=distance, measure=there), "steady")
-    text = f"{run}: the steady state is {format_figure(100.0 * distance)} % of its norm away from "
-    text += "the nearest state of the training runs, or between them"
+    there = replace(run, time=run.time[-1:], coordinates=found.coordinates[None])
+    quantities = there.measured
+    single = {name: _at_once(each) for name, each in quantities.items()}
+    write_record(artifact, replace(stored, training_distance=distance, measure=single), "steady")
+    text = f"{run.name}: the steady state is {format_figure(100.0 * distance)} % of its norm away "
+    text += "from the nearest state of the training runs, or between them"
     if errors is not None:
         velocity, pressure = (f"{format_figure(100.0 * each)} %" for each in errors.relative)
         text += f"; estimated errors: velocity {velocity}, pressure {pressure}"
     for name, each in quantities.items():
         if figures := _figures(each):
-            report.info(f"{run}: {name} in the steady state: {figures}")
+            report.info(f"{run.name}: {name} in the steady state: {figures}")
     if distance > FAR:
         report.warn(f"{text}: no such flow was trained, and the basis may not hold it")
     else:
@@ -155,20 +138,7 @@ def run_point(workspace: Workspace, section: ReducedModelSection, point: Paramet
         if run.failure is None:
             estimate_errors(run, artifact)
             if section.steady:
-                amplitude, last = reduced.amplitude, run.time[-1:]
-                seek_steady_state(
-                    artifact,
-                    workspace.context.report,
-                    run.name,
-                    reduced.polynomial,
-                    run.coordinates[-1],
-                    0.0 if amplitude is None else float(amplitude(run.time)[-1]),
-                    trained=model.at_point(point).states,
-                    estimated=lambda state: steady_errors(run, state),
-                    measured=lambda states: quantities_of(
-                        workspace.case, point, reduced, last, states
-                    ),
-                )
+                seek_steady_state(run, artifact)
 
 
 def _tell(run: FastRun, integrator: Integrator, seconds: float) -> None:

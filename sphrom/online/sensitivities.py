@@ -69,12 +69,12 @@ class _Sides:
     width: float
     """From one to the other."""
 
-    @property
-    def leading(self) -> _Sides:
-        """The same of the modes that alone are integrated."""
-        assert self.below.leading is not None
-        assert self.above.leading is not None
-        return replace(self, below=self.below.leading, above=self.above.leading)
+    def mapped(self, change: Callable[[ReferenceModel], ReferenceModel | None]) -> _Sides:
+        """Return the same of models that are made of these."""
+        below, above = change(self.below), change(self.above)
+        assert below is not None
+        assert above is not None
+        return replace(self, below=below, above=above)
 
     def slope(self, of: Callable[[ReferenceModel], Any]) -> Any:
         """Return how a number or array of the model changes, per unit of the parameter."""
@@ -120,10 +120,7 @@ def tangents(
     case, basis = model.workspace.case, model.basis_at(point)
     sides = [_sides(model, point, name, basis) for name in names]
     if case.time.spin_up > 0.0:
-        sides = [
-            replace(s, below=_starting_as(s.below, reduced), above=_starting_as(s.above, reduced))
-            for s in sides
-        ]
+        sides = [s.mapped(lambda side: _starting_as(side, reduced)) for s in sides]
     steps = (integrator or reference_model.automatic(reduced)).with_steps(step_factor)
     times = reduced.output_times
     run, changes = _completed(reduced, sides, steps)
@@ -150,7 +147,8 @@ def _completed(
     """Return a run and its derivatives, with what training runs add to the coordinates."""
     leading = whole = correction = None
     if integrator.leading is not None:
-        leading = _integrated(integrator.leading, [side.leading for side in sides])
+        first = [side.mapped(lambda model: model.leading) for side in sides]
+        leading = _integrated(integrator.leading, first)
     if integrator.whole is not None:
         whole = _integrated(integrator.whole, sides)
     if reduced.correction is not None:
@@ -210,8 +208,6 @@ def _forces(
     means: Array,
 ) -> dict[str, Array]:
     """Return the derivatives (n_parameters, n_snapshots, 2, 3) of the forces, by measurement."""
-    if not reduced.forces:
-        return {}
     times, mean = reduced.output_times.time, reduced.mean_density_fluctuation
     here = forces_of(case, point, reduced.forces, mean, times, run)
     found: dict[str, list[Array]] = {name: [] for name in here}

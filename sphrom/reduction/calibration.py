@@ -109,11 +109,9 @@ def calibrate(
     window : half the width of the averages [s]; short runs have as much of it as they are long.
     penalty : lambda.
 
-    Raises ValueError when a run has fewer than three snapshots, or there is no run.
+    Raises ValueError when a run has fewer than three snapshots.
     """
     averages = [_averaged(run, interval, window) for run in runs]
-    if not averages:
-        raise ValueError("there is no training run to calibrate with")
     coordinates, residuals = (np.concatenate(parts) for parts in zip(*averages, strict=True))
     viscosities = np.array([run.kinematic_viscosity for run in runs])
     mean_viscosity = float(viscosities.mean())

@@ -204,7 +204,7 @@ def calibrate_errors(
     )
     if len(time) < 2 or not len(usable):
         return None
-    best = None
+    tried = []
     for rate in np.geomspace(SLOWEST / length, (len(time) - 1) / length, N_RATES):
         integrals = accumulated(time, residuals[usable], np.full(len(usable), rate))
         of_runs = []
@@ -214,11 +214,10 @@ def calibrate_errors(
             some = (integral > 0.0) & (error > 0.0).all(axis=1)
             of_runs.append(np.log(error[some] / integral[some, None]))
         spread = sum(float(ratios.var(axis=0).sum()) * len(ratios) for ratios in of_runs)
-        if best is None or spread < best[0]:
-            best = spread, rate, of_runs
-    if best is None or not all(map(len, best[2])):
+        tried.append((spread, rate, of_runs))
+    _, rate, ratios = min(tried, key=lambda each: each[0])
+    if not all(map(len, ratios)):
         return None
-    _, rate, ratios = best
     middle = np.stack([each.mean(axis=0) for each in ratios])
     places = places[usable]
     return ErrorCalibration(

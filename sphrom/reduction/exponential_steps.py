@@ -190,14 +190,13 @@ class ExponentialModel(PolynomialModel):
         n_steps: int,
         output_times: OutputTimes,
         driven: tuple[Array, Indices, Array],
-        largest_square: float,
         out: Array,
     ) -> int:
         m, ratio = self._method(n_steps, output_times)
         return kernels.integrate(
             *driven, m.stages, m.links, m.ends, ratio.n_steps(len(out) - 1),
-            ratio.steps_per_snapshot, self._degree, largest_square, np.empty(driven[0].shape[2]),
-            np.empty(8 * out.shape[1] + m.ends.shape[2]), out,
+            ratio.steps_per_snapshot, self._degree, output_times.largest_norm**2,
+            np.empty(driven[0].shape[2]), np.empty(8 * out.shape[1] + m.ends.shape[2]), out,
         )  # fmt: skip
 
     def tangents(

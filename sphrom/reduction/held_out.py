@@ -320,8 +320,6 @@ def choose_integrated(sizes: TrainedSizes, runs: Sequence[Array]) -> Indices:
     `runs` (n_runs, n_snapshots, n_integrated) are of models that integrate 1, 2, ... modes, at the
     training points.
     """
-    if len(sizes.places) < 2:
-        return np.arange(1, sizes.largest + 1)
     chosen = [
         best_size(np.array([sizes.errors(n_modes, run) for run in runs[:n_modes]]))
         for n_modes in range(1, sizes.largest + 1)

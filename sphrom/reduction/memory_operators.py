@@ -161,15 +161,14 @@ def project_memory(
 
 def _all_states(points: FixedPoints, fields: ModeFields, splines: ModeSplines | None) -> _States:
     """Return the constant part of a state, which may be zero, and then the modes."""
-    q, velocity = fields.scaled_density, fields.velocity
-    slopes = mode_gradients(points, fields, splines)(slice(0, points.n_points))
 
     def ordered(values: Array) -> Array:
         rest = values[..., fields.n_modes :]
         first = rest if rest.shape[-1] else np.zeros((*values.shape[:-1], 1))
         return np.concatenate((first, values[..., : fields.n_modes]), axis=-1)
 
-    q, velocity, slopes = ordered(q), ordered(velocity), ordered(slopes)
+    q, velocity = ordered(fields.scaled_density), ordered(fields.velocity)
+    slopes = ordered(mode_gradients(points, fields, splines)(slice(0, points.n_points)))
     return _States(q, velocity, slopes, points.terms(q, velocity))
 
 

@@ -42,10 +42,6 @@ class ModeFields:
         """Number of modes, and one more for the constant part."""
         return self.scaled_density.shape[1]
 
-    def coefficients(self, coordinates: Array) -> Array:
-        """Return the factors (n_fields,) of the fields in a state with coordinates (n_modes,)."""
-        return np.append(coordinates, np.ones(self.n_fields - self.n_modes))
-
 
 def mode_fields(basis: TrialBasis, points: FixedPoints) -> ModeFields:
     """Return the modes of a basis as fields."""

@@ -22,7 +22,6 @@ The basis there is (n_particles, n_modes, 3).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -38,33 +37,8 @@ from sphrom.sph.domain import first_of
 from sphrom.sph.functional import Functional, Rates
 from sphrom.sph.time_loop import Snapshot
 
-Derivative = Callable[[Array, float], Array]
-"""From a field and a step, the derivative of the rates along the field, by a finite difference."""
-
-
 JACOBIAN_STEP = 1e-5
 """epsilon of Eq. 3.22: the finite difference's step over the state's size, per field."""
-
-
-@dataclass(frozen=True)
-class AdjointPetrovGalerkin:
-    """The closure of Eq. 3.22, matrix-free (Alg. 3.5)."""
-
-    memory_length: float
-    """tau [s]."""
-
-    def reduced_rates(
-        self, projection: Projector, rates: Array, fluctuation: Array, derivative: Derivative
-    ) -> Array:
-        """Return the reduced rates (n_vectors,) [1/s], with the effect of the residual.
-
-        `fluctuation` is the state without its constant part (3, n_particles).
-        """
-        residual = projection.orthogonal(rates)
-        step = JACOBIAN_STEP * relative_step(fluctuation, residual)
-        if step == 0.0:
-            return projection(rates)
-        return projection(rates + self.memory_length * derivative(residual, step))
 
 
 def relative_step(state: Array, direction: Array) -> float:
@@ -131,7 +105,7 @@ class ParticleModel:
     modes : splines of 3 n_modes columns: the state's first field and the velocity of mode 1, of
         mode 2, ...
     separate_mean : whether the mean density is a variable of its own.
-    closure : by default none, which is Galerkin projection.
+    memory_length : tau of the closure (Eq. 3.22) [s]; None is Galerkin projection.
     """
 
     def __init__(
@@ -142,7 +116,7 @@ class ParticleModel:
         *,
         advection: Advection = "consistent",
         separate_mean: bool = False,
-        closure: AdjointPetrovGalerkin | None = None,
+        memory_length: float | None = None,
     ) -> None:
         self.functional = functional
         self.domain, self.neighbourhood = functional.domain, functional.neighbourhood
@@ -152,7 +126,7 @@ class ParticleModel:
         self.n_modes = modes.n_columns // 3
         self.advection = advection
         self.separate_mean = separate_mean
-        self.closure = closure
+        self.memory_length = memory_length
 
     @property
     def n_coordinates(self) -> int:
@@ -224,16 +198,16 @@ class ParticleModel:
         # f-bar (3, N) of Eq. 3.1 in the state's scaling.
         rates = self._without_advection(position, fields, full, time)
         projector = self._projector(position, fields.density_fluctuation)
-        if self.closure is None:
-            reduced = projector(rates)
-        else:
-            reduced = self.closure.reduced_rates(
-                projector,
-                rates,
-                np.vstack((self._scale * fields.density_fluctuation, fields.velocity)),
-                lambda along, step: self._derivative(position, fields, rates, along, step, time),
-            )
-        return np.concatenate((reduced, (fields.velocity + full.shifting_velocity).ravel()))
+        if self.memory_length is not None:
+            # The effect of the residual, matrix-free (Eq. 3.22, Alg. 3.5).
+            residual = projector.orthogonal(rates)
+            fluctuation = np.vstack((self._scale * fields.density_fluctuation, fields.velocity))
+            step = JACOBIAN_STEP * relative_step(fluctuation, residual)
+            if step > 0.0:
+                change = self._derivative(position, fields, rates, residual, step, time)
+                rates = rates + self.memory_length * change
+        carrier = fields.velocity + full.shifting_velocity
+        return np.concatenate((projector(rates), carrier.ravel()))
 
     @property
     def _scale(self) -> float:

@@ -121,8 +121,7 @@ class PolynomialModel:
         taken = self.steps_taken(n_steps, output_times)
         time_step = self.time_step(n_steps, output_times)
         driven = self._driven(output_times.start_time, taken, time_step, amplitude)
-        largest_square = output_times.largest_norm**2
-        done = self._integrate(n_steps, output_times, driven, largest_square, out)
+        done = self._integrate(n_steps, output_times, driven, out)
         diverged_at = math.nan if done == taken else output_times.start_time + done * time_step
         return Run(output_times.time, out, time_step, diverged_at)
 
@@ -131,13 +130,13 @@ class PolynomialModel:
         n_steps: int,
         output_times: OutputTimes,
         driven: tuple[Array, Indices, Array],
-        largest_square: float,
         out: Array,
     ) -> int:
         """Fill the snapshots after the first, and return the steps before it diverged, or all."""
         return kernels.integrate(
-            *driven, self.time_step(n_steps, output_times), n_steps, self._degree, largest_square,
-            np.empty(driven[0].shape[2]), np.empty((5, out.shape[1])), out,
+            *driven, self.time_step(n_steps, output_times), n_steps, self._degree,
+            output_times.largest_norm**2, np.empty(driven[0].shape[2]),
+            np.empty((5, out.shape[1])), out,
         )  # fmt: skip
 
     def _driven(

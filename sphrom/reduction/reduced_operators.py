@@ -265,10 +265,9 @@ def residual_norm(
         values = monomials(states)
         residual = values @ powers[0].T
         pushes = np.zeros(len(states)) if amplitude is None else amplitude
-        if amplitude is not None:
-            for power, coefficients in enumerate(powers[1:], 1):
-                used = values[:, : coefficients.shape[1]]
-                residual += amplitude[:, None] ** power * (used @ coefficients.T)
+        for power, coefficients in enumerate(powers[1:], 1):
+            used = values[:, : coefficients.shape[1]]
+            residual += pushes[:, None] ** power * (used @ coefficients.T)
         squares = np.sum(residual**2, axis=1)
         if closure is not None:
             squares += np.sum(closure.along(states, pushes) ** 2, axis=1)

@@ -82,13 +82,12 @@ class ReferenceModel:
         """Number of modes that are integrated, as long as training runs are."""
         return len(self.start) if self.leading is None else len(self.leading.start)
 
-    def with_leading(self, leading: ReferenceModel | None) -> ReferenceModel:
-        """Return the model that integrates the leading modes alone, all of them with None.
+    def with_leading(self, leading: ReferenceModel) -> ReferenceModel:
+        """Return the model that integrates the leading modes alone.
 
         Its steps are as fine as the basis of all modes calls for.
         """
-        leading = None if leading is None else replace(leading, basis=self.basis)
-        return replace(self, leading=leading)
+        return replace(self, leading=replace(leading, basis=self.basis))
 
     def with_steps_of(self, other: ReferenceModel) -> ReferenceModel:
         """Return the model with the linear parts that exponential steps of another one have."""
@@ -252,20 +251,15 @@ class Integrator:
 
     def with_steps(self, factor: float) -> Integrator:
         """Return the same with steps that are a factor as long."""
-        whole, leading = (
-            None if steps is None else steps.scaled(factor) for steps in (self.whole, self.leading)
-        )
+        whole, leading = (steps and steps.scaled(factor) for steps in (self.whole, self.leading))
         return replace(self, whole=whole, leading=leading)
 
     def run(self) -> Run:
         """Run the model, and add what training runs add to its coordinates."""
-        run = self.steps.run()
-        if self.leading is None:
-            leading, whole = None, run
-        elif self.whole is None:
-            leading, whole = run, None
-        else:
-            leading, whole = self.leading.run(), run
+        whole = None if self.whole is None else self.whole.run()
+        leading = None if self.leading is None else self.leading.run()
+        run = whole or leading
+        assert run is not None
         coordinates, correction = self.model.completed(
             None if leading is None else leading.coordinates,
             None if whole is None else whole.coordinates,

@@ -12,14 +12,15 @@ layer has an error of 6e-2 at h = 2 dx, and of 0.12 at h = 4 dx.
 
 from __future__ import annotations
 
+from copy import copy
+from typing import Literal
+
 import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.kernels import SUPPORT_RATIO, interpolation
 from sphrom.sph.domain import Domain
 from sphrom.sph.neighbourhood import sort_sources
-
-METHODS = ("shepard", "mls")
 
 
 class ReferenceMap:
@@ -39,26 +40,14 @@ class ReferenceMap:
         *,
         particle_spacing: float,
         smoothing_length: float,
-        method: str = "mls",
+        method: Literal["shepard", "mls"] = "mls",
     ) -> None:
-        if method not in METHODS:
-            raise ValueError(f"method must be one of {METHODS}, not {method!r}")
         self.domain = domain
         self.particle_spacing = particle_spacing
         self.smoothing_length = smoothing_length
         self.method = method
         self._points = np.ascontiguousarray(domain.wrap(points).T)
         self._scratch = np.zeros((interpolation.N_CHUNKS, 90))
-
-    @property
-    def n_points(self) -> int:
-        """Points that are interpolated to."""
-        return self._points.shape[1]
-
-    @property
-    def support_radius(self) -> float:
-        """How far particles are seen [m]."""
-        return SUPPORT_RATIO * self.smoothing_length
 
     def __call__(
         self, position: Array, density_fluctuation: Array, velocity: Array
@@ -67,7 +56,7 @@ class ReferenceMap:
 
         Raises ValueError where too few particles are near a point, or do not fix a polynomial.
         """
-        reach = self.support_radius
+        reach = SUPPORT_RATIO * self.smoothing_length
         near = sort_sources(position.T, self.domain, reach, self.particle_spacing)
         source = np.empty((5, near.particle.size))
         source[:2] = position.T[:, near.particle] + near.image
@@ -96,13 +85,8 @@ class ReferenceMap:
         Returns densities (n_particles,) and velocities (n_particles, 2); their difference from
         the snapshot is the loss on the way there and back. Raises as a map there does.
         """
-        back = ReferenceMap(
-            position,
-            self.domain,
-            particle_spacing=self.particle_spacing,
-            smoothing_length=self.smoothing_length,
-            method=self.method,
-        )
+        back = copy(self)
+        back._points = np.ascontiguousarray(self.domain.wrap(position).T)
         return back(self._points.T, *self(position, density_fluctuation, velocity))
 
 

@@ -22,9 +22,8 @@ from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.answer import DIGITS, Answer, find_answer, percent
+from sphrom.compare.comparison_tables import MADE_BY, RECORDS, SpectrumRow, Tables
 from sphrom.compare.mode_figures import frame_of
-from sphrom.compare.tables import MADE_BY, RECORDS, SpectrumRow, Tables
-from sphrom.online.stored_run import StoredRun
 from sphrom.plots.canvas import (
     DIFFERENCE_MAP,
     SIGNED_MAP,
@@ -47,6 +46,7 @@ from sphrom.plots.page import (
 from sphrom.plots.tables import format_figure, read_csv
 from sphrom.setup.context import StageContext
 from sphrom.store.sampling import probes_of
+from sphrom.store.stored_run import StoredRun
 from sphrom.store.workspace import Workspace
 from sphrom.sweep.statistics import FIGURES, beside
 from sphrom.text import duration

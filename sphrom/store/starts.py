@@ -14,7 +14,7 @@ from sphrom.artifacts.records.runs import Start
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.setup import assembly
-from sphrom.store.reduced_models import read_points
+from sphrom.store.trained_models import read_points
 from sphrom.store.workspace import Workspace
 
 Fields = tuple[Array, Array]

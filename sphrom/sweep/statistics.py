@@ -28,7 +28,7 @@ from sphrom.metrics.measures import PLACED, UNITS, components
 from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Panel, draw_grid
 from sphrom.plots.tables import format_figure, rows_of_columns, write_csv
-from sphrom.sweep.runs import ERROR, RunRecord
+from sphrom.sweep.batches import ERROR, RunRecord
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -28,7 +28,7 @@ from sphrom.setup.context import StageContext
 from sphrom.setup.cost import full_seconds, require_room, runs_that_fit
 from sphrom.store.workspace import Target, Workspace
 from sphrom.sweep import statistics
-from sphrom.sweep.runs import (
+from sphrom.sweep.batches import (
     COMPLETE,
     ERROR,
     FAILED,

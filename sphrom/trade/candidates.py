@@ -22,10 +22,10 @@ from sphrom.case.study_sections import TradeSection
 from sphrom.errors import CaseError, UnstableError
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.offline import fom, operators
-from sphrom.online.stored_run import StoredRun
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.sph.time_loop import Clock, TimeSteps, march
+from sphrom.store.stored_run import StoredRun
 from sphrom.store.workspace import Workspace
 
 FOLDER = "trade"

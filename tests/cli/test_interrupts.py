@@ -69,7 +69,7 @@ def test_signals_have_exit_codes_of_their_own(sphrom, monkeypatch, number, code,
         time.sleep(10.0)
 
     before = signal.getsignal(signal.SIGTERM)
-    monkeypatch.setattr("sphrom.cli.stages.run_stage", work)
+    monkeypatch.setattr("sphrom.cli.options.run_stage", work)
     result = sphrom("pod", "case.yaml")
     assert result.exit_code == code
     assert result.stderr == f"{word}\n"

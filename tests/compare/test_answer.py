@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from sphrom.compare.answer import Answer
+from sphrom.compare.comparison_tables import ErrorRow
 from sphrom.compare.costs import RunTiming
-from sphrom.compare.tables import ErrorRow
 from sphrom.metrics.histories import NO_ERRORS
 
 TIMING = RunTiming("fast", "reynolds=150", 5, 0.01, 0.01, None, 0.1, 1e-5, 1e4, 1.0, 1.0)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sphrom.compare.tables import estimate_row
+from sphrom.compare.comparison_tables import estimate_row
 from sphrom.metrics.samples import Samples
 from sphrom.store.sampling import probes_of
 

@@ -9,8 +9,8 @@ import pytest
 
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.measured import flow_row
-from sphrom.online.stored_run import StoredRun
 from sphrom.store.sampling import probes_of, sample_run
+from sphrom.store.stored_run import StoredRun
 
 
 def _row(case, trajectory):

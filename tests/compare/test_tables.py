@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from sphrom.compare.comparison_tables import Tables, error_row, show
 from sphrom.compare.references import ReferenceRow
-from sphrom.compare.tables import Tables, error_row, show
 from sphrom.metrics.histories import compare
 from sphrom.metrics.samples import Samples
 from sphrom.store.sampling import probes_of

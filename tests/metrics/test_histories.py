@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.compare.tables import error_row, wall_row
+from sphrom.compare.comparison_tables import error_row, wall_row
 from sphrom.metrics.histories import PLACES, History, Series, compare
 from sphrom.metrics.samples import Samples
 from sphrom.plots.tables import flat

@@ -13,7 +13,7 @@ from sphrom.offline import fit_psi, fom, map, pod
 from sphrom.reduction.mode_splines import basis_columns
 from sphrom.reduction.trial_basis import mean_density_fluctuation, project, weighted_mean
 from sphrom.setup.context import StageContext
-from sphrom.store.reduced_models import read_basis, read_splines
+from sphrom.store.trained_models import read_basis, read_splines
 from sphrom.store.workspace import Workspace
 
 SECTIONS = {

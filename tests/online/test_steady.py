@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
-from unittest.mock import Mock
+from unittest.mock import Mock, patch
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import pytest
 from sphrom.artifacts import ArtifactWriter
 from sphrom.console import Reporter
 from sphrom.online.error_estimates import SteadyErrors, distance_from
+from sphrom.online.fast_model import FastRun
 from sphrom.online.reference_runs import seek_steady_state
 from sphrom.reduction.reduced_rates import Polynomial
 
@@ -24,13 +26,34 @@ def polynomial(constant: float) -> Polynomial:
 
 
 def sought(
-    rates: Polynomial, start: float, *amplitude: float, trained: np.ndarray = NEAR, **options: Any
+    rates: Polynomial,
+    start: float,
+    amplitude: float | None = None,
+    *,
+    trained: np.ndarray = NEAR,
+    estimated: SteadyErrors | None = None,
+    measured: Callable[[np.ndarray], dict[str, Any]] = lambda states: {},
 ) -> tuple[dict[str, Any], Mock]:
     """Return what was written, by name, and the reporter that was told."""
-    artifact, reporter = Mock(spec=ArtifactWriter), Mock(spec=Reporter)
-    seek_steady_state(
-        artifact, reporter, "x", rates, np.array([start]), *amplitude, trained=trained, **options
+    artifact, reporter, model = Mock(spec=ArtifactWriter), Mock(spec=Reporter), Mock()
+    model.workspace.context.report = reporter
+    model.section.name, model.at_point.return_value.states = "x", trained
+    driven = None if amplitude is None else lambda times: np.full(len(times), amplitude)
+    run = FastRun(
+        time=np.array([0.0, 1.0]),
+        coordinates=np.array([[0.0], [start]]),
+        time_step=1.0,
+        diverged_at=np.nan,
+        model=model,
+        point=Mock(label="here"),
+        reduced=Mock(polynomial=rates, amplitude=driven),
     )
+    quantities = "sphrom.online.fast_model.quantities_of"
+    with (
+        patch("sphrom.online.reference_runs.steady_errors", return_value=estimated),
+        patch(quantities, lambda case, point, reduced, time, states: measured(states)),
+    ):
+        seek_steady_state(run, artifact)
     calls = artifact.write.call_args_list + artifact.annotate.call_args_list
     return {call.args[0]: call.args[1] for call in calls}, reporter
 
@@ -51,9 +74,7 @@ def test_found(start: float, root: float) -> None:
 def test_one_that_is_far_from_training_is_warned_of(distance: float, warned: bool) -> None:
     """Though the rates vanish to rounding; it may also be near to a state between training runs."""
     found = SteadyErrors(3.0, np.array([0.2, 5.0]), np.array([0.4, 0.5]), distance)
-    written, reporter = sought(
-        polynomial(-1.0), 3.0, trained=np.array([[0.6]]), estimated=lambda state: found
-    )
+    written, reporter = sought(polynomial(-1.0), 3.0, trained=np.array([[0.6]]), estimated=found)
     assert written["steady/training_distance"] == pytest.approx(min(distance, 0.4))
     assert written["steady/residual_left_out"] == 3.0
     assert written["steady/velocity_error_estimate"] == 0.2
@@ -78,7 +99,7 @@ def test_what_is_measured_there_is_written_and_said() -> None:
     assert written["steady/measure/flux/flow_rate"] == pytest.approx(3.0)
     assert written["steady/measure/line/velocity"].shape == (5, 2)
     said = [call.args[0] for call in reporter.info.call_args_list]
-    assert "x: flux in the steady state: flow rate 3.00 m2/s" in said
+    assert "x, here: flux in the steady state: flow rate 3.00 m2/s" in said
     assert not any("line in" in text for text in said)
 
 

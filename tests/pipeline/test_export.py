@@ -10,8 +10,8 @@ import h5py
 import numpy as np
 import pytest
 
-from sphrom.online.stored_run import StoredRun
 from sphrom.scenes.flows import TaylorGreen
+from sphrom.store.stored_run import StoredRun
 
 
 def flat(vectors: np.ndarray) -> np.ndarray:

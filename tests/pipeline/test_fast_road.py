@@ -16,11 +16,11 @@ import pytest
 from sphrom.artifacts import open_artifact, read_record
 from sphrom.case.loader import load_case
 from sphrom.case.points import ParameterPoint
-from sphrom.online.stored_run import StoredRun
 from sphrom.reduction.memory_operators import project_memory
 from sphrom.reduction.reduced_operators import MemoryOperators
 from sphrom.setup import particles
-from sphrom.store.reduced_models import read_basis, read_points, read_splines
+from sphrom.store.stored_run import StoredRun
+from sphrom.store.trained_models import read_basis, read_points, read_splines
 
 FAST: dict[str, Any] = {
     "evaluation": "operators",

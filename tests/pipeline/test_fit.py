@@ -13,8 +13,8 @@ from sphrom.case.yaml_reader import dump_yaml
 from sphrom.cli.app import app
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.fit.fit import Fit
+from sphrom.fit.forward_model import Box, FittedModel
 from sphrom.fit.measurements import read_measurements
-from sphrom.fit.model import Box, FittedModel
 from sphrom.online.fast_model import FastModel
 from sphrom.store.workspace import Workspace
 

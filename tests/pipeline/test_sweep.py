@@ -22,7 +22,7 @@ from sphrom.console import SilentReporter
 from sphrom.plots.tables import format_figure
 from sphrom.sph.functional import Functional
 from sphrom.sweep import sweep as stage
-from sphrom.sweep.runs import SweptModel, make_runs
+from sphrom.sweep.batches import SweptModel, make_runs
 from sphrom.sweep.workers import Task, Workers
 
 FAST = {"name": "fast", "evaluation": "operators", "n_modes": 3, "calibrated": True}

@@ -17,7 +17,7 @@ from sphrom.case.loader import load_case
 from sphrom.errors import UnstableError
 from sphrom.plots.canvas import save
 from sphrom.sweep import sweep as stage
-from sphrom.sweep.runs import ERROR, UNSTABLE, RunRecord, SweptModel
+from sphrom.sweep.batches import ERROR, UNSTABLE, RunRecord, SweptModel
 from sphrom.sweep.statistics import draw_indices, draw_quantiles, outputs_of
 
 LID = {"distribution": "uniform", "loc": 0.5, "scale": 0.5}

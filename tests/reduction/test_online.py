@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from sphrom.reduction.particle_model import AdjointPetrovGalerkin, ParticleModel, reduced_jacobian
+from sphrom.reduction.particle_model import ParticleModel, reduced_jacobian
 from sphrom.reduction.spline import LocalSplines, fit_splines
 from sphrom.reduction.trial_basis import InnerProduct
 from sphrom.sph.box_domain import BoxDomain
@@ -136,7 +136,7 @@ def test_closure_is_the_dense_jacobians_action(
     memory = 1e-2
     options = {"advection": advection, "separate_mean": separate_mean}
     galerkin = build(splines, **options)
-    closed = build(splines, closure=AdjointPetrovGalerkin(memory), **options)
+    closed = build(splines, memory_length=memory, **options)
     state = galerkin.initial_state(COORDINATES, points, MEAN)
     position, fields, gradient, inverse = parts(galerkin, state)
     rates = reference_functional(galerkin, position, fields, gradient).T.ravel()
@@ -221,8 +221,7 @@ def test_every_evaluation_is_at_the_time_of_the_call(
         return np.zeros_like(position)
 
     functional = Functional(FLUID, DISCRETIZATION, BOX, body_force=force)
-    closure = AdjointPetrovGalerkin(1e-3)
-    model = ParticleModel(functional, splines, ACOUSTIC, closure=closure)
+    model = ParticleModel(functional, splines, ACOUSTIC, memory_length=1e-3)
     state = model.initial_state(COORDINATES, points)
     model.rates(state, 2.5)
     assert times == [2.5, 2.5]

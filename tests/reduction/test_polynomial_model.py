@@ -92,8 +92,6 @@ def test_the_spectrum_of_a_known_matrix() -> None:
     found = spectrum(jacobian)
     assert found.largest_real_part == pytest.approx(0.5)
     assert found.radius == pytest.approx(math.sqrt(50.0))
-    assert found.step_limit == pytest.approx(stability_limits(np.array([-1.0 + 7j]))[0])
-    assert spectrum(np.zeros((3, 3))).step_limit == math.inf
 
 
 def test_a_run_is_runge_kutta_with_snapshots() -> None:
@@ -197,7 +195,8 @@ def test_limits_of_many_systems_are_those_of_each() -> None:
     still = Polynomial((tuple(0.0 * tensor for tensor in tensors(2)),))
     limits = step_limits([*systems, (still, np.zeros((7, N_MODES)), 0.0)])
     for found, (rates, states, _) in zip(limits, systems, strict=False):
-        each = [spectrum(rates.jacobian(state)).step_limit for state in states]
+        eigenvalues = (np.linalg.eigvals(rates.jacobian(state)) for state in states)
+        each = [stability_limits(values.astype(np.complex128)).min() for values in eigenvalues]
         assert found == pytest.approx(min(each), rel=1e-14)
         assert min(each) < 0.9 * max(each)
     assert limits[-1] == np.inf

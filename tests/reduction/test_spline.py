@@ -237,7 +237,7 @@ def test_bad_data_are_refused() -> None:
 
     refuse("use wider cells", points, width=0.01)
     refuse("1 points are not inside", np.where(points == points[5], 1.2, points), CLOSED)
-    refuse("points coincide", np.where(points == points[5], points[6], points))
+    refuse("they coincide", np.where(points == points[5], points[6], points))
     refuse("lie on one line", points * [1.0, 0.0], CLOSED)
 
 

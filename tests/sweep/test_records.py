@@ -10,7 +10,7 @@ import pytest
 
 from sphrom.artifacts import Origin, create_artifact, open_artifact
 from sphrom.case.points import ParameterPoint
-from sphrom.sweep.runs import (
+from sphrom.sweep.batches import (
     COMPLETE,
     ERROR,
     FAILED,

@@ -16,7 +16,7 @@ from sphrom.metrics.histories import relative_discrepancy
 from sphrom.metrics.samples import midpoints
 from sphrom.reduction.decomposition import decompose
 from sphrom.reduction.mode_splines import basis_columns
-from sphrom.reduction.particle_model import AdjointPetrovGalerkin, ParticleModel, reduced_jacobian
+from sphrom.reduction.particle_model import ParticleModel, reduced_jacobian
 from sphrom.reduction.reduced_rates import memory_length
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.spline import default_cell_width, fit_splines
@@ -57,7 +57,7 @@ def reduced(run, product: InnerProduct, method: str, advection: str, closed: boo
     if closed:
         functional, jacobian = run.vortex.functional, reduced_jacobian(model, state)
         h, c0 = functional.discretization.smoothing_length, functional.fluid.sound_speed
-        model.closure = AdjointPetrovGalerkin(memory_length(jacobian, h, c0))
+        model.memory_length = memory_length(jacobian, h, c0)
     return model, state
 
 

@@ -1,5 +1,8 @@
 """Trial bases, right-hand sides that are projected onto them with the data for error estimates, and
-splines of modes. The numerics' own records say most of what they hold."""
+splines of modes: the artifacts of the stages pod, operators and fit-psi.
+
+The numerics' own records say most of what they hold. `sphrom.store.trained_models` reads them.
+"""
 
 from __future__ import annotations
 

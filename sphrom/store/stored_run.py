@@ -19,8 +19,8 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.measures import Quantities
 from sphrom.reduction.trial_basis import TrialBasis, reconstruct, truncate
 from sphrom.sph.fluid import pressure_of
-from sphrom.store.reduced_models import basis_used, read_basis, read_modes, read_points
 from sphrom.store.sampling import Samples, expand, sample_run
+from sphrom.store.trained_models import basis_used, read_basis, read_modes, read_points
 from sphrom.store.trajectory import read_quantities
 from sphrom.store.workspace import Workspace
 

@@ -33,7 +33,7 @@ from sphrom.reduction.reduced_measures import ReducedMeasure, project_measures
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
 from sphrom.setup.assembly import places_of
 from sphrom.setup.particles import MeasuredFields, sampler
-from sphrom.store.reduced_models import read_points
+from sphrom.store.trained_models import read_points
 from sphrom.store.trajectory import read_quantities, snapshot_fields
 from sphrom.text import exact
 
