@@ -9,21 +9,12 @@ the axes snapshot, point, component or mode last; units are SI. What the command
 refused here in the same words, as an error of `sphrom.errors`.
 """
 
-from sphrom.api.model import Model
-from sphrom.api.result import Result, Sensitivities
-from sphrom.api.study import Study, open
-from sphrom.artifacts.records.fit import FittedHistory
-from sphrom.fit.fit import Estimate, Fit
-from sphrom.online.error_estimates import ErrorEstimate
-
-__all__ = [
-    "ErrorEstimate",
-    "Estimate",
-    "Fit",
-    "FittedHistory",
-    "Model",
-    "Result",
-    "Sensitivities",
-    "Study",
-    "open",
-]
+from sphrom.api.model import Model as Model
+from sphrom.api.result import Result as Result
+from sphrom.api.result import Sensitivities as Sensitivities
+from sphrom.api.study import Study as Study
+from sphrom.api.study import open as open
+from sphrom.artifacts.records.fit import FittedHistory as FittedHistory
+from sphrom.fit.fit import Estimate as Estimate
+from sphrom.fit.fit import Fit as Fit
+from sphrom.online.error_estimates import ErrorEstimate as ErrorEstimate

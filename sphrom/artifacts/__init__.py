@@ -3,28 +3,15 @@
 This package doesn't interpret a case: it stores its text and compares digests.
 """
 
-from sphrom.artifacts.layout import Identity, Origin
-from sphrom.artifacts.reader import (
-    Artifact,
-    open_artifact,
-    probe,
-    read_record,
-)
-from sphrom.artifacts.records import SCHEMAS
-from sphrom.artifacts.writer import ArtifactWriter, Stream, create_artifact, write_record
-from sphrom.whole_files import locked
-
-__all__ = [
-    "SCHEMAS",
-    "Artifact",
-    "ArtifactWriter",
-    "Identity",
-    "Origin",
-    "Stream",
-    "create_artifact",
-    "locked",
-    "open_artifact",
-    "probe",
-    "read_record",
-    "write_record",
-]
+from sphrom.artifacts.layout import Identity as Identity
+from sphrom.artifacts.layout import Origin as Origin
+from sphrom.artifacts.reader import Artifact as Artifact
+from sphrom.artifacts.reader import open_artifact as open_artifact
+from sphrom.artifacts.reader import probe as probe
+from sphrom.artifacts.reader import read_record as read_record
+from sphrom.artifacts.records import SCHEMAS as SCHEMAS
+from sphrom.artifacts.writer import ArtifactWriter as ArtifactWriter
+from sphrom.artifacts.writer import Stream as Stream
+from sphrom.artifacts.writer import create_artifact as create_artifact
+from sphrom.artifacts.writer import write_record as write_record
+from sphrom.whole_files import locked as locked

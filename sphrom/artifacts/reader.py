@@ -134,43 +134,28 @@ def _opened(
 
 
 class Artifact:
-    """An open artifact; made by `open_artifact` only."""
+    """An open artifact; made by `open_artifact` only.
+
+    Attributes
+    ----------
+    schema : the kind of artifact, such as `sphrom/basis`.
+    attributes : every attribute by its path, such as `sound_speed` or `parameters/reynolds`.
+    datasets : the names of the datasets, sorted.
+    content_sha256 : the digest of the datasets and attributes, as the writer computed it.
+    identity : what an artifact made from this one remembers of it.
+    case_text : the resolved case that the artifact was made with.
+    """
 
     def __init__(self, path: Path, file: h5py.File, contents: Contents, made_by: str) -> None:
         self.path = path
         self.made_by = made_by
         self._file = file
         self._contents = contents
-
-    @property
-    def schema(self) -> str:
-        """The kind of artifact, such as `sphrom/basis`."""
-        return self.text("schema")
-
-    @property
-    def attributes(self) -> Mapping[str, Value]:
-        """Every attribute by its path, such as `sound_speed` or `parameters/reynolds`."""
-        return self._contents.attributes
-
-    @property
-    def datasets(self) -> list[str]:
-        """The names of the datasets, sorted."""
-        return sorted(name for name in self._contents.datasets if name != CASE)
-
-    @property
-    def content_sha256(self) -> str:
-        """The digest of the datasets and attributes, as the writer computed it."""
-        return self.text("content_sha256")
-
-    @property
-    def identity(self) -> Identity:
-        """What an artifact made from this one remembers of it."""
-        return Identity(self.path.name, self.text("uuid"), self.content_sha256)
-
-    @property
-    def case_text(self) -> str:
-        """The resolved case that the artifact was made with."""
-        return self._contents.case_text
+        self.case_text = contents.case_text
+        self.attributes: Mapping[str, Value] = contents.attributes
+        self.datasets = sorted(name for name in contents.datasets if name != CASE)
+        self.schema, self.content_sha256 = self.text("schema"), self.text("content_sha256")
+        self.identity = Identity(path.name, self.text("uuid"), self.content_sha256)
 
     def number(self, name: str) -> float:
         """Return an attribute that is a number. Raises KeyError when there is none."""

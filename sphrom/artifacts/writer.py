@@ -80,9 +80,7 @@ def create_artifact(
         "threads": threads,
     }
     for role, identity in origin.lineage.items():
-        provenance[f"lineage/{role}/path"] = Path(identity.path).name
-        provenance[f"lineage/{role}/uuid"] = identity.uuid
-        provenance[f"lineage/{role}/content_sha256"] = identity.content_sha256
+        provenance |= {f"lineage/{role}/{name}": value for name, value in vars(identity).items()}
     with replacement(Path(path), force=force) as file:
         writer = ArtifactWriter(Path(path), file, schema)
         try:

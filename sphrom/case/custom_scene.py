@@ -21,7 +21,7 @@ from sphrom.arrays import Array
 from sphrom.case.expressions import CONSTANTS, FUNCTIONS, MOST_QUOTED, Expression
 from sphrom.case.fields import Coordinate, Place, Positive, SafeName, Section, key
 from sphrom.case.initial_file import read_start, start_fields
-from sphrom.case.scene_section import Defaults, Measures, SceneSection, measures
+from sphrom.case.scene_section import OF_WALLS, Defaults, Measures, SceneSection, measures
 from sphrom.case.shapes import ShapeSection
 from sphrom.errors import CaseError
 from sphrom.scenes.flows import CustomFlow, Drive, Scales, Scene
@@ -116,10 +116,8 @@ class CustomScene(SceneSection):
 
     title: ClassVar[str] = "A flow of your own"
     defaults: ClassVar[Defaults] = {
-        "fluid": {"reference_density": 1.0},
+        **OF_WALLS,
         "discretization": {"smoothing_length_ratio": 2.0, "resolution": 20},
-        "psi": {"polynomial_degree": 3},
-        "compare": {"exact": False},
     }
 
     kind: Literal["custom"] = key(..., "which flow")
@@ -212,20 +210,13 @@ class CustomScene(SceneSection):
         )
 
     @cached_property
-    def _known(self) -> dict[tuple[tuple[str, float], ...], CustomScene]:
-        """The scene at values of the parameters: cases ask again and again."""
-        return {}
+    def _known(self) -> Callable[[tuple[tuple[str, float], ...]], CustomScene]:
+        """Returns the scene at values of the parameters: cases ask again and again."""
+        return lru_cache(MOST_KNOWN)(lambda values: self._changed(dict(values)))
 
     def _at(self, values: Mapping[str, float]) -> CustomScene:
         """Return the scene with other constants and rates of rotation, and factors of the rest."""
-        asked = tuple(values.items())
-        if not asked:
-            return self
-        if asked not in self._known:
-            if len(self._known) >= MOST_KNOWN:
-                self._known.clear()
-            self._known[asked] = self._changed(values)
-        return self._known[asked]
+        return self._known(tuple(values.items())) if values else self
 
     def _changed(self, values: Mapping[str, float]) -> CustomScene:
         _ = self.domain, self._shapes  # they are the same, and needn't be built again
@@ -447,7 +438,6 @@ class CustomScene(SceneSection):
         return any(
             "t" in self._expression("body_force", value, "x", "y", "t").depends_on
             for value in self.body_force
-            if "t" in str(value)
         )
 
     def largest_body_force(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
@@ -471,9 +461,8 @@ class CustomScene(SceneSection):
 
 def _require_finite(where: str, values: Array, position: Array) -> None:
     """Raise ValueError where values (n_points, ...) at positions aren't finite."""
-    bad = np.flatnonzero(
-        ~np.isfinite(values).reshape(len(values), -1 if len(values) else 1).all(axis=1)
-    )
+    finite = np.isfinite(values)
+    bad = np.flatnonzero(~finite.all(axis=tuple(range(1, finite.ndim))))
     if bad.size:
         x, y = position[bad[0]]
         raise ValueError(f"{where}: is not a finite number at ({x:g}, {y:g}) m")

@@ -42,6 +42,10 @@ class Expression:
     variables : names that are given with each evaluation.
     constants : values of further names.
 
+    Attributes
+    ----------
+    depends_on : the variables that the value depends on.
+
     Raises
     ------
     ValueError
@@ -55,13 +59,9 @@ class Expression:
         self._variables = variables
         self._constants = {**CONSTANTS, **(constants or {})}
         self._tree = _parsed(text)
-        self._used = {node.id for node in ast.walk(self._tree) if isinstance(node, ast.Name)}
         _check(self._tree.body, (*variables, *self._constants))
-
-    @property
-    def depends_on(self) -> frozenset[str]:
-        """The variables that the value depends on."""
-        return frozenset(self._used & set(self._variables))
+        used = {node.id for node in ast.walk(self._tree) if isinstance(node, ast.Name)}
+        self.depends_on = frozenset(used.intersection(variables))
 
     def compile(self) -> None:
         """Raise ValueError where it can't be evaluated."""

@@ -6,15 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from sphrom.case.fields import (
-    Duration,
-    Flag,
-    Number,
-    Positive,
-    Section,
-    Whole,
-    key,
-)
+from sphrom.case.fields import Duration, Flag, Number, Positive, Section, Whole, key
 from sphrom.text import exact
 
 

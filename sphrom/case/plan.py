@@ -348,11 +348,9 @@ class Plan:
         Intervals are half-open, [low, high); those that end highest of all hold their end too.
         """
         boxes = {name: subset.bounds for name, subset in self._case.basis.subsets.items()}
-        top: dict[str, float] = {}
-        for bounds in boxes.values():
-            for name, (low, high) in bounds.items():
-                if low < high:
-                    top[name] = max(high, top.get(name, high))
+        ends = (end for bounds in boxes.values() for end in bounds.items())
+        # Of equal names the highest comes last.
+        top = dict(sorted((name, high) for name, (low, high) in ends if low < high))
         at = point.as_dict()
         return [
             subset

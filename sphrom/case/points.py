@@ -67,16 +67,14 @@ class ParameterPoint:
 
 def nearest_point(point: ParameterPoint, known: Iterable[ParameterPoint]) -> ParameterPoint:
     """Return the known point nearest to a point; each parameter counts over its largest value."""
-    points = list(known)
-    rows = [list(other.as_dict().values()) for other in points]
-    sizes = [max(map(abs, column)) or 1.0 for column in zip(*rows, strict=True)]
-    place = list(point.as_dict().values())
+    rows = {other: other.as_dict().values() for other in known}
+    sizes = [max(map(abs, column)) or 1.0 for column in zip(*rows.values(), strict=True)]
 
-    def distance(row: list[float]) -> float:
-        parts = ((a - b) / size for a, b, size in zip(row, place, sizes, strict=True))
-        return math.hypot(*parts)
+    def distance(other: ParameterPoint) -> float:
+        parts = zip(rows[other], point.as_dict().values(), sizes, strict=True)
+        return math.hypot(*((a - b) / size for a, b, size in parts))
 
-    return points[min(range(len(points)), key=lambda k: distance(rows[k]))]
+    return min(rows, key=distance)
 
 
 def outside(point: ParameterPoint, trained: Iterable[ParameterPoint]) -> dict[str, str]:

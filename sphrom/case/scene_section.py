@@ -17,6 +17,13 @@ from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import NONE
 
 Defaults = Mapping[str, Any]
+OF_WALLS: Defaults = {
+    "fluid": {"reference_density": 1.0},
+    "discretization": {"smoothing_length_ratio": 2.0},
+    "psi": {"polynomial_degree": 3},
+    "compare": {"exact": False},
+}
+"""Defaults of other sections for scenes that have walls."""
 
 
 class SceneSection(Section):
@@ -102,8 +109,7 @@ class SceneSection(Section):
     @property
     def measured_walls(self) -> Mapping[str, str]:
         """The walls on which forces are measured, by the names of the measurements."""
-        given = ((name, measured.force_on) for name, measured in self.measure.items())
-        return {name: wall for name, wall in given if wall is not None}
+        return {name: m.force_on for name, m in self.measure.items() if m.force_on is not None}
 
     @property
     def measured_fields(self) -> Measures:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sphrom.arrays import Array
 from sphrom.case.custom_scene import CustomScene
 from sphrom.case.fields import Duration, Number, Positive, Section, key
-from sphrom.case.scene_section import Defaults, Measures, SceneSection, measures
+from sphrom.case.scene_section import OF_WALLS, Defaults, Measures, SceneSection, measures
 from sphrom.scenes.flows import (
     Channel,
     LidDrivenCavity,
@@ -31,16 +31,6 @@ from sphrom.text import exact
 
 PROBE_SHARE = 0.625
 """Where in the open cavity's channel profiles are taken: at 0.25 m of the paper's 0.4 m."""
-
-
-_CAVITY: Defaults = {
-    "fluid": {"reference_density": 1.0},
-    "discretization": {
-        "smoothing_length_ratio": 2.0,
-    },
-    "psi": {"polynomial_degree": 3},
-    "compare": {"exact": False},
-}
 
 
 class TaylorGreenScene(SceneSection):
@@ -77,7 +67,7 @@ class LidDrivenCavityScene(SceneSection):
 
     title: ClassVar[str] = "The lid-driven cavity"
     defaults: ClassVar[Defaults] = {
-        **_CAVITY,
+        **OF_WALLS,
         "time": {"final_time": 10.0},
         "parameters": {"train": {"reynolds": [100.0]}},
     }
@@ -161,9 +151,9 @@ class OpenCavityScene(SceneSection):
 
     title: ClassVar[str] = "The open cavity"
     defaults: ClassVar[Defaults] = {
-        **_CAVITY,
+        **OF_WALLS,
         "fluid": {"reference_density": 1.0, "reference_speed": 2.0},
-        "discretization": {**_CAVITY["discretization"], "resolution": 200},
+        "discretization": {"smoothing_length_ratio": 2.0, "resolution": 200},
         # Vortices are shed: another step gives another flow, and what was measured is of this one.
         "time": {"spin_up": 5.0, "final_time": 6.0, "courant_number": 0.75},
         "parameters": {"train": {"reynolds": [2400.0]}},

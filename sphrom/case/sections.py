@@ -99,9 +99,7 @@ class SubsetSection(Section):
         """The ends of its intervals by parameter; a parameter without any is not bounded."""
         if self.box is not None:
             return {name: (low, high) for name, (low, high) in self.box.items()}
-        if self.interval is not None:
-            return {REYNOLDS: (self.interval[0], self.interval[1])}
-        values = self.reynolds or (0.0,)
+        values = self.interval or self.reynolds or (0.0,)
         return {REYNOLDS: (min(values), max(values))}
 
 

@@ -66,6 +66,9 @@ class RectangleSection(Section):
         return shapely.box(*self.lower, *self.upper)
 
 
+Shapes = Annotated[tuple["ShapeSection", ...], Field(min_length=1)]
+
+
 class BufferSection(Section):
     """A shape that is grown, or shrunk by a negative distance; corners are rounded."""
 
@@ -92,15 +95,9 @@ class ShapeSection(Section):
         None, "a file with polygons: GeoJSON or WKT, by how its name ends; read into wkt"
     )
     wkt: str | None = key(None, "polygons as well-known text")
-    union: Annotated[tuple[ShapeSection, ...], Field(min_length=1)] | None = key(
-        None, "shapes taken together"
-    )
-    intersection: Annotated[tuple[ShapeSection, ...], Field(min_length=1)] | None = key(
-        None, "what shapes share"
-    )
-    difference: Annotated[tuple[ShapeSection, ...], Field(min_length=1)] | None = key(
-        None, "the first shape without the others"
-    )
+    union: Shapes | None = key(None, "shapes taken together")
+    intersection: Shapes | None = key(None, "what shapes share")
+    difference: Shapes | None = key(None, "the first shape without the others")
     buffer: BufferSection | None = key(None, "a shape that is grown or shrunk")
     scale: Positive = key(1.0, "factor on all coordinates, such as 1e-3 from millimetres")
     rotate: Annotated[Number, Field(ge=-360.0, le=360.0)] = key(

@@ -11,13 +11,12 @@ from sphrom.case.fields import (
     Duration,
     Flag,
     Number,
-    Positive,
     SafeName,
     Section,
     Whole,
     key,
 )
-from sphrom.case.points import Range, viscous
+from sphrom.case.points import Range, ReynoldsValues, viscous
 
 Modes = Annotated[tuple[Annotated[Whole, Field(ge=1, le=10_000)], ...], Field(min_length=1)]
 Resolution = Annotated[Whole, Field(ge=8, le=100_000)]
@@ -145,7 +144,6 @@ class TrainingSection(Section):
 FULL = "full"
 """What the full model is called among the runs of a figure."""
 Quantity = Literal["speed", "pressure"]
-Values = Annotated[tuple[Positive, ...], Field(min_length=1)]
 Runs = Annotated[tuple[Annotated[tuple[SafeName, ...], Field(min_length=1)], ...],
                  Field(min_length=1)]  # fmt: skip
 _RUNS = "rows of panels, each a list of reduced models by name"
@@ -163,7 +161,7 @@ class _OfRuns(_Figure):
     """A figure of runs."""
 
     runs: Runs = key(..., _RUNS)
-    reynolds: Values | None = key(None, _VALUES, unit="-")
+    reynolds: ReynoldsValues | None = key(None, _VALUES, unit="-")
     quantities: Annotated[tuple[Quantity, ...], Field(min_length=1)] = key(
         ("speed", "pressure"), "a column of panels each"
     )
@@ -212,7 +210,4 @@ class ModeFigure(_Figure):
 
 OfRuns = FieldFigure | LineFigure | ErrorFigure
 OfModes = SpectrumFigure | ModeFigure
-FigureSection = Annotated[
-    OfRuns | OfModes,
-    Field(discriminator="kind"),
-]
+FigureSection = Annotated[OfRuns | OfModes, Field(discriminator="kind")]

@@ -17,6 +17,7 @@ from sphrom.case.fields import (
     Coordinate,
     Flag,
     Number,
+    Place,
     SafeName,
     Section,
     Whole,
@@ -42,7 +43,6 @@ NEVER = 1e-9
 """Probability of impossible values below which no draw is ever among them."""
 
 Share = Annotated[Number, Field(ge=1e-4, le=1.0 - 1e-4)]
-Place = Annotated[tuple[Number, ...], Field(min_length=2, max_length=2)]
 
 
 class SpreadSection(Section):

@@ -22,7 +22,7 @@ MAX_VALUES = 10_000
 MAX_DEPTH = 20
 _TAG = "tag:yaml.org,2002:"
 _IMPLICIT = {
-    "null": (r"~|null|Null|NULL|", "~nN\0"),
+    "null": (r"~|null|Null|NULL|", ("~", "n", "N", "")),
     "bool": (r"true|True|TRUE|false|False|FALSE", "tTfF"),
     "int": (r"[-+]?[0-9][0-9_]*", "-+0123456789"),
     "float": (
@@ -68,9 +68,7 @@ class Loader(yaml.SafeLoader):
 
     yaml_implicit_resolvers = {}  # noqa: RUF012 - PyYAML's own way of being configured
 
-    def __init__(self, text: str) -> None:
-        super().__init__(text)
-        self.depth = self.n_nodes = 0
+    depth = n_nodes = 0
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         self.depth += 1
@@ -92,8 +90,7 @@ class Dumper(yaml.SafeDumper):
 
 for _class in (Loader, Dumper):
     for _name, (_pattern, _first) in _IMPLICIT.items():
-        _starts = [character if character != "\0" else "" for character in _first]
-        _class.add_implicit_resolver(_TAG + _name, re.compile(f"(?:{_pattern})\\Z"), _starts)
+        _class.add_implicit_resolver(_TAG + _name, re.compile(f"(?:{_pattern})\\Z"), _first)
 
 
 def _require_small(depth: int, n_values: int, line: int) -> None:

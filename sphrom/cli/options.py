@@ -21,10 +21,6 @@ from sphrom.whole_files import open_to_write
 
 WITHOUT_LOG = ("check", "draw")
 """Stages that leave nothing beside the artifacts."""
-SIGINT_IS_IGNORED = (
-    "SIGINT is ignored, as in background jobs of a script: stop this command with SIGTERM "
-    "(`kill PID`), which also leaves a checkpoint"
-)
 
 
 def option(metavar: str, text: str, *names: str, **more: Any) -> Any:
@@ -189,7 +185,10 @@ def run_stage(stage: str, options: Options, **asked: object) -> None:
     report = Reporter(quiet=options.quiet, verbose=options.verbose, log=log)
     with log.recorded(["sphrom", *sys.argv[1:]]):
         if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-            report.info(SIGINT_IS_IGNORED)
+            report.info(
+                "SIGINT is ignored, as in background jobs of a script: stop this command with "
+                "SIGTERM (`kill PID`), which also leaves a checkpoint"
+            )
         context = stages.context_of(
             case, report, out=options.out, force=options.force, threads=options.threads
         )

@@ -145,29 +145,26 @@ def _opened(workspace: Workspace, item: Item) -> Iterator[Source]:
     schema, point, model = item.target.schema, item.point, item.model
     with workspace.open(item.target) as artifact:
         shapes = {name: artifact.dataset(name).shape for name in artifact.datasets}
+        computed: dict[str, Callable[[Any], Array]] = {}
+        if model and point and model.from_operators and POINTS not in artifact:
+            points, sound_speed = read_points(workspace), workspace.case.plan.sound_speed
+            state = lru_cache(maxsize=1)(StoredRun(workspace, artifact, point, model).rebuilt)
+            computed = {
+                POINTS: points.__getitem__,
+                "density_fluctuation": lambda index: state(index)[0],
+                "velocity": lambda index: state(index)[1],
+                "pressure": lambda index: pressure_of(state(index)[0], sound_speed),
+            }
+            shape = (artifact.length("time"), len(points))
+            shapes |= dict.fromkeys(computed, shape)
+            shapes |= {POINTS: points.shape, "velocity": (*shape, points.shape[1])}
 
-        def stored(name: str, index: Any) -> NDArray[Any]:
+        def read(name: str, index: Any) -> NDArray[Any]:
+            if name in computed:
+                return computed[name](index)
             return np.asarray(artifact.dataset(name)[index])
 
-        if model is None or point is None or not model.from_operators or POINTS in artifact:
-            yield Source(schema, shapes, stored)
-            return
-        points, sound_speed = read_points(workspace), workspace.case.plan.sound_speed
-        state = lru_cache(maxsize=1)(StoredRun(workspace, artifact, point, model).rebuilt)
-        computed: dict[str, Callable[[Any], Array]] = {
-            POINTS: points.__getitem__,
-            "density_fluctuation": lambda index: state(index)[0],
-            "velocity": lambda index: state(index)[1],
-            "pressure": lambda index: pressure_of(state(index)[0], sound_speed),
-        }
-        shape = (artifact.length("time"), len(points))
-        shapes |= dict.fromkeys(computed, shape)
-        shapes |= {POINTS: points.shape, "velocity": (*shape, points.shape[1])}
-        yield Source(
-            schema,
-            shapes,
-            lambda name, index: computed[name](index) if name in computed else stored(name, index),
-        )
+        yield Source(schema, shapes, read)
 
 
 def write_vtu(path: Path, source: Source, view: View, *, force: bool) -> None:

@@ -11,7 +11,6 @@ from __future__ import annotations
 import importlib.util
 import math
 import multiprocessing
-import zipfile
 from collections.abc import Iterator, Mapping
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
 from contextlib import contextmanager
@@ -205,8 +204,6 @@ def _read_pysph(path: Path, array: str | None) -> Read:
 
 def _read_numpy(path: Path) -> Read:
     require_size(path, 2 * MOST_SNAPSHOT_BYTES)  # where nothing is compressed, headers add to it
-    if not zipfile.is_zipfile(path):
-        raise Fault("is not a NumPy archive as numpy.savez writes it, or is damaged")
     try:
         with np.load(path, allow_pickle=False) as archive:
             members = archive.zip.infolist()
@@ -219,7 +216,8 @@ def _read_numpy(path: Path) -> Read:
             raise
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise Fault(
-            f"is damaged, or holds Python objects, which could run code and are refused: {reason}"
+            "is damaged, no archive of numpy.savez, or holds Python objects, which could run code "
+            f"and are refused: {reason}"
         ) from error
     numbers = {name: value for name, value in values.items() if value.dtype.kind in "fiu"}
     return _time_of(numbers), {name: value for name, value in numbers.items() if value.ndim > 0}

@@ -43,8 +43,6 @@ from sphrom.sph.time_loop import DENSITY_LIMIT, Snapshot
 from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Target, Workspace
 
-STAGE = "import"
-"""The stage of an imported run in its artifact."""
 VELOCITIES = (("u", "v"), ("velocity.x", "velocity.y"))
 """The names of velocities that are looked for unless --velocity names others."""
 FLUCTUATION = "density_fluctuation"
@@ -77,7 +75,9 @@ def run(context: StageContext, files: Sequence[Path], about: ImportOptions) -> N
             "time.spin_up: must be 0, as an imported run is recorded from its start: "
             "--set time.spin_up=0; --start leaves earlier snapshots out"
         )
-    target = replace(workspace.full_run(points[0]), stage=STAGE, made_by="sphrom import CASE FILES")
+    target = replace(
+        workspace.full_run(points[0]), stage="import", made_by="sphrom import CASE FILES"
+    )
     found = find_sources(files, about)
     choices = choose(found, case.plan.steps)
     digest = _digest(choices)
@@ -134,11 +134,7 @@ def _write(
             converter.n_particles,
             plan.sound_speed,
             walls=particles.walls(case, plan.flow(point)),
-            forces=(
-                particles.wall_forces(case, point, particles.functional(case, point))
-                if case.scene.measured_walls
-                else None
-            ),
+            forces=particles.wall_forces(case, point, particles.functional(case, point)),
             fields=MeasuredFields.of(case),
         )
         snapshots = snapshots_of(
@@ -192,8 +188,7 @@ def fitted_case(
         keys.append("time.spin_up=0")
     case = load_case(source, [*overrides, *keys])
     plan, apart = case.plan, interval(found)
-    share = case.time.courant_number / fluid.COURANT_LIMIT
-    limit = share * plan.limits.least
+    limit = case.time.courant_number / fluid.COURANT_LIMIT * plan.limits.least
     every = max(1, math.ceil(apart / limit))
     keys += [
         f"time.final_time={float(f'{apart * (len(found) - 1):.12g}')!r}",

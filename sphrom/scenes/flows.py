@@ -329,9 +329,8 @@ class OpenCavity(Scene):
     @property
     def domain(self) -> Domain:
         """Channel and cavity, in a box that is periodic along x."""
-        channel = self.channel
-        box = (0.0, 0.0), channel.upper, (True, False)
-        return BoxDomain(*box, rectangles=(channel, self.cavity))
+        parts = self.channel, self.cavity
+        return BoxDomain((0.0, 0.0), self.channel.upper, (True, False), parts)
 
     @property
     def body_force(self) -> Drive:

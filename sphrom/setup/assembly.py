@@ -28,8 +28,7 @@ from sphrom.sph.time_loop import TimeSteps
 def initial_fields(case: Case, point: ParameterPoint, position: Array) -> tuple[Array, Array]:
     """Return the density fluctuation (N,) and the velocity (N, 2) at positions (N, 2)."""
     flow = case.plan.flow(point)
-    pressure = flow.initial_pressure(position)
-    fluctuation = fluctuation_of(pressure, case.plan.sound_speed)
+    fluctuation = fluctuation_of(flow.initial_pressure(position), case.plan.sound_speed)
     return fluctuation, flow.initial_velocity(position)
 
 
@@ -62,13 +61,12 @@ def field_measures(case: Case) -> dict[str, FieldMeasure]:
 
 
 def _measure(section: MeasureSection, spacing: float) -> FieldMeasure:
-    if section.flow_rate is not None:
-        ends = np.array(section.flow_rate.start), np.array(section.flow_rate.end)
-        return FieldMeasure.section(*ends, longest=spacing)
+    if section.segment is None:
+        return FieldMeasure(np.array([section.probe]))
+    start, end = np.array(section.segment)
     if section.line is not None:
-        ends = np.array(section.line.start), np.array(section.line.end)
-        return FieldMeasure.line(*ends, section.line.points)
-    return FieldMeasure(np.array([section.probe]))
+        return FieldMeasure.line(start, end, section.line.points)
+    return FieldMeasure.section(start, end, longest=spacing)
 
 
 def amplitude_of(case: Case, point: ParameterPoint) -> Amplitude | None:

@@ -15,6 +15,7 @@ from shapely.geometry.base import BaseGeometry
 
 from sphrom.arrays import Array, Indices, Mask
 from sphrom.sph.domain import ROUNDING, SIDES, Domain, Walls, WallSearch
+from sphrom.sph.polygons import periodic_shifts
 
 WHOLE_TOLERANCE = 1e-6
 """How far a wall may be from the lattice, over the particle spacing."""
@@ -93,10 +94,7 @@ class BoxDomain(Domain):
 
     def _fluid_images(self) -> list[Rectangle]:
         """Return the rectangles that fluid fills, with their images on either side of the box."""
-        images = (
-            (-n, 0.0, n) if p else (0.0,) for n, p in zip(self.lengths, self.periodic, strict=True)
-        )
-        shifts = tuple(itertools.product(*images))
+        shifts = periodic_shifts(self.lengths, self.periodic)
         return [part.shifted(*shift) for part, shift in itertools.product(self.parts, shifts)]
 
     @property

@@ -56,22 +56,6 @@ class WallSearch:
         self.kernels.wall_distances(targets, source, *self.lists, distance)
         return distance
 
-    def hold_back(
-        self,
-        particle: Indices,
-        targets: Indices,
-        source: Array,
-        limits: tuple[float, float, float],
-        shifting: Array,
-        against: float = 1.0,
-    ) -> None:
-        """Change shifting velocities (2, n_particles) so that no particle passes a wall.
-
-        `limits` are `closest, touching, felt` [m], and `against` is as in
-        `sphrom.kernels.rectangles.hold_back`.
-        """
-        self.kernels.hold_back(particle, targets, source, *self.lists, *limits, against, shifting)
-
 
 def first_of(particles: Indices, position: Array) -> str:
     """Return the first of some particles at positions (2, n_particles) [m], in words."""

@@ -144,12 +144,7 @@ class Functional:
             density = self.fluid.reference_density + density_fluctuation
             compressibility = self.mass / density**2
             out[0] -= np.sum(compressibility * out[0]) / np.sum(compressibility)
-        return Rates(
-            density=out[0],
-            velocity=out[1:],
-            shifting_velocity=moving,
-            slopes=slopes,
-        )
+        return Rates(out[0], out[1:], moving, slopes)
 
     def _first_sums(
         self,
@@ -206,10 +201,8 @@ class Functional:
 
         Raises ValueError where there are no walls.
         """
-        position, density_fluctuation, velocity = state[:2], state[2], state[3:]
-        force = None if self.body_force is None else self.body_force(position, time)
-        fields = position, density_fluctuation, velocity
-        _, walls, _, _, _ = self._first_sums(*fields, force, time)
+        force = None if self.body_force is None else self.body_force(state[:2], time)
+        _, walls, *_ = self._first_sums(state[:2], state[2], state[3:], force, time)
         if walls is None:
             raise ValueError("there are no walls")
         return walls.forces(self._fluid_constants)
@@ -252,7 +245,6 @@ class Functional:
         """Return u . grad rho and u . grad u (3, N) as Eq. 3.5-3.6 sum them, over ghosts too."""
         source = self._sources(position, density_fluctuation, velocity)
         near = self.neighbourhood.sources
-        density = self.fluid.reference_density
         out = np.empty((3, density_fluctuation.size))
         depth, nearness = np.zeros(source.shape[1]), np.zeros(near.targets.size)
         advection.transport(
@@ -263,7 +255,7 @@ class Functional:
             depth,
             nearness,
             *self._search(),
-            density,
+            self.fluid.reference_density,
             out,
         )
         force = None if self.body_force is None else self.body_force(position, time)

@@ -137,9 +137,7 @@ class PolygonDomain(Domain):
     @cached_property
     def fluid_with_images(self) -> BaseGeometry:
         """The fluid in the box and, along periodic axes, in its images on either side."""
-        reach = [
-            length if p else 0.0 for length, p in zip(self.lengths, self.periodic, strict=True)
-        ]
+        reach = np.where(self.periodic, self.lengths, 0.0)
         around = shapely.box(*np.subtract(self.lower, reach), *np.add(self.upper, reach))
         # Where images overlap or solids touch, rounding would leave slivers and tiny edges, whose
         # directions mean nothing.
@@ -188,16 +186,11 @@ class PolygonDomain(Domain):
     def _walls_of(self, place: Array) -> Indices:
         """Return the wall that each point of the outline is of; -1 where the images end."""
         points = shapely.points(place)
-        distances = []
-        for axis in range(2):
-            if not self.periodic[axis]:
-                distances += [
-                    np.abs(place[:, axis] - end[axis]) for end in (self.lower, self.upper)
-                ]
-        n_sides = len(distances)
-        least = np.min(distances, axis=0) if distances else np.full(len(place), np.inf)
-        wall = np.argmin(distances, axis=0) if distances else np.full(len(place), -1)
-        wall = wall.astype(np.int64)
+        axes = (axis for axis in range(2) if not self.periodic[axis])
+        limits = [(axis, end[axis]) for axis in axes for end in (self.lower, self.upper)]
+        sides = [np.abs(place[:, axis] - end) for axis, end in limits]
+        distances = np.array([*sides, np.full(len(place), np.inf)])
+        least, wall = distances.min(axis=0), distances.argmin(axis=0)
         if self.solids:
             # Of walls that are equally near, sides come first, then solids in their order.
             edges = [edges_of([images]) for images in self._images]
@@ -208,7 +201,7 @@ class PolygonDomain(Domain):
             solid, apart = np.full(len(place), len(edges)), np.full(len(place), np.inf)
             np.minimum.at(solid, which, owner[nearest])
             apart[which] = distance
-            wall = np.where(apart < least, n_sides + solid, wall)
+            wall = np.where(apart < least, len(sides) + solid, wall)
             least = np.minimum(apart, least)
         wall[least > math.sqrt(ROUNDING) * max(self.lengths)] = -1
         return wall

@@ -12,7 +12,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 
 import numpy as np
 import shapely
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from shapely.affinity import translate
 from shapely.geometry.base import BaseGeometry
 
-from sphrom.arrays import Array, Mask
+from sphrom.arrays import Array, Indices, Mask
 
 Lengths = tuple[float, float]
 """Of the box, along x and y [m]."""
@@ -116,25 +116,21 @@ def joined_areas(shape: BaseGeometry, lengths: Lengths, periodic: Periodic) -> A
     from scipy.sparse.csgraph import connected_components
 
     parts = shapely.get_parts(shape)
-    pairs = [
-        pair for axis in range(2) if periodic[axis] for pair in _joined_across(axis, parts, lengths)
-    ]
-    ends = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
-    graph = coo_array((np.ones(len(pairs)), tuple(ends)), shape=(len(parts), len(parts)))
+    found = [_joined_across(axis, parts, lengths) for axis in range(2) if periodic[axis]]
+    one, other = np.concatenate([np.empty((2, 0), np.int64), *found], axis=1)
+    graph = coo_array((np.ones(one.size), (one, other)), shape=(len(parts), len(parts)))
     number, part_of = connected_components(graph, directed=False)
     return np.bincount(part_of, shapely.area(parts), minlength=number).astype(np.float64)
 
 
-def _joined_across(
-    axis: int, parts: NDArray[np.object_], lengths: Lengths
-) -> Iterator[tuple[int, int]]:
-    """Yield which parts go on in which others, past a periodic edge."""
+def _joined_across(axis: int, parts: NDArray[np.object_], lengths: Lengths) -> Indices:
+    """Return which parts go on in which others (2, n_pairs), past a periodic edge."""
     shift = [length if i == axis else 0.0 for i, length in enumerate(lengths)]
     moved = np.array([translate(part, *shift) for part in parts])
     here, there = shapely.STRtree(parts).query(moved, predicate="intersects")
     shared = shapely.length(shapely.intersection(moved[here], parts[there]))
     wide = shared > ROUNDING * max(lengths)
-    yield from zip(here[wide].tolist(), there[wide].tolist(), strict=True)
+    return np.stack((here[wide], there[wide]))
 
 
 def least_widths(

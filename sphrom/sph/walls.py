@@ -116,10 +116,8 @@ class GhostParticles:
             where = weights > 0.0
             np.divide(volume * flux, weights, out=fields[wall_sweeps.RETURN], where=where)
         else:
-            as_fluid = self.discretization.wall_continuity == "paper"
-            fields[wall_sweeps.NORMAL_X : wall_sweeps.NORMAL_Y + 1] = (
-                1.0 if as_fluid else self._normal
-            )
+            normal = 1.0 if self.discretization.wall_continuity == "paper" else self._normal
+            fields[wall_sweeps.NORMAL_X : wall_sweeps.NORMAL_Y + 1] = normal
         return WallTerms(self, sources, source, fields, weights, search)
 
     def _velocity(self, mean: Array, wall_speed: float) -> Array:
@@ -214,11 +212,10 @@ class WallTerms:
 
         With `against` = 0, only so that none pushes into a wall.
         """
-        spacing = self._ghosts.discretization.particle_spacing
+        search, spacing = self._ghosts.search_walls, self._ghosts.discretization.particle_spacing
         limits = CLOSEST * spacing, TOUCHING * spacing, FELT * spacing
-        self._ghosts.search_walls.hold_back(
-            self._particle, self._near, self._source, limits, shifting_velocity, against
-        )
+        fluid = self._particle, self._near, self._source
+        search.kernels.hold_back(*fluid, *search.lists, *limits, against, shifting_velocity)
 
     def add_rates(self, fluid: FluidConstants, regular: Array, out: Array) -> None:
         """Add the ghosts' part to the acceleration (2, n_particles)."""
@@ -250,7 +247,6 @@ class WallTerms:
 
     def add_transport(self, out: Array) -> None:
         """Add the ghosts' part to the advection (3, n_particles) of Eq. 3.5-3.6."""
-        density = self._ghosts.fluid.reference_density
         part = np.zeros_like(out)
         advection.transport(
             self._particle,
@@ -260,7 +256,7 @@ class WallTerms:
             self._ghost[wall_sweeps.DEPTH],
             1.0 / self._distance,
             *self._ghosts.search,
-            density,
+            self._ghosts.fluid.reference_density,
             part,
         )
         out += part

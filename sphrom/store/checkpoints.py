@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -80,9 +80,7 @@ class Checkpoints:
         self._workspace, self._target, self._artifact = workspace, target, artifact
         self._context, self._name = workspace.context, target.path.name
         self._state = self._aside("checkpoint", "sphrom/checkpoint")
-        self._kept = kept = self._found()
-        self._book = _Book()
-        self.begin = None
+        kept, self._book, self.begin = self._found(), _Book(), None
         if kept is None:
             _remove(target)
         else:
@@ -107,7 +105,7 @@ class Checkpoints:
 
     def snapshots(self) -> Iterator[Item]:
         """Read back the snapshots that were done before."""
-        for number in range(1, 1 + (0 if self._kept is None else self._kept.n_parts)):
+        for number in range(1, 1 + self._book.n_parts):
             with self._workspace.open_aside(self._part(number)) as part:
                 for i in range(part.length("step")):
                     yield {name: part.dataset(name)[i] for name in part.datasets}
@@ -170,12 +168,6 @@ class Checkpoints:
         """Write a state, over the one before. Raises ArtifactError."""
         with self._workspace.create_aside(self._state) as artifact:
             write_record(artifact, kept)
-
-    def _write_part(self, number: int, items: Sequence[Item]) -> None:
-        """Write snapshots, all before which are in parts of lower numbers. Raises ArtifactError."""
-        with self._workspace.create_aside(self._part(number), {"number": number}) as artifact:
-            for name in items[0]:
-                artifact.write(name, np.array([item[name] for item in items]))
 
     def _part(self, number: int) -> Target:
         return self._aside(f"part-{number}", "sphrom/trajectory-part")
@@ -242,7 +234,10 @@ class Checkpoints:
         run_state, steps, n_pending = reached
         n_parts = book.n_parts + (n_pending > 0)
         if n_pending:
-            self._write_part(n_parts, book.pending[:n_pending])
+            items = book.pending[:n_pending]
+            with self._workspace.create_aside(self._part(n_parts), {"number": n_parts}) as artifact:
+                for name in items[0]:
+                    artifact.write(name, np.array([item[name] for item in items]))
         kept = Checkpoint(
             state=np.atleast_2d(run_state.state),
             neighbours_at=run_state.neighbours_at,

@@ -95,13 +95,10 @@ def sample_exact(flow: TaylorGreen, probes: Probes, times: Array) -> Samples:
 def sample_mapped(case: Case, mapped: Artifact, sample: ReferenceMap) -> Samples:
     """Sample mapped snapshots: what the map alone costs."""
     position = mapped.read("reference_position")
-    velocities, pressures = [], []
-    densities, fields = mapped.dataset("density_fluctuation"), mapped.dataset("velocity")
-    for snapshot in range(len(densities)):
-        density, velocity = sample(position, densities[snapshot], fields[snapshot])
-        velocities.append(velocity)
-        pressures.append(pressure_of(density, case.plan.sound_speed))
-    return Samples(mapped.read("time"), np.array(velocities), np.array(pressures))
+    snapshots = zip(mapped.dataset("density_fluctuation"), mapped.dataset("velocity"), strict=True)
+    fields = [sample(position, density, velocity) for density, velocity in snapshots]
+    density, velocity = map(np.array, zip(*fields, strict=True))
+    return Samples(mapped.read("time"), velocity, pressure_of(density, case.plan.sound_speed))
 
 
 def sample_best(
@@ -109,12 +106,10 @@ def sample_best(
 ) -> Samples:
     """Sample the projection of mapped snapshots onto a basis: the best that it can do."""
     densities, velocities = mapped.dataset("density_fluctuation"), mapped.dataset("velocity")
-    coordinates, means = [], []
-    for snapshot in range(len(densities)):
-        coordinates.append(project(basis, densities[snapshot], velocities[snapshot]))
-        means.append(mean_density_fluctuation(basis, densities[snapshot]))
-    times = mapped.read("time")
-    return expand(case, basis, splines, probes.all, times, np.array(coordinates), np.array(means))
+    snapshots = zip(densities, velocities, strict=True)
+    coordinates = np.array([project(basis, density, velocity) for density, velocity in snapshots])
+    means = np.array([mean_density_fluctuation(basis, density) for density in densities])
+    return expand(case, basis, splines, probes.all, mapped.read("time"), coordinates, means)
 
 
 def expand(

@@ -129,9 +129,8 @@ def calibrated(
 def snapshot_times(case: Case) -> Array:
     """Return the times of the snapshots of a case's runs (n_snapshots,) [s]."""
     steps = case.plan.steps
-    return steps.start_time + steps.snapshot_interval * np.arange(
-        steps.n_snapshots, dtype=np.float64
-    )
+    numbers = np.arange(steps.n_snapshots, dtype=np.float64)
+    return steps.start_time + steps.snapshot_interval * numbers
 
 
 def read_operators(
@@ -167,10 +166,8 @@ def read_force_records(
     coordinates = artifact.read(f"bases/{basis}/training_runs")[:, :, modes]
     times, records = snapshot_times(case), []
     for run, point in enumerate(case.plan.bases[basis]):
-        viscosity, drives = (
-            case.plan.kinematic_viscosity(point),
-            assembly.drives(case, point, times),
-        )
+        viscosity = case.plan.kinematic_viscosity(point)
+        drives = assembly.drives(case, point, times)
         known = loads[run], coordinates[run], means[run]
         records.append(ForceRecord(*known, viscosity, *drives, point.factors))
     return records

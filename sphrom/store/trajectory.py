@@ -35,12 +35,8 @@ def force_datasets(name: str, loads: Array) -> dict[str, Array]:
 
 def read_forces(artifact: Artifact, name: str) -> Array:
     """Return the pressure's and the viscous force and torque (n_snapshots, 2, 3) [N/m, N]."""
-    parts = [
-        np.column_stack(
-            (artifact.read(f"force/{name}/{p}"), artifact.read(f"force/{name}/{p}_torque"))
-        )
-        for p in PARTS
-    ]
+    paths = [f"force/{name}/{p}" for p in PARTS]
+    parts = [np.column_stack((artifact.read(p), artifact.read(f"{p}_torque"))) for p in paths]
     return np.stack(parts, axis=1)
 
 

@@ -280,17 +280,14 @@ class Workspace:
 
     def reduced_run(self, model: ReducedModelSection, point: ParameterPoint) -> Target:
         """What a reduced model gave at a parameter point."""
-        made_from = {"operators": self.operators()} if model.from_operators else {}
-        if not model.from_operators:
-            made_from["splines"] = self.splines()
+        parents, kind = {"basis": self.basis()}, "rom"
+        if model.from_operators:
+            parents["operators"] = self.operators()
+        else:
+            parents["splines"], kind = self.splines(), "rom on particles"
+        parents |= self._start(self.case.plan.start_point(point))
         about = {"point": point.as_dict(), **_about(model, "parameters")}
-        start = self._start(self.case.plan.start_point(point))
-        return self._target(
-            "rom" if model.from_operators else "rom on particles",
-            f"{model.name}-{point.file_label}",
-            about,
-            {"basis": self.basis(), **made_from, **start},
-        )
+        return self._target(kind, f"{model.name}-{point.file_label}", about, parents)
 
     def comparison(self) -> Target:
         """The figures of merit of the case."""

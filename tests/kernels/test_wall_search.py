@@ -105,7 +105,8 @@ def held(
     target[U], target[V] = velocity
     particle = np.arange(position.shape[1])
     out = shifting.copy()
-    domain.wall_search(1.0).hold_back(particle, particle, target, LIMITS, out, against)
+    search = domain.wall_search(1.0)
+    search.kernels.hold_back(particle, particle, target, *search.lists, *LIMITS, against, out)
     return out
 
 
