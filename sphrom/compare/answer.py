@@ -10,8 +10,8 @@ import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from sphrom.compare.comparison_tables import Tables, best_name
-from sphrom.compare.costs import break_even, offline_seconds
+from sphrom.compare.comparison_tables import ErrorRow, Tables, best_name
+from sphrom.compare.costs import RunTiming, break_even, offline_seconds
 from sphrom.plots.tables import format_figure
 from sphrom.store.trained_models import basis_used
 from sphrom.store.workspace import Workspace
@@ -49,10 +49,8 @@ class Answer:
     Where there are several, at the one with the largest error of velocity.
     """
 
-    model: str
-    n_modes: int
-    point: str
-    role: str
+    row: ErrorRow
+    """That of the model against the full run."""
     n_points: int
     """Points of that role at which the model ran."""
     error: Pair
@@ -60,31 +58,26 @@ class Answer:
     """The same of the nearest state in the basis."""
     estimate: Pair | None
     """The model's own estimate, for which no full run is needed."""
-    seconds: float | None
-    full_seconds: float | None
+    timing: RunTiming | None
     offline_seconds: float | None
     training_seconds: float | None
     n_training: int
     forces: tuple[Force, ...] = ()
 
     @property
-    def speed_up(self) -> float | None:
-        """How many times as long the full run takes; None where a time is unknown."""
-        return self.full_seconds / self.seconds if self.full_seconds and self.seconds else None
-
-    @property
     def pays_from(self) -> int | None:
         """How many runs make the model cheaper than full ones; None where never, or unknown."""
-        if self.seconds is None:
+        timing = self.timing
+        if timing is None or timing.reduced_seconds is None:
             return None
-        return break_even(self.offline_seconds, self.full_seconds, self.seconds)
+        return break_even(self.offline_seconds, timing.full_seconds, timing.reduced_seconds)
 
     def sentences(self) -> Iterator[str]:
         """Yield the answer."""
         one_of = "" if self.n_points == 1 else f", the worst of {self.n_points} such values"
         yield (
-            f"At {self.point}, {ROLES[self.role]}{one_of}, {self.model} "
-            f"({counted(self.n_modes, 'mode')}) differs from the full run by "
+            f"At {self.row.parameters}, {ROLES[self.row.role]}{one_of}, {self.row.compared} "
+            f"({counted(self.row.n_modes or 0, 'mode')}) differs from the full run by "
             f"{percent(self.error[0])} in velocity and {percent(self.error[1])} in pressure: "
             f"{DEFINITION}."
         )
@@ -111,17 +104,18 @@ class Answer:
             )
 
     def _cost(self) -> Iterator[str]:
-        if self.seconds is None or self.full_seconds is None or self.speed_up is None:
+        timing = self.timing
+        if timing is None or timing.speed_up is None:
             yield "How long the full run took is unknown, and so is from when on the model pays."
             return
         took = (
-            f"Undisturbed, it takes {duration(self.seconds)}, "
-            f"the full run {duration(self.full_seconds)}"
+            f"Undisturbed, it takes {duration(timing.reduced_seconds or 0.0)}, "
+            f"the full run {duration(timing.full_seconds or 0.0)}"
         )
-        if self.speed_up <= 1.0:
+        if timing.speed_up <= 1.0:
             yield f"{took}: it is not faster; {FASTER}."
             return
-        yield f"{took}: {format_figure(self.speed_up, DIGITS)} times as long."
+        yield f"{took}: {format_figure(timing.speed_up, DIGITS)} times as long."
         if self.offline_seconds is None or self.pays_from is None:
             yield "What making it took is unknown, and so is from when on it pays."
             return
@@ -167,18 +161,14 @@ def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
         forces = _force_errors(tables, point.label)
         offline, training = offline_seconds(workspace, model, [point])
         return Answer(
-            model=model.name,
-            n_modes=n_modes,
-            point=point.label,
-            role=worst.role,
+            row=worst,
             n_points=len(unseen),
             error=error,
             best=nearest[0].in_field if nearest else None,
             estimate=(estimates[0]["velocity_estimate"], estimates[0]["pressure_estimate"])
             if estimates
             else None,
-            seconds=timings[0].reduced_seconds if timings else None,
-            full_seconds=timings[0].full_seconds if timings else None,
+            timing=timings[0] if timings else None,
             offline_seconds=offline,
             training_seconds=training,
             n_training=len(plan.bases[basis]),

@@ -35,7 +35,7 @@ from sphrom.compare.references import compare_with_references
 from sphrom.compare.stored_comparison import ComparisonWriter
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.metrics.histories import compare
-from sphrom.metrics.samples import Probes, Samples
+from sphrom.metrics.samples import Samples
 from sphrom.metrics.series import exponential_rate, kinetic_energy
 from sphrom.scenes.flows import TaylorGreen
 from sphrom.setup.assembly import role_of
@@ -68,7 +68,7 @@ def run(context: StageContext) -> None:
         with workspace.create(target) as artifact:
             for point in case.plan.points:
                 writer = ComparisonWriter(artifact, point, probes)
-                _PointComparison(workspace, point, probes, writer, tables).compare()
+                _PointComparison(workspace, writer, tables).compare()
             tables.decay.extend(_decay(workspace, *pair) for pair in _exact_flows(case))
             tables.singular_values.extend(spectrum_rows(workspace))
             tables.stages.extend(stage_timings(workspace))
@@ -119,17 +119,10 @@ def _tell_unseen(workspace: Workspace) -> None:
 class _PointComparison:
     """The comparisons at one parameter point, in the order in which tables show them."""
 
-    def __init__(
-        self,
-        workspace: Workspace,
-        point: ParameterPoint,
-        probes: Probes,
-        writer: ComparisonWriter,
-        tables: Tables,
-    ) -> None:
-        self.workspace, self.case, self.point = workspace, workspace.case, point
-        self.probes, self.writer, self.tables = probes, writer, tables
-        plan = self.case.plan
+    def __init__(self, workspace: Workspace, writer: ComparisonWriter, tables: Tables) -> None:
+        self.workspace, self.case, self.point = workspace, workspace.case, writer.point
+        self.probes, self.writer, self.tables = writer.probes, writer, tables
+        plan, point, probes = self.case.plan, writer.point, writer.probes
         self.models = [
             model
             for model in self.case.rom
@@ -214,7 +207,8 @@ class _PointComparison:
     def _describe_flow(self, name: str, run: StoredRun, samples: Samples) -> None:
         """Describe the flow of a run in a scene with walls; one that failed at once has none."""
         if self.case.scene.domain.has_walls and len(samples.time):
-            row = flow_row(self.case, name, self.point.label, run, samples, self.probes)
+            described = {"run": name, "parameters": self.point.label}
+            row = flow_row(self.case, run, samples, self.probes, **described)
             self.tables.flow.append(row)
 
     def _measure(

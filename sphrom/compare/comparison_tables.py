@@ -215,7 +215,9 @@ def estimate_row(
     estimates = np.stack([artifact.read(f"error_estimate/{name}") for name in FIELDS], axis=1)
     if artifact.text("error_estimate/training") == "outside":
         described["role"] = "extrapolated"
-    found = effectivity(estimates, run, reference, probes, from_time=from_time, left_out=LEFT_OUT)
+    time = reference.time
+    start = max(from_time, time[0] + LEFT_OUT * (time[-1] - time[0]))
+    found = effectivity(estimates, run, reference, probes, start)
     return None if found is None else EstimateRow(**described, figures=found)
 
 

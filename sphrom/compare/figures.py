@@ -156,7 +156,8 @@ def _draw_errors(case: Case, comparison: StoredComparison, figure: ErrorFigure) 
             for model, point in product(models, points):
                 if model is not None:
                     time, error = comparison.discrepancy(model.name, point, quantity, figure.range)
-                    complete = comparison.is_complete(model.name, point)
+                    found = comparison.errors(model.name, point)
+                    complete = found is not None and found.status == "complete"
                     label = f"{model.name}, {point.label}" if len(points) > 1 else model.name
                     if not complete:
                         after = f" after {time[-1]:.3g} s" if len(time) else ""

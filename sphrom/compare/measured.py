@@ -178,15 +178,13 @@ def _bulk_velocity(case: Case, samples: Samples, probes: Probes) -> float | None
 
 
 def flow_row(
-    case: Case,
-    name: str,
-    parameters: str,
-    run: StoredRun,
-    samples: Samples,
-    probes: Probes,
+    case: Case, stored: StoredRun, samples: Samples, probes: Probes, **described: str
 ) -> FlowRow:
-    """Describe the flow of a run, full or reduced, from its fields and its samples at probes."""
-    speed, energy, mean_pressure, deviations = _over_time(run)
+    """Describe the flow of a run, full or reduced, from its fields and its samples at probes.
+
+    Run and parameters are `described` as in the row.
+    """
+    speed, energy, mean_pressure, deviations = _over_time(stored)
     drift = float(np.abs(mean_pressure - mean_pressure[0]).max())
     deviation = float(deviations[len(deviations) // 2 :].mean())
     frequency = None
@@ -195,10 +193,9 @@ def flow_row(
         with suppress(ValueError):
             frequency = dominant_frequency(samples.time, velocity)
     return FlowRow(
-        run=name,
-        parameters=parameters,
-        from_time=float(run.time[0]),
-        to_time=float(run.time[-1]),
+        **described,
+        from_time=float(stored.time[0]),
+        to_time=float(stored.time[-1]),
         largest_speed=float(speed.mean()),
         kinetic_energy=float(energy.mean()),
         bulk_velocity=_bulk_velocity(case, samples, probes),

@@ -27,7 +27,8 @@ class ComparisonWriter:
     """Writes the comparison at one parameter point."""
 
     def __init__(self, artifact: ArtifactWriter, point: ParameterPoint, probes: Probes) -> None:
-        self._artifact, self._place, self._probes = artifact, point.file_label, probes
+        self.point, self.probes = point, probes
+        self._artifact, self._place = artifact, point.file_label
 
     def full_run(self, samples: Samples) -> None:
         """Write the full run on the line and at the stations, and its ranges."""
@@ -62,8 +63,8 @@ class ComparisonWriter:
         write_record(self._artifact, profile, f"reference/{_reference_name(row)}/{self._place}")
 
     def _samples(self, name: str, samples: Samples) -> None:
-        parts = (("centreline", self._probes.line, self._probes.on_line),
-                 ("stations", self._probes.stations, self._probes.at_stations))  # fmt: skip
+        parts = (("centreline", self.probes.line, self.probes.on_line),
+                 ("stations", self.probes.stations, self.probes.at_stations))  # fmt: skip
         for kind, position, where in parts:
             if len(position):
                 stored = StoredSamples(
@@ -130,11 +131,6 @@ class StoredComparison:
         """Return the profile of a reference, and the full run's."""
         group = f"reference/{_reference_name(row)}/{point.file_label}"
         return read_record(self._artifact, ReferenceProfile, group)
-
-    def is_complete(self, run: str, point: ParameterPoint) -> bool:
-        """Return whether a run ran to the end."""
-        found = self.errors(run, point)
-        return found is not None and found.status == "complete"
 
     def discrepancy(
         self, run: str, point: ParameterPoint, quantity: str, over: str

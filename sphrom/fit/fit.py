@@ -181,7 +181,7 @@ def run(
     must_make = workspace.must_make(target)
     workspace.require(workspace.operators())
     box = box_of(fit_ranges(case, model), fit_values(case))
-    found = fit(FastModel(workspace, model), box, data)
+    found = fit(FastModel(workspace, model), box, data, {})
     if must_make:
         with workspace.create(target) as artifact:
             write_record(artifact, found)
@@ -239,12 +239,7 @@ def _shown(estimate: Estimate) -> tuple[str, ...]:
     )
 
 
-def fit(
-    fast: FastModel,
-    box: Box,
-    measurements: Measurements,
-    known: TrainingDifferences | None = None,
-) -> Fit:
+def fit(fast: FastModel, box: Box, measurements: Measurements, known: TrainingDifferences) -> Fit:
     """Estimate parameters of a model from measured histories.
 
     Parameters
@@ -276,7 +271,7 @@ def fit(
     if not first:
         raise UnstableError(f"{fast.section.name} is unstable at all starts of the search")
     start = first[0].place
-    samples, found = error_samples(model, start, {} if known is None else known), first
+    samples, found = error_samples(model, start, known), first
     if samples is not None:
         time = model.reduced(model.point(start)).output_times.time
         each = [model.at_instants(time, sample) for sample in samples]
@@ -401,30 +396,26 @@ def _about_the_search(box: Box, found: Sequence[Minimum], shares: Array) -> Iter
     best = found[0]
     if not best.converged:
         yield "the search has not converged: chi^2 may have a lower minimum"
-    yield from _undetermined(box.names, shares)
-    for name, on_it in zip(box.names, best.at_bound, strict=True):
+    combined = [
+        name for name, s in zip(box.names, shares, strict=True) if SHOWN_SHARE < s <= WHOLLY
+    ]
+    for name, share, on_it in zip(box.names, shares, best.at_bound, strict=True):
+        if share > WHOLLY or combined == [name]:
+            yield f"the data don't determine {name} within its range"
         if on_it:
             value = exact(float(f"{box.values(best.place)[name]:.6g}"))
             yield (
                 f"{name} is at the bound of its range, {value}: the data may ask for a value "
                 "beyond it, and the intervals don't hold"
             )
+    if len(combined) > 1:
+        yield f"the data determine a combination of {' and '.join(combined)} only"
     if len(found) > 1 and shares.min() <= WHOLLY:
         fits = [
             ", ".join(f"{name}={box.values(other.place)[name]:.4g}" for name in box.names)
             for other in found[1:]
         ]
         yield f"other fits are nearly as good: {'; '.join(fits)}"
-
-
-def _undetermined(names: Sequence[str], shares: Array) -> Iterator[str]:
-    """Yield sentences on parameters with shares (n_free,) in undetermined directions."""
-    combined = [n for n, share in zip(names, shares, strict=True) if SHOWN_SHARE < share <= WHOLLY]
-    for name, share in zip(names, shares, strict=True):
-        if share > WHOLLY or combined == [name]:
-            yield f"the data don't determine {name} within its range"
-    if len(combined) > 1:
-        yield f"the data determine a combination of {' and '.join(combined)} only"
 
 
 def _about_the_fit(fitted: Fit, weights: Weights) -> Iterator[str]:

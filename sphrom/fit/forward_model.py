@@ -11,6 +11,7 @@ by the velocity's, of pressures by the pressure's, of forces by the larger of bo
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
 
@@ -85,16 +86,13 @@ class FittedModel:
 
     def prepare(self, starts: Sequence[Array]) -> None:
         """Choose the steps of all runs, such that those from starts are fine enough."""
-        taken = [self._automatic_steps(self.point(start)) for start in starts]
-        self._n_steps = FINER * max(taken, default=1)
-
-    def _automatic_steps(self, point: ParameterPoint) -> int:
-        reduced = self.fast.at(point)
-        self._stepped.setdefault(self.fast.basis_at(point), reduced)
-        try:
-            return reference_model.automatic(reduced).steps.n_steps
-        except UnstableError:
-            return 1
+        most = 1
+        for point in map(self.point, starts):
+            reduced = self.fast.at(point)
+            self._stepped.setdefault(self.fast.basis_at(point), reduced)
+            with suppress(UnstableError):
+                most = max(most, reference_model.automatic(reduced).steps.n_steps)
+        self._n_steps = FINER * most
 
     def reduced(self, point: ParameterPoint, basis: str | None = None) -> ReferenceModel:
         """Return the model at a point, with what is measured at places of one's own.

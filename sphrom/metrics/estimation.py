@@ -31,6 +31,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -172,31 +173,26 @@ def _with(known: Sequence[Minimum], new: Minimum) -> list[Minimum]:
 def _minimum(model: Model, values: Array, weights: Weights, start: Array) -> Minimum | None:
     from scipy.optimize import least_squares  # it takes long to load
 
-    known: dict[bytes, tuple[Array, Array] | None] = {}
-
-    def at(place: Array) -> tuple[Array, Array] | None:
-        key = place.tobytes()
-        if key not in known:
-            known.clear()
-            known[key] = model(place)
-        return known[key]
+    @lru_cache(maxsize=1)
+    def at(place: bytes) -> tuple[Array, Array] | None:
+        return model(np.frombuffer(place))
 
     def residuals(place: Array) -> Array:
-        found = at(place)
+        found = at(place.tobytes())
         return np.full(len(values), NOWHERE) if found is None else weights(found[0] - values)
 
     def slopes(place: Array) -> Array:
-        found = at(place)
+        found = at(place.tobytes())
         return np.zeros((len(values), len(place))) if found is None else weights(found[1])
 
     inside = np.clip(start, MARGIN, 1.0 - MARGIN)
-    if at(inside) is None:
+    if at(inside.tobytes()) is None:
         return None
     accuracy = dict.fromkeys(("ftol", "xtol", "gtol"), TOLERANCE)
     search = least_squares(
         residuals, inside, slopes, bounds=(0.0, 1.0), max_nfev=MOST_EVALUATIONS, **accuracy
     )
-    ended = at(search.x)
+    ended = at(search.x.tobytes())
     if ended is None:
         return None
     return Minimum(search.x, 2.0 * float(search.cost), *ended, converged=search.status > 0)

@@ -336,19 +336,12 @@ EFFECTIVITY = {
 
 
 def effectivity(
-    estimates: Array,
-    run: Samples,
-    reference: Samples,
-    probes: Probes,
-    *,
-    from_time: float,
-    left_out: float,
+    estimates: Array, run: Samples, reference: Samples, probes: Probes, start: float
 ) -> dict[str, float] | None:
     """Return how good estimates (n_snapshots, 2) are, by EFFECTIVITY.
 
-    Estimates are root mean squares of velocity [m/s] and pressure [Pa]. Instants before `from_time`
-    [s], and a share `left_out` of the run from its start, don't count. None where there is no error
-    to compare with.
+    Estimates are root mean squares of velocity [m/s] and pressure [Pa]. Instants before `start` [s]
+    don't count. None where there is no error to compare with.
     """
     grid = probes.on_grid
     fields = [
@@ -357,9 +350,7 @@ def effectivity(
     ]
     errors = np.stack([_rms(found - expected) for found, expected in fields], axis=1)
     sizes = np.stack([_rms(expected) for _, expected in fields], axis=1)
-    time = reference.time
-    start = max(from_time, time[0] + left_out * (time[-1] - time[0]))
-    kept = (time >= start - TIME_TOLERANCE) & (errors > 0.0).all(axis=1)
+    kept = (reference.time >= start - TIME_TOLERANCE) & (errors > 0.0).all(axis=1)
     if not kept.any():
         return None
     figures: dict[str, float] = {}

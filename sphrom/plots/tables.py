@@ -85,8 +85,10 @@ def flat(row: DataclassInstance) -> dict[str, Any]:
     return found
 
 
-def _rows_of(record: type[DataclassInstance], rows: Sequence[Mapping[str, Any]]) -> list[Any]:
+def _rows_of(record: type[DataclassInstance], rows: Any) -> list[Any]:
     """Return rows as instances of their record. Raises ValueError for one of another type."""
+    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+        raise ValueError("a table has no rows")
     types = get_type_hints(record)
     found = []
     for row in rows:
@@ -165,11 +167,11 @@ def read_csv(
 
 
 def read_json(
-    path: Path, made_by: str, records: Mapping[str, type[DataclassInstance]] | None = None
+    path: Path, made_by: str, records: Mapping[str, type[DataclassInstance]]
 ) -> dict[str, Any]:
     """Return the content of a file of `write_json`: `about`, and each table as a list of rows.
 
-    Rows are instances of their records, by table, where these are given.
+    Rows are instances of their `records`, by table.
 
     Raises ArtifactError, naming the command that makes it, when it is missing or damaged.
     """
@@ -178,12 +180,7 @@ def read_json(
         document = json.loads(text, parse_constant=_finite, parse_float=_finite)
         if not isinstance(document, dict) or not isinstance(document.get("about"), dict):
             raise ValueError("it does not say what it is about")
-        for name, rows in document.items():
-            if name != "about" and not (
-                isinstance(rows, list) and all(isinstance(row, dict) for row in rows)
-            ):
-                raise ValueError(f"{name} has no rows")
-        for name, record in (records or {}).items():
+        for name, record in records.items():
             if name in document:
                 document[name] = _rows_of(record, document[name])
     return document

@@ -135,10 +135,11 @@ def _headline(answer: Answer) -> Html:
         ("velocity is off by", percent(answer.error[0])),
         ("pressure is off by", percent(answer.error[1])),
     ]
-    if answer.seconds is not None:
-        figures.append(("a run takes", duration(answer.seconds)))
-    if answer.speed_up is not None:
-        runs = f"{format_figure(answer.speed_up, DIGITS)} runs"
+    timing = answer.timing
+    if timing is not None and timing.reduced_seconds is not None:
+        figures.append(("a run takes", duration(timing.reduced_seconds)))
+    if timing is not None and timing.speed_up is not None:
+        runs = f"{format_figure(timing.speed_up, DIGITS)} runs"
         figures.append(("the full run takes as long as", runs))
     if answer.pays_from is not None:
         figures.append(("it pays from", f"{answer.pays_from} runs on"))

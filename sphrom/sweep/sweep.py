@@ -140,14 +140,13 @@ def _make(
         require_room(case, workspace.out, new or points, "fom")
         # Packed particles are kept, though runs may be made again.
         ensure_packed(Workspace(replace(workspace.context, force=False)))
-    for parent in workspace.sweep().parents.values():
-        workspace.require(parent)
-    if model is None:
         if (advice := slow_sweep(case)) is not None:
             report.note(advice)
         seconds = duration(full_seconds(case, len(points)))
         runs = counted(len(points), "full run")
         report.note(f"the sweep makes {runs}, about {seconds} on one core")
+    for parent in workspace.sweep().parents.values():
+        workspace.require(parent)
     # Runs from operators are so short that a task has many.
     in_batches = model is not None and model.from_operators
     n_tasks = math.ceil(len(points) / (SMALLEST_BATCH if in_batches else 1))

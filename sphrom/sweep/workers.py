@@ -46,6 +46,7 @@ CLEANING = 10.0
 """Seconds that a process is given to clean up before it is killed."""
 PATIENCE = 15.0
 """Seconds that a scheduler is given to answer."""
+LOST = ResourceError("its process was lost again and again, as when memory runs out")
 INSTALL = "pip install 'sphrom[cluster]'"
 _ONE_AT_A_TIME = threading.Lock()
 """Compiled loops must not run in two threads at once, as the tasks of some workers would."""
@@ -93,21 +94,16 @@ def attempt(do: Do, task: Task) -> Failures:
     try:
         with _ONE_AT_A_TIME:
             return do(task)
-    except SphromError as error:
-        return _failures(task, str(error), error.exit_code)
     except MemoryError:
-        return _failures(task, "out of memory", ResourceError.exit_code)
+        return _failures(task, ResourceError("out of memory"))
     except Exception as error:
-        return _failures(task, f"{type(error).__name__}: {error}", SphromError.exit_code)
+        return _failures(task, error)
 
 
-def _failures(task: Task, reason: str, exit_code: int) -> Failures:
-    return tuple(Failure(point, reason, exit_code) for point in task.points)
-
-
-def _lost(task: Task) -> Failures:
-    reason = "its process was lost again and again, as when memory runs out"
-    return _failures(task, reason, ResourceError.exit_code)
+def _failures(task: Task, error: Exception) -> Failures:
+    if not isinstance(error, SphromError):
+        error = SphromError(f"{type(error).__name__}: {error}")
+    return tuple(Failure(point, str(error), error.exit_code) for point in task.points)
 
 
 class Workers:
@@ -167,7 +163,7 @@ class Workers:
             if left and number == 1:  # the first of them has ended its process, alone
                 task = next(iter(left))
                 del left[task]
-                yield task, _lost(task)
+                yield task, _failures(task, LOST)
             number = self.number if number == 1 else max(1, number // FEWER)
 
     @contextmanager
@@ -201,11 +197,10 @@ def _result(future: Future[Failures], task: Task) -> Failures | None:
     except BrokenExecutor:
         return None
     except CancelledError:
-        return _failures(task, "the scheduler was lost", ResourceError.exit_code)
+        return _failures(task, ResourceError("the scheduler was lost"))
     except Exception as error:
-        if type(error).__name__ == "KilledWorker":  # of Dask, which has begun it again
-            return _lost(task)
-        return _failures(task, f"{type(error).__name__}: {error}", SphromError.exit_code)
+        killed = type(error).__name__ == "KilledWorker"  # of Dask, which has begun it again
+        return _failures(task, LOST if killed else error)
 
 
 def _begin(parent: Connection) -> None:

@@ -219,8 +219,8 @@ def _of_full_models(
                 yield from [_row(FastModel(own, m), beside, varied, value) for m in variant.rom]
             except (UnstableError, CaseError, ResourceError) as error:
                 state = FULL_UNSTABLE if isinstance(error, UnstableError) else REFUSED
-                for model in variant.rom:
-                    yield _described(model, point, varied, value, state, detail=str(error))
+                found = {"varied": varied, "value": value, "state": state, "detail": str(error)}
+                yield from [_described(model, point, **found) for model in variant.rom]
             advance(1)
 
 
@@ -295,15 +295,13 @@ def _row(model: FastModel, beside: Beside, varied: str, value: float) -> Extreme
     if varied == TIME_STEP:
         n_steps = max(1, round(reduced.output_times.duration / (value * reduced.step_limit)))
         integrator = Integrator(reduced, runge_kutta(reduced, n_steps))
-    found: dict[str, Any] = {"memory_length": reduced.memory_length}
-    found["compared_with"] = beside.full_run
+    found: dict[str, Any] = {"varied": varied, "value": value, "compared_with": beside.full_run}
+    found["memory_length"] = reduced.memory_length
     state = "unstable"
     try:
         run = model.run(beside.point, reduced, integrator)
     except CaseError as refused:  # Its steps are too many for any run to end.
-        return _described(
-            model.section, beside.point, varied, value, REFUSED, detail=str(refused), **found
-        )
+        return _described(model.section, beside.point, **found, state=REFUSED, detail=str(refused))
     found |= {"time_step": run.time_step, "step_factor": run.time_step / reduced.step_limit}
     if run.failure is None:
         trained = np.linalg.norm(model.at_point(beside.point).states, axis=1).max()
@@ -311,7 +309,7 @@ def _row(model: FastModel, beside: Beside, varied: str, value: float) -> Extreme
         error = _velocity_error(run, beside.samples)
         found |= {"velocity_error": error, "growth": growth}
         state = state_of(error, growth)
-    return _described(model.section, beside.point, varied, value, state, **found)
+    return _described(model.section, beside.point, **found, state=state)
 
 
 def _velocity_error(run: FastRun, full: Samples | None) -> float | None:
@@ -331,22 +329,12 @@ def state_of(error: float | None, growth: float) -> str:
     return "inaccurate" if inaccurate else "stable"
 
 
-def _described(
-    model: ReducedModelSection,
-    point: ParameterPoint,
-    varied: str,
-    value: float,
-    state: Any,
-    **found: Any,
-) -> ExtremeRow:
+def _described(model: ReducedModelSection, point: ParameterPoint, **found: Any) -> ExtremeRow:
     return ExtremeRow(
         parameters=point.label,
-        varied=varied,
-        value=value,
         n_modes=model.size,
         projection=model.projection,
         calibrated=model.is_calibrated,
-        state=state,
         **found,
     )
 

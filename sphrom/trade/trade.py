@@ -159,7 +159,9 @@ class _Trade:
         runs, step = [], variant.plan.steps.time_step
         for point in self.full:
             samples = None if point in unstable else self._sampled(workspace, point)
-            runs.append(self._row(label, "full", point, step, seconds, samples))
+            runs.append(
+                self._row(point, samples, seconds, model=label, role="full", time_step=step)
+            )
         resolution = variant.discretization.resolution
         return ModelRow.of(runs, family="full", kind="full", resolution=resolution), runs
 
@@ -208,24 +210,17 @@ class _Trade:
             samples = run.sampled(self.probes.all)
             if measure is not None:
                 samples = replace(samples, measured=run.measured[measure])
-        return self._row(label, role, point, run.time_step, seconds, samples)
+        about = {"model": label, "role": role, "time_step": run.time_step}
+        return self._row(point, samples, seconds, **about)
 
     def _row(
-        self,
-        model: str,
-        role: str,
-        point: ParameterPoint,
-        time_step: float,
-        seconds: float | None,
-        samples: Samples | None,
+        self, point: ParameterPoint, samples: Samples | None, seconds: float | None, **about: Any
     ) -> RunRow:
         """Return the row of a run, which became unstable where there are no samples."""
         return RunRow(
-            model=model,
+            **about,
             parameters=point.label,
-            role=role,
             status="unstable" if samples is None else "complete",
-            time_step=time_step,
             seconds=None if samples is None else seconds,
             errors=UNSTABLE if samples is None else self._errors(point, samples),
         )

@@ -228,22 +228,19 @@ def weighed(
         if (seconds := row.online_seconds) is None:
             return row
         pays = break_even(row.offline_seconds, own.online_seconds, seconds)
+        slower = (r for r in rivals if row is not own and r[0] != row.model and r[1] <= seconds)
+        better = (name for name, _, e in slower if measure.nowhere_worse(e, row.errors))
         return replace(
             row,
             speed_up=None if own.online_seconds is None else own.online_seconds / seconds,
             break_even_runs=None if row.kind == "full" else pays,
+            beaten_by=next(better, None),
         )
-
-    def beaten_by(row: ModelRow) -> str | None:
-        if (seconds := row.online_seconds) is None:
-            return None
-        slower = (r for r in rivals if r[0] != row.model and r[1] <= seconds)
-        return next((name for name, _, e in slower if measure.nowhere_worse(e, row.errors)), None)
 
     found = [gains(own)]
     for k, row in enumerate(others):
         on = {name: front[k] for name, front in fronts.items()}
-        found.append(replace(gains(row), beaten_by=beaten_by(row), fronts=on))
+        found.append(replace(gains(row), fronts=on))
     return found
 
 
@@ -338,9 +335,8 @@ def recommend(
 
 def _cheapest(rows: Sequence[ModelRow]) -> ModelRow | None:
     """Return the fastest model that no alternative beats, if there is one."""
-    known = [(row.online_seconds, row) for row in rows if row.beaten_by is None]
-    timed = [(seconds, row) for seconds, row in known if seconds is not None]
-    return min(timed, key=lambda pair: pair[0], default=(None, None))[1]
+    known = [row for row in rows if row.beaten_by is None and row.online_seconds is not None]
+    return min(known, key=lambda row: row.online_seconds or 0.0, default=None)
 
 
 def _best(rows: Sequence[ModelRow], quantity: str, measure: Measure) -> str:

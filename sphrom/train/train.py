@@ -31,7 +31,7 @@ from sphrom.metrics.histories import TIME_TOLERANCE
 from sphrom.offline import fit_psi, fom, operators, pod
 from sphrom.offline import map as map_stage
 from sphrom.online.fast_model import FastModel, FastRun
-from sphrom.reduction.greedy import Ending, choose, ending
+from sphrom.reduction.greedy import choose, ending
 from sphrom.reduction.trial_basis import (
     TrialBasis,
     mean_density_fluctuation,
@@ -91,7 +91,7 @@ def run(
     section = context.case.training.model_copy(update=changed)
     case = context.case.model_copy(update={"training": section})
     training = _Training(replace(context, case=case), workers, scheduler)
-    path = write_case or training.folder / CASE_FILE
+    path = write_case or training.workspace.folder(FOLDER) / CASE_FILE
     _check_case_file(path, case, training.starts)
     outcome = training.run()
     found = trained_at(case, outcome.stages[-1].points)
@@ -137,7 +137,6 @@ class _Training:
             )
         self.model, self.region = model, Region(self.case)
         self.workspace = Workspace(context)
-        self.folder = self.workspace.folder(FOLDER)
         self.starts = tuple(self.region.starts(self._known()))
         tested = self.case.plan.test_points
         self.candidates = [p for p in self.region.candidates() if p not in tested]
@@ -184,31 +183,28 @@ class _Training:
                 "a smaller region, time.courant_number or finer resolution may help"
             )
         points, stages, earlier = self.starts, list[Stage](), tuple[HeldOut, ...]()
+        fields = self.section.fields
         while True:
-            model = StageModel(self.context, self.model, points, self.folder)
+            model = StageModel(self.context, self.model, points)
             name, estimates = f"error of {self.model.name}, {len(points)} full runs", []
             with self.context.report.progress(name, len(self.candidates)) as advance:
                 for point in self.candidates:
                     estimates.append(model.estimate(point))
                     advance(1)
             stage = Stage(points, self.candidates, np.array(estimates), model.floor(), earlier)
-            ended = self._ending(stage)
+            ended = ending(
+                stage.worst(fields)[0],
+                float(stage.floor[list(fields)].max()),
+                self.section.percent,
+                n_held_out=sum(run.failure is None for run in stage.earlier),
+                n_left=self.section.budget - len(self._tried(stage)),
+            )
             if ended is not None:
                 return Outcome(self.case, self.model.name, (*stages, stage), ended)
             found = self._predicted(stage, model)
             stages.append(replace(stage, held_out=found))
             earlier += found
             points += tuple(run.point for run in found if run.failure is None)
-
-    def _ending(self, stage: Stage) -> Ending | None:
-        fields = self.section.fields
-        return ending(
-            stage.worst(fields)[0],
-            float(stage.floor[list(fields)].max()),
-            self.section.percent,
-            n_held_out=sum(run.failure is None for run in stage.earlier),
-            n_left=self.section.budget - len(self._tried(stage)),
-        )
 
     @staticmethod
     def _tried(stage: Stage) -> list[ParameterPoint]:
@@ -218,9 +214,38 @@ class _Training:
     def _full_runs(
         self, points: Sequence[ParameterPoint], learnt: Sequence[ParameterPoint] = ()
     ) -> dict[ParameterPoint, str]:
-        """Make full runs beside those that are there, and return why some became unstable."""
+        """Make the full runs at points that are not there, map them, and say why some are unstable.
+
+        Runs that were stopped go on from their checkpoints. Points that were `learnt` are the
+        case's too.
+
+        Raises SphromError where a run fails for another reason than that it became unstable.
+        """
         context = self._context_of(tuple(dict.fromkeys((*learnt, *points))))
-        return make(context, points, self._at_once, self._scheduler)
+        require_room(context.case, context.out, points, "fom")
+        workspace = Workspace(context)
+        fom.ensure_packed(workspace)
+        missing = [p for p in points if workspace.reason_to_make(workspace.full_run(p)) is not None]
+        failed: list[Failure] = []
+        if missing:
+            number = min(self._at_once or runs_that_fit(context.case, "fom"), len(missing))
+            with start_workers(number, self._scheduler, context.report) as found:
+                failed = found.run("full runs", workspace, missing, make_run)
+        for failure in failed:
+            if failure.exit_code != UnstableError.exit_code:
+                raise error_of(failure.exit_code, f"{failure.point.label}: {failure.reason}")
+        # Runs that became unstable are on disk too, as those of an earlier call are.
+        workspace = Workspace(replace(context, known=KnownArtifacts()))
+        problems = {failure.point: failure.reason for failure in failed}
+        for point in points:
+            if point not in problems:
+                with workspace.open(workspace.full_run(point)) as run:
+                    if run.text("status") != "complete":
+                        problems[point] = run.text("status_detail")
+        stable = tuple(point for point in points if point not in problems)
+        report = context.report.brief(progress=True)
+        map_stage.run(replace(workspace.context, only=stable, report=report))
+        return problems
 
     def _predicted(self, stage: Stage, model: StageModel) -> tuple[HeldOut, ...]:
         """Choose points, make their full runs, and compare the model that hasn't seen them.
@@ -266,51 +291,6 @@ class _Training:
         return kept
 
 
-def make(
-    context: StageContext,
-    points: Sequence[ParameterPoint],
-    workers: int | None,
-    scheduler: str | None,
-) -> dict[ParameterPoint, str]:
-    """Make the full runs at points that are not there, map them, and say why some are unstable.
-
-    The context's case has all points. Runs that were stopped go on from their checkpoints.
-
-    Raises SphromError where a run fails for another reason than that it became unstable.
-    """
-    require_room(context.case, context.out, points, "fom")
-    workspace = Workspace(replace(context, known=KnownArtifacts()))
-    fom.ensure_packed(workspace)
-    missing = [p for p in points if workspace.reason_to_make(workspace.full_run(p)) is not None]
-    failed = _run(workspace, missing, workers, scheduler) if missing else []
-    for failure in failed:
-        if failure.exit_code != UnstableError.exit_code:
-            raise error_of(failure.exit_code, f"{failure.point.label}: {failure.reason}")
-    # Runs that became unstable are on disk too, as those of an earlier call are.
-    workspace = Workspace(replace(context, known=KnownArtifacts()))
-    problems = {failure.point: failure.reason for failure in failed}
-    for point in points:
-        if point not in problems:
-            with workspace.open(workspace.full_run(point)) as run:
-                if run.text("status") != "complete":
-                    problems[point] = run.text("status_detail")
-    stable = tuple(point for point in points if point not in problems)
-    report = context.report.brief(progress=True)
-    map_stage.run(replace(workspace.context, only=stable, report=report))
-    return problems
-
-
-def _run(
-    workspace: Workspace,
-    points: Sequence[ParameterPoint],
-    workers: int | None,
-    scheduler: str | None,
-) -> list[Failure]:
-    number = min(workers or runs_that_fit(workspace.case, "fom"), len(points))
-    with start_workers(number, scheduler, workspace.context.report) as found:
-        return found.run("full runs", workspace, points, make_run)
-
-
 def make_run(task: Task) -> tuple[Failure, ...]:
     """Make the full run of a task."""
     fom.run(task.context(only=task.points, keep_valid=True, resume=True))
@@ -321,11 +301,7 @@ class StageModel:
     """A model that was trained at some points, whose full runs are mapped."""
 
     def __init__(
-        self,
-        context: StageContext,
-        model: ReducedModelSection,
-        points: Sequence[ParameterPoint],
-        folder: Path,
+        self, context: StageContext, model: ReducedModelSection, points: Sequence[ParameterPoint]
     ) -> None:
         """Make bases, splines and operators where they aren't those of the points."""
         context = replace(
@@ -334,7 +310,7 @@ class StageModel:
             force=True,
             keep_valid=True,
             known=KnownArtifacts(),
-            folders=dict.fromkeys(MADE_HERE, folder),
+            folders=dict.fromkeys(MADE_HERE, Workspace(context).folder(FOLDER)),
             report=context.report.brief(progress=True),
         )
         for stage in (pod, fit_psi, operators):

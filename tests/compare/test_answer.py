@@ -5,18 +5,18 @@ from __future__ import annotations
 from dataclasses import replace
 
 from sphrom.compare.answer import Answer
+from sphrom.compare.comparison_tables import ErrorRow
+from sphrom.compare.costs import RunTiming
+from sphrom.metrics.histories import NO_ERRORS
 
+TIMING = RunTiming("fast", "reynolds=150", 5, 0.01, 0.01, None, 0.1, 1e-5, 1e4, 1.0, 1.0)
 ANSWER = Answer(
-    model="fast",
-    n_modes=5,
-    point="reynolds=150",
-    role="predicted",
+    row=ErrorRow("fast", "full", "reynolds=150", 5, "predicted", "complete", NO_ERRORS),
     n_points=1,
     error=(0.16, 1.9),
     best=(0.15, 1.8),
     estimate=(0.19, 2.3),
-    seconds=1e-5,
-    full_seconds=0.1,
+    timing=TIMING,
     offline_seconds=0.35,
     training_seconds=0.2,
     n_training=2,

@@ -69,8 +69,7 @@ def test_stored_errors_and_fields_are_those_of_the_runs(place):
                 expected = series.eq41[f"{told}_line_eq41_by_{over}_range"]
                 np.testing.assert_allclose(error, expected)
                 np.testing.assert_array_equal(time, series.time)
-        assert stored.is_complete("galerkin", point)
-        assert not stored.is_complete("unheard-of", point)
+        assert stored.errors("unheard-of", point) is None
         where, line = stored.line("galerkin", point)
     with StoredRun.opened(workspace, point, case.rom[0]) as run:
         some = run.sampled(where, [0, 2])
