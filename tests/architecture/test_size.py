@@ -7,9 +7,9 @@ from collections import Counter
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-LINES, MODULES, CODE_LINES = 44_250, 209, 27_000
+LINES, MODULES, CODE_LINES = 37_000, 190, 22_000
 """Ceilings of the package."""
-TEST_LINES = 29_850
+TEST_LINES = 24_000
 LARGEST_SHARE = 0.16
 """Of a package's lines in all."""
 LEFT_OUT = (ast.Import, ast.ImportFrom)
