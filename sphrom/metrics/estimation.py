@@ -243,7 +243,7 @@ def uncertainty(derivatives: Array, weights: Weights) -> Uncertainty:
     _, eigenvalues, directions = _inverse(weighted.T @ weighted)
     gain = weights.gain(derivatives)
     noise = (gain * weights.deviation**2) @ gain.T
-    # Of what no data tell, the width of the box is left.
+    # A combination that the data do not determine stays as uncertain as the box is wide.
     noise += (directions.T * np.maximum(0.0, 1.0 - eigenvalues)) @ directions
     biases = np.array(
         [weights.without(k).gain(derivatives) @ weights.samples[k] for k in range(n_samples)]

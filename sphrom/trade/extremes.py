@@ -381,7 +381,7 @@ def _maps(rows: Sequence[ExtremeRow]) -> dict[str, list[ExtremeRow]]:
 
 
 def draw_extremes(rows: Sequence[ExtremeRow]) -> Figure:
-    """Return maps of states, by the modes of models and the values of what is varied."""
+    """Draw where models are stable: the number of modes against each varied quantity."""
     panels = []
     for title, some in _maps(rows).items():
         curves = []

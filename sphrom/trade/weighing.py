@@ -326,7 +326,7 @@ def recommend(
     elif beaten := [row for row in fit if row.beaten_by is not None]:
         text += f"no model is better than {beaten[0].beaten_by}, which is no slower"
     else:
-        text += "there is no model but the case's own full run; the best are "
+        text += "there is no model, only the case's own full run; the best models are "
         text += " and ".join(_best(rows[1:], quantity, measure) for quantity in measure.quantities)
     if enough:
         text += f"; without any model, {enough[0]} is within it too"
