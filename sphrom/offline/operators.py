@@ -310,7 +310,7 @@ class _Projection:
                 output_times=output_times_of(case, case.plan.steps, basis),
                 amplitude=amplitude_of(case, point),
             )
-            (model,) = reference_model.with_limits([model], states)
+            model = replace(model, states=states, linear=model.linearized(states))
             if model.output_times.duration > MAX_STEPS * model.step_limit:
                 found.append(np.full_like(own, np.nan))
             else:

@@ -138,11 +138,9 @@ class Correction:
         """Return what is added to coordinates (n_snapshots, n_modes) at a place (n_parameters,)."""
         between = _distances(self.places, self.places)
         reach = _distances(self.places, place[None])[:, 0]
-        weights = [
-            np.linalg.solve(np.exp(-between / length), np.exp(-reach / length))
-            for length in self.lengths
-        ]
-        return np.einsum("mk,ksm->sm", np.array(weights), self.defects)
+        lengths = self.lengths[:, None]
+        alike = np.exp(-between / lengths[..., None]), np.exp(-reach / lengths)[..., None]
+        return np.einsum("mk,ksm->sm", np.linalg.solve(*alike)[..., 0], self.defects)
 
     def held_out(self, place: Array) -> Array:
         """Return the correction (n_snapshots, n_modes) of a training run that others give."""
