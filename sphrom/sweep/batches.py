@@ -257,9 +257,8 @@ def read_records(artifact: Artifact) -> list[RunRecord]:
     numbers = {"complete_run": artifact.read("complete").tolist()}
     if f"{ERROR}run" in artifact:
         numbers["estimated_run"] = artifact.read(f"{ERROR}run").tolist()
-    values: dict[int, dict[str, Any]] = {
-        k: {"time": artifact.read("time")} for k in numbers["complete_run"]
-    }
+    time = artifact.read("time") if numbers["complete_run"] else None
+    values: dict[int, dict[str, Any]] = {k: {"time": time} for k in numbers["complete_run"]}
     for name in artifact.datasets:
         described = SCHEMAS["sphrom/sweep"].dataset(name)
         axis = "" if described is None else described.axes[0]
