@@ -6,7 +6,7 @@ Whatever doesn't depend on the parameter point is read and computed once, for al
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property, reduce
@@ -52,6 +52,7 @@ from sphrom.store.trained_models import (
     read_force_records,
     read_measure,
     read_operators,
+    read_recorded,
     read_wall_force,
     sized_in,
 )
@@ -177,8 +178,7 @@ class BasisModel:
         found = self.projected(point)
         run = replace(found.leading or found, first_step=self._first_step)
         found = run if found.leading is None else replace(found, leading=run)
-        forces = {name: f.with_drives(point.factors) for name, f in self._calibrated.items()}
-        return replace(found, correction=self._added(point), forces=forces)
+        return self.taught(found, point)
 
     def projected(self, point: ParameterPoint, *, in_training: bool = False) -> ReferenceModel:
         """Return the model at a point, without its correction and forces.
@@ -197,9 +197,10 @@ class BasisModel:
         return found.with_leading(self.leading.projected(point, in_training=in_training))
 
     @cached_property
-    def _linear_parts(self) -> list[LinearPart]:
+    def _linear_parts(self) -> list[LinearPart | None]:
         """The linear parts of exponential steps, by training point."""
-        return [self._equations(p, in_training=True).linearized(self.states) for p in self.points]
+        models = [self._equations(point, in_training=True) for point in self.points]
+        return [model.around(self.states).linear for model in models]
 
     def _equations(self, point: ParameterPoint, in_training: bool = False) -> ReferenceModel:
         """Return the model's equations and start alone."""
@@ -238,6 +239,16 @@ class BasisModel:
             self._last = fields, (project(self.basis, *fields), mean)
         return self._last[1]
 
+    def taught(
+        self, found: ReferenceModel, point: ParameterPoint, *, held_out: bool = False
+    ) -> ReferenceModel:
+        """Return a model with what training runs tell of its coordinates and forces.
+
+        Of a training run that is `held_out`, the correction is what the others give.
+        """
+        forces = {name: f.with_drives(point.factors) for name, f in self._calibrated.items()}
+        return replace(found, correction=self._added(point, held_out), forces=forces)
+
     @cached_property
     def correction(self) -> Correction | None:
         """The correction of the model, None where it has none."""
@@ -248,10 +259,11 @@ class BasisModel:
         places = places_of(self.workspace.case, self.points)
         return learn_correction(places, self._projected - coordinates, (leading, others))
 
-    def _added(self, point: ParameterPoint) -> Array | None:
+    def _added(self, point: ParameterPoint, held_out: bool = False) -> Array | None:
         """Return what is added to coordinates (n_trained_snapshots, n_modes), if anything is."""
         if self.correction is not None:
-            return self.correction.at(places_of(self.workspace.case, [point])[0])
+            place = places_of(self.workspace.case, [point])[0]
+            return self.correction.held_out(place) if held_out else self.correction.at(place)
         if self.leading is None:
             return None
         return np.zeros((self._times[True].n_snapshots, self.basis.n_modes))
@@ -262,10 +274,8 @@ class BasisModel:
 
         Coordinates that are not integrated are zero.
         """
-        return [
-            (reduced, run.coordinates if reduced.leading is None else reduced.spread(run.coordinates))
-            for reduced, run in self._trained_runs
-        ]
+        runs = [(reduced, run.coordinates) for reduced, run in self._trained_runs]
+        return [(m, run if m.leading is None else m.spread(run)) for m, run in runs]
 
     @cached_property
     def _trained_runs(self) -> list[tuple[ReferenceModel, Run]]:
@@ -281,6 +291,37 @@ class BasisModel:
                 runs = (run for _, run in self._trained_runs if math.isnan(run.diverged_at))
                 steps = [run.time_step for run in runs]
         return min(steps, default=None)
+
+    @cached_property
+    def held_out(self) -> list[tuple[ReferenceModel, Array]]:
+        """The model and its runs at the training points, without their own corrections.
+
+        With its own correction a training run is the full run: its error tells nothing.
+        """
+        found = []
+        for point, (reduced, run) in zip(self.points, self.trained, strict=True):
+            taught = self.taught(reduced, point, held_out=True)
+            found.append((taught, run if taught.correction is None else run + taught.correction))
+        return found
+
+    @cached_property
+    def measured_differences(self) -> dict[str, Quantities]:
+        """What full training runs measured, less what those of `held_out` do.
+
+        By measurement and quantity (n_runs, n_snapshots, ...); not finite where a run diverged.
+        They hold the sound and the noise of particles that the model doesn't have.
+        """
+        case = self.workspace.case
+        with self.workspace.open(self.workspace.operators()) as artifact:
+            recorded = read_recorded(case, artifact, self.name)
+        own = [
+            quantities_of(case, point, reduced, reduced.output_times.time, run)
+            for point, (reduced, run) in zip(self.points, self.held_out, strict=True)
+        ]
+        return {
+            name: {q: each - np.stack([one[name][q] for one in own]) for q, each in full.items()}
+            for name, full in recorded.items()
+        }
 
     @cached_property
     def _calibrated(self) -> Mapping[str, ReducedForce]:

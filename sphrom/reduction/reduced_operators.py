@@ -32,7 +32,6 @@ Monomials are ordered as in `sphrom.kernels.polynomial`, up to the second degree
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -177,8 +176,8 @@ class ResidualFactor(Record):
         drives = {}
         for name, drive in self.drives.items():
             rates = operators.drives[name]
-            walls, force = restricted(drive.walls, rates.walls), restricted(drive.force, rates.force)
-            drives[name] = DriveResidual(walls=walls, force=force)
+            walls = restricted(drive.walls, rates.walls)
+            drives[name] = DriveResidual(walls=walls, force=restricted(drive.force, rates.force))
         triangle = np.linalg.qr(np.hstack(parts), mode="r")
         ends = np.cumsum([part.shape[1] for part in parts])
         folded = iter(np.split(triangle, ends[:-1], axis=1))
@@ -186,13 +185,16 @@ class ResidualFactor(Record):
 
     def at(self, kinematic_viscosity: float, factors: Factors = NONE) -> tuple[Array, ...]:
         """Return F (n_directions, n_monomials) by power of the amplitude."""
-        # By degree, as the factors of walls and force have no columns of the second.
-        n_linear = (math.isqrt(8 * self.inertia.shape[1] + 1) - 1) // 2
-        by_degree = self.mapped(
-            lambda f: tuple(np.split(f, [n_linear], axis=1)) if f.shape[1] > n_linear else (f,)
-        )
-        found = _affine_sum(by_degree, kinematic_viscosity, factors)
-        return tuple(np.concatenate(each, axis=1) for each in found.powers)
+        steady = self.inertia + kinematic_viscosity * self.viscosity
+        moved = with_drives(self.walls, self.drives, "walls", factors)
+        driven = with_drives(self.force, self.drives, "force", factors)
+        if moved is not None:
+            moved = kinematic_viscosity * moved
+            if self.walls_driven:
+                driven = moved if driven is None else driven + moved
+            else:
+                steady[:, : moved.shape[1]] += moved
+        return (steady,) if driven is None else (steady, driven)
 
 
 def _affine_sum(parts: Any, kinematic_viscosity: float, factors: Factors) -> Polynomial:

@@ -92,9 +92,10 @@ class ReferenceModel:
         """Number of stable Runge-Kutta steps of a run."""
         return steps_within(self.output_times.duration, self.step_limit)
 
-    def linearized(self, states: Array) -> LinearPart:
-        """Return the linear part of steps near states (n_states, n_modes)."""
-        return LinearPart(self.polynomial.jacobian(states.mean(axis=0), self.strongest))
+    def around(self, states: Array) -> ReferenceModel:
+        """Return the model with the step limit and linear part of states (n_states, n_modes)."""
+        linear = LinearPart(self.polynomial.jacobian(states.mean(axis=0), self.strongest))
+        return replace(self, states=states, linear=linear)
 
     @property
     def n_integrated(self) -> int:
