@@ -122,7 +122,7 @@ def run_point(workspace: Workspace, section: ReducedModelSection, point: Paramet
     """Run a model from operators at a parameter point, and write its artifact."""
     workspace.require(workspace.operators())
     target = workspace.reduced_run(section, point)
-    model = _fast_model(workspace, section)
+    model = _fast_model(workspace, section.name)
     reduced = model.at(point)
     integrator = model.at_point(point).integrator(reduced)
     attributes = assembly.run_attributes(workspace.case, point, integrator.steps.time_step)
@@ -143,9 +143,9 @@ def run_point(workspace: Workspace, section: ReducedModelSection, point: Paramet
 
 
 @lru_cache(maxsize=1)
-def _fast_model(workspace: Workspace, section: ReducedModelSection) -> FastModel:
+def _fast_model(workspace: Workspace, name: str) -> FastModel:
     """Return the model of runs that differ in their points alone: it learns from training once."""
-    return FastModel(workspace, section)
+    return FastModel(workspace, next(m for m in workspace.case.rom if m.name == name))
 
 
 def _tell(run: FastRun, integrator: Integrator, seconds: float) -> None:
