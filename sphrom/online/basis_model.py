@@ -176,7 +176,7 @@ class BasisModel:
     def at(self, point: ParameterPoint) -> ReferenceModel:
         """Return the model at a point, with what training runs tell of it."""
         found = self.projected(point)
-        run = replace(found.leading or found, first_step=self._first_step)
+        run = replace(found.leading or found, first_step=self._first_step(point))
         found = run if found.leading is None else replace(found, leading=run)
         return self.taught(found, point)
 
@@ -186,15 +186,19 @@ class BasisModel:
         Its steps carry the linear part of the nearest training point. Runs `in_training` have the
         times of training runs.
         """
-        places = places_of(self.workspace.case, [*self.points, point])
-        distances = np.linalg.norm(places[:-1] - places[-1], axis=1)
-        # Rounded: of points as near as each other, the first on any machine.
-        linear = self._linear_parts[np.round(distances, 9).argmin()]
+        linear = self._linear_parts[self._nearest(point)]
         found = self._equations(point, in_training)
         found = replace(found, states=self.states, linear=linear)
         if self.leading is None:
             return found
         return found.with_leading(self.leading.projected(point, in_training=in_training))
+
+    def _nearest(self, point: ParameterPoint) -> int:
+        """Return which training point is the nearest."""
+        places = places_of(self.workspace.case, [*self.points, point])
+        distances = np.linalg.norm(places[:-1] - places[-1], axis=1)
+        # Rounded: of points as near as each other, the first on any machine.
+        return int(np.round(distances, 9).argmin())
 
     @cached_property
     def _linear_parts(self) -> list[LinearPart | None]:
@@ -282,15 +286,16 @@ class BasisModel:
         found = [self.projected(point, in_training=True) for point in self.points]
         return [(each, self.integrator(each.leading or each).run()) for each in found]
 
-    @cached_property
-    def _first_step(self) -> float | None:
-        """The shortest automatic step [s] of training runs that are stable, if there is any."""
-        steps = []
+    def _first_step(self, point: ParameterPoint) -> float | None:
+        """Return the automatic step [s] of the nearest training run, where that is stable.
+
+        At a training point it is exactly the step that the correction was learnt with.
+        """
         with suppress(CaseError):
-            if self.section.time_step == AUTO:
-                runs = (run for _, run in self._trained_runs if math.isnan(run.diverged_at))
-                steps = [run.time_step for run in runs]
-        return min(steps, default=None)
+            _, run = self._trained_runs[self._nearest(point)]
+            if self.section.time_step == AUTO and math.isnan(run.diverged_at):
+                return run.time_step
+        return None
 
     @cached_property
     def held_out(self) -> list[tuple[ReferenceModel, Array]]:
