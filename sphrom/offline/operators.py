@@ -16,7 +16,13 @@ import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, ArtifactWriter, write_record
-from sphrom.artifacts.records.reduced_models import BasisOperators, Estimate, HeldOut, WallForce
+from sphrom.artifacts.records.reduced_models import (
+    BasisOperators,
+    Estimate,
+    HeldOut,
+    TrainedMeasure,
+    WallForce,
+)
 from sphrom.case.plan import MAX_STEPS
 from sphrom.case.sections import AUTO
 from sphrom.errors import CaseError
@@ -63,7 +69,7 @@ from sphrom.store.trained_models import (
     read_splines,
     training_runs,
 )
-from sphrom.store.trajectory import read_forces
+from sphrom.store.trajectory import measured_of, read_forces
 from sphrom.store.workspace import Workspace
 
 N_STATES = 10
@@ -117,7 +123,6 @@ class _Projection:
             taught = training_runs(self.workspace, self.basis, self.name)
         residual, estimate = self._error_data()
         chosen = self._held_out(taught, estimate)
-        fields, basis = MeasuredFields.of(self.case), self.basis
         found = BasisOperators(
             rates=self.operators,
             states=self.states,
@@ -128,9 +133,7 @@ class _Projection:
             memory=closures,
             training_means=self._training_means(),
             wall_force=self._wall_forces(),
-            measure={}
-            if fields is None
-            else project_measures(basis, lambda *state: fields(self.points.position, *state)),
+            measure=self._measures(),
             skewness=self.operators.skewness,
         )
         self._report_operators()
@@ -179,6 +182,28 @@ class _Projection:
             force = project_forces(self.points, self.basis, wall, circulations)
             found[measured] = WallForce(**vars(force), training_loads=np.stack(loads[measured]))
         return found
+
+    def _measures(self) -> dict[str, TrainedMeasure]:
+        """Project the fields that a case measures, beside those that training runs recorded."""
+        fields, recorded = MeasuredFields.of(self.case), []
+        if fields is None:
+            return {}
+        for point in self.trained:
+            with self.workspace.open(self.workspace.full_run(point)) as run:
+                recorded.append(measured_of(self.case, run))
+        projected = project_measures(
+            self.basis, lambda *state: fields(self.points.position, *state)
+        )
+        return {
+            name: TrainedMeasure(
+                **vars(measure),
+                **{
+                    f"training_{q}": np.stack([r[name][q] for r in recorded])
+                    for q in measure.quantities
+                },
+            )
+            for name, measure in projected.items()
+        }
 
     def _training_means(self) -> Array | None:
         """Return means (n_runs, n_snapshots) of mapped densities, where forces are calibrated."""
