@@ -93,18 +93,6 @@ class FastModel:
             found = self.on_basis(name).projected(those)
             self._prepared |= dict(zip(those, found, strict=True))
 
-    def sampled(
-        self, point: ParameterPoint, points: Array, time: Array, coordinates: Array, mean: float
-    ) -> Samples:
-        """Return velocity and pressure at points (n_points, 2) of coordinates (..., n_modes).
-
-        `mean` is the density fluctuation that is carried apart [kg/m3].
-        """
-        from sphrom.store.sampling import expand
-
-        case, model, means = self.workspace.case, self.at_point(point), np.full(len(time), mean)
-        return expand(case, model.basis, model.splines, points, time, coordinates, means)
-
 
 @dataclass(frozen=True, kw_only=True)
 class FastRun(Run):
@@ -156,4 +144,4 @@ class FastRun(Run):
     def sampled(self, points: Array) -> Samples:
         """Return velocity and pressure at points (n_points, 2) [m], by the splines of the modes."""
         mean = self.reduced.mean_density_fluctuation
-        return self.model.sampled(self.point, points, self.time, self.coordinates, mean)
+        return self.model.at_point(self.point).sampled(points, self.time, self.coordinates, mean)
