@@ -340,10 +340,10 @@ def show(report: Reporter, found: Statistics) -> None:
     if noisy := [name for name, share in shares.items() if share > NOISY]:
         names = ", ".join(f"{name} ({100.0 * shares[name]:.0f} %)" for name in noisy)
         means = [f"{name}_mean" for name in noisy if shares.get(f"{name}_mean", 1.0) <= NOISY]
+        less = f"; of {', '.join(means)} it is less than {100.0 * NOISY:.0f} %" if means else ""
         report.warn(
-            f"quantiles and Sobol indices of full runs may be others of {names}: the share of the "
-            "model's estimated error in their variance"
-            + (f"; it is below {100.0 * NOISY:.0f} % of {', '.join(means)}" if means else "")
+            f"full runs may have other quantiles and Sobol indices of {names}: so much of their "
+            f"variance is the model's estimated error{less}"
         )
     unknown = [name for name, each in found.outputs.items() if each.model_error == "unknown"]
     if unknown:
