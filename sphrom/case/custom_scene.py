@@ -442,13 +442,37 @@ class CustomScene(SceneSection):
 
     def largest_body_force(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
         """Return what the body force's acceleration doesn't exceed until a time [m/s2]."""
+        field, largest = self._strongest(final_time, values)
+        return float(np.linalg.norm(field, axis=0).max(initial=0.0) * largest)
+
+    def largest_head(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
+        """Return what the body force's head along the box doesn't exceed until a time [m2/s2]."""
+        field, largest = self._strongest(final_time, values)
+        return float(np.dot(self.domain.lengths, np.abs(field).max(axis=1, initial=0.0)) * largest)
+
+    def _strongest(self, final_time: float, values: Mapping[str, float]) -> tuple[Array, float]:
+        """Return the body force's field (2, n_points) and its largest amplitude until a time."""
         drive = self._at(values)._drive
         if drive is None:
-            return 0.0
-        field = np.linalg.norm(drive.field(self._samples.T), axis=0).max(initial=0.0)
+            return np.zeros((2, 0)), 0.0
         times = np.linspace(0.0, final_time, N_INSTANTS)
-        largest = float(field * np.abs([drive.amplitude(t) for t in times]).max())
-        return largest if math.isfinite(largest) else 0.0  # else `problems` says so
+        largest = float(np.abs([drive.amplitude(t) for t in times]).max())
+        # One that isn't finite is told by `problems`.
+        return drive.field(self._samples.T), largest if math.isfinite(largest) else 0.0
+
+    def wall_strain(self, spacing: float, values: Mapping[str, float]) -> float:
+        """Return the largest change of walls' velocity along them, and at ends to rest [1/s]."""
+        here, found = self._at(values), [0.0]
+        for name in here.walls:
+            place = here._edge(name)
+            velocity, way = here._wall_velocity(name)(place), np.diff(place, axis=0)
+            length = np.linalg.norm(way, axis=1)
+            change = np.linalg.norm(np.diff(velocity, axis=0), axis=1)
+            found.append(float((change / np.maximum(length, spacing)).max(initial=0.0)))
+            repeats = name not in here._shapes and here.domain.periodic[name in SIDES[0]]
+            if not repeats and np.linalg.norm(place[-1] - place[0]) > 2.0 * length.max(initial=0.0):
+                found.append(float(np.linalg.norm(velocity[[0, -1]], axis=1).max()) / spacing)
+        return max(found)
 
     def problems(self, final_time: float) -> Iterator[tuple[str, str]]:
         """Refuse a body force that isn't finite at some time of the run."""

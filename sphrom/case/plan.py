@@ -26,6 +26,10 @@ from sphrom.sph.time_loop import TimeSteps
 if TYPE_CHECKING:
     from sphrom.case.models import Case
 
+DENSITY_CHANGE = 0.03
+"""Largest change of the density, over its own, by the body force or by friction at walls."""
+CORNER_PRESSURE = 2.5
+"""The largest at a distance r from where a wall slides off another, over mu U / r (Taylor 1962)."""
 MLS_SMOOTHING_LENGTH_RATIO = 2.0
 """Smoothing length of moving least squares over the spacing: they need no wider support."""
 MODES_WITHOUT_ROM = 10
@@ -131,8 +135,22 @@ class Plan:
 
     @cached_property
     def sound_speed(self) -> float:
-        """c0 [m/s], the same at all points."""
-        return self.max_speed / self._case.fluid.mach_number
+        """c0 [m/s], the same at all points: that of the Mach number, or more for larger heads."""
+        least = math.sqrt(self.largest_head / DENSITY_CHANGE)
+        return max(self.max_speed / self._case.fluid.mach_number, least)
+
+    @cached_property
+    def largest_head(self) -> float:
+        """About the largest head in any run [m2/s2]: of the body force, in gaps or at corners."""
+        scene, end, dx = self._case.scene, self._case.time.final_time, self.particle_spacing
+        viscosity = max(map(self.kinematic_viscosity, self.points))
+        gap = scene.domain.narrowest_gap or math.inf  # a check refuses none
+        in_gaps = self.max_speed * max(scene.domain.lengths) / gap**2
+        return max(
+            viscosity * in_gaps,
+            *(viscosity * CORNER_PRESSURE * scene.wall_strain(dx, v) for v in self._settings),
+            *(scene.largest_head(end, values) for values in self._settings),
+        )
 
     @cached_property
     def largest_body_force(self) -> float:

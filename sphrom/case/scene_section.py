@@ -92,6 +92,20 @@ class SceneSection(Section):
         """
         return 0.0
 
+    def largest_head(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
+        """Return what the body force's head from one end of the fluid to another doesn't exceed.
+
+        It is in [m2/s2]; arguments are those of `largest_body_force`.
+        """
+        return 0.0
+
+    def wall_strain(self, spacing: float, values: Mapping[str, float]) -> float:
+        """Return the largest change of walls' velocity along the walls per length [1/s].
+
+        Where a wall slides off another, it changes within a spacing [m].
+        """
+        return 0.0
+
     @property
     def drive_changes(self) -> bool:
         """Whether what drives the flow, a force or walls, changes with time."""

@@ -108,6 +108,12 @@ class LidDrivenCavityScene(SceneSection):
         """Return the lid's largest speed [m/s]."""
         return abs(values.get("lid", 0.0))
 
+    def wall_strain(self, spacing: float, values: Mapping[str, float]) -> float:
+        """Return the largest change of the lid's velocity, which is zero at its ends [1/s]."""
+        x = np.arange(0.0, self.length, spacing)
+        lid = self.flow(Scales(values.get("lid", 1.0), 1.0, 1.0)).lid_velocity(x)
+        return float(np.abs(np.diff(lid, prepend=0.0)).max() / spacing)
+
     @property
     def drive_changes(self) -> bool:
         """Whether the lid takes time to come up to speed."""
@@ -199,6 +205,12 @@ class OpenCavityScene(SceneSection):
     def largest_body_force(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
         """Return what the body force's acceleration never exceeds [m/s2]."""
         return abs(self._force(values).largest)
+
+    def largest_head(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
+        """Return the head of the force's difference from its mean along the channel [m2/s2]."""
+        cavity = self._cavity
+        share = cavity.cavity_length / cavity.channel_length
+        return self.largest_body_force(final_time, values) * cavity.cavity_length * (1.0 - share)
 
     @property
     def drive_changes(self) -> bool:

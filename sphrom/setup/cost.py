@@ -15,6 +15,7 @@ from pathlib import Path
 
 from sphrom.case.hints import few_snapshots, slow_sweep, sweep_beyond_training
 from sphrom.case.models import Case
+from sphrom.case.plan import DENSITY_CHANGE
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import sweep_model, sweep_points
 from sphrom.console import Reporter
@@ -201,6 +202,11 @@ def run(context: StageContext) -> None:
     for point in case.plan.points:
         describe_run(case, point, context.report)
     _describe_shape(case, context.report)
+    if (own := case.plan.max_speed / case.fluid.mach_number) < case.plan.sound_speed:
+        context.report.info(
+            f"c0 = {case.plan.sound_speed:.4g} m/s, not U_max / Ma = {own:.4g}: the body force, gaps "
+            f"or corners where walls slide need it to change the density by {DENSITY_CHANGE:.0%}"
+        )
     for warning in few_snapshots(case):
         context.report.warn(warning)
     describe_cost(case, context.report)

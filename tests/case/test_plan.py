@@ -9,8 +9,10 @@ import pytest
 
 from sphrom.case.checks import nearest_fitting_resolution
 from sphrom.case.hints import case_warnings
+from sphrom.case.loader import load_case
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
+from sphrom.case.template import examples
 from sphrom.sph.fluid import Discretization, Fluid, step_limits
 from sphrom.sph.walls import build_walls
 
@@ -98,6 +100,28 @@ def test_points_of_a_reduced_model(load, parameters, expected):
         f"rom: [{{name: a, parameters: {parameters}}}]\n"
     )
     assert [point.reynolds for point in case.plan.rom_points(case.rom[0])] == expected
+
+
+@pytest.mark.parametrize(
+    ("scene", "speed", "expected"),
+    [
+        ("kind: custom, box: {upper: [6, 3], periodic: [x]}, body_force: [0.2, 0]", 0.07, 6.3246),
+        ("kind: custom, body_force: ['9 * (1 - t)', '-18 * (1 - t)']", 1.0, 30.0),
+        ("kind: custom, walls: {top: {velocity: [1, 0]}}", 1.0, 40.8248),  # 2.5 nu U / dx
+        ("kind: lid-driven-cavity, lid: uniform", 1.0, 40.8248),
+        ("kind: custom, box: {upper: [8, 4], periodic: [x]}", 0.06, 0.69282),  # nu U L / H^2
+    ],
+)
+def test_the_density_changes_by_three_per_cent_at_most(load, scene, speed, expected):
+    rest = f"fluid: {{reference_speed: {speed}}}\ndiscretization: {{resolution: 20}}\n"
+    rest += "parameters: {train: {reynolds: [1]}, test: {reynolds: [5]}}\n"
+    case = load(rest, base=f"name: slow\nscene: {{{scene}}}\n")
+    assert case.plan.sound_speed == pytest.approx(expected, rel=1e-4)
+
+
+def test_cases_that_come_with_the_program_keep_their_mach_number():
+    for case in map(load_case, examples().values()):
+        assert case.plan.sound_speed == case.plan.max_speed / case.fluid.mach_number
 
 
 OPEN = "name: open\nscene:\n  kind: open-cavity\n"
