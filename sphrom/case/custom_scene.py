@@ -440,25 +440,16 @@ class CustomScene(SceneSection):
             for value in self.body_force
         )
 
-    def largest_body_force(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
-        """Return what the body force's acceleration doesn't exceed until a time [m/s2]."""
-        field, largest = self._strongest(final_time, values)
-        return float(np.linalg.norm(field, axis=0).max(initial=0.0) * largest)
-
     def largest_head(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
         """Return what the body force's head along the box doesn't exceed until a time [m2/s2]."""
-        field, largest = self._strongest(final_time, values)
-        return float(np.dot(self.domain.lengths, np.abs(field).max(axis=1, initial=0.0)) * largest)
-
-    def _strongest(self, final_time: float, values: Mapping[str, float]) -> tuple[Array, float]:
-        """Return the body force's field (2, n_points) and its largest amplitude until a time."""
         drive = self._at(values)._drive
         if drive is None:
-            return np.zeros((2, 0)), 0.0
+            return 0.0
+        field = np.abs(drive.field(self._samples.T)).max(axis=1, initial=0.0)
         times = np.linspace(0.0, final_time, N_INSTANTS)
-        largest = float(np.abs([drive.amplitude(t) for t in times]).max())
-        # One that isn't finite is told by `problems`.
-        return drive.field(self._samples.T), largest if math.isfinite(largest) else 0.0
+        largest = float(np.dot(self.domain.lengths, field))
+        largest *= float(np.abs([drive.amplitude(t) for t in times]).max())
+        return largest if math.isfinite(largest) else 0.0  # else `problems` says so
 
     def wall_strain(self, spacing: float, values: Mapping[str, float]) -> float:
         """Return the largest change of walls' velocity along them, and at ends to rest [1/s]."""

@@ -142,21 +142,18 @@ class Plan:
     @cached_property
     def largest_head(self) -> float:
         """About the largest head in any run [m2/s2]: of the body force, in gaps or at corners."""
-        scene, end, dx = self._case.scene, self._case.time.final_time, self.particle_spacing
+        scene, dx = self._case.scene, self.particle_spacing
         viscosity = max(map(self.kinematic_viscosity, self.points))
         gap = scene.domain.narrowest_gap or math.inf  # a check refuses none
         in_gaps = self.max_speed * max(scene.domain.lengths) / gap**2
-        return max(
-            viscosity * in_gaps,
-            *(viscosity * CORNER_PRESSURE * scene.wall_strain(dx, v) for v in self._settings),
-            *(scene.largest_head(end, values) for values in self._settings),
-        )
+        at_corners = CORNER_PRESSURE * max(scene.wall_strain(dx, v) for v in self._settings)
+        return max(self.largest_force_head, viscosity * in_gaps, viscosity * at_corners)
 
     @cached_property
-    def largest_body_force(self) -> float:
-        """The bound of the body force's acceleration in any run [m/s2]."""
+    def largest_force_head(self) -> float:
+        """The bound of the body force's head along the fluid in any run [m2/s2]."""
         scene, end = self._case.scene, self._case.time.final_time
-        return max(scene.largest_body_force(end, values) for values in self._settings)
+        return max(scene.largest_head(end, values) for values in self._settings)
 
     @cached_property
     def mass(self) -> float:
@@ -219,8 +216,8 @@ class Plan:
 
     def step_limits(self, point: ParameterPoint) -> StepLimits:
         """Return the largest stable time steps at a parameter point."""
-        walls, force = self._case.scene.domain.has_walls, self.largest_body_force
-        return fluid.step_limits(self.fluid(point), self.discretization, force, walls)
+        walled = self._case.scene.domain.has_walls
+        return fluid.step_limits(self.fluid(point), self.discretization, walled)
 
     @cached_property
     def limits(self) -> StepLimits:

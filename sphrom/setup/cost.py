@@ -119,7 +119,7 @@ def _operators(case: Case) -> float:
     tensors = [n**4 for _, n in plan.memory_models]
     for name in filter(plan.has_error_estimate, plan.reference_bases):
         linear = 1 + plan.basis_size(name)
-        driven = case.scene.domain.has_walls + (plan.largest_body_force > 0.0) + len(plan.driving)
+        driven = case.scene.domain.has_walls + (plan.largest_force_head > 0.0) + len(plan.driving)
         tensors.append((linear * (linear + 1) + driven * linear) ** 2)
     largest = TENSOR_COPIES * max(tensors, default=0)
     return copies * N_FIELD_VALUES * most * plan.n_particles + sparse + BLOCK + largest
@@ -204,8 +204,8 @@ def run(context: StageContext) -> None:
     _describe_shape(case, context.report)
     if (own := case.plan.max_speed / case.fluid.mach_number) < case.plan.sound_speed:
         context.report.info(
-            f"c0 = {case.plan.sound_speed:.4g} m/s, not U_max / Ma = {own:.4g}: the body force, gaps "
-            f"or corners where walls slide need it to change the density by {DENSITY_CHANGE:.0%}"
+            f"c0 is {case.plan.sound_speed:.4g} m/s, not U_max / Ma = {own:.4g}: the body force "
+            f"and friction at walls then change the density by about {DENSITY_CHANGE:.0%} at most"
         )
     for warning in few_snapshots(case):
         context.report.warn(warning)
@@ -221,8 +221,6 @@ def describe_run(case: Case, point: ParameterPoint, report: Reporter) -> None:
     spin_up, step = plan.steps.n_spin_up_steps, plan.steps.time_step
     before = f" after {counted(spin_up, 'step')} to spin up" if spin_up else ""
     shares = {"acoustic": limits.acoustic, "viscous": limits.viscous}
-    if math.isfinite(limits.body_force):
-        shares["body force's"] = limits.body_force
     told = ", ".join(f"{step / limit:.2g} of the {name} limit" for name, limit in shares.items())
     report.info(
         f"{point.label}: {plan.n_particles} particles{ghosts}, "

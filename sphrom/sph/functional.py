@@ -306,8 +306,8 @@ class Functional:
 
     def remedy(self, state: Array, time_step: float) -> str:
         """Return what may help a run that left the model's range near a state."""
-        walled, sound = self.ghosts is not None, self.fluid.sound_speed
-        limit = step_limits(self.fluid, self.discretization, has_walls=walled).least
+        sound = self.fluid.sound_speed
+        limit = step_limits(self.fluid, self.discretization, self.ghosts is not None).least
         if time_step > limit * (1.0 + ROUNDING):
             return f"the time step is beyond its limit of {limit:.4g} s"
         if (speed := float(np.hypot(*state[3:]).max())) > LARGEST_MACH_NUMBER * sound:
