@@ -9,14 +9,20 @@ to have, and how many of them to integrate.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import ExitStack
 
 import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, ArtifactWriter, write_record
-from sphrom.artifacts.records.reduced_models import BasisOperators, Estimate, HeldOut, WallForce
+from sphrom.artifacts.records.reduced_models import (
+    BasisOperators,
+    Estimate,
+    HeldOut,
+    TrainedMeasure,
+    WallForce,
+)
 from sphrom.case.plan import MAX_STEPS
 from sphrom.case.sections import AUTO
 from sphrom.errors import CaseError
@@ -29,7 +35,6 @@ from sphrom.reduction.held_out import (
     UnheldShares,
     best_size,
     choose_integrated,
-    held_out_errors,
     snapshot_products,
     unheld_shares,
 )
@@ -64,7 +69,7 @@ from sphrom.store.trained_models import (
     read_splines,
     training_runs,
 )
-from sphrom.store.trajectory import read_forces
+from sphrom.store.trajectory import measured_of, read_forces
 from sphrom.store.workspace import Workspace
 
 N_STATES = 10
@@ -118,7 +123,6 @@ class _Projection:
             taught = training_runs(self.workspace, self.basis, self.name)
         residual, estimate = self._error_data()
         chosen = self._held_out(taught, estimate)
-        fields, basis = MeasuredFields.of(self.case), self.basis
         found = BasisOperators(
             rates=self.operators,
             states=self.states,
@@ -129,9 +133,7 @@ class _Projection:
             memory=closures,
             training_means=self._training_means(),
             wall_force=self._wall_forces(),
-            measure={}
-            if fields is None
-            else project_measures(basis, lambda *state: fields(self.points.position, *state)),
+            measure=self._measures(),
             skewness=self.operators.skewness,
         )
         self._report_operators()
@@ -180,6 +182,28 @@ class _Projection:
             force = project_forces(self.points, self.basis, wall, circulations)
             found[measured] = WallForce(**vars(force), training_loads=np.stack(loads[measured]))
         return found
+
+    def _measures(self) -> dict[str, TrainedMeasure]:
+        """Project the fields that a case measures, beside those that training runs recorded."""
+        fields, recorded = MeasuredFields.of(self.case), []
+        if fields is None:
+            return {}
+        for point in self.trained:
+            with self.workspace.open(self.workspace.full_run(point)) as run:
+                recorded.append(measured_of(self.case, run))
+        projected = project_measures(
+            self.basis, lambda *state: fields(self.points.position, *state)
+        )
+        return {
+            name: TrainedMeasure(
+                **vars(measure),
+                **{
+                    f"training_{q}": np.stack([r[name][q] for r in recorded])
+                    for q in measure.quantities
+                },
+            )
+            for name, measure in projected.items()
+        }
 
     def _training_means(self) -> Array | None:
         """Return means (n_runs, n_snapshots) of mapped densities, where forces are calibrated."""
@@ -263,9 +287,8 @@ class _Projection:
 
         Raises CaseError when a model needs it all the same.
         """
-        asked = self.name in self.case.plan.sized_bases
         if runs is None or estimate is None or runs.shape[1] < LEAST_SNAPSHOTS:
-            if asked:
+            if self.name in self.case.plan.sized_bases:
                 raise CaseError(
                     f"rom.n_modes: auto needs training runs of {LEAST_SNAPSHOTS} snapshots or "
                     "more; see snapshots.every"
@@ -273,32 +296,18 @@ class _Projection:
             return None
         places = places_of(self.case, self.trained)
         sizes = TrainedSizes(places, runs, products=estimate, compared=self.compared)
-        integrated, every = np.arange(1, sizes.largest + 1), range(len(self.trained))
-        if len(self.trained) > 1:
-            repeated = [self._repeated(runs, int(n), every) for n in integrated]
-            integrated = choose_integrated(sizes, repeated)
-        error = None
-        if asked:
-            # Calibrated on all other runs; on itself where there is one.
-            learnt = [[other for other in every if other != run] or [run] for run in every]
-            errors = [
-                held_out_errors(
-                    sizes, n_modes, [self._repeated(runs, int(n), some) for some in learnt]
-                )
-                for n_modes, n in enumerate(integrated, 1)
-            ]
-            error = np.stack(errors)
+        repeated = [self._repeated(runs, n + 1) for n in range(sizes.largest)]
+        integrated, error = choose_integrated(sizes, repeated)
         return HeldOut(integrated=integrated, error=error)
 
-    def _repeated(self, runs: Array, n_modes: int, learnt: Sequence[int]) -> Array:
-        """Return training runs (n_runs, n_snapshots, n_modes) by a model calibrated on some.
+    def _repeated(self, runs: Array, n_modes: int) -> Array:
+        """Return training runs (n_runs, n_snapshots, n_modes) by a model calibrated on them.
 
         NaN where they aren't stable.
         """
         case, modes = self.case, kept_modes(self.basis, n_modes)
         operators, runs = self.operators.of_modes(modes), runs[..., modes]
-        points = [self.trained[k] for k in learnt]
-        calibration = calibrated(case, points, operators, runs[list(learnt)])
+        calibration = calibrated(case, self.trained, operators, runs)
         basis, states = truncate(self.basis, n_modes), self.states[:, modes]
         found = []
         for point, own in zip(self.trained, runs, strict=True):
@@ -337,7 +346,7 @@ class _Projection:
     def _report_choice(self, chosen: HeldOut) -> None:
         """Say how many modes models have, and integrate, that leave it to the training runs."""
         plan, name, size = self.case.plan, self.name, 0
-        if chosen.error is not None:
+        if self.name in plan.sized_bases:
             size = best_size(chosen.error)
             velocity, pressure = (format_figure(100.0 * e) for e in chosen.error[size - 1])
             self.report.info(

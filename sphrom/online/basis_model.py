@@ -47,6 +47,7 @@ from sphrom.store.trained_models import (
     read_force_records,
     read_measure,
     read_operators,
+    read_recorded,
     read_wall_force,
     sized_in,
 )
@@ -220,10 +221,15 @@ class BasisModel:
             self._last = fields, (project(self.basis, *fields), mean)
         return self._last[1]
 
-    def taught(self, found: ReferenceModel, point: ParameterPoint) -> ReferenceModel:
-        """Return a model with what training runs tell of its coordinates and forces."""
+    def taught(
+        self, found: ReferenceModel, point: ParameterPoint, *, held_out: bool = False
+    ) -> ReferenceModel:
+        """Return a model with what training runs tell of its coordinates and forces.
+
+        Of a training run that is `held_out`, the correction is what the others give.
+        """
         forces = {name: f.with_drives(point.factors) for name, f in self._calibrated.items()}
-        return replace(found, correction=self._added(point), forces=forces)
+        return replace(found, correction=self._added(point, held_out), forces=forces)
 
     @cached_property
     def correction(self) -> Correction | None:
@@ -235,10 +241,11 @@ class BasisModel:
         places = places_of(self.workspace.case, self.points)
         return learn_correction(places, self._projected - coordinates, (leading, others))
 
-    def _added(self, point: ParameterPoint) -> Array | None:
+    def _added(self, point: ParameterPoint, held_out: bool = False) -> Array | None:
         """Return what is added to coordinates (n_trained_snapshots, n_modes), if anything is."""
         if self.correction is not None:
-            return self.correction.at(places_of(self.workspace.case, [point])[0])
+            place = places_of(self.workspace.case, [point])[0]
+            return self.correction.held_out(place) if held_out else self.correction.at(place)
         if self.leading is None:
             return None
         return np.zeros((self._times[True].n_snapshots, self.basis.n_modes))
@@ -255,6 +262,37 @@ class BasisModel:
             run = self.integrator(reduced.leading or reduced).run().coordinates
             found.append((reduced, run if reduced.leading is None else reduced.spread(run)))
         return found
+
+    @cached_property
+    def held_out(self) -> list[tuple[ReferenceModel, Array]]:
+        """The model and its runs at the training points, without their own corrections.
+
+        With its own correction a training run is the full run: its error tells nothing.
+        """
+        found = []
+        for point, (reduced, run) in zip(self.points, self.trained, strict=True):
+            taught = self.taught(reduced, point, held_out=True)
+            found.append((taught, run if taught.correction is None else run + taught.correction))
+        return found
+
+    @cached_property
+    def measured_differences(self) -> dict[str, Quantities]:
+        """What full training runs measured, less what those of `held_out` do.
+
+        By measurement and quantity (n_runs, n_snapshots, ...); not finite where a run diverged.
+        They hold the sound and the noise of particles that the model doesn't have.
+        """
+        case = self.workspace.case
+        with self.workspace.open(self.workspace.operators()) as artifact:
+            recorded = read_recorded(case, artifact, self.name)
+        own = [
+            quantities_of(case, point, reduced, reduced.output_times.time, run)
+            for point, (reduced, run) in zip(self.points, self.held_out, strict=True)
+        ]
+        return {
+            name: {q: each - np.stack([one[name][q] for one in own]) for q, each in full.items()}
+            for name, full in recorded.items()
+        }
 
     @cached_property
     def _calibrated(self) -> Mapping[str, ReducedForce]:

@@ -18,12 +18,14 @@ from sphrom.arrays import Array
 from sphrom.artifacts import ArtifactWriter, read_record, write_record
 from sphrom.artifacts.records.coordinates import ErrorEstimate as StoredEstimate
 from sphrom.case.points import ParameterPoint
+from sphrom.metrics.measures import Quantities
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.error_calibration import (
     FIELDS,
     LocalErrorCalibration,
     calibrate_errors,
     compared_snapshots,
+    output_errors,
 )
 from sphrom.reduction.held_out import UnheldShares
 from sphrom.reduction.reduced_operators import ResidualFactor, residual_norm
@@ -131,6 +133,21 @@ def estimate(run: FastRun) -> ErrorEstimate | None:
     return ErrorEstimate(velocity, pressure, *percent, beyond, residual, errors, sizes)
 
 
+def measured_errors(run: FastRun) -> dict[str, Quantities]:
+    """Estimate the errors of all that a case measures over a run (n_snapshots, ...).
+
+    Nothing where the run has no estimates.
+    """
+    model, found = run.model.at_point(run.point), estimate(run)
+    if model.trained_errors is None or found is None:
+        return {}
+    known = model.trained_errors.known
+    return {
+        name: {q: output_errors(q, each, known, found.errors) for q, each in quantities.items()}
+        for name, quantities in model.measured_differences.items()
+    }
+
+
 def _fitted(run: FastRun) -> tuple[TrainedErrors | None, LocalErrorCalibration | None]:
     trained = run.model.at_point(run.point).trained_errors
     return trained, None if trained is None else trained.at(run.point)
@@ -163,6 +180,7 @@ def distance_from(states: Array, state: Array) -> float:
 class TrainedErrors:
     """The errors of a model with one basis in training, and the fit of estimates to them.
 
+    `known` (n_runs, n_compared, 2) are root mean squares over the fluid, as `ErrorEstimate.errors`.
     `fitted` is None where the training runs have no errors, or all of them diverge.
     """
 
@@ -183,20 +201,18 @@ class TrainedErrors:
         correction, places = model.correction, places_of(self._case, points)
         coordinates, residuals, errors = [], [], []
         for k, (reduced, found) in enumerate(model.trained):
-            held_out, own = found, found
-            if correction is not None:
-                # With its own correction a training run is the full run: its error tells nothing.
-                held_out = found + correction.held_out(places[k])
-                own = found + correction.at(places[k])
+            held_out = model.held_out[k][1]
+            own = found if correction is None else found + correction.at(places[k])
             coordinates.append(own)
             times = reduced.output_times.time
             residuals.append(self.residual(points[k], reduced, times, held_out))
             errors.append(self.products.errors(k, held_out[compared]))
+        self.known = np.stack(errors)
         self.fitted = calibrate_errors(
             times,
             np.stack(coordinates),
             np.stack(residuals),
-            np.stack(errors),
+            self.known,
             compared,
             places,
             unheld.of_size(model.section.size),
