@@ -199,15 +199,21 @@ class ReducedMeasure(Record):
 
 
 def project_measures(basis: TrialBasis, measured: Measuring) -> dict[str, ReducedMeasure]:
-    """Project what is measured onto a basis; `measured` is linear in its fields."""
+    """Project what is measured onto a basis; `measured` is affine in its fields."""
     density, velocity = reconstruct(basis, np.zeros(basis.n_modes))
     mean = np.ones_like(density), np.zeros_like(velocity)
     modes = zip(
         basis.density_modes / basis.inner_product.density_scale, basis.velocity_modes, strict=True
     )
     found = [measured(*fields) for fields in ((density, velocity), mean, *modes)]
+    at_rest = measured(np.zeros_like(density), np.zeros_like(velocity))
+
+    def terms(name: str, quantity: str) -> Array:
+        first, *others = (each[name][quantity] for each in found)
+        return np.stack([first, *(each - at_rest[name][quantity] for each in others)], -1)
+
     return {
-        name: ReducedMeasure(**{q: np.stack([each[name][q] for each in found], -1) for q in first})
+        name: ReducedMeasure(**{quantity: terms(name, quantity) for quantity in first})
         for name, first in found[0].items()
     }
 
