@@ -456,13 +456,13 @@ class CustomScene(SceneSection):
         here, found = self._at(values), [0.0]
         for name in here.walls:
             place = here._edge(name)
-            velocity, way = here._wall_velocity(name)(place), np.diff(place, axis=0)
-            length = np.linalg.norm(way, axis=1)
-            change = np.linalg.norm(np.diff(velocity, axis=0), axis=1)
-            found.append(float((change / np.maximum(length, spacing)).max(initial=0.0)))
-            repeats = name not in here._shapes and here.domain.periodic[name in SIDES[0]]
-            if not repeats and np.linalg.norm(place[-1] - place[0]) > 2.0 * length.max(initial=0.0):
-                found.append(float(np.linalg.norm(velocity[[0, -1]], axis=1).max()) / spacing)
+            velocity = here._wall_velocity(name)(place)
+            ends = name in here._shapes or not here.domain.periodic[name in SIDES[0]]
+            if ends and np.linalg.norm(place[-1] - place[0]) > spacing:
+                velocity = np.pad(velocity, ((1, 1), (0, 0)))
+                place = np.pad(place, ((1, 1), (0, 0)), "edge")
+            change, way = (np.linalg.norm(np.diff(v, axis=0), axis=1) for v in (velocity, place))
+            found.append(float((change / np.maximum(way, spacing)).max(initial=0.0)))
         return max(found)
 
     def problems(self, final_time: float) -> Iterator[tuple[str, str]]:

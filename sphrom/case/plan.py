@@ -142,11 +142,12 @@ class Plan:
     @cached_property
     def largest_head(self) -> float:
         """About the largest head in any run [m2/s2]: of the body force, in gaps or at corners."""
-        scene, dx = self._case.scene, self.particle_spacing
+        scene, own, dx = self._case.scene, self.own_values, self.particle_spacing
         viscosity = max(map(self.kinematic_viscosity, self.points))
         gap = scene.domain.narrowest_gap or math.inf  # a check refuses none
         in_gaps = self.max_speed * max(scene.domain.lengths) / gap**2
-        at_corners = CORNER_PRESSURE * max(scene.wall_strain(dx, v) for v in self._settings)
+        strain = max(scene.wall_strain(dx, {**own, **values}) for values in self._settings)
+        at_corners = CORNER_PRESSURE * strain
         return max(self.largest_force_head, viscosity * in_gaps, viscosity * at_corners)
 
     @cached_property

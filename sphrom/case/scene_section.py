@@ -93,10 +93,7 @@ class SceneSection(Section):
         return 0.0
 
     def wall_strain(self, spacing: float, values: Mapping[str, float]) -> float:
-        """Return the largest change of walls' velocity along the walls per length [1/s].
-
-        Where a wall slides off another, it changes within a spacing [m].
-        """
+        """Return how fast walls' velocity changes along them at most, within a spacing [1/s]."""
         return 0.0
 
     @property

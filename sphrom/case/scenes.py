@@ -91,7 +91,7 @@ class LidDrivenCavityScene(SceneSection):
         """The box, walls all around."""
         return LidDrivenCavity(self.length, speed=0.0).domain
 
-    def flow(self, scales: Scales) -> Scene:
+    def flow(self, scales: Scales) -> LidDrivenCavity:
         """Return the cavity."""
         speed = scales.values.get("lid", scales.speed)
         return LidDrivenCavity(self.length, speed, lid=self.lid, ramp=self.lid_ramp)
@@ -111,7 +111,7 @@ class LidDrivenCavityScene(SceneSection):
     def wall_strain(self, spacing: float, values: Mapping[str, float]) -> float:
         """Return the largest change of the lid's velocity, which is zero at its ends [1/s]."""
         x = np.arange(0.0, self.length, spacing)
-        lid = self.flow(Scales(values.get("lid", 1.0), 1.0, 1.0)).lid_velocity(x)
+        lid = self.flow(Scales(values["lid"], 1.0, 1.0)).lid_velocity(x)
         return float(np.abs(np.diff(lid, prepend=0.0)).max() / spacing)
 
     @property

@@ -206,15 +206,15 @@ def project_measures(basis: TrialBasis, measured: Measuring) -> dict[str, Reduce
         basis.density_modes / basis.inner_product.density_scale, basis.velocity_modes, strict=True
     )
     found = [measured(*fields) for fields in ((density, velocity), mean, *modes)]
-    at_rest = measured(np.zeros_like(density), np.zeros_like(velocity))
+    offset, linear = measured(0.0 * density, 0.0 * velocity), np.arange(len(found)) > 0
 
     def terms(name: str, quantity: str) -> Array:
-        first, *others = (each[name][quantity] for each in found)
-        return np.stack([first, *(each - at_rest[name][quantity] for each in others)], -1)
+        values = np.stack([each[name][quantity] for each in found], -1)
+        return np.asarray(values - np.multiply.outer(offset[name][quantity], linear))
 
     return {
         name: ReducedMeasure(**{quantity: terms(name, quantity) for quantity in first})
-        for name, first in found[0].items()
+        for name, first in offset.items()
     }
 
 

@@ -311,9 +311,7 @@ class Functional:
         if time_step > limit * (1.0 + ROUNDING):
             return f"the time step is beyond its limit of {limit:.4g} s"
         if (speed := float(np.hypot(*state[3:]).max())) > LARGEST_MACH_NUMBER * sound:
-            return (
-                f"{speed:.3g} m/s is too fast for c0 = {sound:.4g} m/s: raise the reference speed"
-            )
+            return f"c0 = {sound:.4g} m/s is too low for {speed:.3g} m/s: raise the reference speed"
         if np.abs(state[2]).max() > 0.5 * DENSITY_LIMIT * self.fluid.reference_density:
             return f"c0 = {sound:.4g} m/s is too low for the pressure: lower the Mach number"
         return "a smaller time step or a finer resolution may help"

@@ -107,7 +107,7 @@ def test_points_of_a_reduced_model(load, parameters, expected):
         ("kind: custom, box: {upper: [6, 3], periodic: [x]}, body_force: [0.2, 0]", 0.07, 6.3246),
         ("kind: custom, body_force: ['9 * exp(-t)', '-18 * exp(-t)']", 1.0, 30.0),
         ("kind: custom, walls: {top: {velocity: [1, 0]}}", 1.0, 40.8248),  # 2.5 nu U / dx
-        ("kind: lid-driven-cavity, lid: uniform", 1.0, 40.8248),
+        ("kind: lid-driven-cavity, lid: uniform", 2.0, 81.6497),
         ("kind: custom, box: {upper: [8, 4], periodic: [x]}", 0.06, 0.69282),  # nu U L / H^2
     ],
 )
