@@ -319,7 +319,7 @@ class _Projection:
                 output_times=output_times_of(case, case.plan.steps, basis),
                 amplitude=amplitude_of(case, point),
             )
-            (model,) = reference_model.with_limits([model], states)
+            model = model.around(states)
             if model.output_times.duration > MAX_STEPS * model.step_limit:
                 found.append(np.full_like(own, np.nan))
             else:
