@@ -62,12 +62,10 @@ class TrainedMeasure(ReducedMeasure):
         "run snapshot", "m2/s", "flow through the section in training runs", default=None
     )
     training_velocity: Array | None = dataset(
-        "run snapshot place component", "m/s", "velocity at the places in training runs", "u",
-        "Eq. 2.7", default=None,
+        "run snapshot place component", "m/s", "velocity there in training runs", default=None
     )
     training_pressure: Array | None = dataset(
-        "run snapshot place", "Pa", "pressure at the places in training runs", "p", "Eq. 2.8",
-        default=None,
+        "run snapshot place", "Pa", "pressure there in training runs", default=None
     )
 
 
