@@ -164,13 +164,16 @@ class _PointComparison:
         with workspace.open(workspace.mapped(self.point)) as mapped:
             self._add(sample_mapped(case, mapped, sampler(case, self.probes.all)), "map")
             self._measure("map", measured_of_map(case, mapped))
-            used = {basis_used(workspace, model, self.point) for model in self.models}
-            for name, size in sorted(used):
+            # Models from operators measure in the coordinates alone.
+            last = sorted(self.models, key=lambda model: model.evaluation == "operators")
+            used = {basis_used(workspace, model, self.point): model for model in last}
+            for (name, size), model in sorted(used.items(), key=lambda each: each[0]):
                 best, modes = best_name(name, size), read_modes(workspace, name, size)
                 samples = sample_best(case, mapped, *modes, self.probes)
                 self._add(samples, best, basis=name, n_modes=size)
-                found = measured_of_best(workspace, self.point, mapped, name, size)
-                self._measure(best, found, name, size)
+                if model.evaluation == "operators" and case.scene.measure:
+                    found = measured_of_best(workspace, model, self.point, mapped)
+                    self._measure(best, found, name, size)
 
     def _compare_model(self, model: ReducedModelSection) -> None:
         workspace, case, point = self.workspace, self.case, self.point

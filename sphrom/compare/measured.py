@@ -17,21 +17,15 @@ from sphrom.arrays import Array
 from sphrom.artifacts import Artifact
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.measures import UNITS, Quantities, components, errors_of, mean_square
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.metrics.series import dominant_frequency, kinetic_energy
-from sphrom.online.basis_model import fields_of, forces_of
-from sphrom.reduction.reduced_measures import calibrate_force
-from sphrom.reduction.trial_basis import kept_modes, mean_density_fluctuation, project, truncate
+from sphrom.online.basis_model import quantities_of
+from sphrom.online.fast_model import FastModel
+from sphrom.reduction.trial_basis import mean_density_fluctuation, project
 from sphrom.setup.particles import MeasuredFields
 from sphrom.store.stored_run import StoredRun
-from sphrom.store.trained_models import (
-    read_basis,
-    read_force_records,
-    read_measure,
-    read_wall_force,
-)
-from sphrom.store.trajectory import totals
 from sphrom.store.workspace import Workspace
 
 Measured = Mapping[str, Quantities]
@@ -83,29 +77,15 @@ def measured_of_map(case: Case, mapped: Artifact) -> Measured:
 
 
 def measured_of_best(
-    workspace: Workspace, point: ParameterPoint, mapped: Artifact, basis: str, size: int
+    workspace: Workspace, model: ReducedModelSection, point: ParameterPoint, mapped: Artifact
 ) -> Measured:
-    """Measure the nearest states in a basis; nothing without projected operators."""
-    case, scene = workspace.case, workspace.case.scene
-    if basis not in case.plan.reference_bases or not scene.measure:
-        return {}
-    whole = read_basis(workspace, basis)
-    modes, kept = kept_modes(whole, size), truncate(whole, size)
-    with workspace.open(workspace.operators()) as artifact:
-        forces = {
-            name: calibrate_force(
-                read_wall_force(artifact, basis, name, modes),
-                read_force_records(case, artifact, basis, name, modes),
-            )
-            for name in scene.measured_walls
-        }
-        fields = {n: read_measure(artifact, basis, n, modes) for n in scene.measured_fields}
+    """Measure the nearest states in the basis of a model, as the model does."""
+    fast, time = FastModel(workspace, model), mapped.read("time")
+    reduced = fast.at(point)
     state = mapped.read("density_fluctuation"), mapped.read("velocity")
-    mean, coordinates = mean_density_fluctuation(kept, state[0]), project(kept, *state)
-    loads = forces_of(case, point, forces, mean, mapped.read("time"), coordinates)
-    return {name: totals(each) for name, each in loads.items()} | fields_of(
-        fields, mean, coordinates
-    )
+    coordinates = project(reduced.basis, *state)
+    mean = mean_density_fluctuation(reduced.basis, state[0])
+    return quantities_of(workspace.case, reduced, time, coordinates, mean)
 
 
 def measure_rows(

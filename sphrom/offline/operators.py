@@ -42,12 +42,8 @@ from sphrom.reduction.reduced_measures import project_measures
 from sphrom.reduction.reduced_operators import MemoryOperators, ResidualFactor
 from sphrom.reduction.reduced_rates import spectrum
 from sphrom.reduction.reference_model import ReferenceModel
-from sphrom.reduction.trial_basis import (
-    kept_modes,
-    mean_density_fluctuation,
-    project,
-    truncate,
-)
+from sphrom.reduction.stokes_fields import stokes_fields
+from sphrom.reduction.trial_basis import kept_modes, project, truncate
 from sphrom.setup import particles
 from sphrom.setup.assembly import amplitude_of, output_times_of, places_of
 from sphrom.setup.context import StageContext
@@ -127,7 +123,6 @@ class _Projection:
             estimate=estimate,
             held_out=chosen,
             memory=closures,
-            training_means=self._training_means(),
             wall_force=self._wall_forces(),
             measure={}
             if fields is None
@@ -169,24 +164,24 @@ class _Projection:
 
     def _wall_forces(self) -> dict[str, WallForce]:
         """Project the forces that a case measures, beside those that training runs recorded."""
-        walls = particles.driven_measured_walls(self.case)
+        case, walls = self.case, particles.driven_measured_walls(self.case)
+        if not walls:
+            return {}
         loads: dict[str, list[Array]] = {measured: [] for measured in walls}
-        for point in self.trained if walls else ():
+        for point in self.trained:
             with self.workspace.open(self.workspace.full_run(point)) as run:
                 for measured, recorded in loads.items():
                     recorded.append(read_forces(run, measured))
-        found = {}
+        found, ghosts = {}, particles.walls(case, case.plan.flow(self.trained[0]))
+        assert ghosts is not None
+        names, position = case.scene.measured_walls, self.points.position
+        around = position, ghosts.position, case.plan.particle_spacing
+        tested = stokes_fields(case.scene.domain, *around, set(names.values()))
         for measured, (wall, circulations) in walls.items():
-            force = project_forces(self.points, self.basis, wall, circulations)
+            balance = tested[names[measured]], self.splines
+            force = project_forces(self.points, self.basis, wall, circulations, balance)
             found[measured] = WallForce(**vars(force), training_loads=np.stack(loads[measured]))
         return found
-
-    def _training_means(self) -> Array | None:
-        """Return means (n_runs, n_snapshots) of mapped densities, where forces are calibrated."""
-        if not self.case.scene.measured_walls:
-            return None
-        densities = (density[...] for _, density, _ in mapped_runs(self.workspace, self.name))
-        return np.stack([mean_density_fluctuation(self.basis, density) for density in densities])
 
     def _error_data(self) -> tuple[ResidualFactor | None, Estimate | None]:
         """Return the data for error estimates of models with the basis, if the case has any."""

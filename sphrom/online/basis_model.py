@@ -5,6 +5,7 @@ Whatever doesn't depend on the parameter point is read and computed once, for al
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -20,16 +21,17 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import Quantities
+from sphrom.metrics.series import hat, smoothed
 from sphrom.online.error_estimates import TrainedErrors
 from sphrom.reduction import reference_model
 from sphrom.reduction.calibration import Calibration
 from sphrom.reduction.correction import Correction, learn_correction
 from sphrom.reduction.held_out import FieldProducts
 from sphrom.reduction.reduced_measures import (
-    ForceRecord,
+    PointForce,
     ReducedForce,
     ReducedMeasure,
-    calibrate_force,
+    TimedLoads,
 )
 from sphrom.reduction.reduced_operators import MemoryOperators
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
@@ -39,12 +41,11 @@ from sphrom.reduction.trial_basis import (
     project,
     truncate,
 )
-from sphrom.setup.assembly import amplitude_of, drives, memory_length_of, output_times_of, places_of
+from sphrom.setup.assembly import amplitude_of, memory_length_of, output_times_of, places_of
 from sphrom.store.starts import Fields
 from sphrom.store.trained_models import (
     calibrated,
     read_basis,
-    read_force_records,
     read_measure,
     read_operators,
     read_wall_force,
@@ -222,7 +223,12 @@ class BasisModel:
 
     def taught(self, found: ReferenceModel, point: ParameterPoint) -> ReferenceModel:
         """Return a model with what training runs tell of its coordinates and forces."""
-        forces = {name: f.with_drives(point.factors) for name, f in self._calibrated.items()}
+        forces, corrections = {}, self.force_corrections
+        place = places_of(self.workspace.case, [point])[0]
+        for name, (force, _) in self._forces.items():
+            learnt, times = corrections[name], self._times[True].time
+            added = None if learnt is None else TimedLoads.of(times, learnt.at(place))
+            forces[name] = self._at_point(force, found, point, added)
         return replace(found, correction=self._added(point), forces=forces)
 
     @cached_property
@@ -257,30 +263,49 @@ class BasisModel:
         return found
 
     @cached_property
-    def _calibrated(self) -> Mapping[str, ReducedForce]:
-        """The forces on walls, calibrated in runs of the model at the trained points."""
-        if not self._forces:
-            return {}
-        case, found = self.workspace.case, {}
-        with self.workspace.open(self.workspace.operators()) as artifact:
-            for measured, force in self._forces.items():
-                records = read_force_records(case, artifact, self.name, measured, self.modes)
-                pairs = zip(records, self.points, strict=True)
-                found[measured] = calibrate_force(force, [self._own(*pair) for pair in pairs])
+    def force_corrections(self) -> Mapping[str, Correction | None]:
+        """What training runs add to forces, from the model's runs at the trained points."""
+        case, found = self.workspace.case, dict[str, Correction | None]()
+        places = places_of(case, self.points)
+        period = case.plan.longest_sound_period / case.plan.steps.snapshot_interval
+        weights = hat(max(1, round(period)))
+        for name, (force, recorded) in self._forces.items():
+            defects = np.stack(
+                [
+                    loads.reshape(len(loads), -1) - self._loads_in_training(force, k)
+                    for k, loads in enumerate(recorded)
+                ]
+            )
+            slow = np.stack([smoothed(each, weights) for each in defects])
+            # Sound and the particles' noise may be of each run alone.
+            parts = np.concatenate((slow, defects - slow), axis=2)
+            found[name] = learn_correction(places, parts, worthwhile=math.inf)
+            if len(places) == 1 and np.isfinite(defects).all():
+                # Nothing tells how far the only one reaches.
+                found[name] = Correction(places, parts, np.full(parts.shape[2], np.inf))
         return found
 
-    def _own(self, record: ForceRecord, point: ParameterPoint) -> ForceRecord:
-        """Return a record with the states of the model's own run, where that is stable."""
-        try:
-            reduced, run = self.trained[self.points.index(point)]
-        except CaseError:
-            return record
+    def _loads_in_training(self, force: ReducedForce, k: int) -> Array:
+        """Return the loads (n_snapshots, 6) of a force in the model's own k-th training run.
+
+        NaN where that isn't stable.
+        """
+        point, (reduced, run) = self.points[k], self.trained[k]
         added = self._added(point)
         states = run if added is None else run + added
-        if not np.isfinite(states).all():
-            return record
-        mean = np.full(len(states), reduced.mean_density_fluctuation)
-        return replace(record, coordinates=states, mean_density_fluctuation=mean)
+        local = replace(reduced, forces={"": self._at_point(force, reduced, point)})
+        return forces_of(local, reduced.output_times.time, states)[""].reshape(len(states), -1)
+
+    def _at_point(
+        self,
+        force: ReducedForce,
+        reduced: ReferenceModel,
+        point: ParameterPoint,
+        correction: TimedLoads | None = None,
+    ) -> PointForce:
+        viscosity = self.workspace.case.plan.kinematic_viscosity(point)
+        driven = self.operators.walls_driven
+        return force.at(reduced.polynomial, viscosity, driven, point.factors, correction)
 
 
 def steps_of(section: ReducedModelSection, reduced: ReferenceModel, full_steps: int) -> Steps:
@@ -304,25 +329,21 @@ def steps_of(section: ReducedModelSection, reduced: ReferenceModel, full_steps: 
 
 
 def forces_of(
-    case: Case,
-    point: ParameterPoint,
-    forces: Mapping[str, ReducedForce],
-    mean_density_fluctuation: Array | float,
-    time: Array,
-    coordinates: Array,
+    reduced: ReferenceModel, time: Array, coordinates: Array, mean: Array | float | None = None
 ) -> dict[str, Array]:
-    """Return by measurement the forces and torques (n_snapshots, 2, 3) of states [N/m, N].
+    """Return by measurement the forces and torques (n_states, 2, 3) of states [N/m, N].
 
-    Times are (n_snapshots,) [s], coordinates (n_snapshots, n_modes); the mean that is carried apart
-    is (n_snapshots,) or one for all [kg/m3].
+    Parameters
+    ----------
+    time : (n_states,) [s].
+    coordinates : (n_states, n_modes).
+    mean : density fluctuation that is carried apart [kg/m3], (n_states,) or one for all; by default
+        the model's own.
     """
-    if not forces:
-        return {}
-    viscosity, (speed, amplitude) = case.plan.kinematic_viscosity(point), drives(case, point, time)
-    return {
-        name: force.at(coordinates, mean_density_fluctuation, viscosity, speed, amplitude)
-        for name, force in forces.items()
-    }
+    mean = reduced.mean_density_fluctuation if mean is None else mean
+    amplitude = np.zeros(len(time)) if reduced.amplitude is None else reduced.amplitude(time)
+    about = time, coordinates, mean, amplitude
+    return {name: force.at(*about) for name, force in reduced.forces.items()}
 
 
 def fields_of(
@@ -335,14 +356,15 @@ def fields_of(
 
 
 def quantities_of(
-    case: Case, point: ParameterPoint, reduced: ReferenceModel, time: Array, coordinates: Array
+    case: Case,
+    reduced: ReferenceModel,
+    time: Array,
+    coordinates: Array,
+    mean: Array | float | None = None,
 ) -> dict[str, Quantities]:
-    """Return all that a case measures, forces and fields, in coordinates (n_states, n_modes).
-
-    Times are (n_states,) [s]; quantities are (n_states, ...).
-    """
-    mean = reduced.mean_density_fluctuation
-    forces = forces_of(case, point, reduced.forces, mean, time, coordinates)
+    """Return all that a case measures, forces and fields (n_states, ...), as `forces_of` does."""
+    mean = reduced.mean_density_fluctuation if mean is None else mean
+    forces = forces_of(reduced, time, coordinates, mean)
     found = {name: totals(loads) for name, loads in forces.items()}
     found |= fields_of(reduced.measures, mean, coordinates)
     return {name: found[name] for name in case.scene.measure}

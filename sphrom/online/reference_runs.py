@@ -180,9 +180,8 @@ def _write(run: FastRun, artifact: ArtifactWriter) -> None:
     growth = spectrum(reduced.polynomial.jacobian(reduced.start)).largest_real_part
     artifact.annotate("largest_real_part", growth)
     mean = reduced.mean_density_fluctuation
-    about = reduced.forces, mean, done.time, done.coordinates
     datasets = field_datasets(fields_of(reduced.measures, mean, done.coordinates))
-    for name, loads in forces_of(workspace.case, run.point, *about).items():
+    for name, loads in forces_of(reduced, done.time, done.coordinates).items():
         datasets |= force_datasets(name, loads)
     write_positions(artifact, field_measures(workspace.case))
     for path, values in datasets.items():

@@ -151,7 +151,10 @@ class Correction:
 
 
 def learn_correction(
-    places: Array, defects: Array, groups: Sequence[Indices] = ()
+    places: Array,
+    defects: Array,
+    groups: Sequence[Indices] = (),
+    worthwhile: float = WORTHWHILE,
 ) -> Correction | None:
     """Find out how far the defects (n_runs, n_snapshots, n_modes) of training runs reach.
 
@@ -163,6 +166,7 @@ def learn_correction(
     places : (n_runs, n_parameters), in which distances count alike; no two are the same.
     groups : of modes; those of which too little is predicted have no correction. By default all
         modes are one group.
+    worthwhile : the share of the defects' squares that may stay in runs held out.
     """
     finite = np.isfinite(defects).all(axis=(1, 2))
     places, defects = places[finite], defects[finite]
@@ -177,7 +181,7 @@ def learn_correction(
         missed[k] = np.sum(errors**2, axis=(0, 1))
     left, whole = missed.min(axis=0), np.sum(defects**2, axis=(0, 1))
     given = [modes for modes in groups or (np.arange(len(left)),) if len(modes)]
-    vain = [modes for modes in given if left[modes].sum() > WORTHWHILE * whole[modes].sum()]
+    vain = [modes for modes in given if left[modes].sum() > worthwhile * whole[modes].sum()]
     if len(vain) == len(given):
         return None
     if vain:

@@ -89,17 +89,6 @@ def memory_length_of(
     return model.memory_length
 
 
-def drives(case: Case, point: ParameterPoint, time: Array) -> tuple[Array, Array]:
-    """Return the walls' speed over the given one, and the body force's amplitude (n_times,)."""
-    flow = case.plan.flow(point)
-    speed, amplitude = np.ones(len(time)), np.zeros(len(time))
-    if flow.wall_amplitude is not None:
-        speed = np.array([flow.wall_amplitude(t) for t in time.tolist()])
-    if flow.amplitude is not None:
-        amplitude = np.array([flow.amplitude(t) for t in time.tolist()])
-    return speed, amplitude
-
-
 def output_times_of(case: Case, steps: TimeSteps, basis: TrialBasis) -> OutputTimes:
     """Return the snapshots of a reduced run on the reference points.
 
