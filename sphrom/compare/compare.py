@@ -27,6 +27,7 @@ from sphrom.compare.measured import (
     MeasureRow,
     flow_row,
     measure_rows,
+    measured_estimates,
     measured_of_best,
     measured_of_map,
 )
@@ -195,7 +196,8 @@ class _PointComparison:
                 )
                 if estimate is not None:
                     self.tables.estimates.append(estimate)
-                self._measure(model.name, measured_of(case, trajectory), basis, size)
+                estimates = measured_estimates(case, trajectory)
+                self._measure(model.name, measured_of(case, trajectory), basis, size, estimates)
                 self.tables.timings.append(
                     reduced_timing(case, model, point, trajectory, self.full_seconds)
                 )
@@ -215,12 +217,18 @@ class _PointComparison:
             self.tables.flow.append(row)
 
     def _measure(
-        self, name: str, measured: Measured, basis: str | None = None, n_modes: int | None = None
+        self,
+        name: str,
+        measured: Measured,
+        basis: str | None = None,
+        n_modes: int | None = None,
+        estimates: Measured | None = None,
     ) -> None:
         self.measures += measure_rows(
             measured,
             self.measured,
             self.full.time >= self.case.compare.from_time,
+            estimates or {},
             n_modes=n_modes,
             **self._described(name, basis),
         )

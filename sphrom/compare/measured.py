@@ -5,6 +5,7 @@ The flow of each run is described by figures of its own, such as speeds and a fr
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -14,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.arrays import Array
-from sphrom.artifacts import Artifact
+from sphrom.artifacts import Artifact, read_record
+from sphrom.artifacts.records.coordinates import MeasuredOnce
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
@@ -54,6 +56,8 @@ class MeasureRow:
     both components for a force or a velocity."""
     relative_l2_peak: float | None = field(metadata={"unit": "%"})
     """At the worst instant."""
+    estimated: float | None = field(metadata={"unit": "%"})
+    """The error that the model itself estimates, over time and places as `relative_l2`."""
 
 
 def named_components(quantity: str, values: Array) -> dict[str, Array]:
@@ -88,15 +92,26 @@ def measured_of_best(
     return quantities_of(workspace.case, reduced, time, coordinates, mean)
 
 
+def measured_estimates(case: Case, run: Artifact) -> Measured:
+    """Read the estimated errors of what a reduced run measured (...), where it has some."""
+    found: dict[str, Quantities] = {}
+    for name in case.scene.measure:
+        stored = vars(read_record(run, MeasuredOnce, f"error_estimate/measure/{name}"))
+        found[name] = {q: np.atleast_1d(v) for q, v in stored.items() if v is not None}
+    return found
+
+
 def measure_rows(
     own: Measured,
     full: Measured,
     counted: NDArray[np.bool_],
+    estimates: Mapping[str, Any],
     **described: Any,
 ) -> Iterator[MeasureRow]:
     """Yield the rows of a run beside the full one, over the snapshots (n_snapshots,) that count.
 
-    Compared run, parameters, number of modes and role are `described` as in the rows.
+    Compared run, parameters, number of modes and role are `described` as in the rows. Estimated
+    errors are root mean squares over time (...), by measurement and quantity.
     """
     for measured, quantities in own.items():
         for quantity, values in quantities.items():
@@ -104,6 +119,10 @@ def measure_rows(
             square = mean_square(quantity, reference)
             others = named_components(quantity, reference)
             for component, found in named_components(quantity, values[counted]).items():
+                estimated = None
+                if quantity in estimates.get(measured, {}) and square > 0.0:
+                    expected = named_components(quantity, estimates[measured][quantity])
+                    estimated = 100.0 * math.sqrt(np.mean(expected[component] ** 2) / square)
                 errors: tuple[float | None, float | None] = (None, None)
                 if own is not full:
                     errors = errors_of(component, found, others[component], square)
@@ -117,6 +136,7 @@ def measure_rows(
                     greatest=float(found.max()),
                     relative_l2=errors[0],
                     relative_l2_peak=errors[1],
+                    estimated=estimated,
                 )
 
 

@@ -31,10 +31,9 @@ from sphrom.reduction.error_calibration import compared_snapshots
 from sphrom.reduction.exponential_steps import ExponentialModel
 from sphrom.reduction.reduced_measures import ReducedMeasure, project_measures
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
-from sphrom.setup.assembly import places_of
 from sphrom.setup.particles import MeasuredFields, sampler
 from sphrom.store.trained_models import read_points
-from sphrom.store.trajectory import read_quantities, snapshot_fields
+from sphrom.store.trajectory import snapshot_fields
 from sphrom.text import exact
 
 TrainingDifferences = dict[Hashable, tuple[Array, Array]]
@@ -204,7 +203,7 @@ def error_samples(model: FittedModel, place: Array, known: TrainingDifferences) 
     """Return what histories may be wrong by (n_samples, n_snapshots, n_histories) at a place.
 
     None where the case wants no estimates of errors or can't have them, or full training runs
-    are no longer there.
+    that it takes are no longer there.
 
     Parameters
     ----------
@@ -213,8 +212,9 @@ def error_samples(model: FittedModel, place: Array, known: TrainingDifferences) 
     fast, case = model.fast, model.fast.workspace.case
     point = model.point(place)
     name = fast.basis_at(point)
-    full_runs = map(fast.workspace.full_run, case.plan.bases[name])
-    if not case.plan.has_error_estimate(name) or not all(t.path.exists() for t in full_runs):
+    # Places that the case doesn't name are measured in the full runs.
+    needed = map(fast.workspace.full_run, case.plan.bases[name] if model.unnamed else ())
+    if not case.plan.has_error_estimate(name) or not all(t.path.exists() for t in needed):
         return None
     reduced = model.reduced(point)
     run = fast.run(point, reduced, model.integrator(reduced))
@@ -241,31 +241,22 @@ def _differences(model: FittedModel, name: str) -> tuple[Array, Array]:
     They are (n_runs, n_compared, n_histories) and (n_runs, n_compared, 2) [m/s]; runs that
     diverged are left out.
     """
-    case, taught = model.fast.workspace.case, model.fast.on_basis(name)
-    points, trained, correction = case.plan.bases[name], taught.trained, taught.correction
-    compared, places = compared_snapshots(case.plan.steps.n_snapshots), places_of(case, points)
+    workspace, taught = model.fast.workspace, model.fast.on_basis(name)
+    points, compared = taught.points, compared_snapshots(workspace.case.plan.steps.n_snapshots)
     differences, sizes = [], []
-    for k, (there, run) in enumerate(trained):
-        if not np.isfinite(run).all():
+    for k, (reduced, own) in enumerate(taught.held_out):
+        if not np.isfinite(own).all():
             continue
-        own = run if correction is None else run + correction.held_out(places[k])
-        # A model may end earlier or later than its training runs.
-        reduced = replace(model.reduced(points[k], name), output_times=there.output_times)
-        given = model.stacked(model.quantities(points[k], reduced, own))[compared]
-        differences.append(_recorded(model, points[k], compared) - given)
-        sizes.append(taught.products.errors(k, own[compared]))
-    return np.array(differences), np.array(sizes)
-
-
-def _recorded(model: FittedModel, point: ParameterPoint, compared: Indices) -> Array:
-    """Return the histories (n_compared, n_histories) of a full run."""
-    workspace = model.fast.workspace
-    with workspace.open(workspace.full_run(point)) as run:
-        recorded: dict[str, Quantities] = {
-            name: {q: v[compared] for q, v in read_quantities(run, name).items()}
-            for name in workspace.case.scene.measure
+        found = {
+            measured: {q: each[k, compared] for q, each in quantities.items()}
+            for measured, quantities in taught.measured_differences.items()
         }
         if (fields := model.unnamed) is not None:
-            found = [fields(*snapshot_fields(run, k))[UNNAMED] for k in compared]
-            recorded[UNNAMED] = {q: np.stack([each[q] for each in found]) for q in PLACED}
-    return model.stacked(recorded)
+            measure = model.reduced(points[k], name).measures[UNNAMED]
+            given = measure.at(own[compared], reduced.mean_density_fluctuation)
+            with workspace.open(workspace.full_run(points[k])) as run:
+                full = [fields(*snapshot_fields(run, s))[UNNAMED] for s in compared]
+            found[UNNAMED] = {q: np.stack([each[q] for each in full]) - given[q] for q in PLACED}
+        differences.append(model.stacked(found))
+        sizes.append(taught.products.errors(k, own[compared]))
+    return np.array(differences), np.array(sizes)

@@ -21,7 +21,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import Quantities
-from sphrom.metrics.series import hat, smoothed
+from sphrom.metrics.series import smoothed
 from sphrom.online.error_estimates import TrainedErrors
 from sphrom.reduction import reference_model
 from sphrom.reduction.calibration import Calibration
@@ -41,13 +41,20 @@ from sphrom.reduction.trial_basis import (
     project,
     truncate,
 )
-from sphrom.setup.assembly import amplitude_of, memory_length_of, output_times_of, places_of
+from sphrom.setup.assembly import (
+    amplitude_of,
+    memory_length_of,
+    output_times_of,
+    places_of,
+    sound_averages,
+)
 from sphrom.store.starts import Fields
 from sphrom.store.trained_models import (
     calibrated,
     read_basis,
     read_measure,
     read_operators,
+    read_recorded,
     read_wall_force,
     sized_in,
 )
@@ -221,15 +228,22 @@ class BasisModel:
             self._last = fields, (project(self.basis, *fields), mean)
         return self._last[1]
 
-    def taught(self, found: ReferenceModel, point: ParameterPoint) -> ReferenceModel:
-        """Return a model with what training runs tell of its coordinates and forces."""
+    def taught(
+        self, found: ReferenceModel, point: ParameterPoint, *, held_out: bool = False
+    ) -> ReferenceModel:
+        """Return a model with what training runs tell of its coordinates and forces.
+
+        Of a training run that is `held_out`, the corrections are what the others give.
+        """
         forces, corrections = {}, self.force_corrections
         place = places_of(self.workspace.case, [point])[0]
         for name, (force, _) in self._forces.items():
-            learnt, times = corrections[name], self._times[True].time
-            added = None if learnt is None else TimedLoads.of(times, learnt.at(place))
+            added, learnt = None, corrections[name]
+            if learnt is not None:
+                parts = learnt.held_out(place) if held_out else learnt.at(place)
+                added = TimedLoads.of(self._times[True].time, parts)
             forces[name] = self._at_point(force, found, point, added)
-        return replace(found, correction=self._added(point), forces=forces)
+        return replace(found, correction=self._added(point, held_out), forces=forces)
 
     @cached_property
     def correction(self) -> Correction | None:
@@ -241,10 +255,11 @@ class BasisModel:
         places = places_of(self.workspace.case, self.points)
         return learn_correction(places, self._projected - coordinates, (leading, others))
 
-    def _added(self, point: ParameterPoint) -> Array | None:
+    def _added(self, point: ParameterPoint, held_out: bool = False) -> Array | None:
         """Return what is added to coordinates (n_trained_snapshots, n_modes), if anything is."""
         if self.correction is not None:
-            return self.correction.at(places_of(self.workspace.case, [point])[0])
+            place = places_of(self.workspace.case, [point])[0]
+            return self.correction.held_out(place) if held_out else self.correction.at(place)
         if self.leading is None:
             return None
         return np.zeros((self._times[True].n_snapshots, self.basis.n_modes))
@@ -263,12 +278,41 @@ class BasisModel:
         return found
 
     @cached_property
+    def held_out(self) -> list[tuple[ReferenceModel, Array]]:
+        """The model and its runs at the training points, without their own corrections.
+
+        With its own correction a training run is the full run: its error tells nothing.
+        """
+        found = []
+        for point, (reduced, run) in zip(self.points, self.trained, strict=True):
+            taught = self.taught(reduced, point, held_out=True)
+            found.append((taught, run if taught.correction is None else run + taught.correction))
+        return found
+
+    @cached_property
+    def measured_differences(self) -> dict[str, Quantities]:
+        """What full training runs measured, less what those of `held_out` do.
+
+        By measurement and quantity (n_runs, n_snapshots, ...); not finite where a run diverged.
+        They hold the sound and the noise of particles that the model doesn't have.
+        """
+        case = self.workspace.case
+        with self.workspace.open(self.workspace.operators()) as artifact:
+            recorded = read_recorded(case, artifact, self.name)
+        own = [
+            quantities_of(case, reduced, reduced.output_times.time, run)
+            for reduced, run in self.held_out
+        ]
+        return {
+            name: {q: each - np.stack([one[name][q] for one in own]) for q, each in full.items()}
+            for name, full in recorded.items()
+        }
+
+    @cached_property
     def force_corrections(self) -> Mapping[str, Correction | None]:
         """What training runs add to forces, from the model's runs at the trained points."""
         case, found = self.workspace.case, dict[str, Correction | None]()
-        places = places_of(case, self.points)
-        period = case.plan.longest_sound_period / case.plan.steps.snapshot_interval
-        weights = hat(max(1, round(period)))
+        places, weights = places_of(case, self.points), sound_averages(case)
         for name, (force, recorded) in self._forces.items():
             defects = np.stack(
                 [

@@ -7,23 +7,27 @@ the runs do, whatever the number of points is, and the fit is the same for all p
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.artifacts import ArtifactWriter, read_record, write_record
 from sphrom.artifacts.records.coordinates import ErrorEstimate as StoredEstimate
+from sphrom.artifacts.records.coordinates import MeasuredOnce
 from sphrom.case.points import ParameterPoint
+from sphrom.metrics.measures import Quantities, mean_square
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.error_calibration import (
     FIELDS,
     LocalErrorCalibration,
     calibrate_errors,
     compared_snapshots,
+    output_errors,
 )
 from sphrom.reduction.held_out import UnheldShares
 from sphrom.reduction.reduced_operators import ResidualFactor, residual_norm
@@ -95,6 +99,7 @@ def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
     factors = [None, None]
     if fitted.factors is not None and not found.extrapolates:
         factors = fitted.factors.tolist()
+    errors = measured_errors(run)
     constants = [float(constant) for constant in fitted.constants * trained.units]
     stored = StoredEstimate(
         velocity=found.velocity,
@@ -106,10 +111,17 @@ def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
         pressure_constant=constants[1],
         velocity_factor=factors[0],
         pressure_factor=factors[1],
+        measure={
+            name: measured_once({q: np.sqrt(np.mean(e**2, axis=0))[None] for q, e in each.items()})
+            for name, each in errors.items()
+        },
     )
     write_record(artifact, stored, "error_estimate")
     artifact.annotate("timing/error_estimate", time.perf_counter() - started)
     report.info(_told(run, found, factors))
+    if shares := measured_shares(run, errors):
+        listed = ", ".join(f"{name} {format_figure(share)} %" for name, share in shares.items())
+        report.info(f"{run.name}: estimated errors of what is measured: {listed}")
 
 
 def estimate(run: FastRun) -> ErrorEstimate | None:
@@ -129,6 +141,41 @@ def estimate(run: FastRun) -> ErrorEstimate | None:
     beyond = fitted.extrapolates(len(run.time))
     percent = of_velocity, of_pressure
     return ErrorEstimate(velocity, pressure, *percent, beyond, residual, errors, sizes)
+
+
+def measured_shares(run: FastRun, errors: Mapping[str, Quantities]) -> dict[str, float]:
+    """Return errors (n_snapshots, ...) of forces, flow rates and velocities, by measurement [%].
+
+    They are root mean squares over those of the run.
+    """
+    found, measured = {}, run.measured
+    for name, each in errors.items():
+        quantity = next(iter(each))
+        size = mean_square(quantity, measured[name][quantity])
+        if size > 0.0:
+            found[name] = 100.0 * math.sqrt(mean_square(quantity, each[quantity]) / size)
+    return found
+
+
+def measured_once(quantities: Quantities) -> MeasuredOnce:
+    """Return what is measured at one instant (1, ...) as artifacts have it."""
+    given: dict[str, Any] = {q: v[0] if v.ndim > 1 else float(v[0]) for q, v in quantities.items()}
+    return MeasuredOnce(**given)
+
+
+def measured_errors(run: FastRun) -> dict[str, Quantities]:
+    """Estimate the errors of all that a case measures over a run (n_snapshots, ...).
+
+    Nothing where the run has no estimates.
+    """
+    model, found = run.model.at_point(run.point), estimate(run)
+    if model.trained_errors is None or found is None:
+        return {}
+    known = model.trained_errors.known
+    return {
+        name: {q: output_errors(q, each, known, found.errors) for q, each in quantities.items()}
+        for name, quantities in model.measured_differences.items()
+    }
 
 
 def _fitted(run: FastRun) -> tuple[TrainedErrors | None, LocalErrorCalibration | None]:
@@ -163,6 +210,7 @@ def distance_from(states: Array, state: Array) -> float:
 class TrainedErrors:
     """The errors of a model with one basis in training, and the fit of estimates to them.
 
+    `known` (n_runs, n_compared, 2) are root mean squares over the fluid, as `ErrorEstimate.errors`.
     `fitted` is None where the training runs have no errors, or all of them diverge.
     """
 
@@ -183,20 +231,18 @@ class TrainedErrors:
         correction, places = model.correction, places_of(self._case, points)
         coordinates, residuals, errors = [], [], []
         for k, (reduced, found) in enumerate(model.trained):
-            held_out, own = found, found
-            if correction is not None:
-                # With its own correction a training run is the full run: its error tells nothing.
-                held_out = found + correction.held_out(places[k])
-                own = found + correction.at(places[k])
+            held_out = model.held_out[k][1]
+            own = found if correction is None else found + correction.at(places[k])
             coordinates.append(own)
             times = reduced.output_times.time
             residuals.append(self.residual(points[k], reduced, times, held_out))
             errors.append(self.products.errors(k, held_out[compared]))
+        self.known = np.stack(errors)
         self.fitted = calibrate_errors(
             times,
             np.stack(coordinates),
             np.stack(residuals),
-            np.stack(errors),
+            self.known,
             compared,
             places,
             unheld.of_size(model.section.size),

@@ -36,7 +36,7 @@ from products of snapshots with the basis, |x - Phi a|^2 = x.x - 2 a.(Phi^T x) +
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -56,6 +56,8 @@ SLOWEST = 0.3
 """The slowest of them over one a run."""
 LEFT_OUT = 0.1
 """Share of a run from its start that nothing is fitted to."""
+OF_QUANTITY: Mapping[str, Sequence[int]] = {"velocity": [0], "flow_rate": [0], "pressure": [1]}
+"""The fields whose errors those of a quantity are proportional to; of others it is both."""
 WITHIN = 0.95
 """Share of the training errors that stay within the factor."""
 
@@ -170,6 +172,29 @@ def accumulated(time: Array, residual: Array, decay_rate: float | Array) -> Arra
     for k in range(len(steps)):
         out[..., k + 1] = remains[..., k] * out[..., k] + passed[..., k]
     return out
+
+
+def output_errors(quantity: str, differences: Array, known: Array, estimated: Array) -> Array:
+    """Return the estimated errors (..., *shape) of an output, such as the velocity at a probe.
+
+    They are those of training runs, times the ratio of the errors over the fluid to those of
+    training runs, all root mean squares over runs and instants. The ratio is that of the velocity
+    for a velocity or a flow rate, of the pressure for a pressure, and else the larger of both.
+
+    Parameters
+    ----------
+    quantity : one of `sphrom.metrics.measures.UNITS`.
+    differences : (n_runs, n_snapshots, *shape) of training runs from full ones; of runs that
+        diverged not finite: they are left out.
+    known : (n_runs, n_compared, 2) errors of the training runs over the fluid.
+    estimated : (..., 2) errors over the fluid, in the same units.
+    """
+    finite = np.isfinite(differences).all(axis=tuple(range(1, differences.ndim)))
+    of_output, of_fluid = (
+        np.sqrt(np.mean(each[finite] ** 2, axis=(0, 1))) for each in (differences, known)
+    )
+    ratios = (estimated / of_fluid)[..., OF_QUANTITY.get(quantity, [0, 1])].max(axis=-1)
+    return np.multiply.outer(ratios, of_output)
 
 
 def calibrate_errors(

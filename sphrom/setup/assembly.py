@@ -17,6 +17,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.scene_section import MeasureSection
 from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.measures import FieldMeasure
+from sphrom.metrics.series import hat
 from sphrom.reduction.correction import interpolation_weights
 from sphrom.reduction.polynomial_model import Amplitude, OutputTimes
 from sphrom.reduction.reduced_rates import memory_length
@@ -87,6 +88,11 @@ def memory_length_of(
     if model.memory_length == "auto":
         return memory_length(jacobian(), case.plan.smoothing_length, case.plan.sound_speed)
     return model.memory_length
+
+
+def sound_averages(case: Case) -> Array:
+    """Return weights of averages over snapshots in which sound cancels."""
+    return hat(max(1, round(case.plan.longest_sound_period / case.plan.steps.snapshot_interval)))
 
 
 def output_times_of(case: Case, steps: TimeSteps, basis: TrialBasis) -> OutputTimes:

@@ -19,6 +19,7 @@ from sphrom.artifacts import Artifact, read_record
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import AUTO, ReducedModelSection
+from sphrom.metrics.measures import UNITS, Quantities
 from sphrom.reduction.calibration import Calibration, TrainingRun, calibrate
 from sphrom.reduction.held_out import best_size
 from sphrom.reduction.mode_splines import ModeSplines, first_modes
@@ -26,6 +27,7 @@ from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure
 from sphrom.reduction.reduced_operators import ReducedOperators
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis, project, truncate
 from sphrom.setup import assembly
+from sphrom.store.trajectory import totals
 from sphrom.store.workspace import Workspace
 
 N_BLOCK_SNAPSHOTS = 16
@@ -159,6 +161,18 @@ def read_measure(
 ) -> ReducedMeasure:
     """Read a measurement of fields, in the coordinates of some modes of a basis."""
     return read_record(artifact, ReducedMeasure, f"bases/{basis}/measure/{name}").of_modes(modes)
+
+
+def read_recorded(case: Case, artifact: Artifact, basis: str) -> dict[str, Quantities]:
+    """Read what the full runs that a basis learnt from measured (n_runs, n_snapshots, ...)."""
+    group, found = f"bases/{basis}", {}
+    for name, section in case.scene.measure.items():
+        if section.force_on is not None:
+            found[name] = totals(artifact.read(f"{group}/wall_force/{name}/training_loads"))
+        else:
+            paths = {q: f"{group}/measure/{name}/training_{q}" for q in UNITS}
+            found[name] = {q: artifact.read(path) for q, path in paths.items() if path in artifact}
+    return found
 
 
 def memory_timing(basis: str, n_modes: int) -> str:

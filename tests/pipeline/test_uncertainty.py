@@ -15,7 +15,12 @@ from sphrom.artifacts import open_artifact, read_record
 from sphrom.artifacts.records.sweep import Statistics
 from sphrom.case.loader import load_case
 from sphrom.errors import UnstableError
+from sphrom.online.basis_model import fields_of
+from sphrom.online.error_estimates import measured_errors
+from sphrom.online.fast_model import FastModel
 from sphrom.plots.canvas import save
+from sphrom.store.trajectory import measured_of
+from sphrom.store.workspace import Workspace
 from sphrom.sweep import sweep as stage
 from sphrom.sweep.batches import ERROR, UNSTABLE, RunRecord, SweptModel
 from sphrom.sweep.statistics import draw_indices, draw_quantiles, outputs_of
@@ -136,6 +141,25 @@ def test_drawn_runs_are_those_of_the_model_alone_to_the_last_bit(swept, folder):
         run = study.model("fast", reynolds=points[k, 0], lid=points[k, 1]).run()
         assert run.coordinates.tobytes() == coordinates[k].tobytes()
         assert np.array_equal(np.asarray(run.error_estimate.velocity), shares[k])
+
+
+def test_training_runs_tell_the_errors_of_what_is_measured(folder):
+    study = sphrom.Study(CASE, out=folder, quiet=True, threads=1)
+    fast = FastModel(Workspace(study._context), study.case.rom[0])
+    (basis,) = (fast.on_basis(name) for name in study.case.plan.bases)
+    for k, (reduced, run) in enumerate(basis.held_out):
+        with fast.workspace.open(fast.workspace.full_run(basis.points[k])) as full:
+            recorded = measured_of(study.case, full)
+        given = fields_of(reduced.measures, reduced.mean_density_fluctuation, run)
+        for name, quantities in given.items():
+            for quantity, values in quantities.items():
+                expected = recorded[name][quantity] - values
+                found = basis.measured_differences[name][quantity][k]
+                np.testing.assert_array_equal(found, expected)
+    run = fast.run(study.case.plan.point({"reynolds": 120.0, "lid": 0.7}))
+    errors = measured_errors(run)
+    assert errors["there"]["velocity"].shape == (len(run.time), 1, 2)
+    assert np.all(errors["load"]["torque"][1:] > 0.0)
 
 
 def test_tables_are_beside_the_artifact(swept, folder):

@@ -7,7 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sphrom.reduction.error_calibration import ErrorCalibration, accumulated, calibrate_errors
+from sphrom.reduction.error_calibration import (
+    ErrorCalibration,
+    accumulated,
+    calibrate_errors,
+    output_errors,
+)
 from sphrom.reduction.held_out import UnheldShares
 
 TIME = np.linspace(0.0, 2.0, 41)
@@ -121,3 +126,16 @@ def test_runs_that_diverged_are_left_out() -> None:
     np.testing.assert_array_equal(found.shares.time, SHARES.time[:1])
     some[0, 30:] = np.nan
     assert calibrate_errors(TIME, some, residuals, errors, np.arange(41), PLACES, SHARES) is None
+
+
+@pytest.mark.parametrize(
+    ("quantity", "ratio"), [("velocity", 2.0), ("pressure", 3.0), ("force", 3.0)]
+)
+def test_the_error_of_an_output_is_as_much_larger_as_that_over_the_fluid(quantity, ratio) -> None:
+    """Of a run that diverged nothing is known."""
+    noise = np.random.default_rng(0).standard_normal((2, 500, 2)) * [0.1, 0.4]
+    differences = np.concatenate((noise, np.full((1, 500, 2), np.nan)))
+    known = np.broadcast_to([0.5, 0.2], (3, 10, 2)) * np.array([1.0, 1.0, np.nan])[:, None, None]
+    estimated = np.array([[0.5, 0.2], [1.0, 0.6]])
+    found = output_errors(quantity, differences, known, estimated)
+    np.testing.assert_allclose(found, np.outer([1.0, ratio], [0.1, 0.4]), rtol=0.05)

@@ -55,6 +55,22 @@ class WallForce(ReducedForce):
     )
 
 
+class TrainedMeasure(ReducedMeasure):
+    """A projected measurement, and what the full runs that it learnt from recorded."""
+
+    training_flow_rate: Array | None = dataset(
+        "run snapshot", "m2/s", "flow through the section in training runs", default=None
+    )
+    training_velocity: Array | None = dataset(
+        "run snapshot place component", "m/s", "velocity at the places in training runs", "u",
+        "Eq. 2.7", default=None,
+    )
+    training_pressure: Array | None = dataset(
+        "run snapshot place", "Pa", "pressure at the places in training runs", "p", "Eq. 2.8",
+        default=None,
+    )
+
+
 class Estimate(FieldProducts):
     """The data that estimates of errors are fitted to."""
 
@@ -99,7 +115,7 @@ class BasisOperators(Record):
     held_out: HeldOut | None = part(default=None)
     memory: Mapping[str, MemoryOperators] = part()
     wall_force: Mapping[str, WallForce] = part(default_factory=dict)
-    measure: Mapping[str, ReducedMeasure] = part(default_factory=dict)
+    measure: Mapping[str, TrainedMeasure] = part(default_factory=dict)
     skewness: float = attribute("1", "of the acoustic part; zero is skew")
 
 
