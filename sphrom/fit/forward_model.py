@@ -101,10 +101,10 @@ class FittedModel:
         basis : another than that of the point.
         """
         basis = self.fast.basis_at(point) if basis is None else basis
-        found = self.fast.on_basis(basis).equations(point)
+        found = self.fast.on_basis(basis).at(point)
         if basis not in self._stepped:
             model = self.fast.on_basis(basis)
-            (self._stepped[basis],) = model.projected(model.points[:1], in_training=True)
+            self._stepped[basis] = model.projected(model.points[0], in_training=True)
         if basis not in self._measures:
             self._measures[basis] = {}
             if (fields := self.unnamed) is not None:

@@ -9,7 +9,7 @@ to have, and how many of them to integrate.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 
 import numpy as np
@@ -36,7 +36,6 @@ from sphrom.reduction.held_out import (
     UnheldShares,
     best_size,
     choose_integrated,
-    held_out_errors,
     snapshot_products,
     unheld_shares,
 )
@@ -327,9 +326,8 @@ class _Projection:
 
         Raises CaseError when a model needs it all the same.
         """
-        asked = self.name in self.case.plan.sized_bases
         if runs is None or estimate is None or runs.shape[1] < LEAST_SNAPSHOTS:
-            if asked:
+            if self.name in self.case.plan.sized_bases:
                 raise CaseError(
                     f"rom.n_modes: auto needs training runs of {LEAST_SNAPSHOTS} snapshots or "
                     "more; see snapshots.every"
@@ -337,32 +335,18 @@ class _Projection:
             return None
         places = places_of(self.case, self.trained)
         sizes = TrainedSizes(places, runs, products=estimate, compared=self.compared)
-        integrated, every = np.arange(1, sizes.largest + 1), range(len(self.trained))
-        if len(self.trained) > 1:
-            repeated = [self._repeated(runs, int(n), every) for n in integrated]
-            integrated = choose_integrated(sizes, repeated)
-        error = None
-        if asked:
-            # Calibrated on all other runs; on itself where there is one.
-            learnt = [[other for other in every if other != run] or [run] for run in every]
-            errors = [
-                held_out_errors(
-                    sizes, n_modes, [self._repeated(runs, int(n), some) for some in learnt]
-                )
-                for n_modes, n in enumerate(integrated, 1)
-            ]
-            error = np.stack(errors)
+        repeated = [self._repeated(runs, n + 1) for n in range(sizes.largest)]
+        integrated, error = choose_integrated(sizes, repeated)
         return HeldOut(integrated=integrated, error=error)
 
-    def _repeated(self, runs: Array, n_modes: int, learnt: Sequence[int]) -> Array:
-        """Return training runs (n_runs, n_snapshots, n_modes) by a model calibrated on some.
+    def _repeated(self, runs: Array, n_modes: int) -> Array:
+        """Return training runs (n_runs, n_snapshots, n_modes) by a model calibrated on them.
 
         NaN where they aren't stable.
         """
         case, modes = self.case, kept_modes(self.basis, n_modes)
         operators, runs = self.operators.of_modes(modes), runs[..., modes]
-        points = [self.trained[k] for k in learnt]
-        calibration = calibrated(case, points, operators, runs[list(learnt)])
+        calibration = calibrated(case, self.trained, operators, runs)
         basis, states = truncate(self.basis, n_modes), self.states[:, modes]
         found = []
         for point, own in zip(self.trained, runs, strict=True):
@@ -374,7 +358,7 @@ class _Projection:
                 output_times=output_times_of(case, case.plan.steps, basis),
                 amplitude=amplitude_of(case, point),
             )
-            (model,) = reference_model.with_limits([model], states)
+            model = model.around(states)
             if model.output_times.duration > MAX_STEPS * model.step_limit:
                 found.append(np.full_like(own, np.nan))
             else:
@@ -401,7 +385,7 @@ class _Projection:
     def _report_choice(self, chosen: HeldOut) -> None:
         """Say how many modes models have, and integrate, that leave it to the training runs."""
         plan, name, size = self.case.plan, self.name, 0
-        if chosen.error is not None:
+        if self.name in plan.sized_bases:
             size = best_size(chosen.error)
             velocity, pressure = (format_figure(100.0 * e) for e in chosen.error[size - 1])
             self.report.info(

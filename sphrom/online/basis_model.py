@@ -6,9 +6,10 @@ Whatever doesn't depend on the parameter point is read and computed once, for al
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,7 +27,9 @@ from sphrom.online.error_estimates import TrainedErrors
 from sphrom.reduction import reference_model
 from sphrom.reduction.calibration import Calibration
 from sphrom.reduction.correction import Correction, learn_correction
+from sphrom.reduction.exponential_steps import LinearPart
 from sphrom.reduction.held_out import FieldProducts
+from sphrom.reduction.polynomial_model import Run
 from sphrom.reduction.reduced_measures import (
     PointForce,
     ReducedForce,
@@ -34,6 +37,7 @@ from sphrom.reduction.reduced_measures import (
     TimedLoads,
 )
 from sphrom.reduction.reduced_operators import MemoryOperators
+from sphrom.reduction.reduced_rates import Polynomial
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
 from sphrom.reduction.trial_basis import (
     kept_modes,
@@ -64,6 +68,8 @@ from sphrom.store.workspace import Workspace
 if TYPE_CHECKING:
     from sphrom.reduction.mode_splines import ModeSplines
 
+LOADS_APART = tuple(np.array([k]) for k in range(12))
+"""Training runs correct each load of a force for itself, its slow part and the rest."""
 Start = Callable[[ParameterPoint], Fields]
 """The fields on the reference points at the start of a run at a parameter point."""
 
@@ -175,34 +181,47 @@ class BasisModel:
         every = self.workspace.case.snapshots.every
         return reference_model.choose(reduced, lambda part: steps_of(self.section, part, every))
 
-    def equations(self, point: ParameterPoint) -> ReferenceModel:
-        """Return the model at a point, without the data that choosing steps takes."""
-        found = self._equations(point)
-        if self.leading is not None:
-            found = found.with_leading(self.leading._equations(point))
+    def at(self, point: ParameterPoint) -> ReferenceModel:
+        """Return the model at a point, with what training runs tell of it."""
+        found = self.projected(point)
+        run = replace(found.leading or found, first_step=self._first_step(point))
+        found = run if found.leading is None else replace(found, leading=run)
         return self.taught(found, point)
 
-    def projected(
-        self, points: Sequence[ParameterPoint], *, in_training: bool = False
-    ) -> list[ReferenceModel]:
-        """Return the models at points, without their corrections and forces.
+    def projected(self, point: ParameterPoint, *, in_training: bool = False) -> ReferenceModel:
+        """Return the model at a point, without its correction and forces.
 
-        Runs `in_training` have the times of training runs.
+        Its steps carry the linear part of the nearest training point. Runs `in_training` have the
+        times of training runs.
         """
-        equations = [self._equations(point, in_training) for point in points]
-        models = reference_model.with_limits(equations, self.states)
+        linear = self._linear_parts[self._nearest(point)]
+        found = self._equations(point, in_training)
+        found = replace(found, states=self.states, linear=linear)
         if self.leading is None:
-            return models
-        first = self.leading.projected(points, in_training=in_training)
-        return [whole.with_leading(part) for whole, part in zip(models, first, strict=True)]
+            return found
+        return found.with_leading(self.leading.projected(point, in_training=in_training))
+
+    def _nearest(self, point: ParameterPoint) -> int:
+        """Return which training point is the nearest."""
+        places = places_of(self.workspace.case, [*self.points, point])
+        distances = np.linalg.norm(places[:-1] - places[-1], axis=1)
+        # Rounded: of points as near as each other, the first on any machine.
+        return int(np.round(distances, 9).argmin())
+
+    @cached_property
+    def _linear_parts(self) -> list[LinearPart | None]:
+        """The linear parts of exponential steps, by training point."""
+        models = [self._equations(point, in_training=True) for point in self.points]
+        return [model.around(self.states).linear for model in models]
 
     def _equations(self, point: ParameterPoint, in_training: bool = False) -> ReferenceModel:
         """Return the model's equations and start alone."""
         case = self.workspace.case
         viscosity = case.plan.kinematic_viscosity(point)
         coordinates, mean = self._initial_state(self._start(point))
+        rates = self.operators.at(viscosity, point.factors)
         found = ReferenceModel(
-            polynomial=self.operators.at(viscosity, point.factors),
+            polynomial=rates,
             basis=self.basis,
             start=coordinates,
             output_times=self._times[in_training],
@@ -210,15 +229,19 @@ class BasisModel:
             amplitude=amplitude_of(case, point),
             measures=self._measures,
         )
-        rates, length = found.polynomial, None
+        length, closures = None, []
         if self._memory is not None:
             length = memory_length_of(
                 case, self.section, lambda: rates.jacobian(coordinates, found.strongest)
             )
-            rates = rates.plus(self._memory.at(viscosity), length)
+            closures.append(self._memory.at(viscosity).scaled(length))
         if self._calibration is not None:
-            rates = rates.plus(self._calibration.at(viscosity, point.factors))
-        return replace(found, polynomial=rates, memory_length=length)
+            closures.append(self._calibration.at(viscosity, point.factors))
+        if not closures:
+            return found
+        closure = reduce(Polynomial.plus, closures)
+        whole = rates.plus(closure)
+        return replace(found, polynomial=whole, closure=closure, memory_length=length)
 
     def _initial_state(self, fields: Fields) -> tuple[Array, float]:
         """Return coordinates (n_modes,) of mapped fields, and the separate mean density."""
@@ -270,12 +293,24 @@ class BasisModel:
 
         Coordinates that are not integrated are zero.
         """
-        found = []
-        for point in self.points:
-            (reduced,) = self.projected([point], in_training=True)
-            run = self.integrator(reduced.leading or reduced).run().coordinates
-            found.append((reduced, run if reduced.leading is None else reduced.spread(run)))
-        return found
+        runs = [(reduced, run.coordinates) for reduced, run in self._trained_runs]
+        return [(m, run if m.leading is None else m.spread(run)) for m, run in runs]
+
+    @cached_property
+    def _trained_runs(self) -> list[tuple[ReferenceModel, Run]]:
+        found = [self.projected(point, in_training=True) for point in self.points]
+        return [(each, self.integrator(each.leading or each).run()) for each in found]
+
+    def _first_step(self, point: ParameterPoint) -> float | None:
+        """Return the automatic step [s] of the nearest training run, where that is stable.
+
+        At a training point it is exactly the step that the correction was learnt with.
+        """
+        with suppress(CaseError):
+            _, run = self._trained_runs[self._nearest(point)]
+            if self.section.time_step == AUTO and math.isnan(run.diverged_at):
+                return run.time_step
+        return None
 
     @cached_property
     def held_out(self) -> list[tuple[ReferenceModel, Array]]:
@@ -310,31 +345,39 @@ class BasisModel:
 
     @cached_property
     def force_corrections(self) -> Mapping[str, Correction | None]:
-        """What training runs add to forces, from the model's runs at the trained points."""
-        case, found = self.workspace.case, dict[str, Correction | None]()
+        """What training runs add to forces, from the model's runs at the trained points.
+
+        None where these take steps without end.
+        """
+        case, found = self.workspace.case, dict[str, Correction | None].fromkeys(self._forces)
+        try:
+            runs = self.trained if self._forces else []
+        except CaseError:
+            return found
         places, weights = places_of(case, self.points), sound_averages(case)
         for name, (force, recorded) in self._forces.items():
             defects = np.stack(
                 [
-                    loads.reshape(len(loads), -1) - self._loads_in_training(force, k)
-                    for k, loads in enumerate(recorded)
+                    loads.reshape(len(loads), -1) - self._loads(force, point, *run)
+                    for loads, point, run in zip(recorded, self.points, runs, strict=True)
                 ]
             )
             slow = np.stack([smoothed(each, weights) for each in defects])
             # Sound and the particles' noise may be of each run alone.
             parts = np.concatenate((slow, defects - slow), axis=2)
-            found[name] = learn_correction(places, parts, worthwhile=math.inf)
+            found[name] = learn_correction(places, parts, LOADS_APART, worthwhile=math.inf)
             if len(places) == 1 and np.isfinite(defects).all():
                 # Nothing tells how far the only one reaches.
                 found[name] = Correction(places, parts, np.full(parts.shape[2], np.inf))
         return found
 
-    def _loads_in_training(self, force: ReducedForce, k: int) -> Array:
-        """Return the loads (n_snapshots, 6) of a force in the model's own k-th training run.
+    def _loads(
+        self, force: ReducedForce, point: ParameterPoint, reduced: ReferenceModel, run: Array
+    ) -> Array:
+        """Return the loads (n_snapshots, 6) of a force in a training run of the model.
 
         NaN where that isn't stable.
         """
-        point, (reduced, run) = self.points[k], self.trained[k]
         added = self._added(point)
         states = run if added is None else run + added
         local = replace(reduced, forces={"": self._at_point(force, reduced, point)})
@@ -364,7 +407,7 @@ def steps_of(section: ReducedModelSection, reduced: ReferenceModel, full_steps: 
     if section.time_step != "auto":
         n_steps = round(output_times.interval / section.time_step) * n_intervals
         return reference_model.runge_kutta(reduced, n_steps)
-    if output_times.duration > MAX_STEPS * reduced.step_limit:
+    if reduced.first_step is None and output_times.duration > MAX_STEPS * reduced.step_limit:
         raise CaseError(
             f"rom: {section.name} is stable with steps of {reduced.step_limit:.3g} s only, which "
             f"are more than {MAX_STEPS:g}; choose fewer modes, a memory_length or a time_step"

@@ -8,7 +8,6 @@ equations with one basis, `sphrom.reduction.reference_model` integrates them, an
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -40,7 +39,6 @@ class FastModel:
     def __init__(self, workspace: Workspace, section: ReducedModelSection) -> None:
         self.workspace, self.section = workspace, section
         self._on_basis: dict[str, BasisModel] = {}
-        self._prepared: dict[ParameterPoint, ReferenceModel] = {}
 
     def basis_at(self, point: ParameterPoint) -> str:
         """Return the name of the model's basis at a parameter point."""
@@ -81,17 +79,7 @@ class FastModel:
 
     def at(self, point: ParameterPoint) -> ReferenceModel:
         """Return the model at a parameter point."""
-        model, found = self.at_point(point), self._prepared.pop(point, None)
-        return model.taught(found or model.projected([point])[0], point)
-
-    def prepare(self, points: Sequence[ParameterPoint]) -> None:
-        """Build the models at points together, which is faster, for `at` to return them."""
-        by_basis: dict[str, list[ParameterPoint]] = {}
-        for point in points:
-            by_basis.setdefault(self.basis_at(point), []).append(point)
-        for name, those in by_basis.items():
-            found = self.on_basis(name).projected(those)
-            self._prepared |= dict(zip(those, found, strict=True))
+        return self.at_point(point).at(point)
 
     def sampled(
         self, point: ParameterPoint, points: Array, time: Array, coordinates: Array, mean: float

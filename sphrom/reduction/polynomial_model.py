@@ -6,7 +6,7 @@ The cost of a step depends on the number of modes only. Coordinates are (n_modes
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -29,13 +29,7 @@ N_HALVINGS = 20
 
 def step_limit(polynomial: Polynomial, states: Array, amplitude: float = 0.0) -> float:
     """Return the largest time step [s] that is stable around every state (n_states, n_modes)."""
-    return step_limits([(polynomial, states, amplitude)])[0]
-
-
-def step_limits(systems: Sequence[tuple[Polynomial, Array, float]]) -> list[float]:
-    """Return the limits [s] of some systems, given with as many states and an amplitude each."""
-    jacobians = np.stack([p.jacobians(states, amplitude) for p, states, amplitude in systems])
-    return [float(limit) for limit in largest_steps(jacobians)]
+    return float(largest_steps(polynomial.jacobians(states, amplitude)))
 
 
 def steps_within(duration: float, limit: float) -> int:

@@ -126,6 +126,6 @@ def expand(
     `mean_density` (n_snapshots,) [kg/m3] is what the basis has carried apart, else zero.
     """
     values = splines.values(points).reshape(len(points), -1, 3)
-    fields = np.einsum("pmf,sm->spf", values, coordinates, optimize=True)
+    fields = np.tensordot(coordinates, values, (1, 1))
     density = basis.inner_product.density_fluctuation(fields[..., 0]) + mean_density[:, None]
     return Samples(times, fields[..., 1:], pressure_of(density, case.plan.sound_speed))

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -40,8 +39,6 @@ from sphrom.sweep.workers import Failure, Task
 
 LOADS = ("force_x", "force_y", "torque")
 """What columns call the loads on a wall."""
-TOGETHER = 64
-"""Models that are built together."""
 COMPLETE, UNSTABLE, FAILED, NOT_RUN = 0, 1, 2, 3
 STATES = ("complete", "unstable", "failed", "not run")
 """Words for them."""
@@ -67,9 +64,7 @@ def make_runs(task: Task) -> tuple[Failure, ...]:
     swept = _swept(replace(task, points=()))
     records: list[RunRecord] = []
     failed: list[Failure] = []
-    for k, point in enumerate(task.points):
-        if k % TOGETHER == 0:
-            swept.prepare(task.points[k : k + TOGETHER])
+    for point in task.points:
         require_folder(swept.workspace)
         try:
             records.append(swept.run(point))
@@ -98,12 +93,6 @@ class SweptModel:
         if self._model is not None and self._model.from_operators:
             self._fast = FastModel(workspace, self._model)
         self._of_bases: dict[str, tuple[SpeedBounds, KineticEnergy]] = {}
-
-    def prepare(self, points: Sequence[ParameterPoint]) -> None:
-        """Do together what takes less time so, before points are run one by one."""
-        if self._fast is not None:
-            with suppress(SphromError):  # whatever is wrong at a point is for its run to say
-                self._fast.prepare(points)
 
     def run(self, point: ParameterPoint) -> RunRecord:
         """Run the model at a parameter point.
@@ -268,9 +257,8 @@ def read_records(artifact: Artifact) -> list[RunRecord]:
     numbers = {"complete_run": artifact.read("complete").tolist()}
     if f"{ERROR}run" in artifact:
         numbers["estimated_run"] = artifact.read(f"{ERROR}run").tolist()
-    values: dict[int, dict[str, Any]] = {
-        k: {"time": artifact.read("time")} for k in numbers["complete_run"]
-    }
+    time = artifact.read("time") if numbers["complete_run"] else None
+    values: dict[int, dict[str, Any]] = {k: {"time": time} for k in numbers["complete_run"]}
     for name in artifact.datasets:
         described = SCHEMAS["sphrom/sweep"].dataset(name)
         axis = "" if described is None else described.axes[0]

@@ -33,7 +33,7 @@ def growing(rate: float) -> ReferenceModel:
         start=np.ones(1),
         output_times=OutputTimes(PLAN.snapshot_interval, PLAN.n_snapshots, largest_norm=1e3),
         mean_density_fluctuation=0.0,
-        step_limit=math.inf if rate >= 0.0 else 2.785 / -rate,
+        states=np.ones((1, 1)),
     )
 
 

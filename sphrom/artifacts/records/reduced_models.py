@@ -89,10 +89,9 @@ class HeldOut(Record):
         "number of modes to integrate of models with 1, 2, ... modes; training runs predict the "
         "others",
     )
-    error: Array | None = dataset(
+    error: Array = dataset(
         "size field", "1",
-        "error over the field's size of such models calibrated without the run held out, where a "
-        "model asks for the number of modes" + OF_FIELDS, default=None,
+        "error over the field's size of such models, of training runs held out" + OF_FIELDS,
     )
 
 
