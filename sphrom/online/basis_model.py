@@ -22,6 +22,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import Quantities
+from sphrom.metrics.samples import Samples
 from sphrom.metrics.series import smoothed
 from sphrom.online.error_estimates import TrainedErrors
 from sphrom.reduction import reference_model
@@ -159,6 +160,16 @@ class BasisModel:
         from sphrom.store.trained_models import read_modes  # they load their kernels
 
         return read_modes(self.workspace, self.name, self.section.size)[1]
+
+    def sampled(self, points: Array, time: Array, coordinates: Array, mean: float) -> Samples:
+        """Return velocity and pressure at points (n_points, 2) of coordinates (n_times, n_modes).
+
+        `mean` is the density fluctuation that is carried apart [kg/m3].
+        """
+        from sphrom.store.sampling import expand
+
+        case, means = self.workspace.case, np.full(len(time), mean)
+        return expand(case, self.basis, self.splines, points, time, coordinates, means)
 
     @cached_property
     def trained_errors(self) -> TrainedErrors | None:

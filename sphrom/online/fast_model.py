@@ -81,18 +81,6 @@ class FastModel:
         """Return the model at a parameter point."""
         return self.at_point(point).at(point)
 
-    def sampled(
-        self, point: ParameterPoint, points: Array, time: Array, coordinates: Array, mean: float
-    ) -> Samples:
-        """Return velocity and pressure at points (n_points, 2) of coordinates (..., n_modes).
-
-        `mean` is the density fluctuation that is carried apart [kg/m3].
-        """
-        from sphrom.store.sampling import expand
-
-        case, model, means = self.workspace.case, self.at_point(point), np.full(len(time), mean)
-        return expand(case, model.basis, model.splines, points, time, coordinates, means)
-
 
 @dataclass(frozen=True, kw_only=True)
 class FastRun(Run):
@@ -144,4 +132,4 @@ class FastRun(Run):
     def sampled(self, points: Array) -> Samples:
         """Return velocity and pressure at points (n_points, 2) [m], by the splines of the modes."""
         mean = self.reduced.mean_density_fluctuation
-        return self.model.sampled(self.point, points, self.time, self.coordinates, mean)
+        return self.model.at_point(self.point).sampled(points, self.time, self.coordinates, mean)

@@ -181,6 +181,10 @@ class ParticleModel:
             self.mean_density_fluctuation(state),
         )
 
+    def remedy(self, state: Array, time_step: float) -> str:
+        """Return what may help a run that left the model's range near a state."""
+        return "another number of modes or a smaller time step may help"
+
     def rates(self, state: Array, time: float = 0.0) -> Array:
         """Return the state's rates at a time [s] (Eq. 3.21 or 3.22, and 3.23).
 

@@ -114,6 +114,35 @@ class SweptModel:
             return RunRecord(point, UNSTABLE, str(error))
         return self._of_trajectory(point, target)
 
+    def in_training(self, points: Sequence[ParameterPoint]) -> list[dict[str, Any]]:
+        """Return by what the training runs of models at points differ from full ones.
+
+        They are values as records have them, with their errors over the fluid; none without
+        estimates, and none at probes where the full run is gone.
+        """
+        if self._fast is None:
+            return []
+        found = []
+        for name in dict.fromkeys(map(self._fast.basis_at, points)):
+            if (trained := (basis := self._fast.on_basis(name)).trained_errors) is None:
+                return []
+            for k, (point, (reduced, run)) in enumerate(
+                zip(basis.points, basis.held_out, strict=True)
+            ):
+                errors = zip(PLACED, (trained.known[k] * trained.units).T, strict=True)
+                values = {f"{ERROR}{quantity}_over_time": each for quantity, each in errors}
+                measured = basis.measured_differences.items()
+                values |= _kept({n: {q: each[k] for q, each in m.items()} for n, m in measured})
+                target = self.workspace.full_run(point)
+                if len(self._probes) and target.path.exists():
+                    with self.workspace.open(target) as trajectory:
+                        full = sample_run(self.workspace.case, trajectory, self._probes)
+                    mean = reduced.mean_density_fluctuation
+                    own = _at_probes(basis.sampled(self._probes, full.time, run, mean))
+                    values |= {path: each - own[path] for path, each in _at_probes(full).items()}
+                found.append(values)
+        return found
+
     def _of_trajectory(self, point: ParameterPoint, target: Target) -> RunRecord:
         """Return the record of a run on particles."""
         case = self.workspace.case

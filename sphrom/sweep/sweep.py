@@ -274,7 +274,7 @@ class Results:
                 name = self._whole.path.name
                 self._workspace.context.report.info(f"{name}: there, and of this case: kept")
                 return records, found
-        found = statistics.statistics_of(case, records) if complete else None
+        found = statistics.statistics_of(self._workspace, records) if complete else None
         write_sweep(self._workspace, self._whole, records, found)
         statistics.publish(case, self._whole.path, records, found)
         if complete:  # otherwise others may be at it
