@@ -25,6 +25,7 @@ import numpy as np
 from scipy.interpolate import BSpline
 from scipy.sparse import csr_array, eye_array, hstack, vstack
 from scipy.sparse.linalg import splu
+from scipy.spatial import KDTree
 
 from sphrom.arrays import Array, Indices, Mask
 from sphrom.sph.domain import Domain
@@ -36,8 +37,11 @@ CELL = 2.0
 PENALTY, SMOOTHING, REGULARIZATION = 1e4, 1.0, 1e-10
 """Weights of the conditions at walls, of third derivatives times the spacing, and of coefficients,
 over that of the dissipation."""
-TOLERANCE = 0.05
-"""Largest difference of a field from the motion of a wall, over that."""
+LEAK = 0.1
+"""Largest flow through a wall, and motion into others that it touches, over its own motion."""
+
+TOUCHING = 2.0
+"""Distance of walls that touch each other, over the spacing."""
 
 
 @dataclass(frozen=True)
@@ -45,8 +49,9 @@ class StokesFields:
     """The fields w of a wall's motion along x, along y, and of its rotation."""
 
     follows: Mask
-    """(3,) whether there is such a field. There is none where a wall leaves no room for the fluid
-    that it displaces, or touches another wall that it moves along."""
+    """(3,) whether there is such a field: no fluid passes walls. There is none where a wall leaves
+    no room for the fluid that it displaces, or lifts off another one that it touches. It may slide
+    along that."""
     value: Array
     """(3, n_points, 2) [1], of the rotation [m]."""
     gradient: Array
@@ -67,6 +72,9 @@ def stokes_fields(
     """
     wrapped = domain.wrap(ghosts)
     wall, on_wall = domain.nearest_wall(wrapped), domain.on_wall(wrapped)
+    normal = domain.distance_and_normal(wrapped)[1]
+    depth, inward = domain.distance_and_normal(position)
+    beside = np.flatnonzero(depth < spacing)
     everywhere = np.concatenate((position, ghosts))
     stream, sides, around = (
         _Stream(domain, places, everywhere, spacing) for places in (position, on_wall, everywhere)
@@ -89,8 +97,17 @@ def stokes_fields(
         motions[2][:, own] = -y, x
         wanted = motions.reshape(3, -1).T
         coefficients = solved.solve(weight * (at_walls.T @ wanted))
-        wrong = np.abs(at_walls @ coefficients - wanted).max(axis=0)
-        follows = wrong < TOLERANCE * np.abs(wanted).max(axis=0)
+        wrong = (at_walls @ coefficients - wanted).reshape(2, -1, 3)[:, own]
+        through = np.sum(np.einsum("dgm,gd->gm", wrong, normal[own]) ** 2, axis=0)
+        follows = through < LEAK**2 * np.sum(motions**2, axis=(1, 2))
+        if own.any():
+            # Beside the fluid normals are those of sides, behind a corner they aren't.
+            others = beside[domain.nearest_wall(position[beside]) != domain.wall_names.index(name)]
+            foot = position[others] - depth[others, None] * inward[others]
+            apart, nearest = KDTree(on_wall[own]).query(foot)
+            moved = motions[..., np.flatnonzero(own)[nearest]]
+            lifted = np.abs(np.einsum("mdg,gd->mg", moved, inward[others]))
+            follows &= lifted[:, apart < TOUCHING * spacing].max(axis=1, initial=0.0) < LEAK
         found[name] = StokesFields(follows, *stream.fields(coefficients))
     return found
 

@@ -68,6 +68,14 @@ def test_a_disc_alone_carries_the_whole_fluid() -> None:
         assert np.abs(found["disc"].value[motion] - expected).max() < 1e-3
 
 
-def test_walls_that_touch_each_other_have_no_flows() -> None:
+def test_the_sides_of_a_closed_box_have_no_flows() -> None:
     _, found = fields(BoxDomain(*BOX, (False, False)), 0.1)
     assert not any(each.follows.any() for each in found.values())
+
+
+def test_a_hill_slides_along_its_floor_but_does_not_lift_off() -> None:
+    hill = shapely.Polygon([(1.2, -0.2), (2.8, -0.2), (2.4, 0.7), (1.6, 0.7)])
+    domain = PolygonDomain(*BOX, (True, False), (("hill", hill),))
+    _, found = fields(domain, 0.1)
+    assert found["hill"].follows.tolist() == [True, False, False]
+    assert found["top"].follows.tolist() == [True, False, False]
