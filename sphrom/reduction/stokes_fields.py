@@ -75,6 +75,8 @@ def stokes_fields(
     normal = domain.distance_and_normal(wrapped)[1]
     depth, inward = domain.distance_and_normal(position)
     beside = np.flatnonzero(depth < spacing)
+    mirrored = position[beside] - 2.0 * depth[beside, None] * inward[beside]
+    behind = domain.nearest_wall(domain.wrap(mirrored))
     everywhere = np.concatenate((position, ghosts))
     stream, sides, around = (
         _Stream(domain, places, everywhere, spacing) for places in (position, on_wall, everywhere)
@@ -102,7 +104,7 @@ def stokes_fields(
         follows = through < LEAK**2 * np.sum(motions**2, axis=(1, 2))
         if own.any():
             # Beside the fluid normals are those of sides, behind a corner they aren't.
-            others = beside[domain.nearest_wall(position[beside]) != domain.wall_names.index(name)]
+            others = beside[behind != domain.wall_names.index(name)]
             foot = position[others] - depth[others, None] * inward[others]
             apart, nearest = KDTree(on_wall[own]).query(foot)
             moved = motions[..., np.flatnonzero(own)[nearest]]
