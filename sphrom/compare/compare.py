@@ -11,6 +11,7 @@ from sphrom.case.study_sections import FULL
 from sphrom.compare.answer import tell_answer
 from sphrom.compare.comparison_figures import draw_comparison
 from sphrom.compare.comparison_tables import (
+    ALONE,
     FILE,
     MADE_BY,
     DecayRow,
@@ -170,8 +171,9 @@ class _PointComparison:
             used = {basis_used(workspace, model, self.point): model for model in last}
             for (name, size), model in sorted(used.items(), key=lambda each: each[0]):
                 best, modes = best_name(name, size), read_modes(workspace, name, size)
-                samples = sample_best(case, mapped, *modes, self.probes)
-                self._add(samples, best, basis=name, n_modes=size)
+                both, alone = sample_best(case, mapped, *modes, self.probes)
+                self._add(both, best, basis=name, n_modes=size)
+                self._add(alone, f"{ALONE}, {name} M={size}", basis=name, n_modes=size)
                 if model.evaluation == "operators" and case.scene.measure:
                     found = measured_of_best(workspace, model, self.point, mapped)
                     self._measure(best, found, name, size)

@@ -355,7 +355,7 @@ class _Projection:
                 polynomial=operators.at(*around).plus(calibration.at(*around)),
                 basis=basis,
                 start=own[0],
-                output_times=output_times_of(case, case.plan.steps, basis),
+                output_times=output_times_of(case, case.plan.steps, states, point),
                 amplitude=amplitude_of(case, point),
             )
             model = model.around(states)

@@ -98,8 +98,7 @@ class BasisModel:
         whole = read_basis(workspace, name)
         self.basis, self.modes = truncate(whole, section.size), kept_modes(whole, section.size)
         self._n_all_modes = whole.n_modes
-        plans = {True: case.plan.steps, False: case.plan.model_steps(section)}
-        self._times = {k: output_times_of(case, plan, self.basis) for k, plan in plans.items()}
+        self._steps = {True: case.plan.steps, False: case.plan.model_steps(section)}
         group, is_corrected = f"bases/{name}", case.plan.is_corrected(section, name)
         self._calibration: Calibration | None = None
         self._memory: MemoryOperators | None = None
@@ -235,7 +234,7 @@ class BasisModel:
             polynomial=rates,
             basis=self.basis,
             start=coordinates,
-            output_times=self._times[in_training],
+            output_times=output_times_of(case, self._steps[in_training], self.states, point),
             mean_density_fluctuation=mean,
             amplitude=amplitude_of(case, point),
             measures=self._measures,
@@ -296,7 +295,7 @@ class BasisModel:
             return self.correction.held_out(place) if held_out else self.correction.at(place)
         if self.leading is None:
             return None
-        return np.zeros((self._times[True].n_snapshots, self.basis.n_modes))
+        return np.zeros((self._steps[True].n_snapshots, self.basis.n_modes))
 
     @cached_property
     def trained(self) -> list[tuple[ReferenceModel, Array]]:

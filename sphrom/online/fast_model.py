@@ -23,6 +23,7 @@ from sphrom.online.basis_model import BasisModel, quantities_of
 from sphrom.online.error_estimates import ErrorEstimate, estimate
 from sphrom.reduction.polynomial_model import Run
 from sphrom.reduction.reference_model import Integrator, ReferenceModel
+from sphrom.setup.assembly import MOST_GROWTH
 from sphrom.store.starts import MappedStarts
 from sphrom.store.workspace import Workspace
 
@@ -102,9 +103,10 @@ class FastRun(Run):
         """Why the run ended early; None where it didn't."""
         if math.isnan(at := self.diverged_at):
             return None
+        chosen = self.model.section.time_step == "auto"
         return UnstableError(
-            f"unstable after t = {at:.6g} s: the coordinates are beyond those of a flow as fast as "
-            "sound; a smaller time step or another number of modes may help"
+            f"unstable after t = {at:.6g} s: the coordinates are beyond {MOST_GROWTH:g} times the "
+            f"largest trained ones; {'other modes' if chosen else 'a smaller time step'} may help"
         )
 
     @property

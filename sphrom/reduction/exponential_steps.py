@@ -214,7 +214,7 @@ class ExponentialModel(PolynomialModel):
         m, ratio = self._method(n_steps, output_times)
         return kernels.integrate(
             *driven, m.stages, m.links, m.ends, ratio.n_steps(len(out) - 1),
-            ratio.steps_per_snapshot, self._degree, output_times.largest_norm**2,
+            ratio.steps_per_snapshot, self._degree, output_times.largest_square,
             np.empty(driven[0].shape[2]), np.empty(8 * out.shape[1] + m.ends.shape[2]), out,
         )  # fmt: skip
 

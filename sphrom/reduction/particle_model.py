@@ -48,7 +48,7 @@ def relative_step(state: Array, direction: Array) -> float:
     would mean nothing.
     """
     norms = [
-        [float(np.linalg.norm(fields[f])) for fields in (state, direction)]
+        [math.sqrt(np.sum(fields[f] ** 2)) for fields in (state, direction)]
         for f in (slice(0, 1), slice(1, 3))
     ]
     return min((size / length for size, length in norms if size > 0.0 < length), default=0.0)

@@ -49,11 +49,18 @@ class OutputTimes:
     """[s]."""
     largest_norm: float = 1e100
     """Of the coordinates; beyond it a run has diverged."""
+    trained: float = math.inf
+    """The time for which that is so [s]; longer runs may grow in proportion."""
 
     @property
     def duration(self) -> float:
         """From the first snapshot to the last [s]."""
         return self.interval * (self.n_snapshots - 1)
+
+    @property
+    def largest_square(self) -> float:
+        """Of the norm of coordinates that count as those of a flow."""
+        return (self.largest_norm * max(1.0, self.duration / self.trained)) ** 2
 
     @cached_property
     def time(self) -> Array:
@@ -129,7 +136,7 @@ class PolynomialModel:
         """Fill the snapshots after the first, and return the steps before it diverged, or all."""
         return kernels.integrate(
             *driven, self.time_step(n_steps, output_times), n_steps, self._degree,
-            output_times.largest_norm**2, np.empty(driven[0].shape[2]),
+            output_times.largest_square, np.empty(driven[0].shape[2]),
             np.empty((5, out.shape[1])), out,
         )  # fmt: skip
 

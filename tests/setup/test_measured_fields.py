@@ -150,7 +150,8 @@ def test_a_section_is_summed_up_within_its_ends() -> None:
 
 def test_statistics_over_time() -> None:
     series = np.array([[[1.0, 0.0]], [[3.0, 0.0]], [[2.0, 6.0]]])
-    found = statistics(of_a_run({"velocity": series, "pressure": series[..., 0]}))
+    of_one = of_a_run({"velocity": series, "pressure": series[..., 0]})
+    found = statistics({name: values[None] for name, values in of_one.items()})
     assert found["u_last"] == 2.0
     assert found["u_mean"] == 2.0
     assert found["v_fluctuation"] == pytest.approx(np.sqrt(8.0))
