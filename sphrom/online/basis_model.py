@@ -62,6 +62,7 @@ from sphrom.store.trained_models import (
     read_recorded,
     read_wall_force,
     sized_in,
+    snapshot_times,
 )
 from sphrom.store.trajectory import totals
 from sphrom.store.workspace import Workspace
@@ -274,7 +275,7 @@ class BasisModel:
             added, learnt = None, corrections[name]
             if learnt is not None:
                 parts = learnt.held_out(place) if held_out else learnt.at(place)
-                added = TimedLoads.of(self._times[True].time, parts)
+                added = TimedLoads.of(snapshot_times(self.workspace.case), parts)
             forces[name] = self._at_point(force, found, point, added)
         return replace(found, correction=self._added(point, held_out), forces=forces)
 
