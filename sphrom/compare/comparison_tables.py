@@ -280,8 +280,8 @@ def _effectivity(quantity: str) -> Callable[[Cells], str]:
 
 RUN: tuple[Column, ...] = (("run", "compared"), ("parameters", "parameters"))
 NORMS: tuple[str, tuple[Column, ...]] = (
-    "errors: relative L2 norm in %, over points and time / at the worst instant; pressure less its "
-    "mean",
+    "errors: relative L2 norm in %, over sampled points and time / at the worst instant; pressure "
+    "less its mean",
     (
         ("run", "compared"),
         ("against", "against"),

@@ -183,7 +183,7 @@ class _Training:
         for point, reason in self._full_runs(self.starts).items():
             raise UnstableError(
                 f"{point.label}, where the region ends: the full run became unstable: {reason}; "
-                "a smaller region, time.courant_number or finer resolution may help"
+                "a smaller region may help"
             )
         points, stages, earlier = self.starts, list[Stage](), tuple[HeldOut, ...]()
         fields = self.section.fields
