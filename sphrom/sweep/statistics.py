@@ -105,7 +105,7 @@ def _averaged(whole: Mapping[str, Array]) -> dict[str, Array]:
         if name == ERROR
         else values.mean(axis=1, keepdims=True)
         for name, values in whole.items()
-        if f"/{FINAL}" not in name
+        if not name.rpartition("/")[2].startswith(FINAL)
     }
 
 
