@@ -26,6 +26,10 @@ from sphrom.sph.time_loop import TimeSteps
 if TYPE_CHECKING:
     from sphrom.case.models import Case
 
+DENSITY_CHANGE = 0.03
+"""Largest change of the density, over its own, by the body force or by friction at walls."""
+CORNER_PRESSURE = 2.5
+"""The largest at a distance r from where a wall slides off another, over mu U / r (Taylor 1962)."""
 MLS_SMOOTHING_LENGTH_RATIO = 2.0
 """Smoothing length of moving least squares over the spacing: they need no wider support."""
 MODES_WITHOUT_ROM = 10
@@ -131,14 +135,26 @@ class Plan:
 
     @cached_property
     def sound_speed(self) -> float:
-        """c0 [m/s], the same at all points."""
-        return self.max_speed / self._case.fluid.mach_number
+        """c0 [m/s], the same at all points: that of the Mach number, or more for larger heads."""
+        least = math.sqrt(self.largest_head / DENSITY_CHANGE)
+        return max(self.max_speed / self._case.fluid.mach_number, least)
 
     @cached_property
-    def largest_body_force(self) -> float:
-        """The bound of the body force's acceleration in any run [m/s2]."""
+    def largest_head(self) -> float:
+        """About the largest head in any run [m2/s2]: of the body force, in gaps or at corners."""
+        scene, own, dx = self._case.scene, self.own_values, self.particle_spacing
+        viscosity = max(map(self.kinematic_viscosity, self.points))
+        gap = scene.domain.narrowest_gap or math.inf  # a check refuses none
+        in_gaps = self.max_speed * max(scene.domain.lengths) / gap**2
+        strain = max(scene.wall_strain(dx, {**own, **values}) for values in self._settings)
+        at_corners = CORNER_PRESSURE * strain
+        return max(self.largest_force_head, viscosity * in_gaps, viscosity * at_corners)
+
+    @cached_property
+    def largest_force_head(self) -> float:
+        """The bound of the body force's head along the fluid in any run [m2/s2]."""
         scene, end = self._case.scene, self._case.time.final_time
-        return max(scene.largest_body_force(end, values) for values in self._settings)
+        return max(scene.largest_head(end, values) for values in self._settings)
 
     @cached_property
     def mass(self) -> float:
@@ -201,8 +217,8 @@ class Plan:
 
     def step_limits(self, point: ParameterPoint) -> StepLimits:
         """Return the largest stable time steps at a parameter point."""
-        walls, force = self._case.scene.domain.has_walls, self.largest_body_force
-        return fluid.step_limits(self.fluid(point), self.discretization, force, walls)
+        walled = self._case.scene.domain.has_walls
+        return fluid.step_limits(self.fluid(point), self.discretization, walled)
 
     @cached_property
     def limits(self) -> StepLimits:

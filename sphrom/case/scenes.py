@@ -91,7 +91,7 @@ class LidDrivenCavityScene(SceneSection):
         """The box, walls all around."""
         return LidDrivenCavity(self.length, speed=0.0).domain
 
-    def flow(self, scales: Scales) -> Scene:
+    def flow(self, scales: Scales) -> LidDrivenCavity:
         """Return the cavity."""
         speed = scales.values.get("lid", scales.speed)
         return LidDrivenCavity(self.length, speed, lid=self.lid, ramp=self.lid_ramp)
@@ -107,6 +107,12 @@ class LidDrivenCavityScene(SceneSection):
     def largest_wall_speed(self, values: Mapping[str, float]) -> float:
         """Return the lid's largest speed [m/s]."""
         return abs(values.get("lid", 0.0))
+
+    def wall_strain(self, spacing: float, values: Mapping[str, float]) -> float:
+        """Return the largest change of the lid's velocity, which is zero at its ends [1/s]."""
+        x = np.arange(0.0, self.length, spacing)
+        lid = self.flow(Scales(values["lid"], 1.0, 1.0)).lid_velocity(x)
+        return float(np.abs(np.diff(lid, prepend=0.0)).max() / spacing)
 
     @property
     def drive_changes(self) -> bool:
@@ -196,9 +202,10 @@ class OpenCavityScene(SceneSection):
         """x of the vertical line that runs are compared along [m]."""
         return PROBE_SHARE * self._cavity.channel_length
 
-    def largest_body_force(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
-        """Return what the body force's acceleration never exceeds [m/s2]."""
-        return abs(self._force(values).largest)
+    def largest_head(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
+        """Return the head of the force less its mean along the channel [m2/s2]."""
+        cavity, length = self._cavity.cavity_length, self._cavity.channel_length
+        return abs(self._force(values).largest) * cavity * (1.0 - cavity / length)
 
     @property
     def drive_changes(self) -> bool:

@@ -11,6 +11,7 @@ from sphrom.case.study_sections import FULL
 from sphrom.compare.answer import tell_answer
 from sphrom.compare.comparison_figures import draw_comparison
 from sphrom.compare.comparison_tables import (
+    ALONE,
     FILE,
     MADE_BY,
     DecayRow,
@@ -167,8 +168,9 @@ class _PointComparison:
             used = {basis_used(workspace, model, self.point) for model in self.models}
             for name, size in sorted(used):
                 best, modes = best_name(name, size), read_modes(workspace, name, size)
-                samples = sample_best(case, mapped, *modes, self.probes)
-                self._add(samples, best, basis=name, n_modes=size)
+                both, alone = sample_best(case, mapped, *modes, self.probes)
+                self._add(both, best, basis=name, n_modes=size)
+                self._add(alone, f"{ALONE}, {name} M={size}", basis=name, n_modes=size)
                 found = measured_of_best(workspace, self.point, mapped, name, size)
                 self._measure(best, found, name, size)
 

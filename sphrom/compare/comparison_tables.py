@@ -51,7 +51,7 @@ Cell = str | Callable[[Cells], str]
 Column = tuple[str, Cell]
 """A heading, and the name of a figure or a function that gives the cell."""
 
-BEST = "best possible"
+BEST, ALONE = "best possible", "each field alone"
 AT_END = tuple(f"{quantity}_field_relative_l2_end" for quantity in QUANTITIES)
 WITHOUT_SOUND = tuple(
     f"pressure_{where}_without_sound_relative_l2{peak}"

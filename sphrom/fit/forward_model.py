@@ -31,7 +31,7 @@ from sphrom.reduction.error_calibration import compared_snapshots
 from sphrom.reduction.exponential_steps import ExponentialModel
 from sphrom.reduction.reduced_measures import ReducedMeasure, project_measures
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
-from sphrom.setup.particles import MeasuredFields, sampler
+from sphrom.setup.particles import MeasuredFields
 from sphrom.store.trained_models import read_points
 from sphrom.store.trajectory import snapshot_fields
 from sphrom.text import exact
@@ -73,8 +73,7 @@ class FittedModel:
         """What samples fields at the places that the case doesn't name, if there are any."""
         if self._places:
             places = np.array(list(self._places))
-            sample, speed = sampler(self._case, places), self._case.plan.sound_speed
-            self.unnamed = MeasuredFields({UNNAMED: FieldMeasure(places)}, sample, speed)
+            self.unnamed = MeasuredFields(self._case, {UNNAMED: FieldMeasure(places)})
         self._measures: dict[str, Mapping[str, ReducedMeasure]] = {}
         self._stepped: dict[str, ReferenceModel] = {}
         self._n_steps = 1
@@ -101,10 +100,10 @@ class FittedModel:
         basis : another than that of the point.
         """
         basis = self.fast.basis_at(point) if basis is None else basis
-        found = self.fast.on_basis(basis).equations(point)
+        found = self.fast.on_basis(basis).at(point)
         if basis not in self._stepped:
             model = self.fast.on_basis(basis)
-            (self._stepped[basis],) = model.projected(model.points[:1], in_training=True)
+            self._stepped[basis] = model.projected(model.points[0], in_training=True)
         if basis not in self._measures:
             self._measures[basis] = {}
             if (fields := self.unnamed) is not None:

@@ -316,10 +316,10 @@ class _Projection:
                 polynomial=operators.at(*around).plus(calibration.at(*around)),
                 basis=basis,
                 start=own[0],
-                output_times=output_times_of(case, case.plan.steps, basis),
+                output_times=output_times_of(case, case.plan.steps, states, point),
                 amplitude=amplitude_of(case, point),
             )
-            (model,) = reference_model.with_limits([model], states)
+            model = model.around(states)
             if model.output_times.duration > MAX_STEPS * model.step_limit:
                 found.append(np.full_like(own, np.nan))
             else:

@@ -5,9 +5,11 @@ Whatever doesn't depend on the parameter point is read and computed once, for al
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,11 +22,14 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import Quantities
+from sphrom.metrics.samples import Samples
 from sphrom.online.error_estimates import TrainedErrors
 from sphrom.reduction import reference_model
 from sphrom.reduction.calibration import Calibration
 from sphrom.reduction.correction import Correction, learn_correction
+from sphrom.reduction.exponential_steps import LinearPart
 from sphrom.reduction.held_out import FieldProducts
+from sphrom.reduction.polynomial_model import Run
 from sphrom.reduction.reduced_measures import (
     ForceRecord,
     ReducedForce,
@@ -32,6 +37,7 @@ from sphrom.reduction.reduced_measures import (
     calibrate_force,
 )
 from sphrom.reduction.reduced_operators import MemoryOperators
+from sphrom.reduction.reduced_rates import Polynomial
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
 from sphrom.reduction.trial_basis import (
     kept_modes,
@@ -84,8 +90,7 @@ class BasisModel:
         whole = read_basis(workspace, name)
         self.basis, self.modes = truncate(whole, section.size), kept_modes(whole, section.size)
         self._n_all_modes = whole.n_modes
-        plans = {True: case.plan.steps, False: case.plan.model_steps(section)}
-        self._times = {k: output_times_of(case, plan, self.basis) for k, plan in plans.items()}
+        self._steps = {True: case.plan.steps, False: case.plan.model_steps(section)}
         group, is_corrected = f"bases/{name}", case.plan.is_corrected(section, name)
         self._calibration: Calibration | None = None
         self._memory: MemoryOperators | None = None
@@ -147,6 +152,16 @@ class BasisModel:
 
         return read_modes(self.workspace, self.name, self.section.size)[1]
 
+    def sampled(self, points: Array, time: Array, coordinates: Array, mean: float) -> Samples:
+        """Return velocity and pressure at points (n_points, 2) of coordinates (n_times, n_modes).
+
+        `mean` is the density fluctuation that is carried apart [kg/m3].
+        """
+        from sphrom.store.sampling import expand
+
+        case, means = self.workspace.case, np.full(len(time), mean)
+        return expand(case, self.basis, self.splines, points, time, coordinates, means)
+
     @cached_property
     def trained_errors(self) -> TrainedErrors | None:
         """The fit of error estimates to training runs; None where the case wants no estimates."""
@@ -168,50 +183,67 @@ class BasisModel:
         every = self.workspace.case.snapshots.every
         return reference_model.choose(reduced, lambda part: steps_of(self.section, part, every))
 
-    def equations(self, point: ParameterPoint) -> ReferenceModel:
-        """Return the model at a point, without the data that choosing steps takes."""
-        found = self._equations(point)
-        if self.leading is not None:
-            found = found.with_leading(self.leading._equations(point))
+    def at(self, point: ParameterPoint) -> ReferenceModel:
+        """Return the model at a point, with what training runs tell of it."""
+        found = self.projected(point)
+        run = replace(found.leading or found, first_step=self._first_step(point))
+        found = run if found.leading is None else replace(found, leading=run)
         return self.taught(found, point)
 
-    def projected(
-        self, points: Sequence[ParameterPoint], *, in_training: bool = False
-    ) -> list[ReferenceModel]:
-        """Return the models at points, without their corrections and forces.
+    def projected(self, point: ParameterPoint, *, in_training: bool = False) -> ReferenceModel:
+        """Return the model at a point, without its correction and forces.
 
-        Runs `in_training` have the times of training runs.
+        Its steps carry the linear part of the nearest training point. Runs `in_training` have the
+        times of training runs.
         """
-        equations = [self._equations(point, in_training) for point in points]
-        models = reference_model.with_limits(equations, self.states)
+        linear = self._linear_parts[self._nearest(point)]
+        found = self._equations(point, in_training)
+        found = replace(found, states=self.states, linear=linear)
         if self.leading is None:
-            return models
-        first = self.leading.projected(points, in_training=in_training)
-        return [whole.with_leading(part) for whole, part in zip(models, first, strict=True)]
+            return found
+        return found.with_leading(self.leading.projected(point, in_training=in_training))
+
+    def _nearest(self, point: ParameterPoint) -> int:
+        """Return which training point is the nearest."""
+        places = places_of(self.workspace.case, [*self.points, point])
+        distances = np.linalg.norm(places[:-1] - places[-1], axis=1)
+        # Rounded: of points as near as each other, the first on any machine.
+        return int(np.round(distances, 9).argmin())
+
+    @cached_property
+    def _linear_parts(self) -> list[LinearPart | None]:
+        """The linear parts of exponential steps, by training point."""
+        models = [self._equations(point, in_training=True) for point in self.points]
+        return [model.around(self.states).linear for model in models]
 
     def _equations(self, point: ParameterPoint, in_training: bool = False) -> ReferenceModel:
         """Return the model's equations and start alone."""
         case = self.workspace.case
         viscosity = case.plan.kinematic_viscosity(point)
         coordinates, mean = self._initial_state(self._start(point))
+        rates = self.operators.at(viscosity, point.factors)
         found = ReferenceModel(
-            polynomial=self.operators.at(viscosity, point.factors),
+            polynomial=rates,
             basis=self.basis,
             start=coordinates,
-            output_times=self._times[in_training],
+            output_times=output_times_of(case, self._steps[in_training], self.states, point),
             mean_density_fluctuation=mean,
             amplitude=amplitude_of(case, point),
             measures=self._measures,
         )
-        rates, length = found.polynomial, None
+        length, closures = None, []
         if self._memory is not None:
             length = memory_length_of(
                 case, self.section, lambda: rates.jacobian(coordinates, found.strongest)
             )
-            rates = rates.plus(self._memory.at(viscosity), length)
+            closures.append(self._memory.at(viscosity).scaled(length))
         if self._calibration is not None:
-            rates = rates.plus(self._calibration.at(viscosity, point.factors))
-        return replace(found, polynomial=rates, memory_length=length)
+            closures.append(self._calibration.at(viscosity, point.factors))
+        if not closures:
+            return found
+        closure = reduce(Polynomial.plus, closures)
+        whole = rates.plus(closure)
+        return replace(found, polynomial=whole, closure=closure, memory_length=length)
 
     def _initial_state(self, fields: Fields) -> tuple[Array, float]:
         """Return coordinates (n_modes,) of mapped fields, and the separate mean density."""
@@ -248,7 +280,7 @@ class BasisModel:
             return self.correction.held_out(place) if held_out else self.correction.at(place)
         if self.leading is None:
             return None
-        return np.zeros((self._times[True].n_snapshots, self.basis.n_modes))
+        return np.zeros((self._steps[True].n_snapshots, self.basis.n_modes))
 
     @cached_property
     def trained(self) -> list[tuple[ReferenceModel, Array]]:
@@ -256,12 +288,24 @@ class BasisModel:
 
         Coordinates that are not integrated are zero.
         """
-        found = []
-        for point in self.points:
-            (reduced,) = self.projected([point], in_training=True)
-            run = self.integrator(reduced.leading or reduced).run().coordinates
-            found.append((reduced, run if reduced.leading is None else reduced.spread(run)))
-        return found
+        runs = [(reduced, run.coordinates) for reduced, run in self._trained_runs]
+        return [(m, run if m.leading is None else m.spread(run)) for m, run in runs]
+
+    @cached_property
+    def _trained_runs(self) -> list[tuple[ReferenceModel, Run]]:
+        found = [self.projected(point, in_training=True) for point in self.points]
+        return [(each, self.integrator(each.leading or each).run()) for each in found]
+
+    def _first_step(self, point: ParameterPoint) -> float | None:
+        """Return the automatic step [s] of the nearest training run, where that is stable.
+
+        At a training point it is exactly the step that the correction was learnt with.
+        """
+        with suppress(CaseError):
+            _, run = self._trained_runs[self._nearest(point)]
+            if self.section.time_step == AUTO and math.isnan(run.diverged_at):
+                return run.time_step
+        return None
 
     @cached_property
     def held_out(self) -> list[tuple[ReferenceModel, Array]]:
@@ -333,7 +377,7 @@ def steps_of(section: ReducedModelSection, reduced: ReferenceModel, full_steps: 
     if section.time_step != "auto":
         n_steps = round(output_times.interval / section.time_step) * n_intervals
         return reference_model.runge_kutta(reduced, n_steps)
-    if output_times.duration > MAX_STEPS * reduced.step_limit:
+    if reduced.first_step is None and output_times.duration > MAX_STEPS * reduced.step_limit:
         raise CaseError(
             f"rom: {section.name} is stable with steps of {reduced.step_limit:.3g} s only, which "
             f"are more than {MAX_STEPS:g}; choose fewer modes, a memory_length or a time_step"

@@ -186,16 +186,16 @@ class TrainedErrors:
 
     def __init__(self, model: BasisModel) -> None:
         workspace, name, points = model.workspace, model.name, model.points
-        self._model, self._case = model, workspace.case
+        self._case = workspace.case
         pressure_scale = self._case.fluid.reference_density * self._case.plan.sound_speed
         self.units = np.array([1.0, pressure_scale])
         compared = compared_snapshots(self._case.plan.steps.n_snapshots)
         group = f"bases/{name}/estimate"
         with workspace.open(workspace.operators()) as artifact:
-            self._whole = whole = read_operators(artifact, name)
-            self._factor = read_record(
-                artifact, ResidualFactor, f"bases/{name}/residual", walls_driven=whole.walls_driven
-            )
+            whole = read_operators(artifact, name)
+            driven = {"walls_driven": whole.walls_driven}
+            factor = read_record(artifact, ResidualFactor, f"bases/{name}/residual", **driven)
+            self._factor = factor.of_model(whole, model.modes)
             unheld = read_record(artifact, UnheldShares, f"{group}/unheld")
         self.products = model.products
         correction, places = model.correction, places_of(self._case, points)
@@ -227,11 +227,8 @@ class TrainedErrors:
         self, point: ParameterPoint, reduced: ReferenceModel, times: Array, coordinates: Array
     ) -> Array:
         """Return the residual's norm (n_states,) [/s] at coordinates of a model at a point."""
-        around = self._case.plan.kinematic_viscosity(point), point.factors
-        added = reduced.polynomial.plus(self._model.operators.at(*around), -1.0)
-        closed = any(tensor.any() for tensors in added.powers for tensor in tensors)
-        closure, modes = added if closed else None, self._model.modes
-        norm = residual_norm(self._factor, self._whole, modes, *around, closure=closure)
+        viscosity = self._case.plan.kinematic_viscosity(point)
+        norm = residual_norm(self._factor, viscosity, point.factors, reduced.closure)
         return norm(coordinates, None if reduced.amplitude is None else reduced.amplitude(times))
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -121,7 +122,7 @@ def run_point(workspace: Workspace, section: ReducedModelSection, point: Paramet
     """Run a model from operators at a parameter point, and write its artifact."""
     workspace.require(workspace.operators())
     target = workspace.reduced_run(section, point)
-    model = FastModel(workspace, section)
+    model = _fast_model(workspace, section.name)
     reduced = model.at(point)
     integrator = model.at_point(point).integrator(reduced)
     attributes = assembly.run_attributes(workspace.case, point, integrator.steps.time_step)
@@ -139,6 +140,12 @@ def run_point(workspace: Workspace, section: ReducedModelSection, point: Paramet
             estimate_errors(run, artifact)
             if section.steady:
                 seek_steady_state(run, artifact)
+
+
+@lru_cache(maxsize=1)
+def _fast_model(workspace: Workspace, name: str) -> FastModel:
+    """Return the model of runs that differ in their points alone: it learns from training once."""
+    return FastModel(workspace, next(m for m in workspace.case.rom if m.name == name))
 
 
 def _tell(run: FastRun, integrator: Integrator, seconds: float) -> None:

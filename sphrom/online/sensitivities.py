@@ -178,7 +178,7 @@ def _sides(model: FastModel, point: ParameterPoint, name: str, basis: str) -> _S
         model.workspace.case.plan.point({**values, name: values[name] + change})
         for change in (-step, step)
     )
-    below, above = (model.on_basis(basis).equations(each) for each in (low, high))
+    below, above = (model.on_basis(basis).at(each) for each in (low, high))
     return _Sides(below, above, (low, high), high.as_dict()[name] - low.as_dict()[name])
 
 

@@ -142,11 +142,11 @@ class Correction:
         """Return what is added to coordinates (n_snapshots, n_modes) at a place (n_parameters,)."""
         between = _distances(self.places, self.places)
         reach = _distances(self.places, place[None])[:, 0]
-        found = np.zeros(self.defects.shape[1:])
-        for length in np.unique(self.lengths[np.isfinite(self.lengths)]):
-            modes = self.lengths == length
-            weights = np.linalg.solve(np.exp(-between / length), np.exp(-reach / length))
-            found[:, modes] = np.tensordot(weights, self.defects[..., modes], 1)
+        found, modes = np.zeros(self.defects.shape[1:]), np.isfinite(self.lengths)
+        lengths = self.lengths[modes, None]
+        alike = np.exp(-between / lengths[..., None]), np.exp(-reach / lengths)[..., None]
+        weights = np.linalg.solve(*alike)[..., 0]
+        found[:, modes] = np.einsum("mk,ksm->sm", weights, self.defects[..., modes])
         return found
 
     def held_out(self, place: Array) -> Array:

@@ -37,8 +37,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
-from typing import Any
+from functools import cached_property
 
 import numpy as np
 
@@ -63,8 +62,6 @@ An order of magnitude: trained at Re 100 alone, errors at Re 105 to 600 want 0.9
 """
 LEFT_OUT = 0.1
 """Share of a run from its start that is ignored: runs start alike."""
-_SQUARES = "sc,fcd,sd->sf"
-"""Products of the factors of states with a gram matrix, by field."""
 
 
 @dataclass(frozen=True)
@@ -151,15 +148,7 @@ class FieldProducts(Record):
         return np.concatenate((coordinates, constant), axis=1)
 
     def _squares_of(self, factors: Array) -> Array:
-        path = _contraction(factors.shape, self.gram.shape)
-        return np.einsum(_SQUARES, factors, self.gram, factors, optimize=path)
-
-
-@lru_cache(maxsize=64)
-def _contraction(factors: tuple[int, ...], gram: tuple[int, ...]) -> list[Any]:
-    """Return the order in which squares are summed up, which takes longer to find than to do."""
-    shapes = (np.empty(shape) for shape in (factors, gram, factors))
-    return list(np.einsum_path(_SQUARES, *shapes, optimize=True)[0])
+        return np.sum((factors @ self.gram) * factors, axis=-1).T
 
 
 def _root(squares: Array) -> Array:

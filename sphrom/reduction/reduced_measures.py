@@ -199,16 +199,22 @@ class ReducedMeasure(Record):
 
 
 def project_measures(basis: TrialBasis, measured: Measuring) -> dict[str, ReducedMeasure]:
-    """Project what is measured onto a basis; `measured` is linear in its fields."""
+    """Project what is measured onto a basis; `measured` is affine in its fields."""
     density, velocity = reconstruct(basis, np.zeros(basis.n_modes))
     mean = np.ones_like(density), np.zeros_like(velocity)
     modes = zip(
         basis.density_modes / basis.inner_product.density_scale, basis.velocity_modes, strict=True
     )
     found = [measured(*fields) for fields in ((density, velocity), mean, *modes)]
+    offset, linear = measured(0.0 * density, 0.0 * velocity), np.arange(len(found)) > 0
+
+    def terms(name: str, quantity: str) -> Array:
+        values = np.stack([each[name][quantity] for each in found], -1)
+        return np.asarray(values - np.multiply.outer(offset[name][quantity], linear))
+
     return {
-        name: ReducedMeasure(**{q: np.stack([each[name][q] for each in found], -1) for q in first})
-        for name, first in found[0].items()
+        name: ReducedMeasure(**{quantity: terms(name, quantity) for quantity in first})
+        for name, first in offset.items()
     }
 
 

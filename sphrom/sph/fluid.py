@@ -41,8 +41,6 @@ LARGEST_WAVE_NUMBER = 1.4
 """Of sound that the kernel's sums resolve, times h: sqrt of the largest eigenvalue of -D G."""
 REAL_AXIS_LIMIT = 2.78
 """How far Eq. 2.18 is stable along the negative real axis."""
-FORCE_LIMIT = 0.25
-"""Largest dt over the square root of h / b (Morris, Fox and Zhu 1997)."""
 
 
 @dataclass(frozen=True)
@@ -121,22 +119,19 @@ class StepLimits:
 
     acoustic: float
     viscous: float
-    body_force: float = math.inf
-    """Infinite where there is no body force."""
 
     @property
     def least(self) -> float:
         """The limit that binds."""
-        return min(self.acoustic, self.viscous, self.body_force)
+        return min(self.acoustic, self.viscous)
 
 
 def step_limits(
     fluid: Fluid,
     discretization: Discretization,
-    largest_body_force: float = 0.0,
     has_walls: bool = False,
 ) -> StepLimits:
-    """Return the limits of the time step; the body force is an acceleration [m/s2].
+    """Return the limits of the time step.
 
     Sound limits it by Eq. 2.19. Beyond a damper's alpha of 2 over the largest wave number the
     shortest waves don't oscillate any more, and what the damper takes of them limits the step.
@@ -150,8 +145,5 @@ def step_limits(
     diffusion = VISCOUS_LIMIT * length**2
     if has_walls:
         diffusion = min(diffusion, WALL_VISCOUS_LIMIT * length * discretization.particle_spacing)
-    force = math.inf
-    if largest_body_force > 0.0:
-        force = FORCE_LIMIT * math.sqrt(length / largest_body_force)
     acoustic = courant * length / fluid.sound_speed
-    return StepLimits(acoustic, diffusion / fluid.kinematic_viscosity, force)
+    return StepLimits(acoustic, diffusion / fluid.kinematic_viscosity)

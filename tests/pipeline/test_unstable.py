@@ -19,6 +19,7 @@ def test_an_unstable_full_run(empty, sphrom):
     warning, error = result.stderr.splitlines()
     assert "beyond the acoustic limit" in warning
     assert re.match(r"error: reynolds=100: unstable at step 3, t = 0.12 s: particle \d+ at ", error)
+    assert "; the time step is beyond its limit of 0.01875" in error
     with open_artifact(empty / "fom-reynolds100.h5", "sphrom/trajectory", made_by="") as run:
         assert run.text("status") == "unstable"
         assert run.text("status_detail") in error
