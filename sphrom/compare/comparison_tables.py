@@ -280,8 +280,8 @@ def _effectivity(quantity: str) -> Callable[[Cells], str]:
 
 RUN: tuple[Column, ...] = (("run", "compared"), ("parameters", "parameters"))
 NORMS: tuple[str, tuple[Column, ...]] = (
-    "errors: relative L2 norm in %, over points and time / at the worst instant; pressure less its "
-    "mean",
+    "errors: relative L2 norm in %, over sampled points and time / at the worst instant; pressure "
+    "less its mean",
     (
         ("run", "compared"),
         ("against", "against"),
@@ -319,5 +319,6 @@ MEASURES: tuple[str, tuple[Column, ...]] = (
         ("least", "least"),
         ("greatest", "greatest"),
         ("error", _norm("relative_l2")),
+        ("estimated", "estimated"),
     ),
 )
