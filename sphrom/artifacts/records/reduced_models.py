@@ -51,7 +51,7 @@ class WallForce(ReducedForce):
     training_loads: Array = dataset(
         "run snapshot part load",
         "N/m, N of the torque",
-        "pressure's and viscous force in the full runs that it learnt from, to calibrate with",
+        "pressure's and viscous force in the full runs that it learnt from, to correct with",
     )
 
 
@@ -106,12 +106,6 @@ class BasisOperators(Record):
         "run snapshot mode", "of the inner product",
         "coordinates of all snapshots that the basis learnt from, to calibrate and correct with",
         "omega-hat", "Eq. 3.11", default=None,
-    )
-    training_means: Array | None = dataset(
-        "run snapshot",
-        "kg/m3",
-        "mean density fluctuations of these snapshots that are carried apart, with forces",
-        default=None,
     )
     residual: ResidualFactor | None = part(default=None)
     estimate: Estimate | None = part(default=None)
