@@ -261,7 +261,7 @@ class Model:
         """
         reduced, state, _, at = self._at("measures", coordinates, time)
         times = np.array([at])
-        found = quantities_of(self._workspace.case, self._point, reduced, times, state[None])
+        found = quantities_of(self._workspace.case, reduced, times, state[None])
         about = {"model": self.name, **self.parameters}
         return labelled_measures(self._workspace.case, found, times, about)
 

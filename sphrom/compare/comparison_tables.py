@@ -319,5 +319,6 @@ MEASURES: tuple[str, tuple[Column, ...]] = (
         ("least", "least"),
         ("greatest", "greatest"),
         ("error", _norm("relative_l2")),
+        ("estimated", "estimated"),
     ),
 )

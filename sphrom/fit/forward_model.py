@@ -155,7 +155,7 @@ class FittedModel:
     ) -> dict[str, Quantities]:
         """Return what is measured in coordinates (n_snapshots, n_modes) of a run."""
         time, mean = reduced.output_times.time, reduced.mean_density_fluctuation
-        named = quantities_of(self._case, point, reduced, time, coordinates)
+        named = quantities_of(self._case, reduced, time, coordinates)
         places = {name: m for name, m in reduced.measures.items() if name == UNNAMED}
         return {**named, **fields_of(places, mean, coordinates)}
 

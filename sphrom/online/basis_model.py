@@ -23,6 +23,7 @@ from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import Quantities
 from sphrom.metrics.samples import Samples
+from sphrom.metrics.series import smoothed
 from sphrom.online.error_estimates import TrainedErrors
 from sphrom.reduction import reference_model
 from sphrom.reduction.calibration import Calibration
@@ -31,10 +32,10 @@ from sphrom.reduction.exponential_steps import LinearPart
 from sphrom.reduction.held_out import FieldProducts
 from sphrom.reduction.polynomial_model import Run
 from sphrom.reduction.reduced_measures import (
-    ForceRecord,
+    PointForce,
     ReducedForce,
     ReducedMeasure,
-    calibrate_force,
+    TimedLoads,
 )
 from sphrom.reduction.reduced_operators import MemoryOperators
 from sphrom.reduction.reduced_rates import Polynomial
@@ -45,17 +46,23 @@ from sphrom.reduction.trial_basis import (
     project,
     truncate,
 )
-from sphrom.setup.assembly import amplitude_of, drives, memory_length_of, output_times_of, places_of
+from sphrom.setup.assembly import (
+    amplitude_of,
+    memory_length_of,
+    output_times_of,
+    places_of,
+    sound_averages,
+)
 from sphrom.store.starts import Fields
 from sphrom.store.trained_models import (
     calibrated,
     read_basis,
-    read_force_records,
     read_measure,
     read_operators,
     read_recorded,
     read_wall_force,
     sized_in,
+    snapshot_times,
 )
 from sphrom.store.trajectory import totals
 from sphrom.store.workspace import Workspace
@@ -63,6 +70,8 @@ from sphrom.store.workspace import Workspace
 if TYPE_CHECKING:
     from sphrom.reduction.mode_splines import ModeSplines
 
+LOADS_APART = tuple(np.array([k]) for k in range(12))
+"""Training runs correct each load of a force for itself, its slow part and the rest."""
 Start = Callable[[ParameterPoint], Fields]
 """The fields on the reference points at the start of a run at a parameter point."""
 
@@ -258,9 +267,16 @@ class BasisModel:
     ) -> ReferenceModel:
         """Return a model with what training runs tell of its coordinates and forces.
 
-        Of a training run that is `held_out`, the correction is what the others give.
+        Of a training run that is `held_out`, the corrections are what the others give.
         """
-        forces = {name: f.with_drives(point.factors) for name, f in self._calibrated.items()}
+        forces, corrections = {}, self.force_corrections
+        place = places_of(self.workspace.case, [point])[0]
+        for name, (force, _) in self._forces.items():
+            added, learnt = None, corrections[name]
+            if learnt is not None:
+                parts = learnt.held_out(place) if held_out else learnt.at(place)
+                added = TimedLoads.of(snapshot_times(self.workspace.case), parts)
+            forces[name] = self._at_point(force, found, point, added)
         return replace(found, correction=self._added(point, held_out), forces=forces)
 
     @cached_property
@@ -330,8 +346,8 @@ class BasisModel:
         with self.workspace.open(self.workspace.operators()) as artifact:
             recorded = read_recorded(case, artifact, self.name)
         own = [
-            quantities_of(case, point, reduced, reduced.output_times.time, run)
-            for point, (reduced, run) in zip(self.points, self.held_out, strict=True)
+            quantities_of(case, reduced, reduced.output_times.time, run)
+            for reduced, run in self.held_out
         ]
         return {
             name: {q: each - np.stack([one[name][q] for one in own]) for q, each in full.items()}
@@ -339,30 +355,55 @@ class BasisModel:
         }
 
     @cached_property
-    def _calibrated(self) -> Mapping[str, ReducedForce]:
-        """The forces on walls, calibrated in runs of the model at the trained points."""
-        if not self._forces:
-            return {}
-        case, found = self.workspace.case, {}
-        with self.workspace.open(self.workspace.operators()) as artifact:
-            for measured, force in self._forces.items():
-                records = read_force_records(case, artifact, self.name, measured, self.modes)
-                pairs = zip(records, self.points, strict=True)
-                found[measured] = calibrate_force(force, [self._own(*pair) for pair in pairs])
+    def force_corrections(self) -> Mapping[str, Correction | None]:
+        """What training runs add to forces, from the model's runs at the trained points.
+
+        None where these take steps without end.
+        """
+        case, found = self.workspace.case, dict[str, Correction | None].fromkeys(self._forces)
+        try:
+            runs = self.trained if self._forces else []
+        except CaseError:
+            return found
+        places, weights = places_of(case, self.points), sound_averages(case)
+        for name, (force, recorded) in self._forces.items():
+            defects = np.stack(
+                [
+                    loads.reshape(len(loads), -1) - self._loads(force, point, *run)
+                    for loads, point, run in zip(recorded, self.points, runs, strict=True)
+                ]
+            )
+            slow = np.stack([smoothed(each, weights) for each in defects])
+            # Sound and the particles' noise may be of each run alone.
+            parts = np.concatenate((slow, defects - slow), axis=2)
+            found[name] = learn_correction(places, parts, LOADS_APART, worthwhile=math.inf)
+            if len(places) == 1 and np.isfinite(defects).all():
+                # Nothing tells how far the only one reaches.
+                found[name] = Correction(places, parts, np.full(parts.shape[2], np.inf))
         return found
 
-    def _own(self, record: ForceRecord, point: ParameterPoint) -> ForceRecord:
-        """Return a record with the states of the model's own run, where that is stable."""
-        try:
-            reduced, run = self.trained[self.points.index(point)]
-        except CaseError:
-            return record
+    def _loads(
+        self, force: ReducedForce, point: ParameterPoint, reduced: ReferenceModel, run: Array
+    ) -> Array:
+        """Return the loads (n_snapshots, 6) of a force in a training run of the model.
+
+        NaN where that isn't stable.
+        """
         added = self._added(point)
         states = run if added is None else run + added
-        if not np.isfinite(states).all():
-            return record
-        mean = np.full(len(states), reduced.mean_density_fluctuation)
-        return replace(record, coordinates=states, mean_density_fluctuation=mean)
+        local = replace(reduced, forces={"": self._at_point(force, reduced, point)})
+        return forces_of(local, reduced.output_times.time, states)[""].reshape(len(states), -1)
+
+    def _at_point(
+        self,
+        force: ReducedForce,
+        reduced: ReferenceModel,
+        point: ParameterPoint,
+        correction: TimedLoads | None = None,
+    ) -> PointForce:
+        viscosity = self.workspace.case.plan.kinematic_viscosity(point)
+        driven = self.operators.walls_driven
+        return force.at(reduced.polynomial, viscosity, driven, point.factors, correction)
 
 
 def steps_of(section: ReducedModelSection, reduced: ReferenceModel, full_steps: int) -> Steps:
@@ -386,25 +427,21 @@ def steps_of(section: ReducedModelSection, reduced: ReferenceModel, full_steps: 
 
 
 def forces_of(
-    case: Case,
-    point: ParameterPoint,
-    forces: Mapping[str, ReducedForce],
-    mean_density_fluctuation: Array | float,
-    time: Array,
-    coordinates: Array,
+    reduced: ReferenceModel, time: Array, coordinates: Array, mean: Array | float | None = None
 ) -> dict[str, Array]:
-    """Return by measurement the forces and torques (n_snapshots, 2, 3) of states [N/m, N].
+    """Return by measurement the forces and torques (n_states, 2, 3) of states [N/m, N].
 
-    Times are (n_snapshots,) [s], coordinates (n_snapshots, n_modes); the mean that is carried apart
-    is (n_snapshots,) or one for all [kg/m3].
+    Parameters
+    ----------
+    time : (n_states,) [s].
+    coordinates : (n_states, n_modes).
+    mean : density fluctuation that is carried apart [kg/m3], (n_states,) or one for all; by default
+        the model's own.
     """
-    if not forces:
-        return {}
-    viscosity, (speed, amplitude) = case.plan.kinematic_viscosity(point), drives(case, point, time)
-    return {
-        name: force.at(coordinates, mean_density_fluctuation, viscosity, speed, amplitude)
-        for name, force in forces.items()
-    }
+    mean = reduced.mean_density_fluctuation if mean is None else mean
+    amplitude = np.zeros(len(time)) if reduced.amplitude is None else reduced.amplitude(time)
+    about = time, coordinates, mean, amplitude
+    return {name: force.at(*about) for name, force in reduced.forces.items()}
 
 
 def fields_of(
@@ -417,14 +454,15 @@ def fields_of(
 
 
 def quantities_of(
-    case: Case, point: ParameterPoint, reduced: ReferenceModel, time: Array, coordinates: Array
+    case: Case,
+    reduced: ReferenceModel,
+    time: Array,
+    coordinates: Array,
+    mean: Array | float | None = None,
 ) -> dict[str, Quantities]:
-    """Return all that a case measures, forces and fields, in coordinates (n_states, n_modes).
-
-    Times are (n_states,) [s]; quantities are (n_states, ...).
-    """
-    mean = reduced.mean_density_fluctuation
-    forces = forces_of(case, point, reduced.forces, mean, time, coordinates)
+    """Return all that a case measures, forces and fields (n_states, ...), as `forces_of` does."""
+    mean = reduced.mean_density_fluctuation if mean is None else mean
+    forces = forces_of(reduced, time, coordinates, mean)
     found = {name: totals(loads) for name, loads in forces.items()}
     found |= fields_of(reduced.measures, mean, coordinates)
     return {name: found[name] for name in case.scene.measure}

@@ -7,18 +7,20 @@ the runs do, whatever the number of points is, and the fit is the same for all p
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.artifacts import ArtifactWriter, read_record, write_record
 from sphrom.artifacts.records.coordinates import ErrorEstimate as StoredEstimate
+from sphrom.artifacts.records.coordinates import MeasuredOnce
 from sphrom.case.points import ParameterPoint
-from sphrom.metrics.measures import Quantities
+from sphrom.metrics.measures import Quantities, mean_square
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.error_calibration import (
     FIELDS,
@@ -97,6 +99,7 @@ def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
     factors = [None, None]
     if fitted.factors is not None and not found.extrapolates:
         factors = fitted.factors.tolist()
+    errors = measured_errors(run)
     constants = [float(constant) for constant in fitted.constants * trained.units]
     stored = StoredEstimate(
         velocity=found.velocity,
@@ -108,10 +111,17 @@ def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
         pressure_constant=constants[1],
         velocity_factor=factors[0],
         pressure_factor=factors[1],
+        measure={
+            name: measured_once({q: np.sqrt(np.mean(e**2, axis=0))[None] for q, e in each.items()})
+            for name, each in errors.items()
+        },
     )
     write_record(artifact, stored, "error_estimate")
     artifact.annotate("timing/error_estimate", time.perf_counter() - started)
     report.info(_told(run, found, factors))
+    if shares := measured_shares(run, errors):
+        listed = ", ".join(f"{name} {format_figure(share)} %" for name, share in shares.items())
+        report.info(f"{run.name}: estimated errors of what is measured: {listed}")
 
 
 def estimate(run: FastRun) -> ErrorEstimate | None:
@@ -131,6 +141,26 @@ def estimate(run: FastRun) -> ErrorEstimate | None:
     beyond = fitted.extrapolates(len(run.time))
     percent = of_velocity, of_pressure
     return ErrorEstimate(velocity, pressure, *percent, beyond, residual, errors, sizes)
+
+
+def measured_shares(run: FastRun, errors: Mapping[str, Quantities]) -> dict[str, float]:
+    """Return errors (n_snapshots, ...) of forces, flow rates and velocities, by measurement [%].
+
+    They are root mean squares over those of the run.
+    """
+    found, measured = {}, run.measured
+    for name, each in errors.items():
+        quantity = next(iter(each))
+        size = mean_square(quantity, measured[name][quantity])
+        if size > 0.0:
+            found[name] = 100.0 * math.sqrt(mean_square(quantity, each[quantity]) / size)
+    return found
+
+
+def measured_once(quantities: Quantities) -> MeasuredOnce:
+    """Return what is measured at one instant (1, ...) as artifacts have it."""
+    given: dict[str, Any] = {q: v[0] if v.ndim > 1 else float(v[0]) for q, v in quantities.items()}
+    return MeasuredOnce(**given)
 
 
 def measured_errors(run: FastRun) -> dict[str, Quantities]:
@@ -249,4 +279,5 @@ def _told(run: FastRun, found: ErrorEstimate, factors: Sequence[float | None]) -
         for name in points[0]
         if (values := [point[name] for point in points])
     )
-    return f"{text}; extrapolated, as the model was trained on {trained} only"
+    until = run.model.workspace.case.plan.steps.end_time
+    return f"{text}; extrapolated, as the model was trained on {trained} until {until:g} s only"

@@ -113,7 +113,7 @@ class FastRun(Run):
     def measured(self) -> dict[str, Quantities]:
         """All that the case measures, by name and quantity (n_snapshots, ...)."""
         case = self.model.workspace.case
-        return quantities_of(case, self.point, self.reduced, self.time, self.coordinates)
+        return quantities_of(case, self.reduced, self.time, self.coordinates)
 
     @property
     def estimate(self) -> ErrorEstimate | None:

@@ -156,7 +156,10 @@ class Correction:
 
 
 def learn_correction(
-    places: Array, defects: Array, groups: Sequence[Indices] = ()
+    places: Array,
+    defects: Array,
+    groups: Sequence[Indices] = (),
+    worthwhile: float = WORTHWHILE,
 ) -> Correction | None:
     """Find out how far the defects (n_runs, n_snapshots, n_modes) of training runs reach.
 
@@ -168,6 +171,7 @@ def learn_correction(
     places : (n_runs, n_parameters), in which distances count alike; no two are the same.
     groups : of modes; those of which too little is predicted have no correction. By default all
         modes are one group.
+    worthwhile : the share of the defects' squares that may stay in runs held out.
     """
     finite = np.isfinite(defects).all(axis=(1, 2))
     places, defects = places[finite], defects[finite]
@@ -183,7 +187,7 @@ def learn_correction(
     whole, chosen = np.sum(defects**2, axis=(0, 1)), np.full(defects.shape[2], np.nan)
     for modes in groups or (np.arange(len(whole)),):
         left = missed[:, modes].sum(axis=1)
-        if left.min() <= WORTHWHILE * whole[modes].sum():
+        if left.min() <= worthwhile * whole[modes].sum():
             chosen[modes] = lengths[left.argmin()]
     return None if np.isnan(chosen).all() else Correction(places, defects, chosen)
 

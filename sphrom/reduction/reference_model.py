@@ -33,7 +33,7 @@ from sphrom.reduction.polynomial_model import (
     step_limit,
     steps_within,
 )
-from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure
+from sphrom.reduction.reduced_measures import PointForce, ReducedMeasure
 from sphrom.reduction.reduced_rates import Polynomial
 from sphrom.reduction.trial_basis import JOINT, TrialBasis
 
@@ -68,7 +68,7 @@ class ReferenceModel:
     leading: ReferenceModel | None = None
     """The model of the first modes that alone is integrated as long as training runs are; the
     correction is the whole of the others' coordinates. None where all modes are integrated."""
-    forces: Mapping[str, ReducedForce] = field(default_factory=dict)
+    forces: Mapping[str, PointForce] = field(default_factory=dict)
     """By the names of the measurements, the forces on walls."""
     measures: Mapping[str, ReducedMeasure] = field(default_factory=dict)
     """By the names of the measurements, flow rates and fields at places."""

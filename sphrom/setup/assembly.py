@@ -16,6 +16,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.scene_section import MeasureSection
 from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.measures import FieldMeasure
+from sphrom.metrics.series import hat
 from sphrom.reduction.correction import interpolation_weights
 from sphrom.reduction.polynomial_model import Amplitude, OutputTimes
 from sphrom.reduction.reduced_rates import memory_length
@@ -92,15 +93,9 @@ def memory_length_of(
     return model.memory_length
 
 
-def drives(case: Case, point: ParameterPoint, time: Array) -> tuple[Array, Array]:
-    """Return the walls' speed over the given one, and the body force's amplitude (n_times,)."""
-    flow = case.plan.flow(point)
-    speed, amplitude = np.ones(len(time)), np.zeros(len(time))
-    if flow.wall_amplitude is not None:
-        speed = np.array([flow.wall_amplitude(t) for t in time.tolist()])
-    if flow.amplitude is not None:
-        amplitude = np.array([flow.amplitude(t) for t in time.tolist()])
-    return speed, amplitude
+def sound_averages(case: Case) -> Array:
+    """Return weights of averages over snapshots in which sound cancels."""
+    return hat(max(1, round(case.plan.longest_sound_period / case.plan.steps.snapshot_interval)))
 
 
 def output_times_of(

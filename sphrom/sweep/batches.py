@@ -126,14 +126,12 @@ class SweptModel:
         for name in dict.fromkeys(map(self._fast.basis_at, points)):
             if (trained := (basis := self._fast.on_basis(name)).trained_errors) is None:
                 return []
-            for k, (point, (reduced, run)) in enumerate(
-                zip(basis.points, basis.held_out, strict=True)
-            ):
+            for k, (reduced, run) in enumerate(basis.held_out):
                 errors = zip(PLACED, (trained.known[k] * trained.units).T, strict=True)
                 values = {f"{ERROR}{quantity}_over_time": each for quantity, each in errors}
                 measured = basis.measured_differences.items()
                 values |= _kept({n: {q: each[k] for q, each in m.items()} for n, m in measured})
-                target = self.workspace.full_run(point)
+                target = self.workspace.full_run(basis.points[k])
                 if len(self._probes) and target.path.exists():
                     with self.workspace.open(target) as trajectory:
                         full = sample_run(self.workspace.case, trajectory, self._probes)

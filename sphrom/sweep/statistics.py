@@ -41,7 +41,7 @@ SALTELLI = "saltelli"
 FIGURES = {
     "quantiles": "Quantiles of outputs over draws of the parameters.",
     "indices": "Sobol indices of outputs: the share of their variance that a parameter causes "
-    "alone (first order), or has any part in (total).",
+    "alone (first order), or has any part in (total); grey is the share of the model's error.",
 }
 """Captions, by how the names of files end."""
 FINAL = "final_"
@@ -80,12 +80,17 @@ def outputs_of(case: Case, runs: Values, trained: Values = ()) -> Iterator[Outpu
 
 
 def _stacked(runs: Values) -> dict[str, Array]:
-    """Return what all runs have (n_runs, ...); probes of the sweep are measurements like others."""
+    """Return what all runs have (n_runs, ...): energies, measurements, probes among them.
+
+    Errors over the fluid (n_runs, n_snapshots, 2) are of velocity and pressure.
+    """
     found = {
         name: np.stack([values[name] for values in runs])
         for name in (set(runs[0]).intersection(*runs) if runs else ())
         if name.startswith(("measure/", "probes/")) or name.endswith("_over_time")
     }
+    if (paths := [f"{ERROR}{quantity}_over_time" for quantity in PLACED])[0] in found:
+        found[ERROR] = np.stack([found.pop(path) for path in paths], axis=-1)
     for quantity in PLACED:
         at_probes = found.pop(f"probes/{quantity}", np.zeros((0, 0, 0)))
         for k in range(at_probes.shape[2]):
@@ -97,17 +102,17 @@ def _averaged(whole: Mapping[str, Array]) -> dict[str, Array]:
     """Return the means over time (n_runs, 1, ...), root mean squares of errors over the fluid."""
     return {
         name: np.sqrt(np.mean(values**2, axis=1, keepdims=True))
-        if name.startswith(ERROR)
+        if name == ERROR
         else values.mean(axis=1, keepdims=True)
         for name, values in whole.items()
-        if FINAL not in name
+        if not name.rpartition("/")[2].startswith(FINAL)
     }
 
 
 def _outputs(
     case: Case, along: Along, runs: Mapping[str, Array], trained: Mapping[str, Array]
 ) -> Iterator[Output]:
-    ending, over_fluid = "_mean" if along == MEAN else "", _over_fluid(runs)
+    ending, over_fluid = "_mean" if along == MEAN else "", runs.get(ERROR)
     energies, wrong = runs["kinetic_energy_over_time"], None
     if over_fluid is not None:
         mass, error = case.plan.mass * case.plan.n_particles, over_fluid[..., 0]
@@ -118,22 +123,15 @@ def _outputs(
         if (path := f"measure/{name}/{head}{quantity}") not in runs:
             continue
         parts: Mapping[str, Array] = {}
-        known = _over_fluid(trained)
-        if over_fluid is not None and known is not None and path in trained:
-            # Along a line there is the end alone.
-            each, there = (
-                (trained[path][:, None], over_fluid[:, -1]) if head else (trained[path], over_fluid)
-            )
-            parts = components(quantity, output_errors(quantity, each, known, there))
+        if over_fluid is not None and path in trained:
+            differences, there = trained[path], over_fluid
+            if head:  # the end alone
+                differences, there = differences[:, None], there[:, -1]
+            errors = output_errors(quantity, differences, trained[ERROR], there)
+            parts = components(quantity, errors)
         for component, each in components(quantity, runs[path]).items():
             column, where = f"{name}_{head}{component}{ending}", LINE if head else along
             yield Output(column, UNITS[quantity], where, each, parts.get(component))
-
-
-def _over_fluid(runs: Mapping[str, Array]) -> Array | None:
-    """Return the errors over the fluid (n_runs, n_instants, 2); None without estimates."""
-    paths = [f"{ERROR}{quantity}_over_time" for quantity in PLACED]
-    return np.stack([runs[path] for path in paths], axis=-1) if paths[0] in runs else None
 
 
 def statistics_of(workspace: Workspace, records: Sequence[RunRecord]) -> Statistics | None:

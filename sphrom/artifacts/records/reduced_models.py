@@ -51,7 +51,7 @@ class WallForce(ReducedForce):
     training_loads: Array = dataset(
         "run snapshot part load",
         "N/m, N of the torque",
-        "pressure's and viscous force in the full runs that it learnt from, to calibrate with",
+        "pressure's and viscous force in the full runs that it learnt from, to correct with",
     )
 
 
@@ -62,12 +62,10 @@ class TrainedMeasure(ReducedMeasure):
         "run snapshot", "m2/s", "flow through the section in training runs", default=None
     )
     training_velocity: Array | None = dataset(
-        "run snapshot place component", "m/s", "velocity at the places in training runs", "u",
-        "Eq. 2.7", default=None,
+        "run snapshot place component", "m/s", "velocity there in training runs", default=None
     )
     training_pressure: Array | None = dataset(
-        "run snapshot place", "Pa", "pressure at the places in training runs", "p", "Eq. 2.8",
-        default=None,
+        "run snapshot place", "Pa", "pressure there in training runs", default=None
     )
 
 
@@ -108,12 +106,6 @@ class BasisOperators(Record):
         "run snapshot mode", "of the inner product",
         "coordinates of all snapshots that the basis learnt from, to calibrate and correct with",
         "omega-hat", "Eq. 3.11", default=None,
-    )
-    training_means: Array | None = dataset(
-        "run snapshot",
-        "kg/m3",
-        "mean density fluctuations of these snapshots that are carried apart, with forces",
-        default=None,
     )
     residual: ResidualFactor | None = part(default=None)
     estimate: Estimate | None = part(default=None)
