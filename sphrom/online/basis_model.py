@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
-from functools import cached_property, reduce
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -38,7 +38,6 @@ from sphrom.reduction.reduced_measures import (
     TimedLoads,
 )
 from sphrom.reduction.reduced_operators import MemoryOperators
-from sphrom.reduction.reduced_rates import Polynomial
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
 from sphrom.reduction.trial_basis import (
     kept_modes,
@@ -194,10 +193,9 @@ class BasisModel:
 
     def at(self, point: ParameterPoint) -> ReferenceModel:
         """Return the model at a point, with what training runs tell of it."""
-        found = self.projected(point)
-        run = replace(found.leading or found, first_step=self._first_step(point))
-        found = run if found.leading is None else replace(found, leading=run)
-        return self.taught(found, point)
+        found, step = self.projected(point), self._first_step(point)
+        leading = found.leading and replace(found.leading, first_step=step)
+        return self.taught(replace(found, first_step=step, leading=leading), point)
 
     def projected(self, point: ParameterPoint, *, in_training: bool = False) -> ReferenceModel:
         """Return the model at a point, without its correction and forces.
@@ -240,19 +238,18 @@ class BasisModel:
             amplitude=amplitude_of(case, point),
             measures=self._measures,
         )
-        length, closures = None, []
+        length = closure = None
         if self._memory is not None:
             length = memory_length_of(
                 case, self.section, lambda: rates.jacobian(coordinates, found.strongest)
             )
-            closures.append(self._memory.at(viscosity).scaled(length))
+            closure = self._memory.at(viscosity).scaled(length)
         if self._calibration is not None:
-            closures.append(self._calibration.at(viscosity, point.factors))
-        if not closures:
-            return found
-        closure = reduce(Polynomial.plus, closures)
-        whole = rates.plus(closure)
-        return replace(found, polynomial=whole, closure=closure, memory_length=length)
+            learnt = self._calibration.at(viscosity, point.factors)
+            closure = learnt if closure is None else closure.plus(learnt)
+        if closure is not None:
+            rates = rates.plus(closure)
+        return replace(found, polynomial=rates, closure=closure, memory_length=length)
 
     def _initial_state(self, fields: Fields) -> tuple[Array, float]:
         """Return coordinates (n_modes,) of mapped fields, and the separate mean density."""

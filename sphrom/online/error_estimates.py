@@ -285,4 +285,5 @@ def _told(run: FastRun, found: ErrorEstimate, factors: Sequence[float | None]) -
         for name in points[0]
         if (values := [point[name] for point in points])
     )
-    return f"{text}; extrapolated, as the model was trained on {trained} only"
+    until = run.model.workspace.case.plan.steps.end_time
+    return f"{text}; extrapolated, as the model was trained on {trained} until {until:g} s only"

@@ -16,7 +16,7 @@ arises everywhere alike. That error grows with the change of the state from the 
 the share of such a change that the basis cannot represent. Leaving training snapshots out measures
 this share (`sphrom.reduction.held_out`):
 
-    error(t)^2 = (C E(t))^2 + (s_p |a(t') - sum_k w_k a_k(t')|)^2 + (s_t |a(t) - a(t')|)^2,
+    error(t)^2 = (C E(t))^2 + (s_p |a(t') - sum_k w_k a_k(t')|)^2 + (s_t g^2 |a(t) - a(t')|)^2,
     log C = sum_k w_k log C_k,    s_t = sum_k w_k s_tk,    t' = min(t, end of the training runs).
 
 The weights w interpolate in the parameters (`sphrom.reduction.correction`). Outside of
@@ -24,7 +24,9 @@ the training points they are those of the nearest point of their hull: the secon
 whole change from there, and the estimate grows with it. C may go on changing there as it does
 between training points: it is multiplied by the largest of them over the least, to the power of the
 distance over that of the training points from each other, at most one. The third part is for times
-that training did not reach.
+that training did not reach. A flow that is still driven faster then leaves the states in which its
+share was measured: g is its size over the largest of sum_k w_k a_k, at least one, and squared, as
+convection and pressure grow with the square of the flow.
 
 It is no bound. Its accuracy is known inside of training: the errors of each training run are within
 some factor of an estimate with the constant of the other runs.
@@ -126,7 +128,10 @@ class LocalErrorCalibration:
         Its snapshots are as far apart as those of training runs, and may go on beyond them.
         """
         known = accumulated(time, residual, self.decay_rate)[:, None] * self.constants
-        return self._combined(known, self.changes(coordinates), self.shares.time)
+        sizes, trained = (np.linalg.norm(each, axis=1) for each in (coordinates, self.expected))
+        growth = np.maximum(1.0, sizes / (trained.max() or 1.0))
+        time_shares = growth[:, None] ** 2 * self.shares.time
+        return self._combined(known, self.changes(coordinates), time_shares)
 
     def steady_errors(self, residual: float, change: Array, steady_change: float) -> Array:
         """Return the estimates (2,) of errors [m/s] of a steady state.

@@ -163,8 +163,6 @@ MOST = 1.4
 """Largest factor between two trials: errors of large steps fall faster than the order predicts."""
 FINEST = 16
 """Largest refinement of stable steps: finer ones don't help."""
-ROUNDING = 1e-6
-"""Slack of a number of steps."""
 LONGER = 6
 """Exponential steps that are tried first, over stable ones: they turn out 1 to 6 times as long."""
 
@@ -324,12 +322,19 @@ def automatic_whole(model: ReferenceModel) -> Steps:
     """
     if model.linear is None:
         return accurate(runge_kutta(model, model.n_stable), step_tolerance(model.basis))
-    if model.first_step is None:
-        n_first = min(math.ceil(model.n_stable / LONGER), model.output_times.n_snapshots - 1)
-    else:
-        n_first = math.ceil(model.output_times.duration / model.first_step - ROUNDING)
-    first = Steps(model, ExponentialModel(model.polynomial, model.linear), max(1, n_first))
-    return accurate(first, step_tolerance(model.basis))
+    if model.first_step is not None and model.states is not None:
+        n_first = max(1, math.ceil(round(model.output_times.duration / model.first_step, 6)))
+        found = accurate(_exponential(model, n_first), step_tolerance(model.basis))
+        if found.n_steps < FINEST * n_first:
+            return found
+        model = model.around(model.states)  # the nearest training run is far away
+    n_first = max(1, min(math.ceil(model.n_stable / LONGER), model.output_times.n_snapshots - 1))
+    return accurate(_exponential(model, n_first), step_tolerance(model.basis))
+
+
+def _exponential(model: ReferenceModel, n_steps: int) -> Steps:
+    assert model.linear is not None
+    return Steps(model, ExponentialModel(model.polynomial, model.linear), n_steps)
 
 
 def automatic(model: ReferenceModel) -> Integrator:

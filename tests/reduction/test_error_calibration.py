@@ -95,8 +95,12 @@ def test_beyond_the_trained_time_the_change_since_then_counts() -> None:
     assert not local.extrapolates(41)
     residual = np.ones(81)
     known = accumulated(longer, residual, RATE)[-1] * CONSTANTS[0]
-    expected = np.sqrt(known**2 + (2.0 * SHARES.time[0]) ** 2)
+    growth = np.sqrt(50.0 / 34.0)  # over the largest trained state
+    expected = np.sqrt(known**2 + (2.0 * growth**2 * SHARES.time[0]) ** 2)
     np.testing.assert_allclose(local.errors(longer, residual, state)[-1], expected, rtol=1e-9)
+    state[:, 0] = 1.0 + np.minimum(longer, 4.0 - longer)
+    slower = local.errors(longer, residual, state)[-1]
+    np.testing.assert_allclose(slower, np.sqrt(known**2 + (2.0 * SHARES.time[0]) ** 2), rtol=1e-9)
 
 
 def test_of_what_takes_any_time_all_of_the_change_counts() -> None:
