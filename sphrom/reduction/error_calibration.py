@@ -199,9 +199,9 @@ class OutputErrors:
         variance : (...) `interpolation_variance` of their places.
         over_fluid : (..., n_instants, 2) their estimated errors.
         """
-        longer = np.ones(over_fluid.shape[:-1])
-        if longer.shape[-1] > self.n_trained:
-            before, after = np.split(over_fluid, [self.n_trained], axis=-2)
+        before, after = np.split(over_fluid, [self.n_trained], axis=-2)
+        longer = np.ones_like(over_fluid[..., 0])
+        if after.size:
             ratios = after / before.max(axis=-2, keepdims=True)
             longer[..., self.n_trained :] = np.maximum(1.0, ratios.max(axis=-1))
         own = np.sqrt(self.noise + np.multiply.outer(variance, self.slope))
