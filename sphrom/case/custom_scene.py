@@ -451,20 +451,6 @@ class CustomScene(SceneSection):
         largest *= float(np.abs([drive.amplitude(t) for t in times]).max())
         return largest if math.isfinite(largest) else 0.0  # else `problems` says so
 
-    def wall_strain(self, spacing: float, values: Mapping[str, float]) -> float:
-        """Return the largest change of walls' velocity along them, and at ends to rest [1/s]."""
-        here, found = self._at(values), [0.0]
-        for name in here.walls:
-            place = here._edge(name)
-            velocity = here._wall_velocity(name)(place)
-            ends = name in here._shapes or not here.domain.periodic[name in SIDES[0]]
-            if ends and np.linalg.norm(place[-1] - place[0]) > spacing:
-                velocity = np.pad(velocity, ((1, 1), (0, 0)))
-                place = np.pad(place, ((1, 1), (0, 0)), "edge")
-            change, way = (np.linalg.norm(np.diff(v, axis=0), axis=1) for v in (velocity, place))
-            found.append(float((change / np.maximum(way, spacing)).max(initial=0.0)))
-        return max(found)
-
     def problems(self, final_time: float) -> Iterator[tuple[str, str]]:
         """Refuse a body force that isn't finite at some time of the run."""
         if self._force is not None:

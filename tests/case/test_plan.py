@@ -118,13 +118,6 @@ def test_the_density_changes_by_three_per_cent_at_most(load, scene, speed, expec
     assert case.plan.sound_speed == pytest.approx(expected, rel=1e-4)
 
 
-def test_a_strong_body_force_limits_the_step_by_its_sound(load):
-    force = "scene.body_force={magnitude: 3e5, sustained_share: 0}"
-    case = load("", force, base=OPEN)  # it acts along half of 0.4 m
-    assert case.plan.sound_speed == pytest.approx(1000.0)
-    assert case.plan.steps.time_step <= 0.5 * case.plan.limits.acoustic
-
-
 def test_cases_that_come_with_the_program_keep_their_mach_number():
     for case in map(load_case, examples().values()):
         assert case.plan.sound_speed == case.plan.max_speed / case.fluid.mach_number
