@@ -31,6 +31,7 @@ from sphrom.case.models import Case
 from sphrom.case.sections import ReducedModelSection
 from sphrom.console import SilentReporter
 from sphrom.kernels.jit import set_threads
+from sphrom.machine import one_blas_thread
 from sphrom.online.fast_model import FastModel
 from sphrom.online.particle_runs import build_model, close
 from sphrom.reduction.polynomial_model import OutputTimes
@@ -247,7 +248,7 @@ def independence(fast: list[Row]) -> list[Row]:
 
 
 def main() -> None:
-    """Measure, print, write."""
+    """Read the options, and measure."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--resolutions", type=int, nargs="+", default=[50, 100, 200])
     parser.add_argument("--modes", type=int, nargs="+", default=[2, 5, 10, 20])
@@ -262,6 +263,12 @@ def main() -> None:
     parser.add_argument("--json", type=Path, default=Path("runs/bench_reduced.json"))
     parser.add_argument("--prepare", action="store_true", help="train only, measure nothing")
     arguments = parser.parse_args()
+    with one_blas_thread():  # as the commands do
+        measure(arguments)
+
+
+def measure(arguments: argparse.Namespace) -> None:
+    """Train, measure, print and write what was asked for."""
     paths = {
         n: prepare(n, arguments.modes, arguments.training_time, arguments.folder, arguments.splines)
         for n in arguments.resolutions

@@ -6,6 +6,12 @@ goes on for twice the trained time, which the full runs then do in a case of the
 
     python scripts/estimates.py cases/taylor_green_demo.yaml --inside 105 125 150 175 195 \
         --outside 50 70 300 400
+
+Without a case it takes the scenes of the gallery and of `bench_rivals.py`, at resolutions given
+here and there, with models of 5, 10 and 20 modes and as many as training runs choose. Test values
+lie at three places between the trained ones, and at one on either side of them.
+
+    python scripts/estimates.py --beyond 2 --out runs/estimates
 """
 
 from __future__ import annotations
@@ -20,6 +26,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
+from bench_rivals import SCENES
 
 from sphrom.case.loader import load_case
 from sphrom.case.models import Case
@@ -39,6 +47,37 @@ FIELDS = ("velocity", "pressure")
 INSIDE_FACTOR = 2.0
 OUTSIDE_FACTORS = (0.5, 4.0)
 """What an estimate over the error is to be within, inside and outside of training."""
+GALLERY = Path(__file__).parents[1] / "cases" / "gallery"
+RESOLUTIONS = {
+    "cavity_with_fin": 34, "cylinder": 8, "cylinder_array": 24, "eccentric_cylinder": 23,
+    "kolmogorov": 16, "l_shaped_cavity": 28, "taylor_couette": 12,
+}  # fmt: skip
+"""Of the scenes of the gallery, as coarse as the geometry allows or nearly so."""
+INSIDE, OUTSIDE = (0.25, 0.45, 0.75), (0.65, 1.4)
+"""Test values: places between the trained ones on a logarithmic scale; shares of the outer ones."""
+
+
+def scenes() -> dict[str, dict[str, Any]]:
+    """Return the content of a case for each scene that is run without a case."""
+    found = {}
+    for name, resolution in RESOLUTIONS.items():
+        found[name] = yaml.safe_load((GALLERY / f"{name}.yaml").read_text())
+        found[name] |= {"discretization": {"resolution": resolution}, "snapshots": {"every": 5}}
+    found |= {n: {"scene": {"kind": n}, **s} for n, s in SCENES.items() if n != "two-parameters"}
+    fast = {"evaluation": "operators"}
+    for name, content in found.items():
+        content |= {"name": name, "basis": {"n_modes": 20}}
+        content["rom"] = [{"name": f"m{n}", **fast, "n_modes": n} for n in (5, 10, 20, "auto")]
+        content.pop("compare", None)
+    return found
+
+
+def around(trained: Sequence[float]) -> tuple[list[float], list[float]]:
+    """Return test values inside and outside of trained ones."""
+    low, high = min(trained), max(trained)
+    inside = [low * (high / low) ** place for place in INSIDE]
+    outside = [low * OUTSIDE[0], high * OUTSIDE[1]]
+    return tuple([float(f"{v:.3g}") for v in values] for values in (inside, outside))
 
 
 def sphrom(command: str, case: Path, out: Path, settings: dict[str, object]) -> Case:
@@ -132,10 +171,43 @@ def verdict(rows: Sequence[Row], role: str, field: str) -> str:
     )
 
 
+def shares(rows: Sequence[Row]) -> str:
+    """Return a Markdown table of how many true errors are below one and two times the estimate."""
+    parts = [
+        "| | field | runs | below the estimate | below twice | error over estimate, 5 to 95 % |",
+        "|---|---|---|---|---|---|",
+    ]
+    for role in dict.fromkeys(row["role"] for row in rows if row["role"] != "trained"):
+        for field in FIELDS:
+            found = np.array([1.0 / ratio(row, field) for row in rows if row["role"] == role])
+            low, high = np.quantile(found, [0.05, 0.95])
+            once, twice = (f"{100.0 * np.mean(found < n):.0f} %" for n in (1.0, 2.0))
+            cells = role, field, str(len(found)), once, twice, f"{low:.2g} to {high:.2g}"
+            parts.append("| " + " | ".join(cells) + " |")
+    return "\n".join(parts)
+
+
+def measured(
+    path: Path, out: Path, values: Sequence[float], settings: dict[str, object], times: float
+) -> list[Row]:
+    """Run a case at test values, and for so many times the trained time; return the figures."""
+    settings = {**settings, "parameters.test.reynolds": list(values), "compare.plots": "false"}
+    case = sphrom("run", path, out, settings)
+    rows = compared(out)
+    if times > 1.0:
+        plan = case.plan.steps
+        settings["time.step"] = repr(plan.time_step)
+        settings["time.final_time"] = plan.start_time + times * (plan.end_time - plan.start_time)
+        long_out = out.with_name(f"{out.name}-beyond")
+        rows += beyond(case, out, sphrom("fom", path, long_out, settings), long_out)
+    show(rows)
+    return rows
+
+
 def main() -> None:
     """Run, print, write."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("case", type=Path)
+    parser.add_argument("case", type=Path, nargs="?")
     parser.add_argument("--inside", type=float, nargs="*", default=[])
     parser.add_argument("--outside", type=float, nargs="*", default=[])
     parser.add_argument("--beyond", type=float, default=1.0, help="times the trained time")
@@ -143,18 +215,20 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=None)
     arguments = parser.parse_args()
     settings: dict[str, object] = dict(each.split("=", 1) for each in arguments.set)
-    settings["parameters.test.reynolds"] = [*arguments.inside, *arguments.outside]
-    settings["compare.plots"] = "false"
-    out = arguments.out or Path("runs") / f"estimates-{arguments.case.stem}"
-    case = sphrom("run", arguments.case, out, settings)
-    rows = compared(out)
-    if arguments.beyond > 1.0:
-        plan = case.plan.steps
-        settings["time.step"] = repr(plan.time_step)
-        settings["time.final_time"] = case.time.final_time * arguments.beyond
-        long_out = out.with_name(f"{out.name}-beyond")
-        rows += beyond(case, out, sphrom("fom", arguments.case, long_out, settings), long_out)
-    show(rows)
+    if arguments.case is not None:
+        out = arguments.out or Path("runs") / f"estimates-{arguments.case.stem}"
+        values = [*arguments.inside, *arguments.outside]
+        rows = measured(arguments.case, out, values, settings, arguments.beyond)
+    else:
+        out, rows = arguments.out or Path("runs/estimates"), []
+        for name, content in scenes().items():
+            path = out / f"{name}.yaml"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            inside, outside = around(content["parameters"]["train"]["reynolds"])
+            path.write_text(yaml.safe_dump(content))
+            found = measured(path, out / name, inside + outside, settings, arguments.beyond)
+            rows += [{"scene": name, **row} for row in found]
+    print(shares(rows))
     (out / "estimates.json").write_text(json.dumps(rows, indent=2) + "\n")
 
 

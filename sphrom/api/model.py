@@ -167,7 +167,7 @@ class Model:
         def fields(points: Array) -> list[Samples]:
             mean, run = reduced.mean_density_fluctuation, found.run
             moved = zip(run + found.coordinates, mean + found.mean_changes, strict=True)
-            sampled = partial(fast.sampled, self._point, points, found.time)
+            sampled = partial(fast.at_point(self._point).sampled, points, found.time)
             return [sampled(*state) for state in ((run, mean), *moved)]
 
         return Sensitivities(
@@ -261,7 +261,7 @@ class Model:
         """
         reduced, state, _, at = self._at("measures", coordinates, time)
         times = np.array([at])
-        found = quantities_of(self._workspace.case, self._point, reduced, times, state[None])
+        found = quantities_of(self._workspace.case, reduced, times, state[None])
         about = {"model": self.name, **self.parameters}
         return labelled_measures(self._workspace.case, found, times, about)
 

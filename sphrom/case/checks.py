@@ -221,7 +221,6 @@ def beyond_limits(case: Case) -> Iterator[str]:
     limits = {
         "acoustic": (known.acoustic, "1.5 h / c0, Eq. 2.19"),
         "viscous": (known.viscous, "0.125 h^2 / nu, beside walls at most 0.22 h dx / nu"),
-        "body-force": (known.body_force, "0.25 sqrt(h / b)"),
     }
     for name, (limit, formula) in limits.items():
         if step != "auto" and step > limit * (1.0 + WHOLE_STEPS_TOLERANCE):
@@ -334,7 +333,7 @@ def _model_problems(case: Case, model: ReducedModelSection) -> Found:
 
 def steady_problem(case: Case) -> str | None:
     """Return why a case has no steady states, or None."""
-    changes = case.plan.largest_body_force > 0.0 and case.scene.drive_changes
+    changes = case.plan.largest_force_head > 0.0 and case.scene.drive_changes
     return "the scene's body force changes with time: there is no steady state" if changes else None
 
 

@@ -440,14 +440,15 @@ class CustomScene(SceneSection):
             for value in self.body_force
         )
 
-    def largest_body_force(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
-        """Return what the body force's acceleration doesn't exceed until a time [m/s2]."""
+    def largest_head(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
+        """Return what the body force's head along the box doesn't exceed until a time [m2/s2]."""
         drive = self._at(values)._drive
         if drive is None:
             return 0.0
-        field = np.linalg.norm(drive.field(self._samples.T), axis=0).max(initial=0.0)
+        field = np.abs(drive.field(self._samples.T)).max(axis=1, initial=0.0)
         times = np.linspace(0.0, final_time, N_INSTANTS)
-        largest = float(field * np.abs([drive.amplitude(t) for t in times]).max())
+        largest = float(np.dot(self.domain.lengths, field))
+        largest *= float(np.abs([drive.amplitude(t) for t in times]).max())
         return largest if math.isfinite(largest) else 0.0  # else `problems` says so
 
     def problems(self, final_time: float) -> Iterator[tuple[str, str]]:

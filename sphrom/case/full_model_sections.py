@@ -17,7 +17,8 @@ class FluidSection(Section):
     reference_speed: Positive = key(1.0, "largest speed of the flow, U_max", unit="m/s")
     mach_number: Number = key(
         0.1,
-        "U_max over the speed of sound, which it decides; up to 0.3 a flow is weakly compressible",
+        "U_max over the speed of sound, which it decides, unless the body force or friction asks "
+        "for a higher one; up to 0.3 a flow is weakly compressible",
         unit="-",
         ge=1e-3,
         le=0.3,

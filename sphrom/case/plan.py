@@ -14,6 +14,9 @@ from fractions import Fraction
 from functools import cached_property
 from typing import TYPE_CHECKING
 
+import numpy as np
+import shapely
+
 from sphrom.case.points import REYNOLDS, GivenPoints, ParameterPoint, Values, nearest_point
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection, SubsetSection
 from sphrom.errors import CaseError
@@ -27,6 +30,12 @@ from sphrom.sph.time_loop import TimeSteps
 if TYPE_CHECKING:
     from sphrom.case.models import Case
 
+DENSITY_CHANGE = 0.03
+"""Largest change of the density, over its own, by the body force or by friction at walls."""
+CORNER_PRESSURE = 2.5
+"""The largest at a distance r from where a wall slides off another, over mu U / r (Taylor 1962)."""
+BEYOND = 1e-6
+"""How far beyond walls their velocity is asked for, over the spacing."""
 MLS_SMOOTHING_LENGTH_RATIO = 2.0
 """Smoothing length of moving least squares over the spacing: they need no wider support."""
 MODES_WITHOUT_ROM = 10
@@ -132,14 +141,36 @@ class Plan:
 
     @cached_property
     def sound_speed(self) -> float:
-        """c0 [m/s], the same at all points."""
-        return self.max_speed / self._case.fluid.mach_number
+        """c0 [m/s], the same at all points: that of the Mach number, or more for larger heads."""
+        least = math.sqrt(self.largest_head / DENSITY_CHANGE)
+        return max(self.max_speed / self._case.fluid.mach_number, least)
 
     @cached_property
-    def largest_body_force(self) -> float:
-        """The bound of the body force's acceleration in any run [m/s2]."""
+    def largest_head(self) -> float:
+        """About the largest head in any run [m2/s2]: of the body force, in gaps or at corners."""
+        domain, viscosity = self._case.scene.domain, max(map(self.kinematic_viscosity, self.points))
+        gap = domain.narrowest_gap or math.inf  # a check refuses none
+        in_gaps = self.max_speed * max(domain.lengths) / gap**2
+        at_corners = CORNER_PRESSURE * self._largest_jump / self.particle_spacing
+        return max(self.largest_force_head, viscosity * in_gaps, viscosity * at_corners)
+
+    @cached_property
+    def _largest_jump(self) -> float:
+        """The largest change of walls' velocity around the box, within a spacing [m/s]."""
+        domain, dx = self._case.scene.domain, self.particle_spacing
+        edge = shapely.box(*domain.lower, *domain.upper).buffer(BEYOND * dx, join_style="mitre")
+        place = shapely.get_coordinates(shapely.segmentize(edge.exterior, dx))
+        of_walls = domain.distance_and_normal(place)[0] <= 0.0
+        points = {point.others: point for point in self.points}.values()
+        velocities = (self.flow(point).wall_velocity(place) for point in points)
+        jumps = (np.diff(np.where(of_walls, v.T, np.nan)) for v in velocities)
+        return max(float(np.nanmax(np.hypot(*jump), initial=0.0)) for jump in jumps)
+
+    @cached_property
+    def largest_force_head(self) -> float:
+        """The bound of the body force's head along the fluid in any run [m2/s2]."""
         scene, end = self._case.scene, self._case.time.final_time
-        return max(scene.largest_body_force(end, values) for values in self._settings)
+        return max(scene.largest_head(end, values) for values in self._settings)
 
     @cached_property
     def mass(self) -> float:
@@ -202,9 +233,10 @@ class Plan:
 
     def step_limits(self, point: ParameterPoint) -> StepLimits:
         """Return the largest stable time steps at a parameter point."""
-        walls, force = self._case.scene.domain.has_walls, self.largest_body_force
-        sharpness = self._sharpest_corner
-        return fluid.step_limits(self.fluid(point), self.discretization, force, walls, sharpness)
+        domain, sharpness = self._case.scene.domain, self._sharpest_corner
+        return fluid.step_limits(
+            self.fluid(point), self.discretization, domain.has_walls, sharpness
+        )
 
     @cached_property
     def _sharpest_corner(self) -> float:

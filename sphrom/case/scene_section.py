@@ -85,8 +85,8 @@ class SceneSection(Section):
         """Return the largest speed of walls that vary, at values of the parameters [m/s]."""
         return 0.0
 
-    def largest_body_force(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
-        """Return what the body force's acceleration doesn't exceed until a time [m/s2].
+    def largest_head(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
+        """Return what the body force's head along the fluid doesn't exceed until a time [m2/s2].
 
         `values` are those of the parameters; without any they are the scene's own.
         """

@@ -196,9 +196,10 @@ class OpenCavityScene(SceneSection):
         """x of the vertical line that runs are compared along [m]."""
         return PROBE_SHARE * self._cavity.channel_length
 
-    def largest_body_force(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
-        """Return what the body force's acceleration never exceeds [m/s2]."""
-        return abs(self._force(values).largest)
+    def largest_head(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
+        """Return the head of the force less its mean along the channel [m2/s2]."""
+        cavity, length = self._cavity.cavity_length, self._cavity.channel_length
+        return abs(self._force(values).largest) * cavity * (1.0 - cavity / length)
 
     @property
     def drive_changes(self) -> bool:

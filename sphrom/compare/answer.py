@@ -9,6 +9,7 @@ import math
 import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Literal
 
 from sphrom.compare.comparison_tables import ErrorRow, Tables, best_name
 from sphrom.compare.costs import RunTiming, break_even, offline_seconds
@@ -38,8 +39,8 @@ FASTER = "a model with evaluation: operators is, such as {name: fast, evaluation
 """Advice for who has no fast model."""
 Pair = tuple[float, float]
 """Errors of velocity and pressure [%]."""
-Force = tuple[str, float, float | None]
-"""Name of a measured force, its error over time and that of the nearest state [%]."""
+Force = tuple[str, float, float | None, float | None]
+"""Name of a measured force, its error over time, that of the nearest state and its estimate [%]."""
 
 
 @dataclass(frozen=True)
@@ -94,9 +95,11 @@ class Answer:
         if parts:
             text = "; ".join(parts)
             yield f"{text[0].upper()}{text[1:]}."
-        for name, error, best in self.forces:
+        for name, error, best, estimate in self.forces:
             nearest = "" if best is None else f", that of the nearest state by {percent(best)}"
-            yield f"The measured force ({name}) differs by {percent(error)} over time{nearest}."
+            own = "" if estimate is None else f"; the model estimates {percent(estimate)}"
+            found = f"{percent(error)} over time{nearest}{own}"
+            yield f"The measured force ({name}) differs by {found}."
         if self.best is not None and self.error[0] > max(TOO_LARGE, TOO_FAR * self.best[0]):
             yield (
                 "The model does not follow this run, though its basis could: a run from elsewhere "
@@ -158,7 +161,9 @@ def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
         own = (model.name, point.label)
         estimates = [r.figures for r in tables.estimates if (r.compared, r.parameters) == own]
         timings = [r for r in tables.timings if (r.model, r.parameters) == own]
-        forces = _force_errors(tables, point.label)
+        forces, expected = (
+            _force_errors(tables, point.label, which) for which in ("relative_l2", "estimated")
+        )
         offline, training = offline_seconds(workspace, model, [point])
         return Answer(
             row=worst,
@@ -173,7 +178,7 @@ def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
             training_seconds=training,
             n_training=len(plan.bases[basis]),
             forces=tuple(
-                (name, force, forces.get((best, name)))
+                (name, force, forces.get((best, name)), expected.get((compared, name)))
                 for (compared, name), force in forces.items()
                 if compared == model.name
             ),
@@ -181,13 +186,16 @@ def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
     return None
 
 
-def _force_errors(tables: Tables, point: str) -> dict[tuple[str, str], float]:
-    """Return the errors of whole forces [%], by run and measurement."""
+def _force_errors(
+    tables: Tables, point: str, which: Literal["relative_l2", "estimated"]
+) -> dict[tuple[str, str], float]:
+    """Return true or estimated errors of whole forces [%], by run and measurement."""
     found: dict[tuple[str, str], float] = {}
     for row in tables.measures:
-        if row.parameters == point and row.quantity in ("force_x", "force_y") and row.relative_l2:
+        error = getattr(row, which)
+        if row.parameters == point and row.quantity in ("force_x", "force_y") and error:
             key = (row.compared, row.measured)
-            found[key] = math.hypot(found.get(key, 0.0), row.relative_l2)
+            found[key] = math.hypot(found.get(key, 0.0), error)
     return found
 
 

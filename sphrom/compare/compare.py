@@ -11,6 +11,7 @@ from sphrom.case.study_sections import FULL
 from sphrom.compare.answer import tell_answer
 from sphrom.compare.comparison_figures import draw_comparison
 from sphrom.compare.comparison_tables import (
+    ALONE,
     FILE,
     MADE_BY,
     DecayRow,
@@ -27,6 +28,7 @@ from sphrom.compare.measured import (
     MeasureRow,
     flow_row,
     measure_rows,
+    measured_estimates,
     measured_of_best,
     measured_of_map,
 )
@@ -164,13 +166,17 @@ class _PointComparison:
         with workspace.open(workspace.mapped(self.point)) as mapped:
             self._add(sample_mapped(case, mapped, sampler(case, self.probes.all)), "map")
             self._measure("map", measured_of_map(case, mapped))
-            used = {basis_used(workspace, model, self.point) for model in self.models}
-            for name, size in sorted(used):
+            # Models from operators measure in the coordinates alone.
+            last = sorted(self.models, key=lambda model: model.evaluation == "operators")
+            used = {basis_used(workspace, model, self.point): model for model in last}
+            for (name, size), model in sorted(used.items(), key=lambda each: each[0]):
                 best, modes = best_name(name, size), read_modes(workspace, name, size)
-                samples = sample_best(case, mapped, *modes, self.probes)
-                self._add(samples, best, basis=name, n_modes=size)
-                found = measured_of_best(workspace, self.point, mapped, name, size)
-                self._measure(best, found, name, size)
+                both, alone = sample_best(case, mapped, *modes, self.probes)
+                self._add(both, best, basis=name, n_modes=size)
+                self._add(alone, f"{ALONE}, {name} M={size}", basis=name, n_modes=size)
+                if model.evaluation == "operators" and case.scene.measure:
+                    found = measured_of_best(workspace, model, self.point, mapped)
+                    self._measure(best, found, name, size)
 
     def _compare_model(self, model: ReducedModelSection) -> None:
         workspace, case, point = self.workspace, self.case, self.point
@@ -192,7 +198,8 @@ class _PointComparison:
                 )
                 if estimate is not None:
                     self.tables.estimates.append(estimate)
-                self._measure(model.name, measured_of(case, trajectory), basis, size)
+                estimates = measured_estimates(case, trajectory)
+                self._measure(model.name, measured_of(case, trajectory), basis, size, estimates)
                 self.tables.timings.append(
                     reduced_timing(case, model, point, trajectory, self.full_seconds)
                 )
@@ -212,12 +219,18 @@ class _PointComparison:
             self.tables.flow.append(row)
 
     def _measure(
-        self, name: str, measured: Measured, basis: str | None = None, n_modes: int | None = None
+        self,
+        name: str,
+        measured: Measured,
+        basis: str | None = None,
+        n_modes: int | None = None,
+        estimates: Measured | None = None,
     ) -> None:
         self.measures += measure_rows(
             measured,
             self.measured,
             self.full.time >= self.case.compare.from_time,
+            estimates or {},
             n_modes=n_modes,
             **self._described(name, basis),
         )

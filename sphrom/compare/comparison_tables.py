@@ -51,7 +51,7 @@ Cell = str | Callable[[Cells], str]
 Column = tuple[str, Cell]
 """A heading, and the name of a figure or a function that gives the cell."""
 
-BEST = "best possible"
+BEST, ALONE = "best possible", "each field alone"
 AT_END = tuple(f"{quantity}_field_relative_l2_end" for quantity in QUANTITIES)
 WITHOUT_SOUND = tuple(
     f"pressure_{where}_without_sound_relative_l2{peak}"
@@ -280,8 +280,8 @@ def _effectivity(quantity: str) -> Callable[[Cells], str]:
 
 RUN: tuple[Column, ...] = (("run", "compared"), ("parameters", "parameters"))
 NORMS: tuple[str, tuple[Column, ...]] = (
-    "errors: relative L2 norm in %, over points and time / at the worst instant; pressure less its "
-    "mean",
+    "errors: relative L2 norm in %, over sampled points and time / at the worst instant; pressure "
+    "less its mean",
     (
         ("run", "compared"),
         ("against", "against"),
@@ -319,5 +319,6 @@ MEASURES: tuple[str, tuple[Column, ...]] = (
         ("least", "least"),
         ("greatest", "greatest"),
         ("error", _norm("relative_l2")),
+        ("estimated", "estimated"),
     ),
 )

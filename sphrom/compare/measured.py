@@ -5,6 +5,7 @@ The flow of each run is described by figures of its own, such as speeds and a fr
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -14,24 +15,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.arrays import Array
-from sphrom.artifacts import Artifact
+from sphrom.artifacts import Artifact, read_record
+from sphrom.artifacts.records.coordinates import MeasuredOnce
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.measures import UNITS, Quantities, components, errors_of, mean_square
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.metrics.series import dominant_frequency, kinetic_energy
-from sphrom.online.basis_model import fields_of, forces_of
-from sphrom.reduction.reduced_measures import calibrate_force
-from sphrom.reduction.trial_basis import kept_modes, mean_density_fluctuation, project, truncate
+from sphrom.online.basis_model import quantities_of
+from sphrom.online.fast_model import FastModel
+from sphrom.reduction.trial_basis import mean_density_fluctuation, project
 from sphrom.setup.particles import MeasuredFields
 from sphrom.store.stored_run import StoredRun
-from sphrom.store.trained_models import (
-    read_basis,
-    read_force_records,
-    read_measure,
-    read_wall_force,
-)
-from sphrom.store.trajectory import totals
 from sphrom.store.workspace import Workspace
 
 Measured = Mapping[str, Quantities]
@@ -60,6 +56,8 @@ class MeasureRow:
     both components for a force or a velocity."""
     relative_l2_peak: float | None = field(metadata={"unit": "%"})
     """At the worst instant."""
+    estimated: float | None = field(metadata={"unit": "%"})
+    """The error that the model itself estimates, over time and places as `relative_l2`."""
 
 
 def named_components(quantity: str, values: Array) -> dict[str, Array]:
@@ -83,40 +81,37 @@ def measured_of_map(case: Case, mapped: Artifact) -> Measured:
 
 
 def measured_of_best(
-    workspace: Workspace, point: ParameterPoint, mapped: Artifact, basis: str, size: int
+    workspace: Workspace, model: ReducedModelSection, point: ParameterPoint, mapped: Artifact
 ) -> Measured:
-    """Measure the nearest states in a basis; nothing without projected operators."""
-    case, scene = workspace.case, workspace.case.scene
-    if basis not in case.plan.reference_bases or not scene.measure:
-        return {}
-    whole = read_basis(workspace, basis)
-    modes, kept = kept_modes(whole, size), truncate(whole, size)
-    with workspace.open(workspace.operators()) as artifact:
-        forces = {
-            name: calibrate_force(
-                read_wall_force(artifact, basis, name, modes),
-                read_force_records(case, artifact, basis, name, modes),
-            )
-            for name in scene.measured_walls
-        }
-        fields = {n: read_measure(artifact, basis, n, modes) for n in scene.measured_fields}
+    """Measure the nearest states in the basis of a model, as the model does."""
+    fast, time = FastModel(workspace, model), mapped.read("time")
+    reduced = fast.at(point)
     state = mapped.read("density_fluctuation"), mapped.read("velocity")
-    mean, coordinates = mean_density_fluctuation(kept, state[0]), project(kept, *state)
-    loads = forces_of(case, point, forces, mean, mapped.read("time"), coordinates)
-    return {name: totals(each) for name, each in loads.items()} | fields_of(
-        fields, mean, coordinates
-    )
+    coordinates = project(reduced.basis, *state)
+    mean = mean_density_fluctuation(reduced.basis, state[0])
+    return quantities_of(workspace.case, reduced, time, coordinates, mean)
+
+
+def measured_estimates(case: Case, run: Artifact) -> Measured:
+    """Read the estimated errors of what a reduced run measured (...), where it has some."""
+    found: dict[str, Quantities] = {}
+    for name in case.scene.measure:
+        stored = vars(read_record(run, MeasuredOnce, f"error_estimate/measure/{name}"))
+        found[name] = {q: np.atleast_1d(v) for q, v in stored.items() if v is not None}
+    return found
 
 
 def measure_rows(
     own: Measured,
     full: Measured,
     counted: NDArray[np.bool_],
+    estimates: Mapping[str, Any],
     **described: Any,
 ) -> Iterator[MeasureRow]:
     """Yield the rows of a run beside the full one, over the snapshots (n_snapshots,) that count.
 
-    Compared run, parameters, number of modes and role are `described` as in the rows.
+    Compared run, parameters, number of modes and role are `described` as in the rows. Estimated
+    errors are root mean squares over time (...), by measurement and quantity.
     """
     for measured, quantities in own.items():
         for quantity, values in quantities.items():
@@ -124,6 +119,10 @@ def measure_rows(
             square = mean_square(quantity, reference)
             others = named_components(quantity, reference)
             for component, found in named_components(quantity, values[counted]).items():
+                estimated = None
+                if quantity in estimates.get(measured, {}) and square > 0.0:
+                    expected = named_components(quantity, estimates[measured][quantity])
+                    estimated = 100.0 * math.sqrt(np.mean(expected[component] ** 2) / square)
                 errors: tuple[float | None, float | None] = (None, None)
                 if own is not full:
                     errors = errors_of(component, found, others[component], square)
@@ -137,6 +136,7 @@ def measure_rows(
                     greatest=float(found.max()),
                     relative_l2=errors[0],
                     relative_l2_peak=errors[1],
+                    estimated=estimated,
                 )
 
 

@@ -31,10 +31,9 @@ from sphrom.reduction.error_calibration import compared_snapshots
 from sphrom.reduction.exponential_steps import ExponentialModel
 from sphrom.reduction.reduced_measures import ReducedMeasure, project_measures
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
-from sphrom.setup.assembly import places_of
-from sphrom.setup.particles import MeasuredFields, sampler
+from sphrom.setup.particles import MeasuredFields
 from sphrom.store.trained_models import read_points
-from sphrom.store.trajectory import read_quantities, snapshot_fields
+from sphrom.store.trajectory import snapshot_fields
 from sphrom.text import exact
 
 TrainingDifferences = dict[Hashable, tuple[Array, Array]]
@@ -74,8 +73,7 @@ class FittedModel:
         """What samples fields at the places that the case doesn't name, if there are any."""
         if self._places:
             places = np.array(list(self._places))
-            sample, speed = sampler(self._case, places), self._case.plan.sound_speed
-            self.unnamed = MeasuredFields({UNNAMED: FieldMeasure(places)}, sample, speed)
+            self.unnamed = MeasuredFields(self._case, {UNNAMED: FieldMeasure(places)})
         self._measures: dict[str, Mapping[str, ReducedMeasure]] = {}
         self._stepped: dict[str, ReferenceModel] = {}
         self._n_steps = 1
@@ -102,10 +100,10 @@ class FittedModel:
         basis : another than that of the point.
         """
         basis = self.fast.basis_at(point) if basis is None else basis
-        found = self.fast.on_basis(basis).equations(point)
+        found = self.fast.on_basis(basis).at(point)
         if basis not in self._stepped:
             model = self.fast.on_basis(basis)
-            (self._stepped[basis],) = model.projected(model.points[:1], in_training=True)
+            self._stepped[basis] = model.projected(model.points[0], in_training=True)
         if basis not in self._measures:
             self._measures[basis] = {}
             if (fields := self.unnamed) is not None:
@@ -157,7 +155,7 @@ class FittedModel:
     ) -> dict[str, Quantities]:
         """Return what is measured in coordinates (n_snapshots, n_modes) of a run."""
         time, mean = reduced.output_times.time, reduced.mean_density_fluctuation
-        named = quantities_of(self._case, point, reduced, time, coordinates)
+        named = quantities_of(self._case, reduced, time, coordinates)
         places = {name: m for name, m in reduced.measures.items() if name == UNNAMED}
         return {**named, **fields_of(places, mean, coordinates)}
 
@@ -204,7 +202,7 @@ def error_samples(model: FittedModel, place: Array, known: TrainingDifferences) 
     """Return what histories may be wrong by (n_samples, n_snapshots, n_histories) at a place.
 
     None where the case wants no estimates of errors or can't have them, or full training runs
-    are no longer there.
+    that it takes are no longer there.
 
     Parameters
     ----------
@@ -213,8 +211,9 @@ def error_samples(model: FittedModel, place: Array, known: TrainingDifferences) 
     fast, case = model.fast, model.fast.workspace.case
     point = model.point(place)
     name = fast.basis_at(point)
-    full_runs = map(fast.workspace.full_run, case.plan.bases[name])
-    if not case.plan.has_error_estimate(name) or not all(t.path.exists() for t in full_runs):
+    # Places that the case doesn't name are measured in the full runs.
+    needed = map(fast.workspace.full_run, case.plan.bases[name] if model.unnamed else ())
+    if not case.plan.has_error_estimate(name) or not all(t.path.exists() for t in needed):
         return None
     reduced = model.reduced(point)
     run = fast.run(point, reduced, model.integrator(reduced))
@@ -241,31 +240,22 @@ def _differences(model: FittedModel, name: str) -> tuple[Array, Array]:
     They are (n_runs, n_compared, n_histories) and (n_runs, n_compared, 2) [m/s]; runs that
     diverged are left out.
     """
-    case, taught = model.fast.workspace.case, model.fast.on_basis(name)
-    points, trained, correction = case.plan.bases[name], taught.trained, taught.correction
-    compared, places = compared_snapshots(case.plan.steps.n_snapshots), places_of(case, points)
+    workspace, taught = model.fast.workspace, model.fast.on_basis(name)
+    points, compared = taught.points, compared_snapshots(workspace.case.plan.steps.n_snapshots)
     differences, sizes = [], []
-    for k, (there, run) in enumerate(trained):
-        if not np.isfinite(run).all():
+    for k, (reduced, own) in enumerate(taught.held_out):
+        if not np.isfinite(own).all():
             continue
-        own = run if correction is None else run + correction.held_out(places[k])
-        # A model may end earlier or later than its training runs.
-        reduced = replace(model.reduced(points[k], name), output_times=there.output_times)
-        given = model.stacked(model.quantities(points[k], reduced, own))[compared]
-        differences.append(_recorded(model, points[k], compared) - given)
-        sizes.append(taught.products.errors(k, own[compared]))
-    return np.array(differences), np.array(sizes)
-
-
-def _recorded(model: FittedModel, point: ParameterPoint, compared: Indices) -> Array:
-    """Return the histories (n_compared, n_histories) of a full run."""
-    workspace = model.fast.workspace
-    with workspace.open(workspace.full_run(point)) as run:
-        recorded: dict[str, Quantities] = {
-            name: {q: v[compared] for q, v in read_quantities(run, name).items()}
-            for name in workspace.case.scene.measure
+        found = {
+            measured: {q: each[k, compared] for q, each in quantities.items()}
+            for measured, quantities in taught.measured_differences.items()
         }
         if (fields := model.unnamed) is not None:
-            found = [fields(*snapshot_fields(run, k))[UNNAMED] for k in compared]
-            recorded[UNNAMED] = {q: np.stack([each[q] for each in found]) for q in PLACED}
-    return model.stacked(recorded)
+            measure = model.reduced(points[k], name).measures[UNNAMED]
+            given = measure.at(own[compared], reduced.mean_density_fluctuation)
+            with workspace.open(workspace.full_run(points[k])) as run:
+                full = [fields(*snapshot_fields(run, s))[UNNAMED] for s in compared]
+            found[UNNAMED] = {q: np.stack([each[q] for each in full]) - given[q] for q in PLACED}
+        differences.append(model.stacked(found))
+        sizes.append(taught.products.errors(k, own[compared]))
+    return np.array(differences), np.array(sizes)

@@ -23,6 +23,8 @@ from sphrom.kernels.jit import parallel, term
 
 # Guards ln 0 and 1/0 where a position meets a point; the offset or r^2 in front is zero there.
 TINY = 1e-200
+N_CHUNKS = 64
+"""In which cells, and the points of all cells, are shared out."""
 
 
 class Systems(NamedTuple):
@@ -133,6 +135,13 @@ def dot(left: Array, right: Array) -> float:
 
 
 @term
+def add(factor: float, values: Array, total: Array) -> None:
+    """Add values times a factor to a total."""
+    for j in range(total.size):
+        total[j] += factor * values[j]
+
+
+@term
 def three_dots(weights: Array, value: Array, dx: Array, dy: Array) -> tuple[float, float, float]:
     """Return the dot products of one vector with three others."""
     total = total_x = total_y = 0.0
@@ -154,6 +163,22 @@ def local_coordinates(
         (x - grid.x_origin - (column + 0.5) * grid.cell_width) / scale,
         (y - grid.y_origin - (row + 0.5) * grid.cell_height) / scale,
     )
+
+
+@parallel
+def combine(weights: Array, factors: Array, combined: Array) -> None:
+    """Fill `combined` (n_combinations, n) with linear combinations of weights (n_columns, n).
+
+    `factors` are (n_columns, n_combinations).
+    """
+    n = weights.shape[1]
+    for chunk in prange(N_CHUNKS):
+        here = slice(chunk * n // N_CHUNKS, (chunk + 1) * n // N_CHUNKS)
+        for c in range(combined.shape[0]):
+            combined[c, here] = 0.0
+            for k in range(weights.shape[0]):
+                if factors[k, c] != 0.0:
+                    add(factors[k, c], weights[k, here], combined[c, here])
 
 
 @parallel

@@ -17,6 +17,10 @@ and the standard deviation s lie by the central limit theorem in
 z = 1.96 and m4 the fourth moment about the mean. Intervals are for independent draws: of draws
 that fill a box, as Sobol's, they are too wide.
 
+Full runs hold sound and noise of particles that the model doesn't have. Where its errors don't
+depend on the parameters, full runs have the variance s^2 + mean(e^2). The errors' share in it is
+about what an index of the model may be off by.
+
 A Sobol index is the share of an output's variance that a parameter causes alone (first order), or
 has any part in (total). In Saltelli's design (2010) two samples A and B of n points are mixed: in
 AB_i, column i of A is that of B. Then
@@ -55,6 +59,10 @@ N_RESAMPLES = 500
 """Of the bootstrap."""
 LEAST_SPREAD = 1e-9
 """Standard deviation over the largest value below which an output doesn't vary but by rounding."""
+
+
+Along = Literal["time", "mean", "line"]
+"""What the instants of an output are."""
 
 
 @cache
@@ -101,7 +109,7 @@ def share_outside(name: str, arguments: Mapping[str, float], low: float, high: f
 
 
 class OutputStatistics(Record):
-    """Statistics of an output over time, or along a line at the end of runs."""
+    """Statistics of an output over time, of its mean, or along a line at the end of runs."""
 
     mean: Array = dataset("instant", "of the output", "mean of the runs")
     mean_interval: Array = dataset(
@@ -120,8 +128,14 @@ class OutputStatistics(Record):
         "of the output",
         "where quantiles lie by sampling and the model's estimated error",
     )
+    error_share: Array | None = dataset(
+        "instant",
+        "1",
+        "share of the model's squared error in the variance of full runs",
+        default=None,
+    )
     unit: str = attribute("", "unit of the output")
-    along: Literal["time", "line"] = attribute("", "what its instants are: snapshots, or places")
+    along: Along = attribute("", "what its instants are: snapshots, places, or one mean over time")
     model_error: Literal["estimated", "unknown"] = attribute(
         "", "whether intervals hold the model's error, or none is known of this output"
     )
@@ -167,7 +181,7 @@ def spread(
     errors: Array | None,
     levels: tuple[float, ...],
     unit: str = "",
-    along: Literal["time", "line"] = "time",
+    along: Along = "time",
 ) -> OutputStatistics:
     """Return the statistics of values (n_runs, n_instants) of an output.
 
@@ -193,6 +207,8 @@ def spread(
     excess = Z * np.sqrt(np.maximum(moment - deviation**4, 0.0) / len(values))
     of_deviation = np.divide(excess, size, out=np.zeros_like(size), where=size > 0.0) + root_error
     ends = np.array([-1.0, 1.0])[:, None]
+    variance = deviation**2 + root_error**2
+    share = np.divide(root_error**2, variance, out=np.zeros_like(variance), where=variance > 0.0)
     return OutputStatistics(
         mean=mean,
         mean_interval=mean + ends * of_mean,
@@ -201,6 +217,7 @@ def spread(
         quantiles=_quantiles(ordered, levels),
         sampling_interval=sampling,
         interval=interval,
+        error_share=None if errors is None else share,
         unit=unit,
         along=along,
         model_error="unknown" if errors is None else "estimated",

@@ -93,13 +93,16 @@ STATISTICS = ("last", "mean", "fluctuation", "least", "greatest")
 """Of a series over time; the fluctuation is the root mean square about the mean."""
 
 
-def statistics(quantities: Quantities) -> dict[str, float]:
-    """Return the statistics of series (n_snapshots[, 2]), such as `u_mean`; of a line none."""
-    found: dict[str, float] = {}
+def statistics(quantities: Quantities) -> dict[str, Array]:
+    """Return the statistics (n_runs,) of series (n_runs, n_snapshots[, 2]), such as `u_mean`.
+
+    Of a line there are none.
+    """
+    found: dict[str, Array] = {}
     for quantity, values in quantities.items():
         for name, series in components(quantity, values).items() if quantity in UNITS else ():
-            each = (series[-1], series.mean(), series.std(), series.min(), series.max())
-            found |= {f"{name}_{s}": float(v) for s, v in zip(STATISTICS, each, strict=True)}
+            each = [series[:, -1], series.mean(1), series.std(1), series.min(1), series.max(1)]
+            found |= {f"{name}_{s}": v for s, v in zip(STATISTICS, each, strict=True)}
     return found
 
 

@@ -35,6 +35,17 @@ def moving_average(values: Array, weights: Array) -> Array:
     return np.asarray(sliding_window_view(values, len(weights), axis=0) @ weights)
 
 
+def smoothed(values: Array, weights: Array) -> Array:
+    """Return averages (n, ...) around all values (n, ...), of those that there are near the ends.
+
+    The number of weights is odd.
+    """
+    beside = [(len(weights) // 2,) * 2, *[(0, 0)] * (values.ndim - 1)]
+    shares = moving_average(np.pad(np.ones(len(values)), beside[0]), weights)
+    sums = moving_average(np.pad(values, beside), weights)
+    return sums / shares.reshape(-1, *(1,) * (values.ndim - 1))
+
+
 def kinetic_energy(velocity: Array, mass: Array | float) -> Array:
     """Return sum m |u|^2 / 2 [J per metre of depth] of velocities (..., n_particles, n_dim)."""
     return 0.5 * np.sum(mass * np.sum(velocity**2, axis=-1), axis=-1)

@@ -9,27 +9,33 @@ to have, and how many of them to integrate.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 
 import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, ArtifactWriter, write_record
-from sphrom.artifacts.records.reduced_models import BasisOperators, Estimate, HeldOut, WallForce
+from sphrom.artifacts.records.reduced_models import (
+    BasisOperators,
+    Estimate,
+    HeldOut,
+    TrainedMeasure,
+    WallForce,
+)
 from sphrom.case.plan import MAX_STEPS
 from sphrom.case.sections import AUTO
 from sphrom.errors import CaseError
+from sphrom.metrics.series import smoothed
 from sphrom.plots.tables import format_figure
 from sphrom.reduction import reference_model
 from sphrom.reduction.decomposition import N_FIELD_VALUES
-from sphrom.reduction.error_calibration import compared_snapshots
+from sphrom.reduction.error_calibration import LEFT_OUT, compared_snapshots
 from sphrom.reduction.held_out import (
     TrainedSizes,
     UnheldShares,
     best_size,
     choose_integrated,
-    held_out_errors,
     snapshot_products,
     unheld_shares,
 )
@@ -42,14 +48,10 @@ from sphrom.reduction.reduced_measures import project_measures
 from sphrom.reduction.reduced_operators import MemoryOperators, ResidualFactor
 from sphrom.reduction.reduced_rates import spectrum
 from sphrom.reduction.reference_model import ReferenceModel
-from sphrom.reduction.trial_basis import (
-    kept_modes,
-    mean_density_fluctuation,
-    project,
-    truncate,
-)
+from sphrom.reduction.stokes_fields import stokes_fields
+from sphrom.reduction.trial_basis import kept_modes, project, truncate
 from sphrom.setup import particles
-from sphrom.setup.assembly import amplitude_of, output_times_of, places_of
+from sphrom.setup.assembly import amplitude_of, output_times_of, places_of, sound_averages
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import require_room
 from sphrom.setup.particles import MeasuredFields
@@ -62,15 +64,18 @@ from sphrom.store.trained_models import (
     read_basis,
     read_points,
     read_splines,
+    snapshot_times,
     training_runs,
 )
-from sphrom.store.trajectory import read_forces
+from sphrom.store.trajectory import measured_of, read_forces
 from sphrom.store.workspace import Workspace
 
 N_STATES = 10
 """Training snapshots of a run, about, around which the step limit is looked at."""
 N_AT_ONCE = 10
 """Snapshots that are read at once."""
+UNBALANCED = 0.05
+"""Share of a force that the balance of momentum may differ by without a warning."""
 LEAST_SNAPSHOTS = 3
 """Of training runs that models can be calibrated with."""
 
@@ -118,7 +123,6 @@ class _Projection:
             taught = training_runs(self.workspace, self.basis, self.name)
         residual, estimate = self._error_data()
         chosen = self._held_out(taught, estimate)
-        fields, basis = MeasuredFields.of(self.case), self.basis
         found = BasisOperators(
             rates=self.operators,
             states=self.states,
@@ -127,11 +131,8 @@ class _Projection:
             estimate=estimate,
             held_out=chosen,
             memory=closures,
-            training_means=self._training_means(),
             wall_force=self._wall_forces(),
-            measure={}
-            if fields is None
-            else project_measures(basis, lambda *state: fields(self.points.position, *state)),
+            measure=self._measures(),
             skewness=self.operators.skewness,
         )
         self._report_operators()
@@ -169,24 +170,86 @@ class _Projection:
 
     def _wall_forces(self) -> dict[str, WallForce]:
         """Project the forces that a case measures, beside those that training runs recorded."""
-        walls = particles.driven_measured_walls(self.case)
+        case, walls = self.case, particles.driven_measured_walls(self.case)
+        if not walls:
+            return {}
         loads: dict[str, list[Array]] = {measured: [] for measured in walls}
-        for point in self.trained if walls else ():
+        for point in self.trained:
             with self.workspace.open(self.workspace.full_run(point)) as run:
                 for measured, recorded in loads.items():
                     recorded.append(read_forces(run, measured))
-        found = {}
+        found, ghosts = {}, particles.walls(case, case.plan.flow(self.trained[0]))
+        assert ghosts is not None
+        names, position = case.scene.measured_walls, self.points.position
+        around = position, ghosts.position, case.plan.particle_spacing
+        tested = stokes_fields(case.scene.domain, *around, set(names.values()))
         for measured, (wall, circulations) in walls.items():
-            force = project_forces(self.points, self.basis, wall, circulations)
+            balance = tested[names[measured]], self.splines
+            force = project_forces(self.points, self.basis, wall, circulations, balance)
             found[measured] = WallForce(**vars(force), training_loads=np.stack(loads[measured]))
+        self._report_balance(found, {name: wall.arm for name, (wall, _) in walls.items()})
         return found
 
-    def _training_means(self) -> Array | None:
-        """Return means (n_runs, n_snapshots) of mapped densities, where forces are calibrated."""
-        if not self.case.scene.measured_walls:
-            return None
-        densities = (density[...] for _, density, _ in mapped_runs(self.workspace, self.name))
-        return np.stack([mean_density_fluctuation(self.basis, density) for density in densities])
+    def _report_balance(self, forces: Mapping[str, WallForce], arms: Mapping[str, float]) -> None:
+        """Say how far the forces that training runs recorded are from the balance of momentum.
+
+        Sound is averaged out of both, and the start left out.
+        """
+        case, times, averages = self.case, snapshot_times(self.case), sound_averages(self.case)
+        late = times >= times[0] + LEFT_OUT * (times[-1] - times[0])
+        states, rows = training_runs(self.workspace, self.basis, self.name), []
+        for name, force in forces.items():
+            if force.balance is None or not force.balance.follows.any() or len(times) < 2:
+                continue
+            scale, shares = force.balance.follows / [1.0, 1.0, arms[name]], []
+            for k, point in enumerate(self.trained):
+                around = case.plan.kinematic_viscosity(point), point.factors
+                # The change of momentum is that of the snapshots, not of a model.
+                still, driven = self.operators.at(*around).scaled(0.0), self.points.walls_driven
+                change = np.gradient(states[k], times, axis=0) @ force.balance.momentum.T
+                local = force.at(still, around[0], driven, point.factors)
+                amplitude = amplitude_of(case, point)
+                pushes = np.zeros(len(times)) if amplitude is None else amplitude(times)
+                found = local.at(times, states[k], 0.0, pushes).sum(axis=1) - change
+                whole = force.training_loads[k].sum(axis=1)
+                whole, found = (smoothed(each, averages)[late] for each in (whole, found))
+                size = np.linalg.norm(scale * whole)
+                shares.append(float(np.linalg.norm(scale * (whole - found)) / size))
+            rows.append((name, format_figure(100.0 * max(shares))))
+            if max(shares) > UNBALANCED:
+                self.report.warn(
+                    f"the force {name} of training runs is {rows[-1][1]} % off the balance of "
+                    "momentum: a finer discretization.resolution may be needed"
+                )
+        if rows:
+            self.report.table(
+                f"balance of momentum, basis {self.name}: how far forces of training runs are from "
+                "it, the largest of all runs, without sound",
+                ("measured", "difference [%]"),
+                rows,
+            )
+
+    def _measures(self) -> dict[str, TrainedMeasure]:
+        """Project the fields that a case measures, beside those that training runs recorded."""
+        fields, recorded = MeasuredFields.of(self.case), []
+        if fields is None:
+            return {}
+        for point in self.trained:
+            with self.workspace.open(self.workspace.full_run(point)) as run:
+                recorded.append(measured_of(self.case, run))
+        projected = project_measures(
+            self.basis, lambda *state: fields(self.points.position, *state)
+        )
+        return {
+            name: TrainedMeasure(
+                **vars(measure),
+                **{
+                    f"training_{q}": np.stack([r[name][q] for r in recorded])
+                    for q in measure.quantities
+                },
+            )
+            for name, measure in projected.items()
+        }
 
     def _error_data(self) -> tuple[ResidualFactor | None, Estimate | None]:
         """Return the data for error estimates of models with the basis, if the case has any."""
@@ -263,9 +326,8 @@ class _Projection:
 
         Raises CaseError when a model needs it all the same.
         """
-        asked = self.name in self.case.plan.sized_bases
         if runs is None or estimate is None or runs.shape[1] < LEAST_SNAPSHOTS:
-            if asked:
+            if self.name in self.case.plan.sized_bases:
                 raise CaseError(
                     f"rom.n_modes: auto needs training runs of {LEAST_SNAPSHOTS} snapshots or "
                     "more; see snapshots.every"
@@ -273,32 +335,18 @@ class _Projection:
             return None
         places = places_of(self.case, self.trained)
         sizes = TrainedSizes(places, runs, products=estimate, compared=self.compared)
-        integrated, every = np.arange(1, sizes.largest + 1), range(len(self.trained))
-        if len(self.trained) > 1:
-            repeated = [self._repeated(runs, int(n), every) for n in integrated]
-            integrated = choose_integrated(sizes, repeated)
-        error = None
-        if asked:
-            # Calibrated on all other runs; on itself where there is one.
-            learnt = [[other for other in every if other != run] or [run] for run in every]
-            errors = [
-                held_out_errors(
-                    sizes, n_modes, [self._repeated(runs, int(n), some) for some in learnt]
-                )
-                for n_modes, n in enumerate(integrated, 1)
-            ]
-            error = np.stack(errors)
+        repeated = [self._repeated(runs, n + 1) for n in range(sizes.largest)]
+        integrated, error = choose_integrated(sizes, repeated)
         return HeldOut(integrated=integrated, error=error)
 
-    def _repeated(self, runs: Array, n_modes: int, learnt: Sequence[int]) -> Array:
-        """Return training runs (n_runs, n_snapshots, n_modes) by a model calibrated on some.
+    def _repeated(self, runs: Array, n_modes: int) -> Array:
+        """Return training runs (n_runs, n_snapshots, n_modes) by a model calibrated on them.
 
         NaN where they aren't stable.
         """
         case, modes = self.case, kept_modes(self.basis, n_modes)
         operators, runs = self.operators.of_modes(modes), runs[..., modes]
-        points = [self.trained[k] for k in learnt]
-        calibration = calibrated(case, points, operators, runs[list(learnt)])
+        calibration = calibrated(case, self.trained, operators, runs)
         basis, states = truncate(self.basis, n_modes), self.states[:, modes]
         found = []
         for point, own in zip(self.trained, runs, strict=True):
@@ -307,10 +355,10 @@ class _Projection:
                 polynomial=operators.at(*around).plus(calibration.at(*around)),
                 basis=basis,
                 start=own[0],
-                output_times=output_times_of(case, case.plan.steps, basis),
+                output_times=output_times_of(case, case.plan.steps, states, point),
                 amplitude=amplitude_of(case, point),
             )
-            (model,) = reference_model.with_limits([model], states)
+            model = model.around(states)
             if model.output_times.duration > MAX_STEPS * model.step_limit:
                 found.append(np.full_like(own, np.nan))
             else:
@@ -337,7 +385,7 @@ class _Projection:
     def _report_choice(self, chosen: HeldOut) -> None:
         """Say how many modes models have, and integrate, that leave it to the training runs."""
         plan, name, size = self.case.plan, self.name, 0
-        if chosen.error is not None:
+        if self.name in plan.sized_bases:
             size = best_size(chosen.error)
             velocity, pressure = (format_figure(100.0 * e) for e in chosen.error[size - 1])
             self.report.info(

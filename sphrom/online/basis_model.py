@@ -5,7 +5,9 @@ Whatever doesn't depend on the parameter point is read and computed once, for al
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -20,16 +22,20 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import Quantities
+from sphrom.metrics.samples import Samples
+from sphrom.metrics.series import smoothed
 from sphrom.online.error_estimates import TrainedErrors
 from sphrom.reduction import reference_model
 from sphrom.reduction.calibration import Calibration
 from sphrom.reduction.correction import Correction, learn_correction
+from sphrom.reduction.exponential_steps import LinearPart
 from sphrom.reduction.held_out import FieldProducts
+from sphrom.reduction.polynomial_model import Run
 from sphrom.reduction.reduced_measures import (
-    ForceRecord,
+    PointForce,
     ReducedForce,
     ReducedMeasure,
-    calibrate_force,
+    TimedLoads,
 )
 from sphrom.reduction.reduced_operators import MemoryOperators
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
@@ -39,16 +45,23 @@ from sphrom.reduction.trial_basis import (
     project,
     truncate,
 )
-from sphrom.setup.assembly import amplitude_of, drives, memory_length_of, output_times_of, places_of
+from sphrom.setup.assembly import (
+    amplitude_of,
+    memory_length_of,
+    output_times_of,
+    places_of,
+    sound_averages,
+)
 from sphrom.store.starts import Fields
 from sphrom.store.trained_models import (
     calibrated,
     read_basis,
-    read_force_records,
     read_measure,
     read_operators,
+    read_recorded,
     read_wall_force,
     sized_in,
+    snapshot_times,
 )
 from sphrom.store.trajectory import totals
 from sphrom.store.workspace import Workspace
@@ -56,6 +69,8 @@ from sphrom.store.workspace import Workspace
 if TYPE_CHECKING:
     from sphrom.reduction.mode_splines import ModeSplines
 
+LOADS_APART = tuple(np.array([k]) for k in range(12))
+"""Training runs correct each load of a force for itself, its slow part and the rest."""
 Start = Callable[[ParameterPoint], Fields]
 """The fields on the reference points at the start of a run at a parameter point."""
 
@@ -83,8 +98,7 @@ class BasisModel:
         whole = read_basis(workspace, name)
         self.basis, self.modes = truncate(whole, section.size), kept_modes(whole, section.size)
         self._n_all_modes = whole.n_modes
-        plans = {True: case.plan.steps, False: case.plan.model_steps(section)}
-        self._times = {k: output_times_of(case, plan, self.basis) for k, plan in plans.items()}
+        self._steps = {True: case.plan.steps, False: case.plan.model_steps(section)}
         group, is_corrected = f"bases/{name}", case.plan.is_corrected(section, name)
         self._calibration: Calibration | None = None
         self._memory: MemoryOperators | None = None
@@ -146,6 +160,16 @@ class BasisModel:
 
         return read_modes(self.workspace, self.name, self.section.size)[1]
 
+    def sampled(self, points: Array, time: Array, coordinates: Array, mean: float) -> Samples:
+        """Return velocity and pressure at points (n_points, 2) of coordinates (n_times, n_modes).
+
+        `mean` is the density fluctuation that is carried apart [kg/m3].
+        """
+        from sphrom.store.sampling import expand
+
+        case, means = self.workspace.case, np.full(len(time), mean)
+        return expand(case, self.basis, self.splines, points, time, coordinates, means)
+
     @cached_property
     def trained_errors(self) -> TrainedErrors | None:
         """The fit of error estimates to training runs; None where the case wants no estimates."""
@@ -167,50 +191,65 @@ class BasisModel:
         every = self.workspace.case.snapshots.every
         return reference_model.choose(reduced, lambda part: steps_of(self.section, part, every))
 
-    def equations(self, point: ParameterPoint) -> ReferenceModel:
-        """Return the model at a point, without the data that choosing steps takes."""
-        found = self._equations(point)
-        if self.leading is not None:
-            found = found.with_leading(self.leading._equations(point))
-        return self.taught(found, point)
+    def at(self, point: ParameterPoint) -> ReferenceModel:
+        """Return the model at a point, with what training runs tell of it."""
+        found, step = self.projected(point), self._first_step(point)
+        leading = found.leading and replace(found.leading, first_step=step)
+        return self.taught(replace(found, first_step=step, leading=leading), point)
 
-    def projected(
-        self, points: Sequence[ParameterPoint], *, in_training: bool = False
-    ) -> list[ReferenceModel]:
-        """Return the models at points, without their corrections and forces.
+    def projected(self, point: ParameterPoint, *, in_training: bool = False) -> ReferenceModel:
+        """Return the model at a point, without its correction and forces.
 
-        Runs `in_training` have the times of training runs.
+        Its steps carry the linear part of the nearest training point. Runs `in_training` have the
+        times of training runs.
         """
-        equations = [self._equations(point, in_training) for point in points]
-        models = reference_model.with_limits(equations, self.states)
+        linear = self._linear_parts[self._nearest(point)]
+        found = self._equations(point, in_training)
+        found = replace(found, states=self.states, linear=linear)
         if self.leading is None:
-            return models
-        first = self.leading.projected(points, in_training=in_training)
-        return [whole.with_leading(part) for whole, part in zip(models, first, strict=True)]
+            return found
+        return found.with_leading(self.leading.projected(point, in_training=in_training))
+
+    def _nearest(self, point: ParameterPoint) -> int:
+        """Return which training point is the nearest."""
+        places = places_of(self.workspace.case, [*self.points, point])
+        distances = np.linalg.norm(places[:-1] - places[-1], axis=1)
+        # Rounded: of points as near as each other, the first on any machine.
+        return int(np.round(distances, 9).argmin())
+
+    @cached_property
+    def _linear_parts(self) -> list[LinearPart | None]:
+        """The linear parts of exponential steps, by training point."""
+        models = [self._equations(point, in_training=True) for point in self.points]
+        return [model.around(self.states).linear for model in models]
 
     def _equations(self, point: ParameterPoint, in_training: bool = False) -> ReferenceModel:
         """Return the model's equations and start alone."""
         case = self.workspace.case
         viscosity = case.plan.kinematic_viscosity(point)
         coordinates, mean = self._initial_state(self._start(point))
+        rates = self.operators.at(viscosity, point.factors)
         found = ReferenceModel(
-            polynomial=self.operators.at(viscosity, point.factors),
+            polynomial=rates,
             basis=self.basis,
             start=coordinates,
-            output_times=self._times[in_training],
+            output_times=output_times_of(case, self._steps[in_training], self.states, point),
             mean_density_fluctuation=mean,
             amplitude=amplitude_of(case, point),
             measures=self._measures,
         )
-        rates, length = found.polynomial, None
+        length = closure = None
         if self._memory is not None:
             length = memory_length_of(
                 case, self.section, lambda: rates.jacobian(coordinates, found.strongest)
             )
-            rates = rates.plus(self._memory.at(viscosity), length)
+            closure = self._memory.at(viscosity).scaled(length)
         if self._calibration is not None:
-            rates = rates.plus(self._calibration.at(viscosity, point.factors))
-        return replace(found, polynomial=rates, memory_length=length)
+            learnt = self._calibration.at(viscosity, point.factors)
+            closure = learnt if closure is None else closure.plus(learnt)
+        if closure is not None:
+            rates = rates.plus(closure)
+        return replace(found, polynomial=rates, closure=closure, memory_length=length)
 
     def _initial_state(self, fields: Fields) -> tuple[Array, float]:
         """Return coordinates (n_modes,) of mapped fields, and the separate mean density."""
@@ -220,10 +259,22 @@ class BasisModel:
             self._last = fields, (project(self.basis, *fields), mean)
         return self._last[1]
 
-    def taught(self, found: ReferenceModel, point: ParameterPoint) -> ReferenceModel:
-        """Return a model with what training runs tell of its coordinates and forces."""
-        forces = {name: f.with_drives(point.factors) for name, f in self._calibrated.items()}
-        return replace(found, correction=self._added(point), forces=forces)
+    def taught(
+        self, found: ReferenceModel, point: ParameterPoint, *, held_out: bool = False
+    ) -> ReferenceModel:
+        """Return a model with what training runs tell of its coordinates and forces.
+
+        Of a training run that is `held_out`, the corrections are what the others give.
+        """
+        forces, corrections = {}, self.force_corrections
+        place = places_of(self.workspace.case, [point])[0]
+        for name, (force, _) in self._forces.items():
+            added, learnt = None, corrections[name]
+            if learnt is not None:
+                parts = learnt.held_out(place) if held_out else learnt.at(place)
+                added = TimedLoads.of(snapshot_times(self.workspace.case), parts)
+            forces[name] = self._at_point(force, found, point, added)
+        return replace(found, correction=self._added(point, held_out), forces=forces)
 
     @cached_property
     def correction(self) -> Correction | None:
@@ -235,13 +286,14 @@ class BasisModel:
         places = places_of(self.workspace.case, self.points)
         return learn_correction(places, self._projected - coordinates, (leading, others))
 
-    def _added(self, point: ParameterPoint) -> Array | None:
+    def _added(self, point: ParameterPoint, held_out: bool = False) -> Array | None:
         """Return what is added to coordinates (n_trained_snapshots, n_modes), if anything is."""
         if self.correction is not None:
-            return self.correction.at(places_of(self.workspace.case, [point])[0])
+            place = places_of(self.workspace.case, [point])[0]
+            return self.correction.held_out(place) if held_out else self.correction.at(place)
         if self.leading is None:
             return None
-        return np.zeros((self._times[True].n_snapshots, self.basis.n_modes))
+        return np.zeros((self._steps[True].n_snapshots, self.basis.n_modes))
 
     @cached_property
     def trained(self) -> list[tuple[ReferenceModel, Array]]:
@@ -249,38 +301,106 @@ class BasisModel:
 
         Coordinates that are not integrated are zero.
         """
+        runs = [(reduced, run.coordinates) for reduced, run in self._trained_runs]
+        return [(m, run if m.leading is None else m.spread(run)) for m, run in runs]
+
+    @cached_property
+    def _trained_runs(self) -> list[tuple[ReferenceModel, Run]]:
+        found = [self.projected(point, in_training=True) for point in self.points]
+        return [(each, self.integrator(each.leading or each).run()) for each in found]
+
+    def _first_step(self, point: ParameterPoint) -> float | None:
+        """Return the automatic step [s] of the nearest training run, where that is stable.
+
+        At a training point it is exactly the step that the correction was learnt with.
+        """
+        with suppress(CaseError):
+            _, run = self._trained_runs[self._nearest(point)]
+            if self.section.time_step == AUTO and math.isnan(run.diverged_at):
+                return run.time_step
+        return None
+
+    @cached_property
+    def held_out(self) -> list[tuple[ReferenceModel, Array]]:
+        """The model and its runs at the training points, without their own corrections.
+
+        With its own correction a training run is the full run: its error tells nothing.
+        """
         found = []
-        for point in self.points:
-            (reduced,) = self.projected([point], in_training=True)
-            run = self.integrator(reduced.leading or reduced).run().coordinates
-            found.append((reduced, run if reduced.leading is None else reduced.spread(run)))
+        for point, (reduced, run) in zip(self.points, self.trained, strict=True):
+            taught = self.taught(reduced, point, held_out=True)
+            found.append((taught, run if taught.correction is None else run + taught.correction))
         return found
 
     @cached_property
-    def _calibrated(self) -> Mapping[str, ReducedForce]:
-        """The forces on walls, calibrated in runs of the model at the trained points."""
-        if not self._forces:
-            return {}
-        case, found = self.workspace.case, {}
+    def measured_differences(self) -> dict[str, Quantities]:
+        """What full training runs measured, less what those of `held_out` do.
+
+        By measurement and quantity (n_runs, n_snapshots, ...); not finite where a run diverged.
+        They hold the sound and the noise of particles that the model doesn't have.
+        """
+        case = self.workspace.case
         with self.workspace.open(self.workspace.operators()) as artifact:
-            for measured, force in self._forces.items():
-                records = read_force_records(case, artifact, self.name, measured, self.modes)
-                pairs = zip(records, self.points, strict=True)
-                found[measured] = calibrate_force(force, [self._own(*pair) for pair in pairs])
+            recorded = read_recorded(case, artifact, self.name)
+        own = [
+            quantities_of(case, reduced, reduced.output_times.time, run)
+            for reduced, run in self.held_out
+        ]
+        return {
+            name: {q: each - np.stack([one[name][q] for one in own]) for q, each in full.items()}
+            for name, full in recorded.items()
+        }
+
+    @cached_property
+    def force_corrections(self) -> Mapping[str, Correction | None]:
+        """What training runs add to forces, from the model's runs at the trained points.
+
+        None where these take steps without end.
+        """
+        case, found = self.workspace.case, dict[str, Correction | None].fromkeys(self._forces)
+        try:
+            runs = self.trained if self._forces else []
+        except CaseError:
+            return found
+        places, weights = places_of(case, self.points), sound_averages(case)
+        for name, (force, recorded) in self._forces.items():
+            defects = np.stack(
+                [
+                    loads.reshape(len(loads), -1) - self._loads(force, point, *run)
+                    for loads, point, run in zip(recorded, self.points, runs, strict=True)
+                ]
+            )
+            slow = np.stack([smoothed(each, weights) for each in defects])
+            # Sound and the particles' noise may be of each run alone.
+            parts = np.concatenate((slow, defects - slow), axis=2)
+            found[name] = learn_correction(places, parts, LOADS_APART, worthwhile=math.inf)
+            if len(places) == 1 and np.isfinite(defects).all():
+                # Nothing tells how far the only one reaches.
+                found[name] = Correction(places, parts, np.full(parts.shape[2], np.inf))
         return found
 
-    def _own(self, record: ForceRecord, point: ParameterPoint) -> ForceRecord:
-        """Return a record with the states of the model's own run, where that is stable."""
-        try:
-            reduced, run = self.trained[self.points.index(point)]
-        except CaseError:
-            return record
+    def _loads(
+        self, force: ReducedForce, point: ParameterPoint, reduced: ReferenceModel, run: Array
+    ) -> Array:
+        """Return the loads (n_snapshots, 6) of a force in a training run of the model.
+
+        NaN where that isn't stable.
+        """
         added = self._added(point)
         states = run if added is None else run + added
-        if not np.isfinite(states).all():
-            return record
-        mean = np.full(len(states), reduced.mean_density_fluctuation)
-        return replace(record, coordinates=states, mean_density_fluctuation=mean)
+        local = replace(reduced, forces={"": self._at_point(force, reduced, point)})
+        return forces_of(local, reduced.output_times.time, states)[""].reshape(len(states), -1)
+
+    def _at_point(
+        self,
+        force: ReducedForce,
+        reduced: ReferenceModel,
+        point: ParameterPoint,
+        correction: TimedLoads | None = None,
+    ) -> PointForce:
+        viscosity = self.workspace.case.plan.kinematic_viscosity(point)
+        driven = self.operators.walls_driven
+        return force.at(reduced.polynomial, viscosity, driven, point.factors, correction)
 
 
 def steps_of(section: ReducedModelSection, reduced: ReferenceModel, full_steps: int) -> Steps:
@@ -295,7 +415,7 @@ def steps_of(section: ReducedModelSection, reduced: ReferenceModel, full_steps: 
     if section.time_step != "auto":
         n_steps = round(output_times.interval / section.time_step) * n_intervals
         return reference_model.runge_kutta(reduced, n_steps)
-    if output_times.duration > MAX_STEPS * reduced.step_limit:
+    if reduced.first_step is None and output_times.duration > MAX_STEPS * reduced.step_limit:
         raise CaseError(
             f"rom: {section.name} is stable with steps of {reduced.step_limit:.3g} s only, which "
             f"are more than {MAX_STEPS:g}; choose fewer modes, a memory_length or a time_step"
@@ -304,25 +424,21 @@ def steps_of(section: ReducedModelSection, reduced: ReferenceModel, full_steps: 
 
 
 def forces_of(
-    case: Case,
-    point: ParameterPoint,
-    forces: Mapping[str, ReducedForce],
-    mean_density_fluctuation: Array | float,
-    time: Array,
-    coordinates: Array,
+    reduced: ReferenceModel, time: Array, coordinates: Array, mean: Array | float | None = None
 ) -> dict[str, Array]:
-    """Return by measurement the forces and torques (n_snapshots, 2, 3) of states [N/m, N].
+    """Return by measurement the forces and torques (n_states, 2, 3) of states [N/m, N].
 
-    Times are (n_snapshots,) [s], coordinates (n_snapshots, n_modes); the mean that is carried apart
-    is (n_snapshots,) or one for all [kg/m3].
+    Parameters
+    ----------
+    time : (n_states,) [s].
+    coordinates : (n_states, n_modes).
+    mean : density fluctuation that is carried apart [kg/m3], (n_states,) or one for all; by default
+        the model's own.
     """
-    if not forces:
-        return {}
-    viscosity, (speed, amplitude) = case.plan.kinematic_viscosity(point), drives(case, point, time)
-    return {
-        name: force.at(coordinates, mean_density_fluctuation, viscosity, speed, amplitude)
-        for name, force in forces.items()
-    }
+    mean = reduced.mean_density_fluctuation if mean is None else mean
+    amplitude = np.zeros(len(time)) if reduced.amplitude is None else reduced.amplitude(time)
+    about = time, coordinates, mean, amplitude
+    return {name: force.at(*about) for name, force in reduced.forces.items()}
 
 
 def fields_of(
@@ -335,14 +451,15 @@ def fields_of(
 
 
 def quantities_of(
-    case: Case, point: ParameterPoint, reduced: ReferenceModel, time: Array, coordinates: Array
+    case: Case,
+    reduced: ReferenceModel,
+    time: Array,
+    coordinates: Array,
+    mean: Array | float | None = None,
 ) -> dict[str, Quantities]:
-    """Return all that a case measures, forces and fields, in coordinates (n_states, n_modes).
-
-    Times are (n_states,) [s]; quantities are (n_states, ...).
-    """
-    mean = reduced.mean_density_fluctuation
-    forces = forces_of(case, point, reduced.forces, mean, time, coordinates)
+    """Return all that a case measures, forces and fields (n_states, ...), as `forces_of` does."""
+    mean = reduced.mean_density_fluctuation if mean is None else mean
+    forces = forces_of(reduced, time, coordinates, mean)
     found = {name: totals(loads) for name, loads in forces.items()}
     found |= fields_of(reduced.measures, mean, coordinates)
     return {name: found[name] for name in case.scene.measure}

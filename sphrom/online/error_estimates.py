@@ -7,28 +7,33 @@ the runs do, whatever the number of points is, and the fit is the same for all p
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.artifacts import ArtifactWriter, read_record, write_record
 from sphrom.artifacts.records.coordinates import ErrorEstimate as StoredEstimate
+from sphrom.artifacts.records.coordinates import MeasuredOnce
 from sphrom.case.points import ParameterPoint
+from sphrom.metrics.measures import Quantities, mean_square
 from sphrom.plots.tables import format_figure
+from sphrom.reduction.correction import interpolation_variance
 from sphrom.reduction.error_calibration import (
     FIELDS,
     LocalErrorCalibration,
     calibrate_errors,
     compared_snapshots,
+    output_errors,
 )
 from sphrom.reduction.held_out import UnheldShares
 from sphrom.reduction.reduced_operators import ResidualFactor, residual_norm
 from sphrom.reduction.reference_model import ReferenceModel
-from sphrom.setup.assembly import places_of
+from sphrom.setup.assembly import places_of, sound_averages
 from sphrom.store.trained_models import read_operators
 
 if TYPE_CHECKING:
@@ -95,6 +100,7 @@ def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
     factors = [None, None]
     if fitted.factors is not None and not found.extrapolates:
         factors = fitted.factors.tolist()
+    errors = measured_errors(run)
     constants = [float(constant) for constant in fitted.constants * trained.units]
     stored = StoredEstimate(
         velocity=found.velocity,
@@ -106,10 +112,17 @@ def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
         pressure_constant=constants[1],
         velocity_factor=factors[0],
         pressure_factor=factors[1],
+        measure={
+            name: measured_once({q: np.sqrt(np.mean(e**2, axis=0))[None] for q, e in each.items()})
+            for name, each in errors.items()
+        },
     )
     write_record(artifact, stored, "error_estimate")
     artifact.annotate("timing/error_estimate", time.perf_counter() - started)
     report.info(_told(run, found, factors))
+    if shares := measured_shares(run, errors):
+        listed = ", ".join(f"{name} {format_figure(share)} %" for name, share in shares.items())
+        report.info(f"{run.name}: estimated errors of what is measured: {listed}")
 
 
 def estimate(run: FastRun) -> ErrorEstimate | None:
@@ -129,6 +142,46 @@ def estimate(run: FastRun) -> ErrorEstimate | None:
     beyond = fitted.extrapolates(len(run.time))
     percent = of_velocity, of_pressure
     return ErrorEstimate(velocity, pressure, *percent, beyond, residual, errors, sizes)
+
+
+def measured_shares(run: FastRun, errors: Mapping[str, Quantities]) -> dict[str, float]:
+    """Return errors (n_snapshots, ...) of forces, flow rates and velocities, by measurement [%].
+
+    They are root mean squares over those of the run.
+    """
+    found, measured = {}, run.measured
+    for name, each in errors.items():
+        quantity = next(iter(each))
+        size = mean_square(quantity, measured[name][quantity])
+        if size > 0.0:
+            found[name] = 100.0 * math.sqrt(mean_square(quantity, each[quantity]) / size)
+    return found
+
+
+def measured_once(quantities: Quantities) -> MeasuredOnce:
+    """Return what is measured at one instant (1, ...) as artifacts have it."""
+    given: dict[str, Any] = {q: v[0] if v.ndim > 1 else float(v[0]) for q, v in quantities.items()}
+    return MeasuredOnce(**given)
+
+
+def measured_errors(run: FastRun) -> dict[str, Quantities]:
+    """Estimate the errors of all that a case measures over a run (n_snapshots, ...).
+
+    Nothing where the run has no estimates.
+    """
+    model, found = run.model.at_point(run.point), estimate(run)
+    if model.trained_errors is None or found is None:
+        return {}
+    case = model.workspace.case
+    places, place = places_of(case, model.points), places_of(case, [run.point])[0]
+    averages, variance = sound_averages(case), np.array(interpolation_variance(places, place))
+    return {
+        name: {
+            q: output_errors(each, places, averages).at(variance, found.errors)
+            for q, each in quantities.items()
+        }
+        for name, quantities in model.measured_differences.items()
+    }
 
 
 def _fitted(run: FastRun) -> tuple[TrainedErrors | None, LocalErrorCalibration | None]:
@@ -163,40 +216,39 @@ def distance_from(states: Array, state: Array) -> float:
 class TrainedErrors:
     """The errors of a model with one basis in training, and the fit of estimates to them.
 
+    `known` (n_runs, n_compared, 2) are root mean squares over the fluid, as `ErrorEstimate.errors`.
     `fitted` is None where the training runs have no errors, or all of them diverge.
     """
 
     def __init__(self, model: BasisModel) -> None:
         workspace, name, points = model.workspace, model.name, model.points
-        self._model, self._case = model, workspace.case
+        self._case = workspace.case
         pressure_scale = self._case.fluid.reference_density * self._case.plan.sound_speed
         self.units = np.array([1.0, pressure_scale])
         compared = compared_snapshots(self._case.plan.steps.n_snapshots)
         group = f"bases/{name}/estimate"
         with workspace.open(workspace.operators()) as artifact:
-            self._whole = whole = read_operators(artifact, name)
-            self._factor = read_record(
-                artifact, ResidualFactor, f"bases/{name}/residual", walls_driven=whole.walls_driven
-            )
+            whole = read_operators(artifact, name)
+            driven = {"walls_driven": whole.walls_driven}
+            factor = read_record(artifact, ResidualFactor, f"bases/{name}/residual", **driven)
+            self._factor = factor.of_model(whole, model.modes)
             unheld = read_record(artifact, UnheldShares, f"{group}/unheld")
         self.products = model.products
         correction, places = model.correction, places_of(self._case, points)
         coordinates, residuals, errors = [], [], []
         for k, (reduced, found) in enumerate(model.trained):
-            held_out, own = found, found
-            if correction is not None:
-                # With its own correction a training run is the full run: its error tells nothing.
-                held_out = found + correction.held_out(places[k])
-                own = found + correction.at(places[k])
+            held_out = model.held_out[k][1]
+            own = found if correction is None else found + correction.at(places[k])
             coordinates.append(own)
             times = reduced.output_times.time
             residuals.append(self.residual(points[k], reduced, times, held_out))
             errors.append(self.products.errors(k, held_out[compared]))
+        self.known = np.stack(errors)
         self.fitted = calibrate_errors(
             times,
             np.stack(coordinates),
             np.stack(residuals),
-            np.stack(errors),
+            self.known,
             compared,
             places,
             unheld.of_size(model.section.size),
@@ -211,11 +263,8 @@ class TrainedErrors:
         self, point: ParameterPoint, reduced: ReferenceModel, times: Array, coordinates: Array
     ) -> Array:
         """Return the residual's norm (n_states,) [/s] at coordinates of a model at a point."""
-        around = self._case.plan.kinematic_viscosity(point), point.factors
-        added = reduced.polynomial.plus(self._model.operators.at(*around), -1.0)
-        closed = any(tensor.any() for tensors in added.powers for tensor in tensors)
-        closure, modes = added if closed else None, self._model.modes
-        norm = residual_norm(self._factor, self._whole, modes, *around, closure=closure)
+        viscosity = self._case.plan.kinematic_viscosity(point)
+        norm = residual_norm(self._factor, viscosity, point.factors, reduced.closure)
         return norm(coordinates, None if reduced.amplitude is None else reduced.amplitude(times))
 
 
@@ -236,4 +285,5 @@ def _told(run: FastRun, found: ErrorEstimate, factors: Sequence[float | None]) -
         for name in points[0]
         if (values := [point[name] for point in points])
     )
-    return f"{text}; extrapolated, as the model was trained on {trained} only"
+    until = run.model.workspace.case.plan.steps.end_time
+    return f"{text}; extrapolated, as the model was trained on {trained} until {until:g} s only"

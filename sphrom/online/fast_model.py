@@ -8,7 +8,6 @@ equations with one basis, `sphrom.reduction.reference_model` integrates them, an
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -24,6 +23,7 @@ from sphrom.online.basis_model import BasisModel, quantities_of
 from sphrom.online.error_estimates import ErrorEstimate, estimate
 from sphrom.reduction.polynomial_model import Run
 from sphrom.reduction.reference_model import Integrator, ReferenceModel
+from sphrom.setup.assembly import MOST_GROWTH
 from sphrom.store.starts import MappedStarts
 from sphrom.store.workspace import Workspace
 
@@ -40,7 +40,6 @@ class FastModel:
     def __init__(self, workspace: Workspace, section: ReducedModelSection) -> None:
         self.workspace, self.section = workspace, section
         self._on_basis: dict[str, BasisModel] = {}
-        self._prepared: dict[ParameterPoint, ReferenceModel] = {}
 
     def basis_at(self, point: ParameterPoint) -> str:
         """Return the name of the model's basis at a parameter point."""
@@ -81,29 +80,7 @@ class FastModel:
 
     def at(self, point: ParameterPoint) -> ReferenceModel:
         """Return the model at a parameter point."""
-        model, found = self.at_point(point), self._prepared.pop(point, None)
-        return model.taught(found or model.projected([point])[0], point)
-
-    def prepare(self, points: Sequence[ParameterPoint]) -> None:
-        """Build the models at points together, which is faster, for `at` to return them."""
-        by_basis: dict[str, list[ParameterPoint]] = {}
-        for point in points:
-            by_basis.setdefault(self.basis_at(point), []).append(point)
-        for name, those in by_basis.items():
-            found = self.on_basis(name).projected(those)
-            self._prepared |= dict(zip(those, found, strict=True))
-
-    def sampled(
-        self, point: ParameterPoint, points: Array, time: Array, coordinates: Array, mean: float
-    ) -> Samples:
-        """Return velocity and pressure at points (n_points, 2) of coordinates (..., n_modes).
-
-        `mean` is the density fluctuation that is carried apart [kg/m3].
-        """
-        from sphrom.store.sampling import expand
-
-        case, model, means = self.workspace.case, self.at_point(point), np.full(len(time), mean)
-        return expand(case, model.basis, model.splines, points, time, coordinates, means)
+        return self.at_point(point).at(point)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,16 +103,17 @@ class FastRun(Run):
         """Why the run ended early; None where it didn't."""
         if math.isnan(at := self.diverged_at):
             return None
+        chosen = self.model.section.time_step == "auto"
         return UnstableError(
-            f"unstable after t = {at:.6g} s: the coordinates are beyond those of a flow as fast as "
-            "sound; a smaller time step or another number of modes may help"
+            f"unstable after t = {at:.6g} s: the coordinates are beyond {MOST_GROWTH:g} times the "
+            f"largest trained ones; {'other modes' if chosen else 'a smaller time step'} may help"
         )
 
     @property
     def measured(self) -> dict[str, Quantities]:
         """All that the case measures, by name and quantity (n_snapshots, ...)."""
         case = self.model.workspace.case
-        return quantities_of(case, self.point, self.reduced, self.time, self.coordinates)
+        return quantities_of(case, self.reduced, self.time, self.coordinates)
 
     @property
     def estimate(self) -> ErrorEstimate | None:
@@ -156,4 +134,4 @@ class FastRun(Run):
     def sampled(self, points: Array) -> Samples:
         """Return velocity and pressure at points (n_points, 2) [m], by the splines of the modes."""
         mean = self.reduced.mean_density_fluctuation
-        return self.model.sampled(self.point, points, self.time, self.coordinates, mean)
+        return self.model.at_point(self.point).sampled(points, self.time, self.coordinates, mean)

@@ -11,12 +11,12 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import replace
-from typing import Any
+from functools import lru_cache
 
 import numpy as np
 
 from sphrom.artifacts import ArtifactWriter, write_record
-from sphrom.artifacts.records.coordinates import Converged, Steady, SteadyMeasured
+from sphrom.artifacts.records.coordinates import Converged, Steady
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.measures import UNITS, Quantities, components
@@ -24,6 +24,7 @@ from sphrom.online.basis_model import fields_of, forces_of
 from sphrom.online.error_estimates import (
     distance_from,
     estimate_errors,
+    measured_once,
     steady_errors,
 )
 from sphrom.online.fast_model import FastModel, FastRun
@@ -85,7 +86,7 @@ def seek_steady_state(run: FastRun, artifact: ArtifactWriter) -> None:
         )
     there = replace(run, time=run.time[-1:], coordinates=found.coordinates[None])
     quantities = there.measured
-    single = {name: _at_once(each) for name, each in quantities.items()}
+    single = {name: measured_once(each) for name, each in quantities.items()}
     write_record(artifact, replace(stored, training_distance=distance, measure=single), "steady")
     text = f"{run.name}: the steady state is {format_figure(100.0 * distance)} % of its norm away "
     text += "from the nearest state of the training runs, or between them"
@@ -99,12 +100,6 @@ def seek_steady_state(run: FastRun, artifact: ArtifactWriter) -> None:
         report.warn(f"{text}: no such flow was trained, and the basis may not hold it")
     else:
         report.info(text)
-
-
-def _at_once(quantities: Quantities) -> SteadyMeasured:
-    """Return what is measured in one state (1, ...)."""
-    given: dict[str, Any] = {q: v[0] if v.ndim > 1 else float(v[0]) for q, v in quantities.items()}
-    return SteadyMeasured(**given)
 
 
 def _figures(quantities: Quantities) -> str:
@@ -121,7 +116,7 @@ def run_point(workspace: Workspace, section: ReducedModelSection, point: Paramet
     """Run a model from operators at a parameter point, and write its artifact."""
     workspace.require(workspace.operators())
     target = workspace.reduced_run(section, point)
-    model = FastModel(workspace, section)
+    model = _fast_model(workspace, section.name)
     reduced = model.at(point)
     integrator = model.at_point(point).integrator(reduced)
     attributes = assembly.run_attributes(workspace.case, point, integrator.steps.time_step)
@@ -139,6 +134,12 @@ def run_point(workspace: Workspace, section: ReducedModelSection, point: Paramet
             estimate_errors(run, artifact)
             if section.steady:
                 seek_steady_state(run, artifact)
+
+
+@lru_cache(maxsize=1)
+def _fast_model(workspace: Workspace, name: str) -> FastModel:
+    """Return the model of runs that differ in their points alone: it learns from training once."""
+    return FastModel(workspace, next(m for m in workspace.case.rom if m.name == name))
 
 
 def _tell(run: FastRun, integrator: Integrator, seconds: float) -> None:
@@ -180,9 +181,8 @@ def _write(run: FastRun, artifact: ArtifactWriter) -> None:
     growth = spectrum(reduced.polynomial.jacobian(reduced.start)).largest_real_part
     artifact.annotate("largest_real_part", growth)
     mean = reduced.mean_density_fluctuation
-    about = reduced.forces, mean, done.time, done.coordinates
     datasets = field_datasets(fields_of(reduced.measures, mean, done.coordinates))
-    for name, loads in forces_of(workspace.case, run.point, *about).items():
+    for name, loads in forces_of(reduced, done.time, done.coordinates).items():
         datasets |= force_datasets(name, loads)
     write_positions(artifact, field_measures(workspace.case))
     for path, values in datasets.items():

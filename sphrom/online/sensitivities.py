@@ -10,8 +10,8 @@ counts as fixed: only training runs know how it changes.
 What training runs add to the coordinates changes with the parameters too, at trained values with a
 kink: there the derivative is the mean of both sides'.
 
-A force is linear in the coordinates, and has coefficients that change with the parameters. The
-kinetic energy is a square of the velocity.
+A force is a polynomial of the coordinates whose coefficients change with the parameters too: it is
+differentiated by a central difference. The kinetic energy is a square of the velocity.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ from typing import Any
 import numpy as np
 
 from sphrom.arrays import Array
-from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
 from sphrom.online.basis_model import fields_of, forces_of
@@ -65,7 +64,6 @@ class _Sides:
 
     below: ReferenceModel
     above: ReferenceModel
-    points: tuple[ParameterPoint, ParameterPoint]
     width: float
     """From one to the other."""
 
@@ -136,7 +134,7 @@ def tangents(
         changes,
         means,
         np.asarray(case.plan.mass * np.einsum("sm,psm->ps", gradient, changes)),
-        _forces(case, point, reduced, sides, run, changes, means),
+        _forces(reduced, sides, run, changes, means),
         _measured(reduced, run, changes, means),
     )
 
@@ -178,8 +176,8 @@ def _sides(model: FastModel, point: ParameterPoint, name: str, basis: str) -> _S
         model.workspace.case.plan.point({**values, name: values[name] + change})
         for change in (-step, step)
     )
-    below, above = (model.on_basis(basis).equations(each) for each in (low, high))
-    return _Sides(below, above, (low, high), high.as_dict()[name] - low.as_dict()[name])
+    below, above = (model.on_basis(basis).at(each) for each in (low, high))
+    return _Sides(below, above, high.as_dict()[name] - low.as_dict()[name])
 
 
 def _measured(
@@ -199,24 +197,16 @@ def _measured(
 
 
 def _forces(
-    case: Case,
-    point: ParameterPoint,
-    reduced: ReferenceModel,
-    sides: Sequence[_Sides],
-    run: Array,
-    changes: Array,
-    means: Array,
+    reduced: ReferenceModel, sides: Sequence[_Sides], run: Array, changes: Array, means: Array
 ) -> dict[str, Array]:
     """Return the derivatives (n_parameters, n_snapshots, 2, 3) of the forces, by measurement."""
     times, mean = reduced.output_times.time, reduced.mean_density_fluctuation
-    here = forces_of(case, point, reduced.forces, mean, times, run)
-    found: dict[str, list[Array]] = {name: [] for name in here}
-    for side, change, mean_change in zip(sides, changes, means, strict=True):
+    found: dict[str, list[Array]] = {name: [] for name in reduced.forces}
+    for side, change, of_mean in zip(sides, changes, means, strict=True):
         low, high = (
-            forces_of(case, at, model.forces, mean, times, run)
-            for at, model in zip(side.points, (side.below, side.above), strict=True)
+            forces_of(model, times, run + step * change, mean + step * of_mean)
+            for model, step in ((side.below, -0.5 * side.width), (side.above, 0.5 * side.width))
         )
-        moved = forces_of(case, point, reduced.forces, mean + mean_change, times, run + change)
-        for name, own in here.items():
-            found[name].append((high[name] - low[name]) / side.width + (moved[name] - own))
+        for name, loads in found.items():
+            loads.append((high[name] - low[name]) / side.width)
     return {name: np.stack(each) for name, each in found.items()}

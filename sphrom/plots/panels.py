@@ -166,6 +166,8 @@ class Curve:
     role: Role = "run"
     complete: bool = True
     """Whether the run ran to the end."""
+    interval: Array | None = None
+    """(2, n) low and high ends of a band around it."""
 
 
 @dataclass(frozen=True)
@@ -350,6 +352,8 @@ def _draw_curves(axes: Axes, panel: Panel) -> None:
         look = _look(curve.role, drawn[curve.role], len(y))
         drawn[curve.role] += 1
         axes.plot(curve.x, y, label=curve.label, **look)
+        if curve.interval is not None:
+            axes.fill_between(curve.x, *curve.interval, color=look["color"], alpha=0.15, lw=0.0)
     label_axes(axes, panel.x_label, panel.y_label)
     axes.set_title(panel.title)
     axes.margins(x=0.01)

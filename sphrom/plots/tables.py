@@ -121,7 +121,7 @@ def write_csv(path: Path, rows: Sequence[DataclassInstance]) -> None:
 def _cell(value: object) -> object:
     """Return a cell without control characters, which a terminal that shows the file obeys."""
     if isinstance(value, float):
-        return _finite(repr(value))
+        return value if math.isfinite(value) else _finite(repr(value))
     return visible(value) if isinstance(value, str) else value
 
 

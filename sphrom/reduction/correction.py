@@ -13,8 +13,8 @@ projected full runs from the model's own. Elsewhere the coordinates of a run bec
 
     a(t) + sum_k w_k d_k(t).
 
-For each mode the weights w are those of kriging (Gaussian-process regression) with mean zero and
-the correlation exp(-|p - p_k| / l) of defects at a distance in the parameters:
+The weights w are those of kriging (Gaussian-process regression) with mean zero and the correlation
+exp(-|p - p_k| / l) of defects at a distance in the parameters:
 
     w = K^-1 (exp(-|p - p_k| / l))_k,    K_jk = exp(-|p_j - p_k| / l).
 
@@ -24,13 +24,17 @@ one with which runs are predicted best from the others, the sum over the runs of
 
     e_k = (K^-1 d)_k / (K^-1)_kk
 
-(Dubrule 1983). So a defect that other runs do not share, such as sound that has lost its phase, is
-not added; where the others predict little of all defects there is no correction. At training points
-the corrected coordinates are the projected full run's.
+(Dubrule 1983). So defects that other runs do not share, such as sound that has lost its phase, are
+hardly added; where the others predict little of them there is no correction. At training points the
+corrected coordinates are the projected full run's.
+
+All modes have one length. Pressure is a small difference of what modes contribute, and a sum of
+states with the same weights for all modes keeps such relations between modes; with a length for
+each mode, the pressure in channels was off by up to half as much again.
 
 A model may integrate its first modes alone. The coordinates of the others are zero in its runs, so
-that their defects are the training runs' coordinates themselves, and the same weights predict them.
-Whether they are worth it is asked of both groups of modes separately.
+that their defects are the training runs' coordinates themselves. Both groups of modes have a length
+of their own, and whether they are worth it is asked of them separately.
 
 A run that goes on beyond the trained time has its correction faded out before, and none after it.
 """
@@ -111,6 +115,17 @@ def interpolation_weights(places: Array, place: Array) -> tuple[Array, float]:
     return weights, missed * largest if missed > INSIDE else 0.0
 
 
+def interpolation_variance(places: Array, place: Array) -> float:
+    """Return the variance of what `interpolation_weights` miss at a place (n_parameters,).
+
+    It is that of a process whose increments have the distance as variance: zero at training
+    points (n_points, n_parameters), and between two of them largest in the middle.
+    """
+    weights, _ = interpolation_weights(places, place)
+    reach, between = _distances(places, place[None])[:, 0], _distances(places, places)
+    return float(2.0 * weights @ reach - weights @ between @ weights)
+
+
 CORRELATIONS = np.concatenate(([1e-6], np.linspace(0.02, 0.98, 49), [1.0 - 1e-6]))
 """Correlations of the defects at the two training points farthest apart, that are tried."""
 WORTHWHILE = 0.9
@@ -132,17 +147,18 @@ class Correction:
     defects: Array
     """(n_runs, n_snapshots, n_modes)."""
     lengths: Array
-    """(n_modes,) over which defects are correlated."""
+    """(n_modes,) over which defects are correlated; NaN for modes without a correction."""
 
     def at(self, place: Array) -> Array:
         """Return what is added to coordinates (n_snapshots, n_modes) at a place (n_parameters,)."""
         between = _distances(self.places, self.places)
         reach = _distances(self.places, place[None])[:, 0]
-        weights = [
-            np.linalg.solve(np.exp(-between / length), np.exp(-reach / length))
-            for length in self.lengths
-        ]
-        return np.einsum("mk,ksm->sm", np.array(weights), self.defects)
+        found, modes = np.zeros(self.defects.shape[1:]), np.isfinite(self.lengths)
+        lengths = self.lengths[modes, None]
+        alike = np.exp(-between / lengths[..., None]), np.exp(-reach / lengths)[..., None]
+        weights = np.linalg.solve(*alike)[..., 0]
+        found[:, modes] = np.einsum("mk,ksm->sm", weights, self.defects[..., modes])
+        return found
 
     def held_out(self, place: Array) -> Array:
         """Return the correction (n_snapshots, n_modes) of a training run that others give."""
@@ -151,7 +167,10 @@ class Correction:
 
 
 def learn_correction(
-    places: Array, defects: Array, groups: Sequence[Indices] = ()
+    places: Array,
+    defects: Array,
+    groups: Sequence[Indices] = (),
+    worthwhile: float = WORTHWHILE,
 ) -> Correction | None:
     """Find out how far the defects (n_runs, n_snapshots, n_modes) of training runs reach.
 
@@ -163,6 +182,7 @@ def learn_correction(
     places : (n_runs, n_parameters), in which distances count alike; no two are the same.
     groups : of modes; those of which too little is predicted have no correction. By default all
         modes are one group.
+    worthwhile : the share of the defects' squares that may stay in runs held out.
     """
     finite = np.isfinite(defects).all(axis=(1, 2))
     places, defects = places[finite], defects[finite]
@@ -175,15 +195,12 @@ def learn_correction(
         inverse = np.linalg.inv(np.exp(-between / length))
         errors = np.einsum("jk,ksm->jsm", inverse / np.diag(inverse)[:, None], defects)
         missed[k] = np.sum(errors**2, axis=(0, 1))
-    left, whole = missed.min(axis=0), np.sum(defects**2, axis=(0, 1))
-    given = [modes for modes in groups or (np.arange(len(left)),) if len(modes)]
-    vain = [modes for modes in given if left[modes].sum() > WORTHWHILE * whole[modes].sum()]
-    if len(vain) == len(given):
-        return None
-    if vain:
-        defects = defects.copy()
-        defects[..., np.concatenate(vain)] = 0.0
-    return Correction(places, defects, lengths[np.argmin(missed, axis=0)])
+    whole, chosen = np.sum(defects**2, axis=(0, 1)), np.full(defects.shape[2], np.nan)
+    for modes in groups or (np.arange(len(whole)),):
+        left = missed[:, modes].sum(axis=1)
+        if left.min() <= worthwhile * whole[modes].sum():
+            chosen[modes] = lengths[left.argmin()]
+    return None if np.isnan(chosen).all() else Correction(places, defects, chosen)
 
 
 def faded(correction: Array, n_snapshots: int) -> Array:

@@ -16,7 +16,7 @@ arises everywhere alike. That error grows with the change of the state from the 
 the share of such a change that the basis cannot represent. Leaving training snapshots out measures
 this share (`sphrom.reduction.held_out`):
 
-    error(t)^2 = (C E(t))^2 + (s_p |a(t') - sum_k w_k a_k(t')|)^2 + (s_t |a(t) - a(t')|)^2,
+    error(t)^2 = (C E(t))^2 + (s_p |a(t') - sum_k w_k a_k(t')|)^2 + (s_t g^2 |a(t) - a(t')|)^2,
     log C = sum_k w_k log C_k,    s_t = sum_k w_k s_tk,    t' = min(t, end of the training runs).
 
 The weights w interpolate in the parameters (`sphrom.reduction.correction`). Outside of
@@ -24,7 +24,9 @@ the training points they are those of the nearest point of their hull: the secon
 whole change from there, and the estimate grows with it. C may go on changing there as it does
 between training points: it is multiplied by the largest of them over the least, to the power of the
 distance over that of the training points from each other, at most one. The third part is for times
-that training did not reach.
+that training did not reach. A flow that is still driven faster then leaves the states in which its
+share was measured: g is its size over the largest of sum_k w_k a_k, at least one, and squared, as
+convection and pressure grow with the square of the flow.
 
 It is no bound. Its accuracy is known inside of training: the errors of each training run are within
 some factor of an estimate with the constant of the other runs.
@@ -42,7 +44,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sphrom.arrays import Array, Indices
-from sphrom.reduction.correction import interpolation_weights
+from sphrom.metrics.series import smoothed
+from sphrom.reduction.correction import interpolation_variance, interpolation_weights
 from sphrom.reduction.held_out import UnheldShares
 
 FIELDS = ("velocity", "pressure")
@@ -125,7 +128,10 @@ class LocalErrorCalibration:
         Its snapshots are as far apart as those of training runs, and may go on beyond them.
         """
         known = accumulated(time, residual, self.decay_rate)[:, None] * self.constants
-        return self._combined(known, self.changes(coordinates), self.shares.time)
+        sizes, trained = (np.linalg.norm(each, axis=1) for each in (coordinates, self.expected))
+        growth = np.maximum(1.0, sizes / (trained.max() or 1.0))
+        time_shares = growth[:, None] ** 2 * self.shares.time
+        return self._combined(known, self.changes(coordinates), time_shares)
 
     def steady_errors(self, residual: float, change: Array, steady_change: float) -> Array:
         """Return the estimates (2,) of errors [m/s] of a steady state.
@@ -170,6 +176,58 @@ def accumulated(time: Array, residual: Array, decay_rate: float | Array) -> Arra
     for k in range(len(steps)):
         out[..., k + 1] = remains[..., k] * out[..., k] + passed[..., k]
     return out
+
+
+@dataclass(frozen=True)
+class OutputErrors:
+    """What an output, such as the velocity at a probe, may be wrong by; arrays are (*shape)."""
+
+    noise: Array
+    """Mean square of what changes faster than sound."""
+    slope: Array
+    """Mean square of the rest, over the `interpolation_variance` of the training runs."""
+    n_trained: int
+    """Instants of training runs."""
+
+    def at(self, variance: Array, over_fluid: Array) -> Array:
+        """Return the errors (..., n_instants, *shape) of runs.
+
+        Beyond the trained time they grow as those over the fluid do.
+
+        Parameters
+        ----------
+        variance : (...) `interpolation_variance` of their places.
+        over_fluid : (..., n_instants, 2) their estimated errors.
+        """
+        before, after = np.split(over_fluid, [self.n_trained], axis=-2)
+        longer = np.ones_like(over_fluid[..., 0])
+        if after.size:
+            ratios = after / before.max(axis=-2, keepdims=True)
+            longer[..., self.n_trained :] = np.maximum(1.0, ratios.max(axis=-1))
+        own = np.sqrt(self.noise + np.multiply.outer(variance, self.slope))
+        longer = longer.reshape(*longer.shape, *(1,) * self.noise.ndim)
+        return np.asarray(longer * np.expand_dims(own, np.ndim(variance)))
+
+
+def output_errors(differences: Array, places: Array, averages: Array) -> OutputErrors:
+    """Return the errors of an output, from those of training runs that the others predict.
+
+    Parameters
+    ----------
+    differences : (n_runs, n_snapshots, *shape) of training runs from full ones; of runs that
+        diverged not finite: they are left out.
+    places : (n_runs, n_parameters) of the runs, as `interpolation_weights` measures distances.
+    averages : weights of averages over snapshots in which sound cancels.
+    """
+    finite = np.isfinite(differences).all(axis=tuple(range(1, differences.ndim)))
+    known, places = differences[finite], places[finite]
+    slow = np.stack([smoothed(each, averages) for each in known])
+    noise, squares = np.mean((known - slow) ** 2, axis=(0, 1)), np.mean(slow**2, axis=1)
+    if len(places) < 2:
+        return OutputErrors(noise + squares.mean(axis=0), 0.0 * noise, known.shape[1])
+    apart = [interpolation_variance(np.delete(places, k, 0), p) for k, p in enumerate(places)]
+    slope = np.tensordot(1.0 / np.array(apart), squares, 1) / len(places)
+    return OutputErrors(noise, np.asarray(slope), known.shape[1])
 
 
 def calibrate_errors(

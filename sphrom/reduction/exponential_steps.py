@@ -7,7 +7,7 @@ step give a parabola in time, which integrated exactly (by the functions phi_1 t
 the state anywhere in the step: also the snapshots, between which sound may turn over many times.
 
 The nearer L comes to the Jacobian along a run the longer steps may be: that at the mean of training
-states serves all runs of a basis. Any L gives the same solution.
+states serves all runs near a training point. Any L gives the same solution.
 """
 
 from __future__ import annotations
@@ -147,6 +147,28 @@ def _krogstad(half: Array, whole: Array, step: float) -> tuple[Array, Array]:
     return np.array([second, third, fourth]), np.array([to_third, to_fourth])
 
 
+class LinearPart:
+    """The linear part of steps (n_modes, n_modes) [1/s], and the matrices that follow from it.
+
+    They are computed once for all systems whose steps carry it.
+    """
+
+    def __init__(self, matrix: Array) -> None:
+        self.matrix = matrix
+        self._halves: dict[float, Propagation] = {}
+        self._matrices: dict[tuple[float, StepRatio], StepMatrices] = {}
+
+    def steps(self, interval: float, ratio: StepRatio) -> StepMatrices:
+        """Return the matrices of steps, from the time between snapshots [s]."""
+        if (key := (interval, ratio)) not in self._matrices:
+            half = 0.5 * interval / ratio.steps_per_snapshot
+            if half not in self._halves:
+                self._halves[half] = Propagation(self.matrix, half)
+            about = ratio.time_step(interval), ratio.snapshots_per_step
+            self._matrices[key] = StepMatrices.of(self._halves[half], *about)
+        return self._matrices[key]
+
+
 @dataclass(frozen=True)
 class Change:
     """What changes with a parameter, per unit of it."""
@@ -163,18 +185,15 @@ class ExponentialModel(PolynomialModel):
     """A polynomial system whose steps carry a linear part exactly.
 
     Steps are whole numbers of snapshots long, or some make one snapshot; the last may reach beyond
-    the last snapshot. `linear` is (n_modes, n_modes) [1/s], such as the Jacobian at the mean of
-    training states.
+    the last snapshot.
     """
 
     integrator = EXPONENTIAL
 
-    def __init__(self, polynomial: Polynomial, linear: Array) -> None:
+    def __init__(self, polynomial: Polynomial, linear: LinearPart) -> None:
         super().__init__(polynomial)
         self._linear = linear
-        self._coefficients[0, :, 1 : 1 + len(linear)] -= linear
-        self._halves: dict[float, Propagation] = {}
-        self._matrices: dict[tuple[float, StepRatio], StepMatrices] = {}
+        self._coefficients[0, :, 1 : 1 + len(linear.matrix)] -= linear.matrix
 
     def steps_taken(self, n_steps: int, output_times: OutputTimes) -> int:
         """Return the steps that a run asked for `n_steps` takes: a few more, to meet snapshots."""
@@ -195,7 +214,7 @@ class ExponentialModel(PolynomialModel):
         m, ratio = self._method(n_steps, output_times)
         return kernels.integrate(
             *driven, m.stages, m.links, m.ends, ratio.n_steps(len(out) - 1),
-            ratio.steps_per_snapshot, self._degree, output_times.largest_norm**2,
+            ratio.steps_per_snapshot, self._degree, output_times.largest_square,
             np.empty(driven[0].shape[2]), np.empty(8 * out.shape[1] + m.ends.shape[2]), out,
         )  # fmt: skip
 
@@ -253,13 +272,6 @@ class ExponentialModel(PolynomialModel):
         return out[0], out[1:]
 
     def _method(self, n_steps: int, output_times: OutputTimes) -> tuple[StepMatrices, StepRatio]:
-        """Return the matrices of a run's steps, which are computed once, and how long steps are."""
-        interval = output_times.interval
+        """Return the matrices of a run's steps, and how long steps are."""
         ratio = StepRatio.of(n_steps, output_times.n_snapshots - 1)
-        if (key := (interval, ratio)) not in self._matrices:
-            half = 0.5 * interval / ratio.steps_per_snapshot
-            if half not in self._halves:
-                self._halves[half] = Propagation(self._linear, half)
-            step, n_states = ratio.time_step(interval), ratio.snapshots_per_step
-            self._matrices[key] = StepMatrices.of(self._halves[half], step, n_states)
-        return self._matrices[key], ratio
+        return self._linear.steps(output_times.interval, ratio), ratio

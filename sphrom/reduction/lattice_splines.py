@@ -71,8 +71,8 @@ class LatticeSplines(LatticeCoefficients, ModeSplines):
 
     def combine(self, coefficients: ArrayLike) -> LatticeSplines:
         """Return splines of linear combinations of the columns."""
-        combined = self.coefficients.reshape(-1, self.n_columns) @ np.asarray(coefficients)
-        return replace(self, coefficients=combined.reshape(*self.coefficients.shape[:2], -1))
+        # Row by row: one large product would be shared out over threads of its own.
+        return replace(self, coefficients=self.coefficients @ np.asarray(coefficients))
 
     def select(self, chosen: Indices) -> LatticeSplines:
         """Return the splines of some columns."""

@@ -30,7 +30,7 @@ from sphrom.reduction.mode_fields import (
     weighted_rows,
 )
 from sphrom.reduction.mode_splines import ModeSplines
-from sphrom.reduction.reduced_measures import DriveForce, ReducedForce
+from sphrom.reduction.reduced_measures import DriveForce, MomentumBalance, ReducedForce
 from sphrom.reduction.reduced_operators import (
     DriveRates,
     DriveResidual,
@@ -39,6 +39,7 @@ from sphrom.reduction.reduced_operators import (
     monomials,
 )
 from sphrom.reduction.reduced_rates import pack
+from sphrom.reduction.stokes_fields import StokesFields
 from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.sph.fixed_points import FixedPoints, Terms
 from sphrom.sph.fluid import NONE
@@ -338,13 +339,25 @@ def project_forces(
     basis: TrialBasis,
     wall: MeasuredWall,
     circulations: Mapping[str, float] = NONE,
+    balance: tuple[StokesFields, ModeSplines | None] | None = None,
 ) -> ReducedForce:
     """Project the force on a wall onto a basis.
 
-    `circulations` [m2/s] are those of the walls' velocity that a parameter gives per unit.
+    Parameters
+    ----------
+    circulations : [m2/s] of the walls' velocity that a parameter gives per unit.
+    balance : the Stokes flows of the wall's motions, where the balance of momentum is projected
+        too, and the splines of the modes.
 
     Raises ValueError where there are no walls.
     """
+    tested = None if balance is None else balance[0]
+
+    def push(force: Array | None) -> Array | None:
+        if tested is None or force is None:
+            return None
+        return points.particle_mass * np.einsum("lnd,dn->l", tested.value, force)
+
     fields = mode_fields(basis, points)
     uniform = np.full((points.n_points, 1), points.density_scale)
 
@@ -378,7 +391,7 @@ def project_forces(
         walls = None
         if drive.walls is not None:
             walls = drag(points.drag_of(drive.walls.T), circulations[name])
-        drives[name] = DriveForce(walls=walls, force=heads(drive.force))
+        drives[name] = DriveForce(walls=walls, force=heads(drive.force), push=push(drive.force))
     return ReducedForce(
         pressure=terms(
             points.ghost_pressures(density, fields.velocity),
@@ -387,5 +400,37 @@ def project_forces(
         viscous=terms(points.ghost_friction(fields.velocity), points.ghost_friction(still)),
         walls=drag(points.ghost_drag, wall.circulation),
         body_force=heads(points.body_force),
+        balance=None
+        if balance is None
+        else _balance(points, basis, *balance, push(points.body_force)),
         drives=drives,
+    )
+
+
+def _balance(
+    points: FixedPoints,
+    basis: TrialBasis,
+    tested: StokesFields,
+    splines: ModeSplines | None,
+    push: Array | None,
+) -> MomentumBalance:
+    """Project the terms of the balance of momentum, tested with Stokes flows."""
+    fields, n = mode_fields(basis, points), basis.n_modes
+    gradients_of = mode_gradients(points, fields, splines)
+    momentum, strain, advection = np.zeros((3, n)), np.zeros((3, n)), np.zeros((3, n, n))
+    for rows in blocks(points.n_points, BLOCK_VALUES // (6 * n)):
+        velocity, gradient = fields.velocity[:, rows, :n], gradients_of(rows)[1:, ..., :n]
+        value, slope = tested.value[:, rows], tested.gradient[:, rows]
+        momentum += np.einsum("lni,ink->lk", value, velocity)
+        strain += np.einsum("lnij,ijnk->lk", slope + slope.swapaxes(2, 3), gradient)
+        carried = np.einsum("lnij,jnk->lnik", slope, velocity)
+        advection += np.einsum("lnik,inm->lkm", carried, velocity, optimize=True)
+    advection = 0.5 * (advection + advection.swapaxes(1, 2))
+    mass = points.particle_mass
+    return MomentumBalance(
+        follows=tested.follows.astype(np.int64),
+        momentum=mass * momentum,
+        advection=mass * advection,
+        strain=mass * strain,
+        push=push,
     )

@@ -48,7 +48,7 @@ def relative_step(state: Array, direction: Array) -> float:
     would mean nothing.
     """
     norms = [
-        [float(np.linalg.norm(fields[f])) for fields in (state, direction)]
+        [math.sqrt(np.sum(fields[f] ** 2)) for fields in (state, direction)]
         for f in (slice(0, 1), slice(1, 3))
     ]
     return min((size / length for size, length in norms if size > 0.0 < length), default=0.0)
@@ -180,6 +180,10 @@ class ParticleModel:
             self.coordinates(state),
             self.mean_density_fluctuation(state),
         )
+
+    def remedy(self, state: Array, time_step: float) -> str:
+        """Return what may help a run that left the model's range near a state."""
+        return "another number of modes or a smaller time step may help"
 
     def rates(self, state: Array, time: float = 0.0) -> Array:
         """Return the state's rates at a time [s] (Eq. 3.21 or 3.22, and 3.23).

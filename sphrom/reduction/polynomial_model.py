@@ -6,7 +6,7 @@ The cost of a step depends on the number of modes only. Coordinates are (n_modes
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from sphrom.arrays import Array, Indices
 from sphrom.kernels import polynomial as kernels
-from sphrom.reduction.reduced_rates import Polynomial, largest_steps
+from sphrom.reduction.reduced_rates import Polynomial, stability_limits
 
 Amplitude = Callable[[Array], Array]
 """The amplitude at times (n_times,) [s]."""
@@ -29,13 +29,8 @@ N_HALVINGS = 20
 
 def step_limit(polynomial: Polynomial, states: Array, amplitude: float = 0.0) -> float:
     """Return the largest time step [s] that is stable around every state (n_states, n_modes)."""
-    return step_limits([(polynomial, states, amplitude)])[0]
-
-
-def step_limits(systems: Sequence[tuple[Polynomial, Array, float]]) -> list[float]:
-    """Return the limits [s] of some systems, given with as many states and an amplitude each."""
-    jacobians = np.stack([p.jacobians(states, amplitude) for p, states, amplitude in systems])
-    return [float(limit) for limit in largest_steps(jacobians)]
+    eigenvalues = np.linalg.eigvals(polynomial.jacobians(states, amplitude))
+    return float(stability_limits(eigenvalues.ravel().astype(np.complex128)).min())
 
 
 def steps_within(duration: float, limit: float) -> int:
@@ -55,11 +50,18 @@ class OutputTimes:
     """[s]."""
     largest_norm: float = 1e100
     """Of the coordinates; beyond it a run has diverged."""
+    trained: float = math.inf
+    """The time for which that is so [s]; longer runs may grow in proportion."""
 
     @property
     def duration(self) -> float:
         """From the first snapshot to the last [s]."""
         return self.interval * (self.n_snapshots - 1)
+
+    @property
+    def largest_square(self) -> float:
+        """Of the norm of coordinates that count as those of a flow."""
+        return (self.largest_norm * max(1.0, self.duration / self.trained)) ** 2
 
     @cached_property
     def time(self) -> Array:
@@ -135,7 +137,7 @@ class PolynomialModel:
         """Fill the snapshots after the first, and return the steps before it diverged, or all."""
         return kernels.integrate(
             *driven, self.time_step(n_steps, output_times), n_steps, self._degree,
-            output_times.largest_norm**2, np.empty(driven[0].shape[2]),
+            output_times.largest_square, np.empty(driven[0].shape[2]),
             np.empty((5, out.shape[1])), out,
         )  # fmt: skip
 

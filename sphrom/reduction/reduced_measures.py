@@ -1,63 +1,64 @@
 """Forces on walls, flow rates and fields at places, in generalized coordinates: projected once.
 
-At fixed points the force on a wall is linear in the state (`sphrom.sph.fixed_points`), so that
+What is measured in the fluid is linear in the state: flow rates and fields at places are products
+of constant arrays with the terms (1, mean of the density fluctuation that is carried apart,
+coordinates). No field is rebuilt.
 
-    F = P z + nu (V z + s w) + beta(t) B z + (C + (nu / nu_mean - 1) C') y
+A force follows from the balance of momentum of the whole fluid, tested with the Stokes flow w of
+the wall's motion (`sphrom.reduction.stokes_fields`). With the velocity sum_k a_k phi_k and the
+model's own rates da/dt it is quadratic in the coordinates,
 
-with the terms z = (1, mean of the density fluctuation that is carried apart, coordinates), the
-kinematic viscosity nu, the walls' speed s over the given one, and the amplitude beta of the body
-force. C and C' correct it, where it is calibrated, with y = (1, s, beta, coordinates). No field is
-rebuilt. Rows are the components of the force, then the torque. An interpolation from the reference
-points is linear in the state too: flow rates and fields at places are products of constant arrays
-with z.
+    F = beta(t) p - q . da/dt + a . A a - nu s . a,
 
-Forces are calibrated with those that training runs recorded. The force that particles feel differs
-from that of the same fields at fixed points: particles beside a wall move closer to it and lose
-their order, and their pressures follow how they are arranged, which a map smooths. It is a tenth of
-a cylinder's drag at 5 spacings per radius. And a reduced run lies apart from the states that its
-basis would represent best. Both are alike in all runs of one flow. A small correction makes up for
-them, affine in the kinematic viscosity as that of the rates is (`sphrom.reduction.calibration`).
-Each component of the pressure's and of the viscous force is fitted by ridge regression, each term
-over its root mean square. The projected force is the prior: it stays as it is where it is better in
-snapshots that the fit has not seen. Those are the runs whose viscosity lies between others', each
-left out in turn; where there is none, every fourth snapshot of all runs.
+with p = rho int f . w, q_k = rho int phi_k . w, A_kl = rho int phi_k . (phi_l . grad) w and
+s_k = 2 rho int E(phi_k) : E(w). Its errors are those of the velocity, weighed over the whole fluid.
+The pressure's share is what is left of it by the viscous force at the wall. That one, and both
+where there is no such field, are the forces on ghosts of fields at fixed points
+(`sphrom.sph.fixed_points`), linear in the state:
+
+    pressure: P z + beta(t) B z,    viscous: nu (V z + s w).
+
+They depend on the pressure and on slopes at the wall, which errors of coordinates change most.
+
+The forces that training runs recorded differ from those of the model there: particles beside a
+wall move closer to it and lose their order, and their pressures follow how they are arranged, which
+a map smooths. The difference is interpolated between training runs (`sphrom.reduction.correction`)
+and added: its average over a period of the longest sound, and the rest, each as far as runs predict
+that of each other. After the trained time its mean over the later half of it stays.
+
+Rows are the components of the force, then the torque.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.arrays import Array
+from sphrom.arrays import Array, Indices
 from sphrom.declaration import Record, dataset, part
 from sphrom.metrics.measures import Quantities
 from sphrom.reduction.reduced_operators import FORCE, VALUE, VISCOSITY, WALLS, with_drives
+from sphrom.reduction.reduced_rates import Polynomial
 from sphrom.reduction.trial_basis import TrialBasis, reconstruct
-from sphrom.sph.fluid import Factors
+from sphrom.sph.fluid import NONE, Factors
 
 N_OTHER_TERMS = 2
 """Terms before the coordinates."""
 _LOADS = "N/m, N of the torque, of the terms"
+_BALANCED = "N/m, N of the torque, of the modes"
 
 
-@dataclass(frozen=True)
-class ForceCorrection:
-    """What is added to a force, by viscosity."""
+class MomentumBalance(Record):
+    """The terms of the balance of momentum, tested with the Stokes flows of a wall's motions."""
 
-    mean: Array
-    """C (2, 3, n_terms) of the pressure's and the viscous part [N/m, N], at the mean viscosity."""
-    slope: Array
-    """C' likewise."""
-    mean_viscosity: float
-    """nu_mean [m2/s]."""
-
-    def at(self, kinematic_viscosity: float) -> Array:
-        """Return what is multiplied with y (2, 3, n_terms), at a viscosity [m2/s]."""
-        return self.mean + (kinematic_viscosity / self.mean_viscosity - 1.0) * self.slope
+    follows: Indices = dataset("load", "1", "1 where there is such a Stokes flow, else 0")
+    momentum: Array = dataset("load mode", f"{_BALANCED}, s", "momentum of the fluid", "q")
+    advection: Array = dataset("load mode mode", _BALANCED, "advection of momentum", "A")
+    strain: Array = dataset("load mode", _BALANCED + VISCOSITY, "viscous stress in the fluid", "s")
+    push: Array | None = dataset("load", f"N/m, N{FORCE}", "body force", "p", default=None)
 
 
 class DriveForce(Record):
@@ -69,10 +70,13 @@ class DriveForce(Record):
     force: Array | None = dataset(
         "load term", _LOADS + FORCE + VALUE, "by the heads of the body force", default=None
     )
+    push: Array | None = dataset(
+        "load", f"N/m, N{FORCE}{VALUE}", "by the body force on the whole fluid", default=None
+    )
 
 
 class ReducedForce(Record):
-    """The force along x and y [N/m] and the torque [N] on a wall, linear in the coordinates.
+    """The force along x and y [N/m] and the torque [N] on a wall, in the coordinates.
 
     Terms are one, the mean of the density fluctuation that is carried apart, and the coordinates.
     """
@@ -83,78 +87,119 @@ class ReducedForce(Record):
     body_force: Array | None = dataset(
         "load term", _LOADS + FORCE, "by the heads of the body force at walls", "B", default=None
     )
+    balance: MomentumBalance | None = part(default=None)
     drives: Mapping[str, DriveForce] = part(default_factory=dict)
-    correction: ForceCorrection | None = None
-    """C and C'; None where it isn't calibrated."""
 
     def of_modes(self, modes: NDArray[np.int64]) -> ReducedForce:
-        """Return the force in the coordinates of some modes, not calibrated."""
-        kept = _kept_terms(modes)
-        return self.mapped(lambda terms: terms if terms.ndim == 1 else terms[:, kept])
+        """Return the force in the coordinates of some modes."""
+        kept, balance = _kept_terms(modes), self.balance
 
-    def with_drives(self, factors: Factors) -> ReducedForce:
-        """Return the force at values of the parameters that drive the flow."""
-        return replace(
-            self,
-            walls=with_drives(self.walls, self.drives, "walls", factors),
-            body_force=with_drives(self.body_force, self.drives, "force", factors),
-            drives={},
-        )
+        def terms(each: Array) -> Array:
+            return each if each.ndim == 1 else each[:, kept]
+
+        if balance is None:
+            return self.mapped(terms)
+        few = balance.mapped(lambda each: each[np.ix_(np.arange(3), *[modes] * (each.ndim - 1))])
+        return replace(replace(self, balance=None).mapped(terms), balance=few)
 
     def at(
         self,
-        coordinates: Array,
-        mean_density_fluctuation: Array | float,
+        rates: Polynomial,
         kinematic_viscosity: float,
-        wall_speed: Array | float = 1.0,
-        amplitude: Array | float = 0.0,
-    ) -> Array:
+        walls_driven: bool = False,
+        factors: Factors = NONE,
+        correction: TimedLoads | None = None,
+    ) -> PointForce:
+        """Return the force at a parameter point.
+
+        Parameters
+        ----------
+        rates : of the model's coordinates there.
+        kinematic_viscosity : [m2/s].
+        walls_driven : whether walls move with the amplitude of the rates.
+        factors : the values of the parameters that drive the flow.
+        correction : what training runs add.
+        """
+        viscous, n = kinematic_viscosity * self.viscous, N_OTHER_TERMS
+        direct = np.concatenate((self.pressure, viscous))
+        heads, still = np.zeros_like(direct), np.zeros(3)
+        body_force = with_drives(self.body_force, self.drives, "force", factors)
+        if body_force is not None:
+            heads[:3] = body_force
+        moved = kinematic_viscosity * with_drives(self.walls, self.drives, "walls", factors)
+        (heads if walls_driven else direct)[3:, 0] += moved
+        found = Polynomial(tuple((each[:, 0], each[:, n:]) for each in (direct, heads)))
+        uniform = np.stack((direct[:, 1], heads[:, 1]))
+        if self.balance is not None:
+            balance, one = self.balance, np.diag(self.balance.follows.astype(float))
+            whole = rates.combined(-balance.momentum)
+            stress = -kinematic_viscosity * balance.strain
+            whole = whole.plus(Polynomial(((still, stress, balance.advection),)))
+            push = with_drives(balance.push, self.drives, "push", factors)
+            if push is not None:
+                whole = whole.plus(Polynomial(((), (push,))))
+            # The pressure has what the viscous force leaves of the whole.
+            kept = np.eye(6)
+            kept[:3] -= np.hstack((one, one))
+            found = found.combined(kept).plus(whole.combined(np.concatenate((one, 0.0 * one))))
+            uniform = uniform @ kept.T
+        return PointForce(found, uniform, correction)
+
+
+@dataclass(frozen=True)
+class TimedLoads:
+    """What training runs add to a force over time."""
+
+    time: Array
+    """(n_times,) [s]."""
+    loads: Array
+    """(n_times, 6), the pressure's, then the viscous ones [N/m, N]."""
+
+    @classmethod
+    def of(cls, time: Array, loads: Array) -> TimedLoads:
+        """Return slow and fast parts (n_snapshots, 12) of loads at times (n_snapshots,).
+
+        After the last, the mean of their later half stays.
+        """
+        whole, after = loads[:, :6] + loads[:, 6:], 2.0 * time[-1] - time[-2]
+        mean = whole[len(whole) // 2 :].mean(axis=0)
+        return cls(np.append(time, after), np.vstack((whole, mean)))
+
+    def at(self, time: Array) -> Array:
+        """Return the loads (n_times, 6) at some times [s]."""
+        return np.stack([np.interp(time, self.time, each) for each in self.loads.T], axis=1)
+
+
+@dataclass(frozen=True)
+class PointForce:
+    """A force at a parameter point, as a function of state and time."""
+
+    polynomial: Polynomial
+    """The six loads in the coordinates and the amplitude."""
+    uniform: Array
+    """(2, 6) by the mean density fluctuation: alone, and times the amplitude [m3/s2, m4/s2]."""
+    correction: TimedLoads | None = None
+
+    def at(self, time: Array, coordinates: Array, mean: Array | float, amplitude: Array) -> Array:
         """Return the pressure's and the viscous force and torque (n_states, 2, 3) [N/m, N].
 
         Parameters
         ----------
+        time, amplitude : (n_states,) [s], and of the body force or of driven walls.
         coordinates : (n_states, n_modes).
-        mean_density_fluctuation, wall_speed, amplitude : (n_states,) or one for all.
+        mean : density fluctuation that is carried apart [kg/m3], (n_states,) or one for all.
         """
-        n_states, n_modes = coordinates.shape
-        linear, speed, beta = slice(2, 2 + n_modes), 2 + n_modes, 3 + n_modes
-        # One product of all terms: of short runs, calls take longer than the sums.
-        terms = np.ones((n_states, 5 + 2 * n_modes))
-        terms[:, 1] = mean_density_fluctuation
-        terms[:, linear] = coordinates
-        terms[:, speed], terms[:, beta] = wall_speed, amplitude
-        np.multiply(terms[:, 1:speed], terms[:, beta, None], out=terms[:, beta + 1 :])
-        return (terms @ self._matrix(kinematic_viscosity)).reshape(n_states, 2, 3)
-
-    def _matrix(self, kinematic_viscosity: float) -> Array:
-        """Return the factors (n_terms, 6) of z, s, beta, and beta times z but for its one."""
-        n = self.pressure.shape[1]
-        matrix = np.zeros((2 * n + 1, 6))
-        matrix[:n, :3] = self.pressure.T
-        matrix[:n, 3:] = kinematic_viscosity * self.viscous.T
-        matrix[n, 3:] = kinematic_viscosity * self.walls
-        if self.body_force is not None:
-            matrix[n + 1 :, :3] = self.body_force.T
+        loads = self.polynomial.along(coordinates, amplitude)
+        by_mean = self.uniform[0] + amplitude[:, None] * self.uniform[1]
+        loads += np.broadcast_to(mean, amplitude.shape)[:, None] * by_mean
         if self.correction is not None:
-            own = self.correction.at(kinematic_viscosity).reshape(6, -1).T
-            matrix[0] += own[0]
-            matrix[n : n + 2] += own[1:3]
-            matrix[N_OTHER_TERMS:n] += own[3:]
-        return matrix
+            loads += self.correction.at(time)
+        return loads.reshape(-1, 2, 3)
 
 
 def _kept_terms(modes: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the places of the terms of some modes."""
     return np.concatenate((np.arange(N_OTHER_TERMS), N_OTHER_TERMS + modes))
-
-
-def correction_terms(
-    coordinates: Array, wall_speed: Array | float, amplitude: Array | float
-) -> Array:
-    """Return y (n_states, 3 + n_modes): one, s, beta, and the coordinates."""
-    n_states = len(coordinates)
-    speed, beta = (np.broadcast_to(v, n_states) for v in (wall_speed, amplitude))
-    return np.column_stack((np.ones(n_states), speed, beta, coordinates))
 
 
 Measuring = Callable[[Array, Array], Mapping[str, Quantities]]
@@ -199,100 +244,20 @@ class ReducedMeasure(Record):
 
 
 def project_measures(basis: TrialBasis, measured: Measuring) -> dict[str, ReducedMeasure]:
-    """Project what is measured onto a basis; `measured` is linear in its fields."""
+    """Project what is measured onto a basis; `measured` is affine in its fields."""
     density, velocity = reconstruct(basis, np.zeros(basis.n_modes))
     mean = np.ones_like(density), np.zeros_like(velocity)
     modes = zip(
         basis.density_modes / basis.inner_product.density_scale, basis.velocity_modes, strict=True
     )
     found = [measured(*fields) for fields in ((density, velocity), mean, *modes)]
+    offset, linear = measured(0.0 * density, 0.0 * velocity), np.arange(len(found)) > 0
+
+    def terms(name: str, quantity: str) -> Array:
+        values = np.stack([each[name][quantity] for each in found], -1)
+        return np.asarray(values - np.multiply.outer(offset[name][quantity], linear))
+
     return {
-        name: ReducedMeasure(**{q: np.stack([each[name][q] for each in found], -1) for q in first})
-        for name, first in found[0].items()
+        name: ReducedMeasure(**{quantity: terms(name, quantity) for quantity in first})
+        for name, first in offset.items()
     }
-
-
-PENALTIES = (1e-2, math.inf)
-"""Penalties over the mean squares of the terms; the last leaves the force as it is.
-
-Of 1e-5 to 1e-1, 1e-2 is the best or near it for 8 to 20 modes of a cylinder's flow between the
-trained viscosities; 1e-3 and less is better where trained, and worse between.
-"""
-N_PARTS = 4
-"""Parts of runs that are left out in turn where no viscosity lies between others."""
-
-
-@dataclass(frozen=True)
-class ForceRecord:
-    """The force on a wall that a training run recorded, and the reduced states of the same times.
-
-    Arrays are (n_snapshots,) where they don't say otherwise.
-    """
-
-    loads: Array
-    """(n_snapshots, 2, 3) the pressure's and the viscous force and torque [N/m, N]."""
-    coordinates: Array
-    """(n_snapshots, n_modes)."""
-    mean_density_fluctuation: Array
-    """What is carried apart [kg/m3]."""
-    kinematic_viscosity: float
-    """[m2/s]."""
-    wall_speed: Array
-    """Over the given one."""
-    amplitude: Array
-    """Of the body force."""
-    factors: Factors = field(default_factory=dict)
-    """The values of the parameters that drive the flow."""
-
-
-def calibrate_force(force: ReducedForce, runs: Sequence[ForceRecord]) -> ReducedForce:
-    """Return a force with the correction that its training runs ask for.
-
-    It is without one if no run has more than one snapshot.
-    """
-    if max((len(run.loads) for run in runs), default=0) < 2:
-        return force
-    terms = np.concatenate(
-        [correction_terms(run.coordinates, run.wall_speed, run.amplitude) for run in runs]
-    )
-    errors = np.concatenate([_errors(force, run) for run in runs])
-    size = np.sqrt(np.mean(terms**2, axis=0))
-    scale = np.where(size > 0.0, size, 1.0)
-    viscosity = np.array([run.kinematic_viscosity for run in runs])
-    mean_viscosity = float(viscosity.mean())
-    of_run = np.repeat(np.arange(len(runs)), [len(run.loads) for run in runs])
-    offset = viscosity[of_run] / mean_viscosity - 1.0
-    features = np.hstack((terms / scale, offset[:, None] * (terms / scale)))
-    squares = np.zeros((len(PENALTIES), errors.shape[1]))
-    for left_out in _folds(viscosity, of_run):
-        fitted = _ridge(features[~left_out], errors[~left_out])
-        wrong = errors[left_out] - features[left_out] @ fitted
-        squares += np.sum(wrong**2, axis=1)
-    best = np.argmin(squares, axis=0)
-    fitted = np.take_along_axis(_ridge(features, errors), best[None, None, :], axis=0)[0]
-    mean, slope = ((half / scale[:, None]).T.reshape(2, 3, -1) for half in np.split(fitted, 2))
-    return replace(force, correction=ForceCorrection(mean, slope, mean_viscosity))
-
-
-def _folds(viscosity: Array, of_run: NDArray[np.int64]) -> list[NDArray[np.bool_]]:
-    """Return which samples (n_samples,) to leave out in turn, from the run that each is of."""
-    between = np.flatnonzero((viscosity.min() < viscosity) & (viscosity < viscosity.max()))
-    if between.size:
-        return [of_run == run for run in between]
-    return [np.arange(len(of_run)) % N_PARTS == part for part in range(N_PARTS)]
-
-
-def _ridge(features: Array, errors: Array) -> Array:
-    """Return coefficients (n_penalties, n_features, 6), fitted to some samples."""
-    left, size, right = np.linalg.svd(features, full_matrices=False)
-    shrunk = size / (size**2 + len(features) * np.array(PENALTIES)[:, None])
-    return np.asarray(right.T @ (shrunk[..., None] * (left.T @ errors)))
-
-
-def _errors(force: ReducedForce, run: ForceRecord) -> Array:
-    """Return recorded loads less those of a force (n_snapshots, 6)."""
-    around = run.kinematic_viscosity, run.wall_speed, run.amplitude
-    found = force.with_drives(run.factors).at(
-        run.coordinates, run.mean_density_fluctuation, *around
-    )
-    return (run.loads - found).reshape(len(found), -1)

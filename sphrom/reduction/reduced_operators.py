@@ -32,9 +32,8 @@ Monomials are ordered as in `sphrom.kernels.polynomial`, up to the second degree
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
-from functools import lru_cache
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -156,15 +155,46 @@ class ResidualFactor(Record):
     walls_driven: bool = False
     """Whether walls move with the amplitude."""
 
+    def of_model(self, operators: ReducedOperators, modes: Indices) -> ResidualFactor:
+        """Return the factor of a model with some modes, rising, and the operators of all.
+
+        Its rows hold the rates of the other modes too, and are as few as give the same norms.
+        """
+        kept, left_out = _kept(operators.n_modes, modes)
+        parts: list[Array] = []
+
+        def restricted(own: Any, rates: Any) -> Any:
+            if own is None:
+                return None
+            used = kept[: np.searchsorted(kept, own.shape[1])]
+            others = pack(tuple(tensor[left_out] for tensor in rates))
+            parts.append(np.concatenate((own[:, used], others[:, used])))
+            return parts[-1]
+
+        names = "inertia", "viscosity", "walls", "force"
+        own = {name: restricted(getattr(self, name), getattr(operators, name)) for name in names}
+        drives = {}
+        for name, drive in self.drives.items():
+            rates = operators.drives[name]
+            walls = restricted(drive.walls, rates.walls)
+            drives[name] = DriveResidual(walls=walls, force=restricted(drive.force, rates.force))
+        triangle = np.linalg.qr(np.hstack(parts), mode="r")
+        ends = np.cumsum([part.shape[1] for part in parts])
+        folded = iter(np.split(triangle, ends[:-1], axis=1))
+        return replace(self, **own, drives=drives).mapped(lambda _: next(folded))
+
     def at(self, kinematic_viscosity: float, factors: Factors = NONE) -> tuple[Array, ...]:
         """Return F (n_directions, n_monomials) by power of the amplitude."""
-        # By degree, as the factors of walls and force have no columns of the second.
-        n_linear = (math.isqrt(8 * self.inertia.shape[1] + 1) - 1) // 2
-        by_degree = self.mapped(
-            lambda f: tuple(np.split(f, [n_linear], axis=1)) if f.shape[1] > n_linear else (f,)
-        )
-        found = _affine_sum(by_degree, kinematic_viscosity, factors)
-        return tuple(np.concatenate(each, axis=1) for each in found.powers)
+        steady = self.inertia + kinematic_viscosity * self.viscosity
+        moved = with_drives(self.walls, self.drives, "walls", factors)
+        driven = with_drives(self.force, self.drives, "force", factors)
+        if moved is not None:
+            moved = kinematic_viscosity * moved
+            if self.walls_driven:
+                driven = moved if driven is None else driven + moved
+            else:
+                steady[:, : moved.shape[1]] += moved
+        return (steady,) if driven is None else (steady, driven)
 
 
 def _affine_sum(parts: Any, kinematic_viscosity: float, factors: Factors) -> Polynomial:
@@ -239,27 +269,19 @@ driven walls, None where there is none, the residual's norm (n_states,) [/s]."""
 
 def residual_norm(
     factor: ResidualFactor,
-    operators: ReducedOperators,
-    modes: Indices,
     kinematic_viscosity: float,
     factors: Factors = NONE,
     closure: Polynomial | None = None,
 ) -> ResidualNorm:
-    """Return the residual's norm of a model with some modes of a basis.
+    """Return the residual's norm of a model.
 
     Parameters
     ----------
-    factor, operators : of the whole basis.
-    modes : (n_modes,) those of the model, rising.
+    factor : of the model.
     factors : the values of the parameters that drive the flow.
     closure : the rates that it adds to the projected ones.
     """
-    kept, left_out = _kept(operators.n_modes, tuple(modes.tolist()))
-    powers, around = [], (kinematic_viscosity, factors)
-    for own, rates in zip(factor.at(*around), operators.at(*around).powers, strict=True):
-        others = pack(tuple(tensor[left_out] for tensor in rates))
-        used = kept[: np.searchsorted(kept, own.shape[1])]
-        powers.append(np.concatenate((own[:, used], others[:, used])))
+    powers = factor.at(kinematic_viscosity, factors)
 
     def norm(states: Array, amplitude: Array | None = None) -> Array:
         values = monomials(states)
@@ -276,11 +298,9 @@ def residual_norm(
     return norm
 
 
-@lru_cache(maxsize=64)
-def _kept(n_modes: int, modes: tuple[int, ...]) -> tuple[Indices, Indices]:
+def _kept(n_modes: int, modes: Indices) -> tuple[Indices, Indices]:
     """Return the places of the monomials of some modes, and the modes that are left out."""
-    chosen = np.array(modes, dtype=np.int64)
     first, second = np.triu_indices(n_modes)
-    products = np.flatnonzero(np.isin(first, chosen) & np.isin(second, chosen))
-    kept = np.concatenate(([0], 1 + chosen, 1 + n_modes + products))
-    return kept, np.setdiff1d(np.arange(n_modes), chosen)
+    products = np.flatnonzero(np.isin(first, modes) & np.isin(second, modes))
+    kept = np.concatenate(([0], 1 + modes, 1 + n_modes + products))
+    return kept, np.setdiff1d(np.arange(n_modes), modes)

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -24,16 +24,16 @@ import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.reduction.correction import faded
-from sphrom.reduction.exponential_steps import ExponentialModel
+from sphrom.reduction.exponential_steps import ExponentialModel, LinearPart
 from sphrom.reduction.polynomial_model import (
     Amplitude,
     OutputTimes,
     PolynomialModel,
     Run,
-    step_limits,
+    step_limit,
     steps_within,
 )
-from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure
+from sphrom.reduction.reduced_measures import PointForce, ReducedMeasure
 from sphrom.reduction.reduced_rates import Polynomial
 from sphrom.reduction.trial_basis import JOINT, TrialBasis
 
@@ -50,22 +50,25 @@ class ReferenceModel:
     """The snapshots of a run, and when it counts as divergent."""
     mean_density_fluctuation: float = 0.0
     """[kg/m3], carried apart."""
-    step_limit: float = math.inf
-    """The largest stable Runge-Kutta step [s] around the start and some training states."""
     amplitude: Amplitude | None = None
     """Of the body force or of driven walls, where it changes."""
+    closure: Polynomial | None = None
+    """What of the polynomial a closure or a calibration has added to the projected rates."""
     memory_length: float | None = None
     """tau of Eq. 3.22 [s], of a model with the closure."""
-    linear: Array | None = None
-    """(n_modes, n_modes) [1/s] the linear part of exponential steps: the Jacobian at the mean of
-    the training states. Without training states it is None, and automatic steps are Runge-Kutta's.
-    """
+    states: Array | None = None
+    """(n_states, n_modes) training states: around them, and the start, steps have to be stable."""
+    linear: LinearPart | None = None
+    """That of exponential steps, such as the Jacobian at the mean of the training states. None:
+    automatic steps are Runge-Kutta's."""
+    first_step: float | None = None
+    """Length [s] of the automatic steps that are tried first, where training runs tell it."""
     correction: Array | None = None
     """(n_trained_snapshots, n_modes) added to the coordinates of runs, where the model has one."""
     leading: ReferenceModel | None = None
     """The model of the first modes that alone is integrated as long as training runs are; the
     correction is the whole of the others' coordinates. None where all modes are integrated."""
-    forces: Mapping[str, ReducedForce] = field(default_factory=dict)
+    forces: Mapping[str, PointForce] = field(default_factory=dict)
     """By the names of the measurements, the forces on walls."""
     measures: Mapping[str, ReducedMeasure] = field(default_factory=dict)
     """By the names of the measurements, flow rates and fields at places."""
@@ -76,6 +79,23 @@ class ReferenceModel:
         if self.amplitude is None:
             return 0.0
         return float(np.abs(self.amplitude(self.output_times.time)).max())
+
+    @cached_property
+    def step_limit(self) -> float:
+        """The largest stable Runge-Kutta step [s]; infinite without training states."""
+        if self.states is None:
+            return math.inf
+        return step_limit(self.polynomial, np.vstack((self.start, self.states)), self.strongest)
+
+    @property
+    def n_stable(self) -> int:
+        """Number of stable Runge-Kutta steps of a run."""
+        return steps_within(self.output_times.duration, self.step_limit)
+
+    def around(self, states: Array) -> ReferenceModel:
+        """Return the model with the step limit and linear part of states (n_states, n_modes)."""
+        linear = LinearPart(self.polynomial.jacobian(states.mean(axis=0), self.strongest))
+        return replace(self, states=states, linear=linear)
 
     @property
     def n_integrated(self) -> int:
@@ -147,16 +167,6 @@ LONGER = 6
 """Exponential steps that are tried first, over stable ones: they turn out 1 to 6 times as long."""
 
 
-def with_limits(models: Sequence[ReferenceModel], states: Array) -> list[ReferenceModel]:
-    """Return models with the step limits around states (n_states, n_modes), and linear parts."""
-    around = [(m.polynomial, np.vstack((m.start, states)), m.strongest) for m in models]
-    mean = states.mean(axis=0)
-    return [
-        replace(model, step_limit=limit, linear=model.polynomial.jacobian(mean, model.strongest))
-        for model, limit in zip(models, step_limits(around), strict=True)
-    ]
-
-
 def step_tolerance(basis: TrialBasis) -> float:
     """Return the largest error of coordinates by steps, in root mean squares over their norm."""
     squares = basis.singular_values[JOINT] ** 2
@@ -188,14 +198,13 @@ class Steps:
         return self.system.run(self.n_steps, model.start, model.output_times, model.amplitude)
 
 
-def accurate(first: Steps, tolerance: float, n_stable: int = 0) -> Steps:
+def accurate(first: Steps, tolerance: float) -> Steps:
     """Return steps that are accurate, about the least that are enough.
 
     Parameters
     ----------
     first : the least number that is tried.
     tolerance : see `step_tolerance`.
-    n_stable : number of steps from which a divergence is the model's, not the integrator's.
 
     Returns
     -------
@@ -207,10 +216,13 @@ def accurate(first: Steps, tolerance: float, n_stable: int = 0) -> Steps:
         return first.system.steps_taken(n_steps, first.model.output_times)
 
     def excess(n_steps: int) -> float:
-        """Return the error over the tolerance; zero if the divergence is not the steps' fault."""
+        """Return the error over the tolerance; zero if the divergence is not the steps' fault.
+
+        From as many steps as are stable it is the model's.
+        """
         coarse, fine = (replace(first, n_steps=n).run().coordinates for n in (n_steps, 2 * n_steps))
         if not np.isfinite(fine).all():
-            return 0.0 if n_steps >= n_stable else math.inf
+            return 0.0 if n_steps >= first.model.n_stable else math.inf
         if not np.isfinite(coarse).all():
             return math.inf
         size = float(np.linalg.norm(fine))
@@ -308,12 +320,21 @@ def automatic_whole(model: ReferenceModel) -> Steps:
     The first that are tried are from snapshot to snapshot at least: that is enough where it is
     something other than sound that is stiff.
     """
-    n_stable = steps_within(model.output_times.duration, model.step_limit)
     if model.linear is None:
-        return accurate(runge_kutta(model, n_stable), step_tolerance(model.basis))
-    n_first = max(1, min(math.ceil(n_stable / LONGER), model.output_times.n_snapshots - 1))
-    first = Steps(model, ExponentialModel(model.polynomial, model.linear), n_first)
-    return accurate(first, step_tolerance(model.basis), n_stable)
+        return accurate(runge_kutta(model, model.n_stable), step_tolerance(model.basis))
+    if model.first_step is not None and model.states is not None:
+        n_first = max(1, math.ceil(round(model.output_times.duration / model.first_step, 6)))
+        found = accurate(_exponential(model, n_first), step_tolerance(model.basis))
+        if found.n_steps < FINEST * n_first:
+            return found
+        model = model.around(model.states)  # the nearest training run is far away
+    n_first = max(1, min(math.ceil(model.n_stable / LONGER), model.output_times.n_snapshots - 1))
+    return accurate(_exponential(model, n_first), step_tolerance(model.basis))
+
+
+def _exponential(model: ReferenceModel, n_steps: int) -> Steps:
+    assert model.linear is not None
+    return Steps(model, ExponentialModel(model.polynomial, model.linear), n_steps)
 
 
 def automatic(model: ReferenceModel) -> Integrator:

@@ -187,8 +187,6 @@ def wrapped(coordinate: Array, domain: Domain, axis: int) -> Array:
     return coordinate - length * np.floor((coordinate - domain.lower[axis]) / length)
 
 
-N_CHUNKS = 64
-"""Cells are shared out in as many parts; each has its own scratch memory."""
 WORST_CONDITION_NUMBER = 1.0 / float(np.finfo(np.float64).eps)
 """Beyond it the weights have no right digit."""
 
@@ -254,10 +252,12 @@ class LocalSplines(CellSplines, ModeSplines):
 
     def combine(self, coefficients: ArrayLike) -> LocalSplines:
         """Return splines of linear combinations of the columns."""
-        factors = np.asarray(coefficients)
+        factors = np.ascontiguousarray(coefficients, dtype=np.float64)
+        radial = np.empty((factors.shape[1], self._systems.radial_weights.shape[1]))
+        polyharmonic.combine(self._systems.radial_weights, factors, radial)
         return replace(
             self,
-            radial_weights=factors.T @ self.radial_weights,
+            radial_weights=radial,
             polynomial_weights=self.polynomial_weights @ factors,
         )
 
@@ -271,7 +271,7 @@ class LocalSplines(CellSplines, ModeSplines):
 
     def _scratch(self, n_rows: int) -> Array:
         most = int(np.max(np.diff(self.cell_start))) + self.polynomial_weights.shape[1]
-        return np.empty((N_CHUNKS, n_rows, most))
+        return np.empty((polyharmonic.N_CHUNKS, n_rows, most))
 
 
 def default_cell_width(domain: Domain, n_points: int) -> float:

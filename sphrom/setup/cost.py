@@ -15,6 +15,7 @@ from pathlib import Path
 
 from sphrom.case.hints import few_snapshots, slow_sweep, sweep_beyond_training
 from sphrom.case.models import Case
+from sphrom.case.plan import DENSITY_CHANGE
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import sweep_model, sweep_points
 from sphrom.console import Reporter
@@ -118,7 +119,7 @@ def _operators(case: Case) -> float:
     tensors = [n**4 for _, n in plan.memory_models]
     for name in filter(plan.has_error_estimate, plan.reference_bases):
         linear = 1 + plan.basis_size(name)
-        driven = case.scene.domain.has_walls + (plan.largest_body_force > 0.0) + len(plan.driving)
+        driven = case.scene.domain.has_walls + (plan.largest_force_head > 0.0) + len(plan.driving)
         tensors.append((linear * (linear + 1) + driven * linear) ** 2)
     largest = TENSOR_COPIES * max(tensors, default=0)
     return copies * N_FIELD_VALUES * most * plan.n_particles + sparse + BLOCK + largest
@@ -201,6 +202,11 @@ def run(context: StageContext) -> None:
     for point in case.plan.points:
         describe_run(case, point, context.report)
     _describe_shape(case, context.report)
+    if (own := case.plan.max_speed / case.fluid.mach_number) < case.plan.sound_speed:
+        context.report.info(
+            f"c0 is {case.plan.sound_speed:.4g} m/s, not U_max / Ma = {own:.4g}: the body force "
+            f"and friction at walls then change the density by about {DENSITY_CHANGE:.0%} at most"
+        )
     for warning in few_snapshots(case):
         context.report.warn(warning)
     describe_cost(case, context.report)
@@ -215,8 +221,6 @@ def describe_run(case: Case, point: ParameterPoint, report: Reporter) -> None:
     spin_up, step = plan.steps.n_spin_up_steps, plan.steps.time_step
     before = f" after {counted(spin_up, 'step')} to spin up" if spin_up else ""
     shares = {"acoustic": limits.acoustic, "viscous": limits.viscous}
-    if math.isfinite(limits.body_force):
-        shares["body force's"] = limits.body_force
     told = ", ".join(f"{step / limit:.2g} of the {name} limit" for name, limit in shares.items())
     report.info(
         f"{point.label}: {plan.n_particles} particles{ghosts}, "

@@ -6,12 +6,13 @@ They load the kernels of SPH; `sphrom.setup.assembly` makes everything else, wit
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.case.models import Case
+from sphrom.case.plan import BEYOND
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError, UnstableError
 from sphrom.metrics.measures import FieldMeasure, Quantities
@@ -168,23 +169,36 @@ def sampler(case: Case, points: Array) -> ReferenceMap:
     )
 
 
-@dataclass(frozen=True)
 class MeasuredFields:
-    """Fields of particles, interpolated to where they are measured."""
+    """Fields of particles, interpolated to where they are measured: affine in the fields.
 
-    measures: Mapping[str, FieldMeasure]
-    sample: ReferenceMap
-    """Onto the places of all measures, one after another."""
-    sound_speed: float
+    On walls fluid has their velocity. By what the interpolation misses it there, places are
+    corrected: in full on the wall, and not at all from a spacing away. Flow rates aren't: particles
+    conserve them as they are. Nor are places where parameters or time change the wall's velocity,
+    so that all runs are measured alike.
+    """
+
+    def __init__(self, case: Case, measures: Mapping[str, FieldMeasure]) -> None:
+        self.measures, self._sound_speed = measures, case.plan.sound_speed
+        places = np.concatenate([measure.position for measure in measures.values()])
+        distance, normal = case.scene.domain.distance_and_normal(places)
+        spacing, (at_rest, per_unit) = case.plan.particle_spacing, _rest_and_units(case)
+        integrals = [np.full(len(m.position), m.normal is not None) for m in measures.values()]
+        near = self._near = np.flatnonzero((distance < spacing) & ~np.concatenate(integrals))
+        on_walls = places[near] - distance[near, None] * normal[near]
+        beyond = on_walls - BEYOND * spacing * normal[near]
+        self._walls = at_rest.wall_velocity(beyond)
+        varies = self._walls.any(axis=1) & (at_rest.wall_amplitude is not None)
+        for flow in per_unit.values():
+            varies |= (flow.wall_velocity(beyond) != self._walls).any(axis=1)
+        self._share = np.where(varies, 0.0, 1.0 - distance[near] / spacing)[:, None]
+        self._sample = sampler(case, np.concatenate((places, on_walls)))
 
     @classmethod
     def of(cls, case: Case) -> MeasuredFields | None:
         """Return the measured fields of a case, None where it measures none."""
         measures = field_measures(case)
-        if not measures:
-            return None
-        places = np.concatenate([measure.position for measure in measures.values()])
-        return cls(measures, sampler(case, places), case.plan.sound_speed)
+        return cls(case, measures) if measures else None
 
     def __call__(
         self, position: Array, density_fluctuation: Array, velocity: Array
@@ -194,12 +208,14 @@ class MeasuredFields:
         Raises UnstableError where too few particles are near a place.
         """
         try:
-            density, found = self.sample(position, density_fluctuation, velocity)
+            density, found = self._sample(position, density_fluctuation, velocity)
         except ValueError as error:
             raise UnstableError(f"unstable where fields are measured: {error}") from error
-        pressure = pressure_of(density, self.sound_speed)
+        pressure = pressure_of(density, self._sound_speed)
         ends = np.cumsum([len(measure.position) for measure in self.measures.values()])
-        parts = zip(*(np.split(each, ends[:-1]) for each in (found, pressure)), strict=True)
+        found[self._near] += self._share * (self._walls - found[ends[-1] :])
+        # What is left over is on walls.
+        parts = zip(*(np.split(each, ends)[:-1] for each in (found, pressure)), strict=True)
         return {
             name: measure.of(*part)
             for (name, measure), part in zip(self.measures.items(), parts, strict=True)

@@ -90,6 +90,7 @@ class FixedPoints:
 
     Attributes
     ----------
+    particle_mass : of the fluid that a point stands for [kg/m].
     density_scale : c0/rho0, q over the density fluctuation [m4/(kg s)].
     fixed_volume : whether the mean of continuity is taken out.
 
@@ -123,7 +124,7 @@ class FixedPoints:
         delta, length = discretization.diffusion_coefficient, discretization.smoothing_length
         self._diffusivity = delta * length * fluid.sound_speed
         self._damping_length = discretization.acoustic_damping * length
-        self._mass = fluid.reference_density * discretization.particle_spacing**2
+        self.particle_mass = fluid.reference_density * discretization.particle_spacing**2
         self._fluid = fluid_sums(self.position, domain, discretization)
         self._ghosts = (
             None if walls is None else ghost_sums(self.position, walls, domain, discretization)
@@ -259,14 +260,16 @@ class FixedPoints:
         ghosts = self._beside_walls
         q = scaled_density - self._damping_length * self.divergence(velocity)
         mean = ghosts.mean @ q
-        scale = self._mass * self.sound_speed
+        scale = self.particle_mass * self.sound_speed
         return scale * np.stack([scaled(row_sums(g), mean) + g @ q for g in ghosts.gradient_back])
 
     def ghost_heads(self, body_force: Array) -> Array:
         """Return the force of heads on ghosts (2, n_ghosts, ...) [N/m], of (2, n_points, ...)."""
         ghosts = self._beside_walls
         head = ghosts.heads(body_force)
-        return self._mass * np.stack([scaled(row_sums(g), head) for g in ghosts.gradient_back])
+        return self.particle_mass * np.stack(
+            [scaled(row_sums(g), head) for g in ghosts.gradient_back]
+        )
 
     def ghost_friction(self, velocity: Array) -> Array:
         """Return the viscous force on ghosts at rest (2, n_ghosts, n_fields) [N/m], per viscosity.
@@ -274,7 +277,11 @@ class FixedPoints:
         Velocities are (2, n_points, n_fields) [m/s].
         """
         back = self._beside_walls.friction.T
-        return -2.0 * self._mass * np.stack([back @ scaled(self._viscous, u) for u in velocity])
+        return (
+            -2.0
+            * self.particle_mass
+            * np.stack([back @ scaled(self._viscous, u) for u in velocity])
+        )
 
     @property
     def ghost_drag(self) -> Array:
@@ -287,7 +294,7 @@ class FixedPoints:
     def drag_of(self, wall_velocity: Array) -> Array:
         """Return `ghost_drag` of walls' velocities (2, n_ghosts) [m/s]."""
         back = self._beside_walls.friction.T
-        return 2.0 * self._mass * (back @ self._viscous) * wall_velocity
+        return 2.0 * self.particle_mass * (back @ self._viscous) * wall_velocity
 
     @property
     def _beside_walls(self) -> GhostSums:

@@ -43,8 +43,6 @@ LARGEST_WAVE_NUMBER = 1.4
 """Of sound that the kernel's sums resolve, times h: sqrt of the largest eigenvalue of -D G."""
 REAL_AXIS_LIMIT = 2.78
 """How far Eq. 2.18 is stable along the negative real axis."""
-FORCE_LIMIT = 0.25
-"""Largest dt over the square root of h / b (Morris, Fox and Zhu 1997)."""
 
 
 @dataclass(frozen=True)
@@ -123,23 +121,20 @@ class StepLimits:
 
     acoustic: float
     viscous: float
-    body_force: float = math.inf
-    """Infinite where there is no body force."""
 
     @property
     def least(self) -> float:
         """The limit that binds."""
-        return min(self.acoustic, self.viscous, self.body_force)
+        return min(self.acoustic, self.viscous)
 
 
 def step_limits(
     fluid: Fluid,
     discretization: Discretization,
-    largest_body_force: float = 0.0,
     has_walls: bool = False,
     sharpness: float = 0.0,
 ) -> StepLimits:
-    """Return the limits of the time step; the body force is an acceleration [m/s2].
+    """Return the limits of the time step.
 
     Sound limits it by Eq. 2.19. Beyond a damper's alpha of 2 over the largest wave number the
     shortest waves don't oscillate any more, and what the damper takes of them limits the step.
@@ -155,8 +150,5 @@ def step_limits(
     if has_walls:
         limit = WALL_VISCOUS_LIMIT / (1.0 + STIFFER_AT_CORNERS * sharpness)
         diffusion = min(diffusion, limit * length * discretization.particle_spacing)
-    force = math.inf
-    if largest_body_force > 0.0:
-        force = FORCE_LIMIT * math.sqrt(length / largest_body_force)
     acoustic = courant * length / fluid.sound_speed
-    return StepLimits(acoustic, diffusion / fluid.kinematic_viscosity, force)
+    return StepLimits(acoustic, diffusion / fluid.kinematic_viscosity)

@@ -17,9 +17,9 @@ from sphrom.kernels import advection, sweeps
 from sphrom.kernels.cells import Grid
 from sphrom.kernels.wendland import kernel
 from sphrom.sph.domain import Domain, Walls
-from sphrom.sph.fluid import Discretization, Fluid, volume_of
+from sphrom.sph.fluid import ROUNDING, Discretization, Fluid, step_limits, volume_of
 from sphrom.sph.neighbourhood import Neighbourhood
-from sphrom.sph.time_loop import Snapshot
+from sphrom.sph.time_loop import DENSITY_LIMIT, Snapshot
 from sphrom.sph.walls import GhostParticles, WallTerms
 
 BodyForce = Callable[[Array, float], Array]
@@ -27,6 +27,8 @@ BodyForce = Callable[[Array, float], Array]
 WallSpeed = Callable[[float], float]
 """The speed of walls over the velocity that they were given, at a time [s]."""
 
+LARGEST_MACH_NUMBER = 0.3
+"""Up to which a flow is weakly compressible."""
 PAIR_FACTOR = 8.0
 """2 (n + 2) of Eq. 2.12, in two dimensions."""
 
@@ -301,3 +303,15 @@ class Functional:
     def snapshot(self, state: Array) -> Snapshot:
         """Return the fields of a state."""
         return Snapshot(state[:2], state[2], state[3:])
+
+    def remedy(self, state: Array, time_step: float) -> str:
+        """Return what may help a run that left the model's range near a state."""
+        sound = self.fluid.sound_speed
+        limit = step_limits(self.fluid, self.discretization, self.ghosts is not None).least
+        if time_step > limit * (1.0 + ROUNDING):
+            return f"the time step is beyond its limit of {limit:.4g} s"
+        if (speed := float(np.hypot(*state[3:]).max())) > LARGEST_MACH_NUMBER * sound:
+            return f"c0 = {sound:.4g} m/s is too low for {speed:.3g} m/s: raise the reference speed"
+        if np.abs(state[2]).max() > 0.5 * DENSITY_LIMIT * self.fluid.reference_density:
+            return f"c0 = {sound:.4g} m/s is too low for the pressure: lower the Mach number"
+        return "a smaller time step or a finer resolution may help"

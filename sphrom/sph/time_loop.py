@@ -67,6 +67,9 @@ class Model(Protocol):
     def snapshot(self, state: Array) -> Snapshot:
         """Return the fields of a state."""
 
+    def remedy(self, state: Array, time_step: float) -> str:
+        """Return what may help a run that left the model's range in the step after a state."""
+
 
 @dataclass(frozen=True)
 class TimeSteps:
@@ -177,18 +180,22 @@ def march(
     if begin is not None:
         model.neighbourhood.rebuild_at(begin.neighbours_at)
     for step in range(first, steps.n_steps + 1):
-        if step > 0:
-            with clock.running():
-                state = watched_step(model.rates, state, steps, step)
-            advance(1)
-        keep = step % steps.every == 0
-        if keep:
-            state = model.wrapped(state)
-        if keep or step % steps.check_every == 0:
-            snapshot = model.snapshot(state)
-            check_snapshot(snapshot, model.domain, reference_density, step, steps.time(step))
-        else:
-            check_position(model.position(state), model.domain, step, steps.time(step))
+        keep, before = step % steps.every == 0, state
+        try:
+            if step > 0:
+                with clock.running():
+                    state = watched_step(model.rates, state, steps, step)
+                advance(1)
+            if keep:
+                state = model.wrapped(state)
+            if keep or step % steps.check_every == 0:
+                snapshot = model.snapshot(state)
+                check_snapshot(snapshot, model.domain, reference_density, step, steps.time(step))
+            else:
+                check_position(model.position(state), model.domain, step, steps.time(step))
+        except UnstableError as error:
+            remedy = model.remedy(before, steps.time_step)
+            raise UnstableError(f"{error}; {remedy}") from error
         if keep:
             yield step, state
         reached(RunState(step, state, model.neighbourhood.built_at, clock.seconds), steps)
@@ -212,7 +219,7 @@ def _explained(when: str) -> Iterator[None]:
     try:
         yield
     except (np.linalg.LinAlgError, ValueError, UnstableError) as error:
-        raise UnstableError(f"unstable {when}: {error}; a smaller time step may help") from error
+        raise UnstableError(f"unstable {when}: {error}") from error
 
 
 def check_snapshot(
@@ -244,8 +251,7 @@ def check_position(position: Array, domain: Domain, step: int, time: float) -> N
 
 
 def _unstable(told: str, step: int, time: float) -> UnstableError:
-    start = f"unstable at step {step}, t = {time:.6g} s"
-    return UnstableError(f"{start}: {told}; a smaller time step may help")
+    return UnstableError(f"unstable at step {step}, t = {time:.6g} s: {told}")
 
 
 def runge_kutta_step(

@@ -36,6 +36,12 @@ class MeasuredWall:
     circulation: float
     """C of the wall's velocity, anticlockwise [m2/s]."""
 
+    @property
+    def arm(self) -> float:
+        """The root mean square of how far its ghosts are from what the torque is about [m]."""
+        squares = np.sum(self.weights**2, axis=(1, 2))
+        return float(np.sqrt(squares[TORQUE] / squares[0]))
+
     def loads(self, ghost_forces: Array) -> Array:
         """Return force and torque (3, ...) from the forces on ghosts (2, n_ghosts, ...) [N/m]."""
         return np.tensordot(self.weights, ghost_forces, 2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,6 +23,8 @@ from sphrom.store.trajectory import snapshot_fields
 
 ON_WALL = 1e-6
 """Points nearer to a wall than this part of the spacing are on it."""
+LEAST_SHARE = 1e-10
+"""Of a combination of modes that holds nothing of a field."""
 ROUNDING = 1e-9
 """Slack for what is equal but for rounding."""
 
@@ -103,13 +106,26 @@ def sample_mapped(case: Case, mapped: Artifact, sample: ReferenceMap) -> Samples
 
 def sample_best(
     case: Case, mapped: Artifact, basis: TrialBasis, splines: ModeSplines, probes: Probes
-) -> Samples:
-    """Sample the projection of mapped snapshots onto a basis: the best that it can do."""
+) -> tuple[Samples, Samples]:
+    """Sample what in a basis is nearest to mapped snapshots: in both fields, and in each alone.
+
+    The first are states, by projection in the basis's inner product. Of the others each field has
+    coordinates of its own, so that no state with these modes is nearer in either.
+    """
     densities, velocities = mapped.dataset("density_fluctuation"), mapped.dataset("velocity")
     snapshots = zip(densities, velocities, strict=True)
-    coordinates = np.array([project(basis, density, velocity) for density, velocity in snapshots])
+    parts = [(project(basis, d, 0.0 * v), project(basis, 0.0 * d, v)) for d, v in snapshots]
+    by_density, by_velocity = (np.array(part) for part in zip(*parts, strict=True))
+    share = (basis.density_modes * basis.weights) @ basis.density_modes.T
+    shares = (share, by_density), (np.eye(basis.n_modes) - share, by_velocity)
+    alone = [np.linalg.lstsq(gram, part.T, LEAST_SHARE)[0].T for gram, part in shares]
     means = np.array([mean_density_fluctuation(basis, density) for density in densities])
-    return expand(case, basis, splines, probes.all, mapped.read("time"), coordinates, means)
+    times = mapped.read("time")
+    both, density, velocity = (
+        expand(case, basis, splines, probes.all, times, each, means)
+        for each in (by_density + by_velocity, *alone)
+    )
+    return both, replace(density, velocity=velocity.velocity)
 
 
 def expand(
@@ -126,6 +142,6 @@ def expand(
     `mean_density` (n_snapshots,) [kg/m3] is what the basis has carried apart, else zero.
     """
     values = splines.values(points).reshape(len(points), -1, 3)
-    fields = np.einsum("pmf,sm->spf", values, coordinates, optimize=True)
+    fields = np.tensordot(coordinates, values, (1, 1))
     density = basis.inner_product.density_fluctuation(fields[..., 0]) + mean_density[:, None]
     return Samples(times, fields[..., 1:], pressure_of(density, case.plan.sound_speed))

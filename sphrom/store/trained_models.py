@@ -19,13 +19,15 @@ from sphrom.artifacts import Artifact, read_record
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import AUTO, ReducedModelSection
+from sphrom.metrics.measures import UNITS, Quantities
 from sphrom.reduction.calibration import Calibration, TrainingRun, calibrate
 from sphrom.reduction.held_out import best_size
 from sphrom.reduction.mode_splines import ModeSplines, first_modes
-from sphrom.reduction.reduced_measures import ForceRecord, ReducedForce, ReducedMeasure
+from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure
 from sphrom.reduction.reduced_operators import ReducedOperators
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis, project, truncate
 from sphrom.setup import assembly
+from sphrom.store.trajectory import totals
 from sphrom.store.workspace import Workspace
 
 N_BLOCK_SNAPSHOTS = 16
@@ -144,10 +146,14 @@ def read_operators(
 
 def read_wall_force(
     artifact: Artifact, basis: str, name: str, modes: NDArray[np.int64]
-) -> ReducedForce:
-    """Read the force of a measurement, in the coordinates of some modes of a basis."""
+) -> tuple[ReducedForce, Array]:
+    """Read the force of a measurement, in the coordinates of some modes of a basis.
+
+    Returns the loads (n_runs, n_snapshots, 2, 3) [N/m, N] that training runs recorded, too.
+    """
     group = f"bases/{basis}/wall_force/{name}"
-    return read_record(artifact, ReducedForce, group).of_modes(modes)
+    force = read_record(artifact, ReducedForce, group).of_modes(modes)
+    return force, artifact.read(f"{group}/training_loads")
 
 
 def read_measure(
@@ -157,20 +163,16 @@ def read_measure(
     return read_record(artifact, ReducedMeasure, f"bases/{basis}/measure/{name}").of_modes(modes)
 
 
-def read_force_records(
-    case: Case, artifact: Artifact, basis: str, name: str, modes: NDArray[np.int64]
-) -> list[ForceRecord]:
-    """Read what the full runs that a basis learnt from recorded, and their projected states."""
-    loads = artifact.read(f"bases/{basis}/wall_force/{name}/training_loads")
-    means = artifact.read(f"bases/{basis}/training_means")
-    coordinates = artifact.read(f"bases/{basis}/training_runs")[:, :, modes]
-    times, records = snapshot_times(case), []
-    for run, point in enumerate(case.plan.bases[basis]):
-        viscosity = case.plan.kinematic_viscosity(point)
-        drives = assembly.drives(case, point, times)
-        known = loads[run], coordinates[run], means[run]
-        records.append(ForceRecord(*known, viscosity, *drives, point.factors))
-    return records
+def read_recorded(case: Case, artifact: Artifact, basis: str) -> dict[str, Quantities]:
+    """Read what the full runs that a basis learnt from measured (n_runs, n_snapshots, ...)."""
+    group, found = f"bases/{basis}", {}
+    for name, section in case.scene.measure.items():
+        if section.force_on is not None:
+            found[name] = totals(artifact.read(f"{group}/wall_force/{name}/training_loads"))
+        else:
+            paths = {q: f"{group}/measure/{name}/training_{q}" for q in UNITS}
+            found[name] = {q: artifact.read(path) for q, path in paths.items() if path in artifact}
+    return found
 
 
 def memory_timing(basis: str, n_modes: int) -> str:

@@ -65,9 +65,9 @@ def read_quantities(artifact: Artifact, name: str) -> Quantities:
 
 
 def totals(loads: Array) -> Quantities:
-    """Return force and torque, by quantity, of pressure's and viscous ones (n_snapshots, 2, 3)."""
-    total = loads.sum(axis=1)
-    return {"force": total[:, :TORQUE], "torque": total[:, TORQUE]}
+    """Return force and torque, by quantity, of pressure's and viscous ones (..., 2, 3)."""
+    total = loads.sum(axis=-2)
+    return {"force": total[..., :TORQUE], "torque": total[..., TORQUE]}
 
 
 def measured_of(case: Case, artifact: Artifact) -> dict[str, Quantities]:

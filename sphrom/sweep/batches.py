@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -32,6 +31,7 @@ from sphrom.online import rom
 from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.online.sensitivities import tangents
 from sphrom.reduction.trial_basis import KineticEnergy, SpeedBounds
+from sphrom.setup.assembly import places_of
 from sphrom.store.checkpoints import remove_checkpoints
 from sphrom.store.sampling import sample_run
 from sphrom.store.trajectory import measured_of
@@ -40,11 +40,11 @@ from sphrom.sweep.workers import Failure, Task
 
 LOADS = ("force_x", "force_y", "torque")
 """What columns call the loads on a wall."""
-TOGETHER = 64
-"""Models that are built together."""
 COMPLETE, UNSTABLE, FAILED, NOT_RUN = 0, 1, 2, 3
 STATES = ("complete", "unstable", "failed", "not run")
 """Words for them."""
+PLACE = "place"
+"""Where the point of a run is among others."""
 ERROR = "error_estimate/"
 """Prefix of the datasets of error estimates, which not all runs have."""
 
@@ -67,9 +67,7 @@ def make_runs(task: Task) -> tuple[Failure, ...]:
     swept = _swept(replace(task, points=()))
     records: list[RunRecord] = []
     failed: list[Failure] = []
-    for k, point in enumerate(task.points):
-        if k % TOGETHER == 0:
-            swept.prepare(task.points[k : k + TOGETHER])
+    for point in task.points:
         require_folder(swept.workspace)
         try:
             records.append(swept.run(point))
@@ -99,12 +97,6 @@ class SweptModel:
             self._fast = FastModel(workspace, self._model)
         self._of_bases: dict[str, tuple[SpeedBounds, KineticEnergy]] = {}
 
-    def prepare(self, points: Sequence[ParameterPoint]) -> None:
-        """Do together what takes less time so, before points are run one by one."""
-        if self._fast is not None:
-            with suppress(SphromError):  # whatever is wrong at a point is for its run to say
-                self._fast.prepare(points)
-
     def run(self, point: ParameterPoint) -> RunRecord:
         """Run the model at a parameter point.
 
@@ -124,6 +116,33 @@ class SweptModel:
         except UnstableError as error:
             return RunRecord(point, UNSTABLE, str(error))
         return self._of_trajectory(point, target)
+
+    def in_training(self, points: Sequence[ParameterPoint]) -> list[dict[str, Any]]:
+        """Return by what the training runs of models at points differ from full ones.
+
+        They are values as records have them, with the places of their points; none without
+        estimates, and none at probes where the full run is gone.
+        """
+        if self._fast is None:
+            return []
+        found = []
+        for name in dict.fromkeys(map(self._fast.basis_at, points)):
+            if (basis := self._fast.on_basis(name)).trained_errors is None:
+                return []
+            places = places_of(self.workspace.case, basis.points)
+            for k, (reduced, run) in enumerate(basis.held_out):
+                values = {PLACE: places[k]}
+                measured = basis.measured_differences.items()
+                values |= _kept({n: {q: each[k] for q, each in m.items()} for n, m in measured})
+                target = self.workspace.full_run(basis.points[k])
+                if len(self._probes) and target.path.exists():
+                    with self.workspace.open(target) as trajectory:
+                        full = sample_run(self.workspace.case, trajectory, self._probes)
+                    mean = reduced.mean_density_fluctuation
+                    own = _at_probes(basis.sampled(self._probes, full.time, run, mean))
+                    values |= {path: each - own[path] for path, each in _at_probes(full).items()}
+                found.append(values)
+        return found
 
     def _of_trajectory(self, point: ParameterPoint, target: Target) -> RunRecord:
         """Return the record of a run on particles."""
@@ -268,9 +287,8 @@ def read_records(artifact: Artifact) -> list[RunRecord]:
     numbers = {"complete_run": artifact.read("complete").tolist()}
     if f"{ERROR}run" in artifact:
         numbers["estimated_run"] = artifact.read(f"{ERROR}run").tolist()
-    values: dict[int, dict[str, Any]] = {
-        k: {"time": artifact.read("time")} for k in numbers["complete_run"]
-    }
+    time = artifact.read("time") if numbers["complete_run"] else None
+    values: dict[int, dict[str, Any]] = {k: {"time": time} for k in numbers["complete_run"]}
     for name in artifact.datasets:
         described = SCHEMAS["sphrom/sweep"].dataset(name)
         axis = "" if described is None else described.axes[0]

@@ -1,19 +1,18 @@
 """Statistics of a sweep's outputs where its points are draws: records, tables and figures.
 
-Outputs are of all runs, over time or along a line at their end. The estimated errors of the model
-are root mean squares over the fluid, of the velocity e_u and of the pressure. At a probe, and along
-a line, they stand for the error there. A flow rate is off by the section's length times e_u. With U
-the root mean square of the velocity and M the mass, the kinetic energy M U^2 / 2 is off by at most
-M (U e_u + e_u^2 / 2). No error of forces is estimated.
+Outputs are of all runs: over time, their means over time, or along a line at their end. Errors of
+what is measured, or kept at probes, follow from those of training runs (`output_errors`). With U
+the root mean square of the velocity, e_u that of its error and M the mass, the kinetic energy
+M U^2 / 2 is off by at most M (U e_u + e_u^2 / 2).
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,38 +22,45 @@ from sphrom.case.models import Case
 from sphrom.case.points import outside
 from sphrom.case.studies import sweep_model, sweep_points
 from sphrom.console import Reporter
-from sphrom.metrics.draws import fewest_runs, sobol_indices, spread
+from sphrom.metrics.draws import Along, fewest_runs, sobol_indices, spread
 from sphrom.metrics.measures import PLACED, UNITS, components
 from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Panel, draw_grid
 from sphrom.plots.tables import format_figure, rows_of_columns, write_csv
-from sphrom.sweep.batches import ERROR, RunRecord
+from sphrom.reduction.correction import interpolation_variance
+from sphrom.reduction.error_calibration import output_errors
+from sphrom.setup.assembly import places_of, sound_averages
+from sphrom.store.workspace import Workspace
+from sphrom.sweep.batches import ERROR, PLACE, RunRecord, SweptModel
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Values = Sequence[Mapping[str, Any]]
 """Of complete runs, as their records have them."""
-Along = Literal["time", "line"]
 
 SALTELLI = "saltelli"
 FIGURES = {
     "quantiles": "Quantiles of outputs over draws of the parameters.",
     "indices": "Sobol indices of outputs: the share of their variance that a parameter causes "
-    "alone (first order), or has any part in (total).",
+    "alone (first order), or has any part in (total); grey is the share of the model's error.",
 }
 """Captions, by how the names of files end."""
 FINAL = "final_"
 """What begins the names of quantities along lines, at the end of runs."""
 TIME: Along = "time"
+MEAN: Along = "mean"
 LINE: Along = "line"
+NOISY = 0.2
+"""Share of the model's error in the variance of full runs from which on a warning names an output:
+the error is half of the spread, and indices may be off by about the share."""
 COLUMNS = 3
 """Panels beside one another."""
 
 
 @dataclass(frozen=True)
 class Output:
-    """What all runs give, over time or along a line at their end."""
+    """What all runs give: over time, its mean over time, or along a line at their end."""
 
     name: str
     unit: str
@@ -65,60 +71,99 @@ class Output:
     """(n_runs, n_instants) estimated, None where no error is known."""
 
 
-def outputs_of(case: Case, runs: Values) -> Iterator[Output]:
-    """Yield the outputs of complete runs: kinetic energy, probes, and what the case measures."""
+def outputs_of(case: Case, runs: Values, trained: Values = ()) -> Iterator[Output]:
+    """Yield the outputs of complete runs: kinetic energy, probes, and what the case measures.
 
-    def stacked(name: str) -> Array:
-        return np.stack([values[name] for values in runs])
+    Means over time follow. `trained` has differences, as `SweptModel.in_training` returns them.
+    """
+    whole, differences = _stacked(runs), _stacked(trained)
+    yield from _outputs(case, TIME, whole, differences)
+    yield from _outputs(case, MEAN, _averaged(whole), _averaged(differences))
 
-    estimated = all(f"{ERROR}velocity" in values for values in runs)
-    errors = {q: stacked(f"{ERROR}{q}_over_time") if estimated else None for q in PLACED}
-    energies, wrong = stacked("kinetic_energy_over_time"), None
-    if (error := errors["velocity"]) is not None:
-        mass = case.plan.mass * case.plan.n_particles
+
+def _stacked(runs: Values) -> dict[str, Array]:
+    """Return what all runs have (n_runs, ...): energies, measurements, probes among them.
+
+    Errors over the fluid (n_runs, n_snapshots, 2) are of velocity and pressure.
+    """
+    found = {
+        name: np.stack([values[name] for values in runs])
+        for name in (set(runs[0]).intersection(*runs) if runs else ())
+        if name.startswith(("measure/", "probes/", PLACE)) or name.endswith("_over_time")
+    }
+    if (paths := [f"{ERROR}{quantity}_over_time" for quantity in PLACED])[0] in found:
+        found[ERROR] = np.stack([found.pop(path) for path in paths], axis=-1)
+    for quantity in PLACED:
+        at_probes = found.pop(f"probes/{quantity}", np.zeros((0, 0, 0)))
+        for k in range(at_probes.shape[2]):
+            found[f"measure/probe{k + 1}/{quantity}"] = at_probes[:, :, k]
+    return found
+
+
+def _averaged(whole: Mapping[str, Array]) -> dict[str, Array]:
+    """Return the means over time (n_runs, 1, ...), root mean squares of errors over the fluid."""
+    return {
+        name: np.sqrt(np.mean(values**2, axis=1, keepdims=True))
+        if name == ERROR
+        else (values if name == PLACE else values.mean(axis=1, keepdims=True))
+        for name, values in whole.items()
+        if not name.rpartition("/")[2].startswith(FINAL)
+    }
+
+
+def _outputs(
+    case: Case, along: Along, runs: Mapping[str, Array], trained: Mapping[str, Array]
+) -> Iterator[Output]:
+    ending, over_fluid = "_mean" if along == MEAN else "", runs.get(ERROR)
+    energies, wrong, places = runs["kinetic_energy_over_time"], None, trained.get(PLACE)
+    variances = np.zeros(len(energies))
+    if places is not None:
+        variances = np.array([interpolation_variance(places, each) for each in runs[PLACE]])
+    if over_fluid is not None:
+        mass, error = case.plan.mass * case.plan.n_particles, over_fluid[..., 0]
         wrong = mass * (np.sqrt(2.0 * energies / mass) * error + 0.5 * error**2)
-    yield Output("kinetic_energy", "J/m", TIME, energies, wrong)
-    for k in range(len(case.sweep.probes)):
-        for quantity in PLACED:
-            for component, each in components(quantity, stacked(f"probes/{quantity}")).items():
-                name = f"probe{k + 1}_{component}"
-                yield Output(name, UNITS[quantity], TIME, each[:, :, k], errors[quantity])
-    for name, section in case.scene.measure.items():
-        for quantity in UNITS:
-            path = f"measure/{name}/{quantity}"
-            along, head = (TIME, "") if path in runs[0] else (LINE, FINAL)
-            if (path := f"measure/{name}/{head}{quantity}") not in runs[0]:
-                continue
-            wrong = errors.get(quantity)
-            if quantity == "flow_rate" and section.flow_rate and errors["velocity"] is not None:
-                way = section.flow_rate.start, section.flow_rate.end
-                wrong = math.dist(*way) * errors["velocity"]
-            for component, each in components(quantity, stacked(path)).items():
-                if along == LINE and wrong is not None:
-                    wrong = np.broadcast_to(wrong[:, -1:], each.shape)
-                yield Output(f"{name}_{head}{component}", UNITS[quantity], along, each, wrong)
+    yield Output(f"kinetic_energy{ending}", "J/m", along, energies, wrong)
+    probes = (f"probe{k + 1}" for k in range(len(case.sweep.probes)))
+    for name, head, quantity in product((*probes, *case.scene.measure), ("", FINAL), UNITS):
+        if (path := f"measure/{name}/{head}{quantity}") not in runs:
+            continue
+        parts: Mapping[str, Array] = {}
+        if over_fluid is not None and path in trained:
+            differences, there = trained[path], over_fluid
+            if head:  # the end alone
+                differences, there = differences[:, None], there[:, -1:]
+            known = output_errors(differences, trained[PLACE], sound_averages(case))
+            errors = known.at(variances, there)
+            parts = components(quantity, errors[:, 0] if head else errors)
+        for component, each in components(quantity, runs[path]).items():
+            column, where = f"{name}_{head}{component}{ending}", LINE if head else along
+            yield Output(column, UNITS[quantity], where, each, parts.get(component))
 
 
-def statistics_of(case: Case, records: Sequence[RunRecord]) -> Statistics | None:
+def statistics_of(workspace: Workspace, records: Sequence[RunRecord]) -> Statistics | None:
     """Return the statistics of the runs of a sweep, in the order of its points.
 
     None where its points are no draws, or too few runs are complete for intervals. Without
     Sobol indices where a run of their design is not.
     """
+    case = workspace.case
     section, sample = case.sweep, case.sweep.sample
     if sample is None or not section.levels:
         return None
     drawn = 2 * sample.count if sample.method == SALTELLI else sample.count
-    runs = [record.values for record in records[:drawn] if record.values]
-    if len(runs) < fewest_runs(section.levels):
+    complete = [record for record in records[:drawn] if record.values]
+    if len(complete) < fewest_runs(section.levels):
         return None
+    places = places_of(case, [record.point for record in complete])
+    runs = [{**r.values, PLACE: each} for r, each in zip(complete, places, strict=True)]
+    trained = SweptModel(workspace).in_training([r.point for r in records if r.values])
     model, points = sweep_model(case), sweep_points(case)[:drawn]
     beyond = 0 if model is None else sum(bool(outside(p, case.plan.train_points)) for p in points)
     return Statistics(
         levels=np.array(section.levels),
         outputs={
             each.name: spread(each.values, each.errors, section.levels, each.unit, each.along)
-            for each in outputs_of(case, runs)
+            for each in outputs_of(case, runs, trained)
         },
         indices=_indices(case, records) if sample.method == SALTELLI else {},
         n_runs=len(runs),
@@ -172,13 +217,13 @@ def beside(path: Path, kind: str, suffix: str) -> Path:
 
 
 def _instants(along: str, n_instants: int, time: Array) -> Array:
-    return np.linspace(0.0, 1.0, n_instants) if along == LINE else time
+    return np.linspace(0.0, 1.0, n_instants) if along == LINE else time[-n_instants:]
 
 
 def _quantile_rows(found: Statistics, time: Array) -> Iterator[dict[str, Any]]:
     """Yield mean, deviation and quantiles of each output at each instant, with their intervals.
 
-    `at` is the time [s], or the place along a line from zero to one.
+    `at` is the time [s], of a mean over time the last, or the place along a line from zero to one.
     """
     for name, each in found.outputs.items():
         rows: list[tuple[str, Array, Array, Array | None]] = [
@@ -220,7 +265,7 @@ def _index_rows(found: Statistics, names: Sequence[str], time: Array) -> Iterato
 def draw_quantiles(found: Statistics, time: Array) -> Figure:
     """Return a panel of quantiles over time, or along a line, for every output."""
     panels = []
-    for name, each in found.outputs.items():
+    for name, each in _over_instants(found):
         x = _instants(each.along, len(each.mean), time)
         levels = zip(found.levels, each.quantiles, strict=True)
         curves = [Curve(f"{100.0 * level:g} %", x, values) for level, values in levels]
@@ -232,18 +277,34 @@ def draw_quantiles(found: Statistics, time: Array) -> Figure:
 
 
 def draw_indices(found: Statistics, parameters: Sequence[str], time: Array) -> Figure:
-    """Return a panel of Sobol indices over time, or along a line, for every output."""
+    """Return a panel of Sobol indices with their intervals, as of quantiles, for every output.
+
+    Grey lines are the share of the model's error in the variance of full runs.
+    """
     panels = []
-    for name, each in found.indices.items():
-        output = found.outputs[name]
+    for name, output in _over_instants(found):
+        each = found.indices[name]
         x = _instants(output.along, each.first.shape[1], time)
+        first = "first order", each.first, each.first_interval
+        total = "total", each.total, each.total_interval
         curves = [
-            Curve(f"{parameter}, {order}", x, values[k])
+            Curve(f"{parameter}, {order}", x, values[k], interval=interval[:, k])
             for k, parameter in enumerate(parameters)
-            for order, values in (("first order", each.first), ("total", each.total))
+            for order, values, interval in (first, total)
         ]
+        if output.error_share is not None:
+            curves.append(Curve("the model's error", x, output.error_share, "level"))
         panels.append(Panel(_words(name), _along(output), "Sobol index [–]", curves))
     return draw_grid([panels[k : k + COLUMNS] for k in range(0, len(panels), COLUMNS)])
+
+
+def _shown(output: OutputStatistics) -> int:
+    """Return the instant that is printed: the end, or the middle of a line."""
+    return len(output.mean) // 2 if output.along == LINE else -1
+
+
+def _over_instants(found: Statistics) -> list[tuple[str, OutputStatistics]]:
+    return [(name, each) for name, each in found.outputs.items() if each.along != MEAN]
 
 
 def _along(output: OutputStatistics) -> str:
@@ -260,7 +321,7 @@ def show(report: Reporter, found: Statistics) -> None:
     levels = [f"{100.0 * level:g} %" for level in found.levels]
     rows = []
     for name, each in found.outputs.items():
-        at = len(each.mean) // 2 if each.along == LINE else -1
+        at = _shown(each)
         half = 0.5 * float(np.ptp(each.interval[:, middle, at]))
         cells = [each.mean[at], each.deviation[at], *each.quantiles[:, at], half]
         shown = [format_figure(float(cell)) for cell in cells]
@@ -277,6 +338,19 @@ def show(report: Reporter, found: Statistics) -> None:
         )
     if found.method == SALTELLI and not found.indices:
         report.warn("statistics: no Sobol indices, as a run of their design has no result")
+    shares = {}
+    for name, each in found.outputs.items():
+        if (share := each.error_share) is not None:
+            over_all = np.average(share, weights=each.deviation**2 + np.finfo(float).tiny)
+            shares[name] = max(float(over_all), float(share[_shown(each)]))
+    if noisy := [name for name, share in shares.items() if share > NOISY]:
+        names = ", ".join(f"{name} ({100.0 * shares[name]:.0f} %)" for name in noisy)
+        means = [f"{name}_mean" for name in noisy if shares.get(f"{name}_mean", 1.0) <= NOISY]
+        less = f"; of {', '.join(means)} it is less than {100.0 * NOISY:.0f} %" if means else ""
+        report.warn(
+            f"full runs may have other quantiles and Sobol indices of {names}: so much of their "
+            f"variance is the model's estimated error{less}"
+        )
     unknown = [name for name, each in found.outputs.items() if each.model_error == "unknown"]
     if unknown:
         names = ", ".join(unknown)

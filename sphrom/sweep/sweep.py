@@ -12,6 +12,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import replace
 
+import numpy as np
+
 from sphrom.artifacts import locked, read_record
 from sphrom.artifacts.records.sweep import Statistics
 from sphrom.case.hints import slow_sweep, sweep_beyond_training
@@ -225,7 +227,7 @@ class Results:
         with self._alone():
             records, found = self._gathered(failed)
         names = columns_of(case, records)
-        rows = [_cells(record, names) for record in records]
+        rows = _rows(records, names)
         write_csv(path.with_suffix(".csv"), rows_of_columns(names, rows))
         counts = Counter(STATES[record.status] for record in records)
         report.table(
@@ -274,7 +276,7 @@ class Results:
                 name = self._whole.path.name
                 self._workspace.context.report.info(f"{name}: there, and of this case: kept")
                 return records, found
-        found = statistics.statistics_of(case, records) if complete else None
+        found = statistics.statistics_of(self._workspace, records) if complete else None
         write_sweep(self._workspace, self._whole, records, found)
         statistics.publish(case, self._whole.path, records, found)
         if complete:  # otherwise others may be at it
@@ -298,7 +300,7 @@ class Results:
 
 
 def _cells(record: RunRecord, names: Iterable[str]) -> Cells:
-    """Return the cells of a run's row, by the names of columns."""
+    """Return the cells of a run's row, without those of what is measured."""
     values = record.values
     cells: Cells = {**dict.fromkeys(names), **record.point.as_dict()}
     cells |= {"status": STATES[record.status], "reason": record.reason, "extrapolated": ""}
@@ -308,12 +310,21 @@ def _cells(record: RunRecord, names: Iterable[str]) -> Cells:
         cells |= zip(record.derivative_names, derivatives, strict=True)
     if f"{ERROR}extrapolated" in values:
         cells["extrapolated"] = "yes" if values[f"{ERROR}extrapolated"] else "no"
-    for path, series in values.items():
+    return cells
+
+
+def _rows(records: Sequence[RunRecord], names: Iterable[str]) -> list[Cells]:
+    """Return the rows of runs, by the names of columns."""
+    rows = [_cells(record, names) for record in records]
+    complete = [k for k, record in enumerate(records) if record.values]
+    for path in records[complete[0]].values if complete else ():
         if path.startswith("measure/"):
             _, name, quantity = path.split("/")
-            for figure, value in measures.statistics({quantity: series}).items():
-                cells[f"{name}_{figure}"] = value
-    return cells
+            series = np.stack([records[k].values[path] for k in complete])
+            for figure, values in measures.statistics({quantity: series}).items():
+                for k, value in zip(complete, values.tolist(), strict=True):
+                    rows[k][f"{name}_{figure}"] = value
+    return rows
 
 
 def _summary(

@@ -22,6 +22,7 @@ from sphrom.metrics.histories import EXACT, Errors, compare, errors_of
 from sphrom.metrics.measures import errors_of as relative_errors
 from sphrom.metrics.measures import mean_square
 from sphrom.metrics.samples import Samples
+from sphrom.online.error_estimates import measured_errors, measured_shares
 from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.plots.canvas import plain_logarithmic, save
 from sphrom.plots.panels import Curve, Panel, draw_grid
@@ -43,6 +44,7 @@ from sphrom.text import counted
 from sphrom.trade import candidates as weighed_models
 from sphrom.trade.candidates import FOLDER, N_TIMED_STEPS, STEP_FACTORS, candidates, trade_points
 from sphrom.trade.weighing import (
+    ESTIMATE,
     FRONTS,
     NO_MEASURED,
     UNSTABLE,
@@ -211,7 +213,11 @@ class _Trade:
             if measure is not None:
                 samples = replace(samples, measured=run.measured[measure])
         about = {"model": label, "role": role, "time_step": run.time_step}
-        return self._row(point, samples, seconds, **about)
+        row = self._row(point, samples, seconds, **about)
+        if measure is None or samples is None:
+            return row
+        estimate = measured_shares(run, measured_errors(run)).get(measure)
+        return replace(row, errors={**row.errors, ESTIMATE: estimate})
 
     def _row(
         self, point: ParameterPoint, samples: Samples | None, seconds: float | None, **about: Any
@@ -266,7 +272,8 @@ def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None)
     save(draw_trade(results), folder / "trade.png")
     report.table(
         f"speed against accuracy: {measure.words} in %, overall / at the worst instant, pressure "
-        f"less its mean; {ON_FRONT} on the Pareto front of seconds and this error; a model is no "
+        f"less its mean; in brackets what a model estimates of a measurement; "
+        f"{ON_FRONT} on the Pareto front of seconds and this error; a model is no "
         f"better than one that is no slower and nowhere worse; {seconds}",
         ("model", "step [s]", *(q.replace("_", " ") for q in measure.quantities), *HEADINGS),
         [
@@ -315,6 +322,8 @@ def _errors(errors: Errors, measure: Measure, row: ModelRow | None = None) -> li
         both = (measure.of(errors, quantity, peak=peak) for peak in (False, True))
         mark = ON_FRONT if row is not None and row.fronts[FRONTS[quantity]] else " "
         found.append(" / ".join(map(format_figure, both)) + mark)
+    if (estimate := errors[ESTIMATE]) is not None:
+        found[0] += f" ({format_figure(estimate)})"
     return found
 
 

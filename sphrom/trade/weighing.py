@@ -28,8 +28,10 @@ from sphrom.setup.assembly import places_of
 from sphrom.text import counted
 
 SECONDS = {"unit": "s"}
-MEASURED = tuple(f"measured_{q}_relative_l2{peak}" for q in UNITS for peak in ("", "_peak"))
-"""Errors of the measurement that a case's trade is judged by, by quantity."""
+ESTIMATE = "measured_estimate"
+MEASURED = (*(f"measured_{q}_relative_l2{p}" for q in UNITS for p in ("", "_peak")), ESTIMATE)
+"""Errors of the measurement that a case's trade is judged by, by quantity, and a model's own
+estimate."""
 ERROR_COLUMNS = columns((*ERRORS, *MEASURED), "%")
 NO_MEASURED: Errors = dict.fromkeys(MEASURED)
 UNSTABLE: Errors = {**NO_ERRORS, **NO_MEASURED}

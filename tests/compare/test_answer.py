@@ -45,6 +45,7 @@ def test_a_model_that_is_far_from_what_its_basis_could_is_off_track() -> None:
 
 
 def test_it_says_how_far_off_measured_forces_are() -> None:
-    text = told(replace(ANSWER, forces=(("drag", 9.7, 0.87), ("lift", 2.0, None))))
-    assert "(drag) differs by 9.7 % over time, that of the nearest state by 0.87 %" in text
+    text = told(replace(ANSWER, forces=(("drag", 9.7, 0.87, 8.0), ("lift", 2.0, None, None))))
+    assert "(drag) differs by 9.7 % over time, that of the nearest state by 0.87 %; " in text
+    assert "the model estimates 8.0 %." in text
     assert "(lift) differs by 2.0 % over time." in text

@@ -7,7 +7,7 @@ import pytest
 
 from sphrom.kernels.polynomial import fill_monomials
 from sphrom.kernels.tangent import fill_tangents
-from sphrom.reduction.exponential_steps import Change, ExponentialModel
+from sphrom.reduction.exponential_steps import Change, ExponentialModel, LinearPart
 from sphrom.reduction.polynomial_model import OutputTimes
 from sphrom.reduction.reduced_rates import Polynomial
 
@@ -48,13 +48,13 @@ def test_they_are_the_differences_of_runs(n_steps: int, driven: bool) -> None:
         return (lambda t: np.sin(2.0 * t) * (1.0 + p)) if driven else None
 
     def run(p: float) -> np.ndarray:
-        system = ExponentialModel(rates.plus(changed, p), linear)
+        system = ExponentialModel(rates.plus(changed, p), LinearPart(linear))
         begin = (start + p * start_change)[None]
         return system.run(n_steps, begin, times, amplitude(p)).coordinates
 
     change = Change(changed, start_change, amplitude(0.0))
     still = Change(changed.scaled(0.0), start_change)
-    system = ExponentialModel(rates, linear)
+    system = ExponentialModel(rates, LinearPart(linear))
     found, (first, second) = system.tangents(n_steps, start, times, [change, still], amplitude(0.0))
     assert np.allclose(found, run(0.0), rtol=1e-12, atol=0.0)
     h = 1e-4

@@ -69,3 +69,16 @@ def test_what_does_not_vary_has_no_indices():
     assert np.all(found.total[:, 0] == 0.0)
     assert np.all(found.first_interval[..., 0] == 0.0)
     assert np.isfinite(found.total_interval).all()
+
+
+@pytest.mark.parametrize("noise", [0.5, 1.0, 2.0])
+def test_noise_changes_indices_by_its_share_of_the_variance(noise: float) -> None:
+    """S becomes S (1 - share): the noise of a run depends on all of its parameters."""
+    x = design(4096, 2)
+    smooth = (x - 0.5) @ [3.0, 1.0]
+    smooth /= smooth.std()
+    noisy = smooth + noise * np.random.default_rng(0).standard_normal(len(x))
+    found, share = sobol_indices(np.stack((smooth, noisy), 1), 2), noise**2 / (1.0 + noise**2)
+    assert found.first[:, 1] == pytest.approx(found.first[:, 0] * (1.0 - share), abs=0.05)
+    expected = found.total[:, 0] * (1.0 - share) + share
+    assert found.total[:, 1] == pytest.approx(expected, abs=0.05)

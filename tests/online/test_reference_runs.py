@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 from sphrom.case.models import Case
+from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.online.basis_model import steps_of
@@ -17,7 +19,6 @@ from sphrom.reduction import reference_model
 from sphrom.reduction.polynomial_model import OutputTimes, Run
 from sphrom.reduction.reduced_rates import Polynomial
 from sphrom.reduction.reference_model import ReferenceModel
-from sphrom.reduction.trial_basis import InnerProduct
 from sphrom.setup.assembly import output_times_of
 
 CASE = Case.model_validate({"name": "x", "scene": {"kind": "taylor-green"}})
@@ -33,7 +34,7 @@ def growing(rate: float) -> ReferenceModel:
         start=np.ones(1),
         output_times=OutputTimes(PLAN.snapshot_interval, PLAN.n_snapshots, largest_norm=1e3),
         mean_density_fluctuation=0.0,
-        step_limit=math.inf if rate >= 0.0 else 2.785 / -rate,
+        states=np.ones((1, 1)),
     )
 
 
@@ -78,11 +79,10 @@ def test_a_run_that_grows_is_kept_until_it_is_no_flow() -> None:
     assert still.failure is None
 
 
-@pytest.mark.parametrize("weight", [0.01, 1.0])
-def test_the_largest_norm_is_far_beyond_weak_compression(weight: float) -> None:
-    c0, rho0 = CASE.plan.sound_speed, CASE.fluid.reference_density
-    for product in (InnerProduct.acoustic(rho0, c0), InnerProduct.raw(rho0)):
-        basis = Mock(inner_product=product, weights=np.full(100, weight))
-        largest = output_times_of(CASE, CASE.plan.steps, basis).largest_norm
-        fields = product.first_field(0.1 * rho0), CASE.fluid.reference_speed
-        assert largest > 1.8 * math.sqrt(100 * weight) * math.hypot(*fields)
+def test_a_run_diverges_at_three_times_the_largest_trained_state() -> None:
+    """As many times more, as parameters or the time are beyond the trained ones."""
+    states = np.array([[3.0, 4.0], [1.0, 0.0]])
+    for reynolds, longer, expected in ((50.0, 1, 15.0), (250.0, 1, 37.5), (100.0, 2, 30.0)):
+        times = output_times_of(CASE, PLAN, states, ParameterPoint(reynolds))
+        times = replace(times, n_snapshots=longer * (PLAN.n_snapshots - 1) + 1)
+        assert math.sqrt(times.largest_square) == pytest.approx(expected)

@@ -51,7 +51,7 @@ def sought(
     quantities = "sphrom.online.fast_model.quantities_of"
     with (
         patch("sphrom.online.reference_runs.steady_errors", return_value=estimated),
-        patch(quantities, lambda case, point, reduced, time, states: measured(states)),
+        patch(quantities, lambda case, reduced, time, states: measured(states)),
     ):
         seek_steady_state(run, artifact)
     calls = artifact.write.call_args_list + artifact.annotate.call_args_list

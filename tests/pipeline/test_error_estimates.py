@@ -128,7 +128,9 @@ def test_outside_of_training_no_factor_of_training_is_claimed(made) -> None:
     told = (folder.parents[1] / "stdout.txt").read_text()
     (line,) = re.findall(r"^fast, reynolds=400: estimated errors: (.*)$", told, re.MULTILINE)
     assert "factor" not in line
-    assert line.endswith("extrapolated, as the model was trained on reynolds 100 to 200 only")
+    assert line.endswith(
+        "extrapolated, as the model was trained on reynolds 100 to 200 until 3 s only"
+    )
     ends = {}
     for reynolds in (100, 125, 400):
         with run_of(folder, f"fast-reynolds{reynolds}") as run:
@@ -145,7 +147,9 @@ def test_a_spun_up_flow_of_another_value_claims_no_factor(made) -> None:
     found = dict(lines)
     assert "factor" in found["2400"]
     assert "factor" not in found["1800"]
-    assert found["1800"].endswith("extrapolated, as the model was trained on reynolds 2400 only")
+    assert found["1800"].endswith(
+        "extrapolated, as the model was trained on reynolds 2400 until 0.03 s only"
+    )
 
 
 def test_a_local_basis_is_estimated_from_its_own_training_runs(made) -> None:

@@ -7,6 +7,7 @@ import json
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,10 @@ import pytest
 from sphrom.artifacts import open_artifact, read_record
 from sphrom.case.loader import load_case
 from sphrom.case.points import ParameterPoint
+from sphrom.online.fast_model import FastModel
 from sphrom.reduction.memory_operators import project_memory
 from sphrom.reduction.reduced_operators import MemoryOperators
+from sphrom.reduction.reference_model import automatic, step_tolerance
 from sphrom.setup import particles
 from sphrom.store.stored_run import StoredRun
 from sphrom.store.trained_models import read_basis, read_points, read_splines
@@ -185,6 +188,19 @@ def test_closures_at_any_viscosity_are_those_assembled_there(made, workspace_of,
         for one, other in zip(found, expected, strict=True):
             scale = max(np.abs(other).max(), 1e-12)
             np.testing.assert_allclose(one, other, atol=1e-10 * scale)
+
+
+def test_runs_take_the_steps_of_the_nearest_training_run_as_exactly(made, workspace_of):
+    workspace = workspace_of(made(VORTEX))
+    fast = FastModel(workspace, workspace.case.rom[0])
+    trained, near, other = (fast.at(ParameterPoint(re)) for re in (100.0, 130.0, 190.0))
+    assert near.linear is trained.linear is not other.linear
+    steps = automatic(near).steps
+    assert steps.time_step <= near.first_step == automatic(trained).steps.time_step
+    # Its own linear part, and many more steps, give the same run.
+    own = replace(automatic(near.around(near.states)).steps, n_steps=40 * steps.n_steps).run()
+    error = np.linalg.norm(steps.run().coordinates - own.coordinates)
+    assert error < 1.5 * step_tolerance(near.basis) * np.linalg.norm(own.coordinates)
 
 
 def test_a_value_without_a_full_run(made, peaks, errors_of):

@@ -20,6 +20,7 @@ from sphrom.reduction import reference_model
 from sphrom.reduction.operator_projection import project_forces, project_operators, residual_factor
 from sphrom.reduction.reduced_operators import residual_norm
 from sphrom.reduction.reduced_rates import Polynomial
+from sphrom.reduction.stokes_fields import StokesFields
 from sphrom.reduction.trial_basis import TrialBasis, reconstruct
 from sphrom.setup import assembly, particles
 from sphrom.sph.fixed_points import FixedPoints
@@ -111,6 +112,11 @@ def difference(one: Polynomial, other: Polynomial) -> float:
     return float(np.abs(found - expected).max() / np.abs(expected).max())
 
 
+def random_fields(n_points: int) -> tuple[np.ndarray, np.ndarray]:
+    random = np.random.default_rng(6)
+    return random.normal(size=(3, n_points, 2)), random.normal(size=(3, n_points, 2, 2))
+
+
 @pytest.mark.parametrize("given", [LID, DRIVEN], ids=["lid", "driven"])
 def test_operators_at_any_point_are_those_assembled_there(unprojected, given):
     case = load_case(given)
@@ -128,8 +134,8 @@ def test_operators_at_any_point_are_those_assembled_there(unprojected, given):
     states, every = 0.1 * np.random.default_rng(0).normal(size=(4, N_MODES)), np.arange(N_MODES)
     amplitude = np.full(4, 1.3)
     norms = [
-        residual_norm(factor, operators, every, nu, factors=factors),
-        residual_norm(residual_factor(there, basis, expected), expected, every, nu),
+        residual_norm(factor.of_model(operators, every), nu, factors=factors),
+        residual_norm(residual_factor(there, basis, expected).of_model(expected, every), nu),
     ]
     assert norms[0](states, amplitude) == pytest.approx(norms[1](states, amplitude), rel=1e-9)
 
@@ -138,12 +144,16 @@ def test_operators_at_any_point_are_those_assembled_there(unprojected, given):
     assert rates == pytest.approx(operators.at(nu, factors=factors)(states[0], 1.3), rel=1e-10)
 
     for name, (wall, circulations) in particles.driven_measured_walls(case).items():
-        force = project_forces(points, basis, wall, circulations).with_drives(factors)
+        # The flows of the balance may be any fields.
+        tested = StokesFields(np.ones(3, dtype=bool), *random_fields(len(position)))
+        force = project_forces(points, basis, wall, circulations, (tested, None))
         own = particles.measured_walls(case, case.plan.flow(point))[name]
-        loads = [
-            each.at(states, 0.01, nu, amplitude=1.3)
-            for each in (force, project_forces(there, basis, own))
+        polynomial, driven = operators.at(nu, factors=factors), points.walls_driven
+        local = [
+            force.at(polynomial, nu, driven, factors),
+            project_forces(there, basis, own, balance=(tested, None)).at(polynomial, nu, driven),
         ]
+        loads = [each.at(np.zeros(4), states, 0.01, amplitude) for each in local]
         assert loads[0] == pytest.approx(loads[1], rel=1e-11, abs=1e-13)
 
 
@@ -212,7 +222,7 @@ def quantities(workspace: Workspace, models: FastModel, point: ParameterPoint) -
     run = reference_model.automatic(reduced).with_steps(STEPS).run().coordinates
     _, velocity = reconstruct(reduced.basis, run)
     times, mean = reduced.output_times.time, reduced.mean_density_fluctuation
-    forces = forces_of(case, point, reduced.forces, mean, times, run)
+    forces = forces_of(reduced, times, run)
     measured = fields_of(reduced.measures, mean, run)
     probes = [values for each in measured.values() for values in each.values()]
     return [run, kinetic_energy(velocity, case.plan.mass), *forces.values(), *probes]

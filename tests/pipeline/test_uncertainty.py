@@ -15,9 +15,15 @@ from sphrom.artifacts import open_artifact, read_record
 from sphrom.artifacts.records.sweep import Statistics
 from sphrom.case.loader import load_case
 from sphrom.errors import UnstableError
+from sphrom.metrics.draws import spread
+from sphrom.online.basis_model import fields_of
+from sphrom.online.error_estimates import measured_errors
+from sphrom.online.fast_model import FastModel
 from sphrom.plots.canvas import save
+from sphrom.store.trajectory import measured_of
+from sphrom.store.workspace import Workspace
 from sphrom.sweep import sweep as stage
-from sphrom.sweep.batches import ERROR, UNSTABLE, RunRecord, SweptModel
+from sphrom.sweep.batches import ERROR, PLACE, UNSTABLE, RunRecord, SweptModel
 from sphrom.sweep.statistics import draw_indices, draw_quantiles, outputs_of
 
 LID = {"distribution": "uniform", "loc": 0.5, "scale": 0.5}
@@ -108,7 +114,10 @@ def test_statistics_are_those_of_the_runs(swept):
     assert np.all(energy.interval[1] >= energy.sampling_interval[1])
     assert np.all(np.ptp(energy.interval, axis=0)[:, -1] > 0.0)
     assert (energy.unit, energy.along, energy.model_error) == ("J/m", "time", "estimated")
-    assert found.outputs["load_x"].model_error == "unknown"
+    assert all(output.model_error == "estimated" for output in found.outputs.values())
+    mean = found.outputs["kinetic_energy_mean"]
+    assert (mean.along, mean.mean.shape) == ("mean", (1,))
+    np.testing.assert_allclose(mean.mean, energies[:128].mean(), rtol=1e-12)
     line = found.outputs["middle_final_u"]
     assert (line.along, line.mean.shape) == ("line", (5,))
 
@@ -136,6 +145,25 @@ def test_drawn_runs_are_those_of_the_model_alone_to_the_last_bit(swept, folder):
         run = study.model("fast", reynolds=points[k, 0], lid=points[k, 1]).run()
         assert run.coordinates.tobytes() == coordinates[k].tobytes()
         assert np.array_equal(np.asarray(run.error_estimate.velocity), shares[k])
+
+
+def test_training_runs_tell_the_errors_of_what_is_measured(folder):
+    study = sphrom.Study(CASE, out=folder, quiet=True, threads=1)
+    fast = FastModel(Workspace(study._context), study.case.rom[0])
+    (basis,) = (fast.on_basis(name) for name in study.case.plan.bases)
+    for k, (reduced, run) in enumerate(basis.held_out):
+        with fast.workspace.open(fast.workspace.full_run(basis.points[k])) as full:
+            recorded = measured_of(study.case, full)
+        given = fields_of(reduced.measures, reduced.mean_density_fluctuation, run)
+        for name, quantities in given.items():
+            for quantity, values in quantities.items():
+                expected = recorded[name][quantity] - values
+                found = basis.measured_differences[name][quantity][k]
+                np.testing.assert_array_equal(found, expected)
+    run = fast.run(study.case.plan.point({"reynolds": 120.0, "lid": 0.7}))
+    errors = measured_errors(run)
+    assert errors["there"]["velocity"].shape == (len(run.time), 1, 2)
+    assert np.all(errors["load"]["torque"][1:] > 0.0)
 
 
 def test_tables_are_beside_the_artifact(swept, folder):
@@ -197,7 +225,9 @@ def test_draws_outside_of_training_are_counted_and_told(swept, told):
     assert 3 <= found.n_extrapolated <= 12
     said = f"{found.n_extrapolated} of 40 draws are outside of the trained range"
     assert any(said in text for text in told)
-    assert any("intervals of load_x, load_y, load_torque are of sampling" in text for text in told)
+    (named,) = (text for text in told if "full runs may have other quantiles" in text)
+    assert "there_u (" in named
+    assert "load_x (" not in named
     assert not found.indices
 
 
@@ -219,6 +249,32 @@ def test_unstable_runs_leave_no_indices(swept, folder, monkeypatch, told, counte
     assert any(said in text for text in told)
 
 
+def test_noise_has_its_share_of_the_variance_and_means_are_free_of_it():
+    """At a probe full runs have noise half as large as the spread: a fifth of the variance."""
+    case = load_case({**CASE, "scene": {"kind": "lid-driven-cavity"}})
+    random = np.random.default_rng(1)
+
+    def run(velocity: np.ndarray, place: float) -> dict[str, Any]:
+        errors = {f"{ERROR}{q}_over_time": np.full(200, 0.1) for q in ("velocity", "pressure")}
+        return {
+            f"{ERROR}velocity": 0.1,
+            PLACE: np.array([place]),
+            **errors,
+            "kinetic_energy_over_time": np.ones(200),
+            "probes/velocity": velocity,
+            "probes/pressure": velocity[..., 0],
+        }
+
+    noise = np.tile(np.array([0.5, -0.5])[:, None, None], (100, 1, 2))
+    trained = [run(noise, place) for place in range(4)]
+    runs = [run(np.full((200, 1, 2), drawn), 1.5) for drawn in random.standard_normal(500)]
+    found = {each.name: each for each in outputs_of(case, runs, trained)}
+    for name, share in (("probe1_v", 0.2), ("probe1_v_mean", 0.0)):
+        output = found[name]
+        shares = spread(output.values, output.errors, (0.5,)).error_share
+        np.testing.assert_allclose(shares, share, atol=0.05)
+
+
 def test_the_error_of_an_energy_is_that_of_its_velocity():
     """A velocity that is off by as much as it says, everywhere: the bound is reached."""
     case = load_case({**CASE, "scene": {"kind": "lid-driven-cavity"}, "sweep": {}})
@@ -226,7 +282,7 @@ def test_the_error_of_an_energy_is_that_of_its_velocity():
     values = {"kinetic_energy_over_time": 0.5 * mass * speeds**2}
     values |= {f"{ERROR}{name}_over_time": np.full(3, error) for name in ("velocity", "pressure")}
     values[f"{ERROR}velocity"] = np.array(1.0)
-    (output,) = outputs_of(case, [values, values])
+    output, _ = outputs_of(case, [values, values])
     assert output.errors is not None
     np.testing.assert_allclose(
         output.values + output.errors, [0.5 * mass * (speeds + error) ** 2] * 2, rtol=1e-12

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import csv
+import json
 import re
 
+import numpy as np
+import pytest
+
 from sphrom.artifacts import open_artifact
+from sphrom.store.trajectory import read_quantities
 
 TOO_FAST = (
     "--force", "--threads", 1, "--set", "time.step=0.04", "--set", "time.final_time=0.8",
@@ -19,6 +24,7 @@ def test_an_unstable_full_run(empty, sphrom):
     warning, error = result.stderr.splitlines()
     assert "beyond the acoustic limit" in warning
     assert re.match(r"error: reynolds=100: unstable at step 3, t = 0.12 s: particle \d+ at ", error)
+    assert "; the time step is beyond its limit of 0.01875" in error
     with open_artifact(empty / "fom-reynolds100.h5", "sphrom/trajectory", made_by="") as run:
         assert run.text("status") == "unstable"
         assert run.text("status_detail") in error
@@ -58,3 +64,20 @@ def test_an_unstable_reduced_run_does_not_keep_the_others(place, sphrom, peaks, 
     again = sphrom("run", "tiny.yaml", *change, "--verbose")
     assert again.exit_code == 4
     assert "rom-apg-reynolds100.h5: there, and of this case: kept" in again.stdout
+
+
+def test_a_channel_at_a_low_reynolds_number_runs_as_it_is(tmp_path, sphrom):
+    """Poiseuille's flow, pressed on a wall: c0 = U_max / Ma = 0.64 m/s ended it by its density."""
+    line = {"from": [0.8, 0], "to": [0.8, 1.6], "points": 17}
+    scene = {"kind": "custom", "box": {"upper": [1.6, 1.6], "periodic": ["x"]}}
+    scene |= {"body_force": [0.2, -0.5], "measure": {"profile": {"line": line}}}
+    case = {"name": "slow", "scene": scene, "fluid": {"reference_speed": 0.064}, "rom": []}
+    case |= {"parameters": {"train": {"reynolds": [0.1024]}}, "time": {"final_time": 2.0}}
+    (tmp_path / "slow.yaml").write_text(json.dumps(case | {"discretization": {"resolution": 16}}))
+    result = sphrom("fom", tmp_path / "slow.yaml", "--out", tmp_path, "--threads", 1)
+    assert result.exit_code == 0, result.output
+    with open_artifact(tmp_path / "fom-reynolds0.1024.h5", "sphrom/trajectory", made_by="") as run:
+        found = read_quantities(run, "profile")
+    y = np.linspace(0.0, 1.6, 17)
+    assert found["velocity"][-1, :, 0] == pytest.approx(0.1 * y * (1.6 - y), abs=6e-4)
+    assert found["pressure"][-1] == pytest.approx(0.5 * (0.8 - y), abs=0.012)

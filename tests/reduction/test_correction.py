@@ -42,13 +42,23 @@ def test_between_training_runs_defects_that_they_share_are_interpolated(defects)
 
 
 def test_noise_that_other_runs_do_not_share_is_not_added(defects):
-    correction = learn_correction(PLACES, defects)
+    correction = learn_correction(PLACES, defects, (np.arange(2), np.arange(2, 3)))
     for place in (np.log([150.0]), np.log([1000.0])):
         assert np.std(correction.at(place)[:, 2]) < 0.3
 
 
+def test_what_modes_cancel_of_each_other_stays_cancelled(defects):
+    """Pressure is a small difference of what modes contribute: they share their weights."""
+    pressure = np.array([1.0, -2.0, 0.5])
+    balanced = defects - (defects @ pressure)[..., None] * pressure / (pressure @ pressure)
+    correction = learn_correction(PLACES, balanced)
+    for place in (np.log([150.0]), np.log([700.0])):
+        added = correction.at(place)
+        assert np.abs(added @ pressure).max() < 1e-12 * np.abs(added).max()
+
+
 def test_outside_the_nearest_defect_counts_ever_less(defects):
-    correction = learn_correction(PLACES, defects)
+    correction = learn_correction(PLACES, defects[..., :2])
     near, far = (correction.at(np.log([value])) for value in (500.0, 1e6))
     assert np.allclose(near[:, 0], defects[-1, :, 0], atol=0.01)
     assert np.linalg.norm(far[:, 1]) < np.linalg.norm(near[:, 1])
@@ -59,6 +69,7 @@ def test_noise_alone_is_no_correction():
 
 
 def test_a_run_held_out_has_what_the_others_give(defects):
+    defects = defects[..., :2]
     correction = learn_correction(PLACES, defects)
     changed = defects.copy()
     changed[1] = 1e3

@@ -7,7 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sphrom.reduction.error_calibration import ErrorCalibration, accumulated, calibrate_errors
+from sphrom.metrics.series import hat
+from sphrom.reduction.correction import interpolation_variance
+from sphrom.reduction.error_calibration import (
+    ErrorCalibration,
+    accumulated,
+    calibrate_errors,
+    output_errors,
+)
 from sphrom.reduction.held_out import UnheldShares
 
 TIME = np.linspace(0.0, 2.0, 41)
@@ -88,8 +95,12 @@ def test_beyond_the_trained_time_the_change_since_then_counts() -> None:
     assert not local.extrapolates(41)
     residual = np.ones(81)
     known = accumulated(longer, residual, RATE)[-1] * CONSTANTS[0]
-    expected = np.sqrt(known**2 + (2.0 * SHARES.time[0]) ** 2)
+    growth = np.sqrt(50.0 / 34.0)  # over the largest trained state
+    expected = np.sqrt(known**2 + (2.0 * growth**2 * SHARES.time[0]) ** 2)
     np.testing.assert_allclose(local.errors(longer, residual, state)[-1], expected, rtol=1e-9)
+    state[:, 0] = 1.0 + np.minimum(longer, 4.0 - longer)
+    slower = local.errors(longer, residual, state)[-1]
+    np.testing.assert_allclose(slower, np.sqrt(known**2 + (2.0 * SHARES.time[0]) ** 2), rtol=1e-9)
 
 
 def test_of_what_takes_any_time_all_of_the_change_counts() -> None:
@@ -121,3 +132,20 @@ def test_runs_that_diverged_are_left_out() -> None:
     np.testing.assert_array_equal(found.shares.time, SHARES.time[:1])
     some[0, 30:] = np.nan
     assert calibrate_errors(TIME, some, residuals, errors, np.arange(41), PLACES, SHARES) is None
+
+
+def test_the_error_of_an_output_is_noise_and_what_interpolation_misses() -> None:
+    """The latter vanishes at training points, and is a half in the middle between them."""
+    noise = np.random.default_rng(0).choice((-0.1, 0.1), (2, 500, 2))
+    differences = np.concatenate((noise + np.array([0.6, 0.0]), np.full((1, 500, 2), np.nan)))
+    places = np.concatenate((PLACES, [[9.0]]))
+    found = output_errors(differences, places, hat(10))
+    known = [interpolation_variance(PLACES, place) for place in (PLACES[0], PLACES.mean(axis=0))]
+    fluid = np.ones((2, 750, 2))
+    fluid[:, 500:] = 3.0
+    errors = found.at(np.array(known), fluid)
+    expected = np.array([[0.1, 0.1], [np.hypot(0.1, 0.3), 0.1]])
+    np.testing.assert_allclose(errors[:, 0], expected, rtol=0.1)
+    np.testing.assert_allclose(errors[:, -1], 3.0 * errors[:, 0])
+    alone = output_errors(differences[:1], places[:1], hat(10)).at(np.array([7.0]), fluid[:1])
+    np.testing.assert_allclose(alone[0, 0], [np.hypot(0.1, 0.6), 0.1], rtol=0.1)

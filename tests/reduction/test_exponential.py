@@ -10,7 +10,13 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from sphrom.reduction.exponential_steps import ExponentialModel, Propagation, StepRatio, integrals
+from sphrom.reduction.exponential_steps import (
+    ExponentialModel,
+    LinearPart,
+    Propagation,
+    StepRatio,
+    integrals,
+)
 from sphrom.reduction.polynomial_model import Amplitude, OutputTimes, PolynomialModel
 from sphrom.reduction.reduced_rates import Polynomial
 from sphrom.reduction.reference_model import LONGER, Steps, accurate
@@ -89,7 +95,7 @@ def test_parabolas_in_time_beside_what_is_linear_are_exact_in_any_steps(n_steps:
     constant, none = np.array([0.5, -2.0, 1.0]), np.zeros((3, 3))
     polynomial = Polynomial(((constant, LINEAR), (np.zeros(3), none), (START, none)))
     output_times = OutputTimes(0.1, 11, start_time=2.0)
-    model = ExponentialModel(polynomial, LINEAR)
+    model = ExponentialModel(polynomial, LinearPart(LINEAR))
     runs = model.run(n_steps, START, output_times, lambda time: time - 2.0)
     at = [integrals(LINEAR, time) for time in runs.time - 2.0]
     expected = [e[0] @ START + e[1] @ constant + 2.0 * e[3] @ START for e in at]
@@ -117,14 +123,15 @@ def test_a_step_is_that_of_krogstad(time_step: float) -> None:
         + (2.0 * whole[2] - 4.0 * whole[3]) @ (n2 + n3)
         + (4.0 * whole[3] - whole[2]) @ n4
     )
-    model = ExponentialModel(polynomial, LINEAR)
+    model = ExponentialModel(polynomial, LinearPart(LINEAR))
     runs = model.run(1, START, OutputTimes(h, 2), np.cos)
     assert np.allclose(runs.coordinates[1], expected, rtol=0.0, atol=1e-13)
 
 
 def test_steps_and_snapshots_within_them_are_of_fourth_order() -> None:
     polynomial, output_times = driven(), OutputTimes(0.001, 121)
-    model, truth = ExponentialModel(polynomial, LINEAR), exact(driven(), output_times, np.cos)
+    model = ExponentialModel(polynomial, LinearPart(LINEAR))
+    truth = exact(driven(), output_times, np.cos)
     numbers = np.array([24, 30, 40, 60, 120])
     errors = [
         np.max(np.abs(model.run(n, START, output_times, np.cos).coordinates - truth))
@@ -139,14 +146,14 @@ def test_any_linear_part_gives_the_same_solution(degree: int, n_steps: int) -> N
     polynomial, output_times = flow(degree=degree), OutputTimes(0.001, 41)
     truth = exact(polynomial, output_times)
     for linear in (LINEAR, polynomial.jacobian(START), 0.9 * LINEAR):
-        model = ExponentialModel(polynomial, linear)
+        model = ExponentialModel(polynomial, LinearPart(linear))
         found = model.run(25 * n_steps, START, output_times).coordinates
         assert np.allclose(found, truth, atol=1e-7)
 
 
 def test_the_last_step_may_reach_beyond_the_last_snapshot() -> None:
     polynomial = driven()
-    model = ExponentialModel(polynomial, jacobian(polynomial))
+    model = ExponentialModel(polynomial, LinearPart(jacobian(polynomial)))
     long, short = OutputTimes(0.02, 13), OutputTimes(0.02, 11)  # three times 4 reach 12
     whole, part = (model.run(3, START, s, np.cos) for s in (long, short))
     assert whole.time_step == pytest.approx(0.08)
@@ -160,9 +167,9 @@ def test_divergence_is_seen_in_steps_and_snapshots_before_it_are_kept(
 ) -> None:
     """e^(10 t) passes 1000 between the snapshots at 0.6 and 0.7."""
     polynomial = Polynomial(((np.zeros(1), np.full((1, 1), 10.0)),))
-    model = ExponentialModel(polynomial, np.zeros((1, 1)))
+    model = ExponentialModel(polynomial, LinearPart(np.zeros((1, 1))))
     output_times = OutputTimes(0.1, 11, largest_norm=1e3)
-    runs = ExponentialModel(polynomial, np.full((1, 1), 10.0)).run(
+    runs = ExponentialModel(polynomial, LinearPart(np.full((1, 1), 10.0))).run(
         n_steps, np.ones(1), output_times
     )
     kept = np.isfinite(runs.coordinates[:, 0])
@@ -176,14 +183,13 @@ def test_divergence_is_seen_in_steps_and_snapshots_before_it_are_kept(
 
 def test_steps_are_chosen_by_the_flow_not_by_sound() -> None:
     polynomial, output_times = flow(), OutputTimes(0.01, 101)
-    model = ExponentialModel(polynomial, jacobian(polynomial))
+    model = ExponentialModel(polynomial, LinearPart(jacobian(polynomial)))
     n_stable = math.ceil(output_times.time[-1] * SOUND / 2.8)
-    first = Steps(
-        Mock(start=START, output_times=output_times, amplitude=None), model, n_stable // LONGER
-    )
+    reduced = Mock(start=START, output_times=output_times, amplitude=None, n_stable=n_stable)
+    first = Steps(reduced, model, n_stable // LONGER)
     errors = {}
     for tolerance in (1e-3, 1e-5):
-        n_steps = accurate(first, tolerance, n_stable).n_steps
+        n_steps = accurate(first, tolerance).n_steps
         found = model.run(n_steps, START, output_times).coordinates
         truth = exact(polynomial, output_times)
         errors[tolerance] = np.linalg.norm(found - truth) / np.linalg.norm(truth)

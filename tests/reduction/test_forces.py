@@ -6,10 +6,22 @@ import numpy as np
 import pytest
 
 from sphrom.reduction.operator_projection import project_forces
+from sphrom.reduction.reduced_measures import TimedLoads
+from sphrom.reduction.reduced_rates import Polynomial
+from sphrom.reduction.stokes_fields import StokesFields
 from sphrom.sph.wall_forces import MeasuredWall
+from tests.reduction.conftest import N_MODES, SPACING
 
-NU, SPEED, AMPLITUDE, MEAN = 0.013, 0.6, -1.4, 0.3
-NAMES = ["lid", "lid with its mean", "forced", "raw", "raw and forced"]
+NU, AMPLITUDE, MEAN = 0.013, -1.4, 0.3
+NAMES = ["lid", "lid with its mean", "driven lid", "forced", "raw", "raw and forced"]
+RANDOM = np.random.default_rng(8)
+RATES = Polynomial(
+    (
+        (RANDOM.standard_normal(N_MODES), RANDOM.standard_normal((N_MODES, N_MODES))),
+        (RANDOM.standard_normal(N_MODES),),
+    )
+)
+TIMES, AMPLITUDES = np.zeros(2), np.full(2, AMPLITUDE)
 
 
 def a_wall(n_ghosts: int) -> MeasuredWall:
@@ -24,9 +36,10 @@ def expected(points, wall: MeasuredWall, q: np.ndarray, velocity: np.ndarray) ->
     if points.body_force is not None:
         head = (1.0 + q / points.sound_speed) * points.body_force
         pressure = pressure + AMPLITUDE * points.ghost_heads(head)
-    viscous = points.ghost_friction(velocity[..., None])[..., 0] + SPEED * points.ghost_drag
+    speed = AMPLITUDE if points.walls_driven else 1.0
+    viscous = points.ghost_friction(velocity[..., None])[..., 0] + speed * points.ghost_drag
     loads = np.stack((wall.loads(pressure), NU * wall.loads(viscous)))
-    loads[1, 2] -= NU * SPEED * points.reference_density * wall.circulation
+    loads[1, 2] -= NU * speed * points.reference_density * wall.circulation
     return loads
 
 
@@ -37,13 +50,53 @@ def test_forces_are_those_of_the_fields(settings, unprojected, name: str) -> Non
     wall = a_wall(points.ghost_drag.shape[1])
     force = project_forces(points, setting.basis, wall)
     states = np.outer((1.0, 0.3), setting.coordinates)
-    some = states * [1.0, 0.0, 0.0, 1.0, 0.0]
-    about = MEAN, NU, SPEED, np.full(2, AMPLITUDE)
-    found = force.at(states, *about)
-    chosen = force.of_modes(np.array([0, 3])).at(some[:, [0, 3]], *about)
-    np.testing.assert_allclose(chosen, force.at(some, *about), rtol=1e-12)
+    kept, some = np.array([0, 3]), states * [1.0, 0.0, 0.0, 1.0, 0.0]
+    local = force.at(RATES, NU, points.walls_driven)
+    few = force.of_modes(kept).at(RATES, NU, points.walls_driven)
+    np.testing.assert_allclose(
+        few.at(TIMES, some[:, kept], MEAN, AMPLITUDES),
+        local.at(TIMES, some, MEAN, AMPLITUDES),
+        rtol=1e-12,
+    )
+    found = local.at(TIMES, states, MEAN, AMPLITUDES)
     model = unprojected(points, setting.basis)
     for coordinates, loads in zip(states, found, strict=True):
         q, velocity = model.fields(coordinates)
         wanted = expected(points, wall, q + points.density_scale * MEAN, velocity)
         np.testing.assert_allclose(loads, wanted, rtol=1e-9, atol=1e-11 * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize("name", ["lid", "forced"])
+def test_with_a_stokes_flow_the_whole_force_is_the_balance_of_momentum(settings, name) -> None:
+    setting = settings[name]
+    points, basis, splines = setting.points, setting.basis, setting.splines
+    n = points.n_points
+    value, slope = RANDOM.standard_normal((3, n, 2)), RANDOM.standard_normal((3, n, 2, 2))
+    tested = StokesFields(np.array([True, False, True]), value, slope)
+    wall = a_wall(points.ghost_drag.shape[1])
+    force = project_forces(points, basis, wall, balance=(tested, splines))
+    state = setting.coordinates
+    found = force.at(RATES, NU).at(TIMES[:1], state[None], MEAN, AMPLITUDES[:1])[0]
+    direct = project_forces(points, basis, wall).at(RATES, NU)
+    wanted = direct.at(TIMES[:1], state[None], MEAN, AMPLITUDES[:1])[0]
+
+    velocity = np.tensordot(state, basis.velocity_modes, 1)
+    change = np.tensordot(RATES(state, AMPLITUDE), basis.velocity_modes, 1)
+    gradients = splines.values_and_gradients(points.position)[1].reshape(n, N_MODES, 3, 2)[:, :, 1:]
+    gradient = np.tensordot(state, gradients, (0, 1))
+    strain, tested_strain = (0.5 * (g + g.swapaxes(-1, -2)) for g in (gradient, slope))
+    push = np.zeros((n, 2)) if points.body_force is None else AMPLITUDE * points.body_force.T
+    integrand = np.einsum("nd,lnd->ln", push - change, value)
+    integrand += np.einsum("ni,nj,lnij->ln", velocity, velocity, slope)
+    integrand -= 2.0 * NU * np.einsum("nij,lnij->ln", strain, tested_strain)
+    balanced = points.reference_density * SPACING**2 * integrand.sum(axis=1)
+    wanted[0, [0, 2]] = balanced[[0, 2]] - wanted[1, [0, 2]]
+    np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-9 * np.abs(wanted).max())
+
+
+def test_what_training_runs_add_keeps_its_later_mean_after_them() -> None:
+    time, parts = np.linspace(0.0, 1.0, 11), RANDOM.standard_normal((11, 12))
+    added, whole = TimedLoads.of(time, parts), parts[:, :6] + parts[:, 6:]
+    np.testing.assert_allclose(added.at(time), whole)
+    np.testing.assert_allclose(added.at(np.array([0.05])), whole[:2].mean(axis=0)[None])
+    np.testing.assert_allclose(added.at(np.array([3.0])), whole[5:].mean(axis=0)[None])

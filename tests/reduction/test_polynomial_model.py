@@ -13,10 +13,9 @@ from sphrom.reduction.polynomial_model import (
     PolynomialModel,
     Run,
     steady_state,
-    step_limits,
+    step_limit,
 )
 from sphrom.reduction.reduced_rates import (
-    LEAST_SHARE,
     Polynomial,
     memory_length,
     spectrum,
@@ -189,26 +188,15 @@ def test_jacobians_at_many_states_are_bitwise_those_at_one(n_modes: int, degree:
     assert rates.jacobians(states, 0.3).tobytes() == expected.tobytes()
 
 
-def test_limits_of_many_systems_are_those_of_each() -> None:
-    """Each limit is that of the system's worst state."""
-    systems = [(damped(k), 10.0 * RANDOM.standard_normal((7, N_MODES)), 0.0) for k in range(5)]
+def test_the_limit_of_steps_is_that_of_the_worst_state() -> None:
     still = Polynomial((tuple(0.0 * tensor for tensor in tensors(2)),))
-    limits = step_limits([*systems, (still, np.zeros((7, N_MODES)), 0.0)])
-    for found, (rates, states, _) in zip(limits, systems, strict=False):
+    assert step_limit(still, np.zeros((7, N_MODES))) == np.inf
+    for rates in map(damped, range(5)):
+        states = 10.0 * RANDOM.standard_normal((7, N_MODES))
         eigenvalues = (np.linalg.eigvals(rates.jacobian(state)) for state in states)
         each = [stability_limits(values.astype(np.complex128)).min() for values in eigenvalues]
-        assert found == pytest.approx(min(each), rel=1e-14)
+        assert step_limit(rates, states) == pytest.approx(min(each), rel=1e-14)
         assert min(each) < 0.9 * max(each)
-    assert limits[-1] == np.inf
-
-
-def test_rays_leave_the_region_of_stability_at_about_one_distance() -> None:
-    """So that of eigenvalues of a size only the largest set the step's limit."""
-    rays = np.exp(1j * np.linspace(0.5 * np.pi, np.pi, 20_001))
-    rays.real = np.minimum(rays.real, 0.0)
-    limits = stability_limits(rays)
-    assert 2.61 < limits.min() < limits.max() < 2.97
-    assert limits.min() / limits.max() > LEAST_SHARE
 
 
 SOUND_TIME = 5e-3

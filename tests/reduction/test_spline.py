@@ -221,6 +221,7 @@ def test_is_bitwise_the_same_on_any_number_of_threads_and_in_any_order(
     splines: LocalSplines, positions: Array, same_on_threads
 ) -> None:
     same_on_threads(lambda: splines.values_and_gradients(positions))
+    same_on_threads(lambda: (splines.combine(np.array([[0.3], [-1.7]])).radial_weights,))
     shuffled = np.random.default_rng(0).permutation(60)
     assert np.array_equal(splines.values(positions[shuffled]), splines.values(positions)[shuffled])
 

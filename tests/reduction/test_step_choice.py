@@ -33,7 +33,7 @@ def steps(polynomial: Polynomial, tolerance: float, start: np.ndarray = START) -
     """Return accurate steps and stable ones."""
     duration = OUTPUT_TIMES.time[-1]
     n_stable = steps_within(duration, step_limit(polynomial, start[None]))
-    model = Mock(start=start, output_times=OUTPUT_TIMES, amplitude=None)
+    model = Mock(start=start, output_times=OUTPUT_TIMES, amplitude=None, n_stable=0)
     first = Steps(model, PolynomialModel(polynomial), n_stable)
     return accurate(first, tolerance).n_steps, n_stable
 

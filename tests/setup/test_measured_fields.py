@@ -20,8 +20,8 @@ MEASURE: dict[str, Any] = {
     "back": {"flow_rate": {"from": [0.25, 1], "to": [0.25, 0]}},
     "slanted": SLANTED,
     "middle": {"probe": [0.4, 0.7]},
-    "corner": {"probe": [1, 1]},
-    "profile": {"line": {"from": [0.5, 0], "to": [0.5, 1], "points": 5}},
+    "corner": {"probe": [0.95, 0.95]},
+    "profile": {"line": {"from": [0.5, 0.05], "to": [0.5, 0.95], "points": 5}},
 }
 
 
@@ -71,9 +71,9 @@ def test_fields_up_to_the_second_degree_are_measured_exactly(velocity: Any) -> N
     assert found["back"]["flow_rate"] == pytest.approx(-across, rel=1e-7)
     slanted = exact_flow_rate(velocity, (0.1, 0.2), (0.8, 0.9))
     assert found["slanted"]["flow_rate"] == pytest.approx(slanted, rel=1e-7)
-    for name, at in {"middle": [(0.4, 0.7)], "corner": [(1.0, 1.0)]}.items():
+    for name, at in {"middle": [(0.4, 0.7)], "corner": [(0.95, 0.95)]}.items():
         np.testing.assert_allclose(found[name]["velocity"], velocity(np.array(at)), atol=1e-9)
-    line = np.stack((np.full(5, 0.5), np.linspace(0.0, 1.0, 5)), axis=1)
+    line = np.stack((np.full(5, 0.5), np.linspace(0.05, 0.95, 5)), axis=1)
     np.testing.assert_allclose(found["profile"]["velocity"], velocity(line), rtol=1e-9, atol=1e-9)
     pressure = 1e-3 * case.plan.sound_speed**2 * (line[:, 0] ** 2 - line[:, 1])
     np.testing.assert_allclose(found["profile"]["pressure"], pressure, rtol=1e-9, atol=1e-12)
@@ -112,6 +112,25 @@ def test_a_flow_rate_is_what_the_stream_function_grows_by() -> None:
     assert found["slanted"]["flow_rate"] == pytest.approx(slanted, rel=1e-3)
 
 
+def test_on_walls_fluid_has_their_velocity() -> None:
+    """A thin layer beside a lid; where its speed varies, fluid alone is extrapolated."""
+    line, wrong = {"from": [0.5, 0], "to": [0.5, 1], "points": 161}, []
+    scene = {"kind": "custom", "box": {"upper": [1, 1], "periodic": ["x"]}}
+    scene |= {"walls": {"top": {"velocity": [1, 0]}}, "measure": {"profile": {"line": line}}}
+    for train in ({"reynolds": [100]}, {"reynolds": [100], "top": [1, 2]}):
+        given = {"name": "x", "scene": scene, "parameters": {"train": train}}
+        case = load_case({**given, "discretization": {"resolution": 20}})
+        place, y = particles_of(case), np.linspace(0.0, 1.0, 161)
+        velocity = np.stack((np.sinh(10.0 * place[:, 1]), np.zeros(len(place))), axis=1)
+        found = fields_of(case)(place, np.zeros(len(place)), velocity / np.sinh(10.0))
+        exact = np.stack((np.sinh(10.0 * y) / np.sinh(10.0), np.zeros(161)), axis=1)
+        wrong.append(np.hypot(*(found["profile"]["velocity"] - exact).T))
+    known, varied = wrong
+    assert max(known[0], known[-1]) < 1e-12
+    assert varied[-1] == varied.max() > 0.015
+    assert known.max() < 0.6 * varied.max()
+
+
 def test_a_void_at_a_probe_ends_a_run() -> None:
     case = case_of(measure={"middle": {"probe": [0.5, 0.5]}})
     place = particles_of(case)
@@ -131,7 +150,8 @@ def test_a_section_is_summed_up_within_its_ends() -> None:
 
 def test_statistics_over_time() -> None:
     series = np.array([[[1.0, 0.0]], [[3.0, 0.0]], [[2.0, 6.0]]])
-    found = statistics(of_a_run({"velocity": series, "pressure": series[..., 0]}))
+    of_one = of_a_run({"velocity": series, "pressure": series[..., 0]})
+    found = statistics({name: values[None] for name, values in of_one.items()})
     assert found["u_last"] == 2.0
     assert found["u_mean"] == 2.0
     assert found["v_fluctuation"] == pytest.approx(np.sqrt(8.0))

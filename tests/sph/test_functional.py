@@ -251,3 +251,17 @@ def test_viscosity_of_a_flow_that_diverges(viscosity: str, factor: float) -> Non
         rate = functional(state)[row]
         measured = -(rate @ wave) / (wave @ wave) / (FLUID.kinematic_viscosity * np.pi**2)
         assert measured == pytest.approx(expected, rel=0.08)
+
+
+@pytest.mark.parametrize(
+    ("density", "speed", "time_step", "told"),
+    [
+        (0.2, 5.0, 1.0, "the time step is beyond its limit of 0.02"),
+        (0.2, 5.0, 1e-4, "c0 = 7 m/s is too low for 5 m/s"),
+        (0.2, 1.0, 1e-4, "c0 = 7 m/s is too low for the pressure"),
+        (np.nan, np.nan, 1e-4, "a smaller time step or a finer"),
+    ],
+)
+def test_a_run_that_ends_early_names_the_reason(density, speed, time_step, told):
+    state = np.array([[0.5], [0.5], [density * FLUID.reference_density], [0.0], [speed]])
+    assert told in build(2.0).remedy(state, time_step)

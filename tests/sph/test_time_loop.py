@@ -81,6 +81,9 @@ class _Drifting:
     def snapshot(self, state: np.ndarray) -> Snapshot:
         return Snapshot(state[:2], state[2], state[3:])
 
+    def remedy(self, state: np.ndarray, time_step: float) -> str:
+        return "stay below"
+
 
 def _state(y: float) -> np.ndarray:
     return np.array([[0.5], [y], [0.0], [0.0], [1.0]])
@@ -110,7 +113,7 @@ def test_a_run_stops_at_the_step_that_leads_beyond_a_wall():
     steps = TimeSteps(0.1, 20, every=10, check_every=1, start_time=5.0)
     done: list[int] = []
     run = march(_Drifting(), _state(0.75), steps, DENSITY, Clock(), done.append)
-    with pytest.raises(UnstableError, match=r"unstable at step 3, t = 5\.3 s: .*beyond a wall"):
+    with pytest.raises(UnstableError, match=r"at step 3, t = 5\.3 s: .*beyond a wall; stay below"):
         list(run)
     assert sum(done) == 3
 

@@ -397,7 +397,7 @@ def test_nothing_online_is_as_large_as_the_points_are_many() -> None:
             model.points, model.basis, model.splines, kinematic_viscosity=viscosity
         )
         factor = residual_factor(model.points, model.basis, model.operators, model.splines)
-        norm = residual_norm(factor, model.operators, np.arange(4), viscosity)
+        norm = residual_norm(factor.of_model(model.operators, np.arange(4)), viscosity)
         closed = rates.plus(memory, 1e-4)
         systems = [PolynomialModel(polynomial) for polynomial in (rates, closed)]
         output_times = OutputTimes(0.02, 11)

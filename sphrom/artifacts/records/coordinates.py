@@ -17,6 +17,23 @@ _FACTOR = (
 )
 
 
+class MeasuredOnce(Record):
+    """One value of what is measured: in a steady state, or an error over a run."""
+
+    force: Array | None = dataset("component", "N/m", "force on a wall", default=None)
+    torque: float | None = attribute("N", "torque on a wall, anticlockwise", default=None)
+    flow_rate: float | None = attribute(
+        "m2/s", "flow through a section, from the left to the right of the way along it",
+        default=None,
+    )  # fmt: skip
+    velocity: Array | None = dataset(
+        "place component", "m/s", "velocity at the places", "u", "Eq. 2.7", default=None
+    )
+    pressure: Array | None = dataset(
+        "place", "Pa", "pressure at the places", "p", "Eq. 2.8", default=None
+    )
+
+
 class ErrorEstimate(Record):
     """The errors of a run, estimated without a full run."""
 
@@ -40,23 +57,7 @@ class ErrorEstimate(Record):
     pressure_constant: float = attribute("Pa over the inner product's", _CONSTANT)
     velocity_factor: float | None = attribute("1", _FACTOR, default=None)
     pressure_factor: float | None = attribute("1", _FACTOR, default=None)
-
-
-class SteadyMeasured(Record):
-    """What is measured in a steady state."""
-
-    force: Array | None = dataset("component", "N/m", "force on a wall", default=None)
-    torque: float | None = attribute("N", "torque on a wall, anticlockwise", default=None)
-    flow_rate: float | None = attribute(
-        "m2/s", "flow through a section, from the left to the right of the way along it",
-        default=None,
-    )  # fmt: skip
-    velocity: Array | None = dataset(
-        "place component", "m/s", "velocity at the places", "u", "Eq. 2.7", default=None
-    )
-    pressure: Array | None = dataset(
-        "place", "Pa", "pressure at the places", "p", "Eq. 2.8", default=None
-    )
+    measure: Mapping[str, MeasuredOnce] = part(default_factory=dict)
 
 
 class Steady(Record):
@@ -85,7 +86,7 @@ class Steady(Record):
     )
     n_steps: int = attribute("", "steps of Newton's method")
     largest_real_part: float = attribute("1/s", "of the spectrum there")
-    measure: Mapping[str, SteadyMeasured] = part(default_factory=dict)
+    measure: Mapping[str, MeasuredOnce] = part(default_factory=dict)
 
 
 class Coordinates(Settings, kind="sphrom/coordinates"):

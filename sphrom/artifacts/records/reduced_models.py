@@ -51,7 +51,21 @@ class WallForce(ReducedForce):
     training_loads: Array = dataset(
         "run snapshot part load",
         "N/m, N of the torque",
-        "pressure's and viscous force in the full runs that it learnt from, to calibrate with",
+        "pressure's and viscous force in the full runs that it learnt from, to correct with",
+    )
+
+
+class TrainedMeasure(ReducedMeasure):
+    """A projected measurement, and what the full runs that it learnt from recorded."""
+
+    training_flow_rate: Array | None = dataset(
+        "run snapshot", "m2/s", "flow through the section in training runs", default=None
+    )
+    training_velocity: Array | None = dataset(
+        "run snapshot place component", "m/s", "velocity there in training runs", default=None
+    )
+    training_pressure: Array | None = dataset(
+        "run snapshot place", "Pa", "pressure there in training runs", default=None
     )
 
 
@@ -73,10 +87,9 @@ class HeldOut(Record):
         "number of modes to integrate of models with 1, 2, ... modes; training runs predict the "
         "others",
     )
-    error: Array | None = dataset(
+    error: Array = dataset(
         "size field", "1",
-        "error over the field's size of such models calibrated without the run held out, where a "
-        "model asks for the number of modes" + OF_FIELDS, default=None,
+        "error over the field's size of such models, of training runs held out" + OF_FIELDS,
     )
 
 
@@ -94,18 +107,12 @@ class BasisOperators(Record):
         "coordinates of all snapshots that the basis learnt from, to calibrate and correct with",
         "omega-hat", "Eq. 3.11", default=None,
     )
-    training_means: Array | None = dataset(
-        "run snapshot",
-        "kg/m3",
-        "mean density fluctuations of these snapshots that are carried apart, with forces",
-        default=None,
-    )
     residual: ResidualFactor | None = part(default=None)
     estimate: Estimate | None = part(default=None)
     held_out: HeldOut | None = part(default=None)
     memory: Mapping[str, MemoryOperators] = part()
     wall_force: Mapping[str, WallForce] = part(default_factory=dict)
-    measure: Mapping[str, ReducedMeasure] = part(default_factory=dict)
+    measure: Mapping[str, TrainedMeasure] = part(default_factory=dict)
     skewness: float = attribute("1", "of the acoustic part; zero is skew")
 
 

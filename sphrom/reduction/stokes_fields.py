@@ -1,0 +1,192 @@
+"""Stokes flows around walls that move one by one: they turn forces on walls into integrals.
+
+Let w be a velocity field without divergence that moves with one wall as a rigid body, and that
+vanishes at all others. Tested with it, the momentum equation of an incompressible fluid gives the
+force along that motion,
+
+    F = rho int (f . w - du/dt . w + u . (u . grad) w - 2 nu E(u) : E(w)) dV
+
+with the strain rates E. The pressure has gone. Any such field serves, and an error of the velocity
+counts least if w is itself a flow without inertia: its stress does no work on errors that have no
+divergence and vanish at walls. Codes of finite elements evaluate drag and lift as integrals of this
+kind (John and Matthies, Int. J. Numer. Meth. Fluids 37, 2001).
+
+The stream function of w is a tensor product of quartic B-splines that minimises the dissipation at
+the points of a lattice. It moves with the wall at places along it, and is kept smooth behind it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import BSpline
+from scipy.sparse import csr_array, eye_array, hstack, vstack
+from scipy.sparse.linalg import splu
+from scipy.spatial import KDTree
+
+from sphrom.arrays import Array, Indices, Mask
+from sphrom.sph.domain import Domain
+
+DEGREE = 4
+"""Of the stream function, so that strain rates are smooth."""
+CELL = 2.0
+"""Size of the splines' cells over the spacing of the points: smaller ones see too few points."""
+PENALTY, SMOOTHING, REGULARIZATION = 1e4, 1.0, 1e-10
+"""Weights of the conditions at walls, of third derivatives times the spacing, and of coefficients,
+over that of the dissipation."""
+LEAK = 0.1
+"""Largest flow through a wall, and motion into others that it touches, over its own motion."""
+
+TOUCHING = 2.0
+"""Distance of walls that touch each other, over the spacing."""
+
+
+@dataclass(frozen=True)
+class StokesFields:
+    """The fields w of a wall's motion along x, along y, and of its rotation."""
+
+    follows: Mask
+    """(3,) whether there is such a field: no fluid passes walls. There is none where a wall leaves
+    no room for the fluid that it displaces, or lifts off another one that it touches. It may slide
+    along that."""
+    value: Array
+    """(3, n_points, 2) [1], of the rotation [m]."""
+    gradient: Array
+    """(3, n_points, 2, 2): the component, then the direction of the derivative [1/m], [1]."""
+
+
+def stokes_fields(
+    domain: Domain, position: Array, ghosts: Array, spacing: float, names: Iterable[str]
+) -> dict[str, StokesFields]:
+    """Return the fields of some walls of a domain.
+
+    Parameters
+    ----------
+    position : (n_points, 2) [m] in the fluid, with a volume of `spacing` squared each.
+    ghosts : (n_ghosts, 2) [m] behind walls, on the same lattice.
+    spacing : of the points [m].
+    names : of the walls.
+    """
+    wrapped = domain.wrap(ghosts)
+    wall, on_wall = domain.nearest_wall(wrapped), domain.on_wall(wrapped)
+    normal = domain.distance_and_normal(wrapped)[1]
+    depth, inward = domain.distance_and_normal(position)
+    beside = np.flatnonzero(depth < spacing)
+    mirrored = position[beside] - 2.0 * depth[beside, None] * inward[beside]
+    behind = domain.nearest_wall(domain.wrap(mirrored))
+    everywhere = np.concatenate((position, ghosts))
+    stream, sides, around = (
+        _Stream(domain, places, everywhere, spacing) for places in (position, on_wall, everywhere)
+    )
+    dissipation = _squares(2.0 * stream.of(1, 1), stream.of(0, 2) - stream.of(2, 0))
+    size = dissipation.diagonal().mean()
+    third = [math.sqrt(math.comb(3, k)) * around.of(k, 3 - k) for k in range(4)]
+    smooth = SMOOTHING * spacing**2 * _squares(*third)
+    at_walls = vstack(sides.velocity, format="csr")
+    held = at_walls.T @ at_walls
+    weight = PENALTY * size / held.diagonal().mean()
+    small = REGULARIZATION * size * eye_array(held.shape[0])
+    solved = splu((dissipation + smooth + weight * held + small).tocsc())
+    found = {}
+    for name in names:
+        own = wall == domain.wall_names.index(name)
+        motions = np.zeros((3, 2, len(ghosts)))
+        x, y = domain.arms(name, on_wall[own]).T
+        motions[0, 0, own] = motions[1, 1, own] = 1.0
+        motions[2][:, own] = -y, x
+        wanted = motions.reshape(3, -1).T
+        coefficients = solved.solve(weight * (at_walls.T @ wanted))
+        wrong = (at_walls @ coefficients - wanted).reshape(2, -1, 3)[:, own]
+        through = np.sum(np.einsum("dgm,gd->gm", wrong, normal[own]) ** 2, axis=0)
+        follows = through < LEAK**2 * np.sum(motions**2, axis=(1, 2))
+        if own.any():
+            # Beside the fluid normals are those of sides, behind a corner they aren't.
+            others = beside[behind != domain.wall_names.index(name)]
+            foot = position[others] - depth[others, None] * inward[others]
+            apart, nearest = KDTree(on_wall[own]).query(foot)
+            moved = motions[..., np.flatnonzero(own)[nearest]]
+            lifted = np.abs(np.einsum("mdg,gd->mg", moved, inward[others]))
+            follows &= lifted[:, apart < TOUCHING * spacing].max(axis=1, initial=0.0) < LEAK
+        found[name] = StokesFields(follows, *stream.fields(coefficients))
+    return found
+
+
+def _squares(*rows: csr_array) -> csr_array:
+    """Return the matrix of the sum of squares of rows times coefficients."""
+    return sum(each.T @ each for each in rows)
+
+
+class _Stream:
+    """Derivatives of the stream function at places, as matrices on its coefficients.
+
+    Splines cover the box, and all points. Along a periodic axis the stream function is periodic but
+    for a mean flow across it, which has a coefficient of its own.
+    """
+
+    def __init__(self, domain: Domain, place: Array, points: Array, spacing: float) -> None:
+        self._n_places = len(place)
+        self._means = [d for d in range(2) if domain.periodic[1 - d]]
+        lower, upper = np.array(domain.lower), np.array(domain.upper)
+        free = ~np.array(domain.periodic)
+        lower[free] = np.minimum(lower, points.min(axis=0))[free]
+        upper[free] = np.maximum(upper, points.max(axis=0))[free]
+        self._axes = [
+            _Axis(place[:, d], lower[d], upper[d], domain.periodic[d], spacing) for d in range(2)
+        ]
+
+    def of(self, along_x: int, along_y: int) -> csr_array:
+        """Return the matrix (n_places, n_coefficients) of a derivative."""
+        x, y = self._axes
+        columns = x.index[:, :, None] * y.n_functions + y.index[:, None, :]
+        values = x.values(along_x)[:, :, None] * y.values(along_y)[:, None, :]
+        first = np.arange(0, values.size + 1, (DEGREE + 1) ** 2)
+        shape = (self._n_places, x.n_functions * y.n_functions)
+        splines = csr_array((values.ravel(), columns.ravel(), first), shape=shape)
+        # The mean of u is the slope of the stream function along y, that of v its fall along x.
+        slopes = {(0, 1): (1.0, 0.0), (1, 0): (0.0, -1.0)}.get((along_x, along_y), (0.0, 0.0))
+        means = np.tile([slopes[d] for d in self._means], (self._n_places, 1))
+        return hstack((splines, csr_array(means)), format="csr") if self._means else splines
+
+    @property
+    def velocity(self) -> tuple[csr_array, csr_array]:
+        """The matrices of both components."""
+        return self.of(0, 1), -self.of(1, 0)
+
+    def fields(self, coefficients: Array) -> tuple[Array, Array]:
+        """Return the velocities of stream functions (n_coefficients, 3), and their gradients."""
+
+        def stacked(*matrices: csr_array) -> Array:
+            return np.stack([matrix @ coefficients for matrix in matrices]).transpose(2, 1, 0)
+
+        mixed = self.of(1, 1)
+        gradient = stacked(mixed, self.of(0, 2), -self.of(2, 0), -mixed)
+        return stacked(*self.velocity), gradient.reshape(*gradient.shape[:2], 2, 2)
+
+
+class _Axis:
+    """Splines along one axis, at some places."""
+
+    index: Indices
+    """(n_places, DEGREE + 1) the splines that aren't zero there."""
+
+    def __init__(
+        self, place: Array, lower: float, upper: float, periodic: bool, spacing: float
+    ) -> None:
+        n_cells = max(DEGREE + 1, round((upper - lower) / (CELL * spacing)))
+        self._cell = (upper - lower) / n_cells
+        along = (place - lower) / self._cell
+        if periodic:
+            along = np.mod(along, n_cells)
+        first = np.clip(np.floor(along), 0, n_cells - 1).astype(np.int64)
+        self.n_functions = n_cells if periodic else n_cells + DEGREE
+        self.index = (first[:, None] + np.arange(DEGREE + 1)) % self.n_functions
+        self._within = (along - first)[:, None] + DEGREE - np.arange(DEGREE + 1)
+
+    def values(self, order: int) -> Array:
+        """Return a derivative of those splines (n_places, DEGREE + 1)."""
+        spline = BSpline.basis_element(np.arange(DEGREE + 2.0), extrapolate=False)
+        spline = spline.derivative(order) if order else spline
+        return np.nan_to_num(spline(self._within)) / self._cell**order
