@@ -111,7 +111,10 @@ class Polynomial:
     def combined(self, matrix: Array) -> Polynomial:
         """Return linear combinations (n_rows, n_modes) of the rates: as many rows as they are."""
         return Polynomial(
-            tuple(tuple(np.tensordot(matrix, t, 1) for t in tensors) for tensors in self.powers)
+            tuple(
+                tuple((matrix @ t.reshape(len(t), -1)).reshape(-1, *t.shape[1:]) for t in tensors)
+                for tensors in self.powers
+            )
         )
 
     def packed(self) -> tuple[Array, Indices]:
@@ -134,7 +137,7 @@ def _contracted_with_each(tensor: Array, states: Array, times: int) -> Array:
     """Return a tensor (n, ...) contracted with every state (n_states, n_modes)."""
     if times == 0:
         return tensor[None]
-    found = np.tensordot(states, tensor, (1, -1))
+    found = (states @ tensor.reshape(-1, states.shape[1]).T).reshape(-1, *tensor.shape[:-1])
     for _ in range(times - 1):
         found = np.einsum("s...j,sj->s...", found, states)
     return np.asarray(found)
