@@ -24,6 +24,7 @@ from sphrom.scenes.flows import Scales, Scene
 from sphrom.sph import fluid
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.fluid import Discretization, Fluid, StepLimits
+from sphrom.sph.polygons import jutting_corners
 from sphrom.sph.time_loop import TimeSteps
 
 if TYPE_CHECKING:
@@ -232,8 +233,17 @@ class Plan:
 
     def step_limits(self, point: ParameterPoint) -> StepLimits:
         """Return the largest stable time steps at a parameter point."""
-        walled = self._case.scene.domain.has_walls
-        return fluid.step_limits(self.fluid(point), self.discretization, walled)
+        domain, sharpness = self._case.scene.domain, self._sharpest_corner
+        return fluid.step_limits(
+            self.fluid(point), self.discretization, domain.has_walls, sharpness
+        )
+
+    @cached_property
+    def _sharpest_corner(self) -> float:
+        """How sharp the sharpest corner is that juts into the fluid, 0 where none does."""
+        domain = self._case.scene.domain
+        found = jutting_corners(domain.fluid_with_images, self.particle_spacing)[1]
+        return float(found.max(initial=0.0))
 
     @cached_property
     def limits(self) -> StepLimits:

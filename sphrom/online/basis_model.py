@@ -208,7 +208,9 @@ class BasisModel:
         found = replace(found, states=self.states, linear=linear)
         if self.leading is None:
             return found
-        return found.with_leading(self.leading.projected(point, in_training=in_training))
+        leading = self.leading.projected(point, in_training=in_training)
+        # Its steps are as fine as the basis of all modes calls for.
+        return replace(found, leading=replace(leading, basis=self.basis))
 
     def _nearest(self, point: ParameterPoint) -> int:
         """Return which training point is the nearest."""
