@@ -445,25 +445,15 @@ class CustomScene(SceneSection):
         drive = self._at(values)._drive
         if drive is None:
             return 0.0
-        field = np.abs(drive.field(self._samples.T)).max(axis=1, initial=0.0)
+        field = drive.field(self._samples.T)
+        if self.domain.fills_box:
+            rows = field.reshape(2, N_SAMPLES + 1, -1)
+            for axis in np.flatnonzero(self.domain.periodic):  # a mean presses on nothing there
+                rows[axis] -= rows[axis].mean(axis=1 - axis, keepdims=True)
         times = np.linspace(0.0, final_time, N_INSTANTS)
-        largest = float(np.dot(self.domain.lengths, field))
+        largest = float(np.dot(self.domain.lengths, np.abs(field).max(axis=1, initial=0.0)))
         largest *= float(np.abs([drive.amplitude(t) for t in times]).max())
         return largest if math.isfinite(largest) else 0.0  # else `problems` says so
-
-    def wall_strain(self, spacing: float, values: Mapping[str, float]) -> float:
-        """Return the largest change of walls' velocity along them, and at ends to rest [1/s]."""
-        here, found = self._at(values), [0.0]
-        for name in here.walls:
-            place = here._edge(name)
-            velocity = here._wall_velocity(name)(place)
-            ends = name in here._shapes or not here.domain.periodic[name in SIDES[0]]
-            if ends and np.linalg.norm(place[-1] - place[0]) > spacing:
-                velocity = np.pad(velocity, ((1, 1), (0, 0)))
-                place = np.pad(place, ((1, 1), (0, 0)), "edge")
-            change, way = (np.linalg.norm(np.diff(v, axis=0), axis=1) for v in (velocity, place))
-            found.append(float((change / np.maximum(way, spacing)).max(initial=0.0)))
-        return max(found)
 
     def problems(self, final_time: float) -> Iterator[tuple[str, str]]:
         """Refuse a body force that isn't finite at some time of the run."""

@@ -14,6 +14,9 @@ from fractions import Fraction
 from functools import cached_property
 from typing import TYPE_CHECKING
 
+import numpy as np
+import shapely
+
 from sphrom.case.points import REYNOLDS, GivenPoints, ParameterPoint, Values, nearest_point
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection, SubsetSection
 from sphrom.errors import CaseError
@@ -21,6 +24,7 @@ from sphrom.scenes.flows import Scales, Scene
 from sphrom.sph import fluid
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.fluid import Discretization, Fluid, StepLimits
+from sphrom.sph.polygons import jutting_corners
 from sphrom.sph.time_loop import TimeSteps
 
 if TYPE_CHECKING:
@@ -30,6 +34,8 @@ DENSITY_CHANGE = 0.03
 """Largest change of the density, over its own, by the body force or by friction at walls."""
 CORNER_PRESSURE = 2.5
 """The largest at a distance r from where a wall slides off another, over mu U / r (Taylor 1962)."""
+BEYOND = 1e-6
+"""How far beyond walls their velocity is asked for, over the spacing."""
 MLS_SMOOTHING_LENGTH_RATIO = 2.0
 """Smoothing length of moving least squares over the spacing: they need no wider support."""
 MODES_WITHOUT_ROM = 10
@@ -142,19 +148,25 @@ class Plan:
     @cached_property
     def largest_head(self) -> float:
         """About the largest head in any run [m2/s2]: of the body force, in gaps or at corners."""
-        scene, own, dx = self._case.scene, self.own_values, self.particle_spacing
-        viscosity = max(map(self.kinematic_viscosity, self.points))
-        gap = scene.domain.narrowest_gap or math.inf  # a check refuses none
-        in_gaps = self.max_speed * max(scene.domain.lengths) / gap**2
-        strain = max(scene.wall_strain(dx, {**own, **values}) for values in self._settings)
-        at_corners = CORNER_PRESSURE * strain
-        return max(self.largest_force_head, viscosity * in_gaps, viscosity * at_corners)
+        scene, end = self._case.scene, self._case.time.final_time
+        domain, viscosity = scene.domain, max(map(self.kinematic_viscosity, self.points))
+        gap = domain.narrowest_gap or math.inf  # a check refuses none
+        in_gaps = self.max_speed * max(domain.lengths) / gap**2
+        at_corners = CORNER_PRESSURE * self._largest_jump / self.particle_spacing
+        of_force = max(scene.largest_head(end, values) for values in self._settings)
+        return max(of_force, viscosity * in_gaps, viscosity * at_corners)
 
     @cached_property
-    def largest_force_head(self) -> float:
-        """The bound of the body force's head along the fluid in any run [m2/s2]."""
-        scene, end = self._case.scene, self._case.time.final_time
-        return max(scene.largest_head(end, values) for values in self._settings)
+    def _largest_jump(self) -> float:
+        """The largest change of walls' velocity around the box, within a spacing [m/s]."""
+        domain, dx = self._case.scene.domain, self.particle_spacing
+        edge = shapely.box(*domain.lower, *domain.upper).buffer(BEYOND * dx, join_style="mitre")
+        place = shapely.get_coordinates(shapely.segmentize(edge.exterior, dx))
+        of_walls = domain.distance_and_normal(place)[0] <= 0.0
+        points = {point.others: point for point in self.points}.values()
+        velocities = (self.flow(point).wall_velocity(place) for point in points)
+        jumps = (np.diff(np.where(of_walls, v.T, np.nan)) for v in velocities)
+        return max(float(np.nanmax(np.hypot(*jump), initial=0.0)) for jump in jumps)
 
     @cached_property
     def mass(self) -> float:
@@ -217,8 +229,17 @@ class Plan:
 
     def step_limits(self, point: ParameterPoint) -> StepLimits:
         """Return the largest stable time steps at a parameter point."""
-        walled = self._case.scene.domain.has_walls
-        return fluid.step_limits(self.fluid(point), self.discretization, walled)
+        domain, sharpness = self._case.scene.domain, self._sharpest_corner
+        return fluid.step_limits(
+            self.fluid(point), self.discretization, domain.has_walls, sharpness
+        )
+
+    @cached_property
+    def _sharpest_corner(self) -> float:
+        """How sharp the sharpest corner is that juts into the fluid, 0 where none does."""
+        domain = self._case.scene.domain
+        found = jutting_corners(domain.fluid_with_images, self.particle_spacing)[1]
+        return float(found.max(initial=0.0))
 
     @cached_property
     def limits(self) -> StepLimits:

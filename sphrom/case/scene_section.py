@@ -92,10 +92,6 @@ class SceneSection(Section):
         """
         return 0.0
 
-    def wall_strain(self, spacing: float, values: Mapping[str, float]) -> float:
-        """Return how fast walls' velocity changes along them at most, within a spacing [1/s]."""
-        return 0.0
-
     @property
     def drive_changes(self) -> bool:
         """Whether what drives the flow, a force or walls, changes with time."""

@@ -91,7 +91,7 @@ class LidDrivenCavityScene(SceneSection):
         """The box, walls all around."""
         return LidDrivenCavity(self.length, speed=0.0).domain
 
-    def flow(self, scales: Scales) -> LidDrivenCavity:
+    def flow(self, scales: Scales) -> Scene:
         """Return the cavity."""
         speed = scales.values.get("lid", scales.speed)
         return LidDrivenCavity(self.length, speed, lid=self.lid, ramp=self.lid_ramp)
@@ -107,12 +107,6 @@ class LidDrivenCavityScene(SceneSection):
     def largest_wall_speed(self, values: Mapping[str, float]) -> float:
         """Return the lid's largest speed [m/s]."""
         return abs(values.get("lid", 0.0))
-
-    def wall_strain(self, spacing: float, values: Mapping[str, float]) -> float:
-        """Return the largest change of the lid's velocity, which is zero at its ends [1/s]."""
-        x = np.arange(0.0, self.length, spacing)
-        lid = self.flow(Scales(values["lid"], 1.0, 1.0)).lid_velocity(x)
-        return float(np.abs(np.diff(lid, prepend=0.0)).max() / spacing)
 
     @property
     def drive_changes(self) -> bool:

@@ -22,6 +22,7 @@ from sphrom.artifacts.records.coordinates import MeasuredOnce
 from sphrom.case.points import ParameterPoint
 from sphrom.metrics.measures import Quantities, mean_square
 from sphrom.plots.tables import format_figure
+from sphrom.reduction.correction import interpolation_variance
 from sphrom.reduction.error_calibration import (
     FIELDS,
     LocalErrorCalibration,
@@ -32,7 +33,7 @@ from sphrom.reduction.error_calibration import (
 from sphrom.reduction.held_out import UnheldShares
 from sphrom.reduction.reduced_operators import ResidualFactor, residual_norm
 from sphrom.reduction.reference_model import ReferenceModel
-from sphrom.setup.assembly import places_of
+from sphrom.setup.assembly import places_of, sound_averages
 from sphrom.store.trained_models import read_operators
 
 if TYPE_CHECKING:
@@ -171,9 +172,14 @@ def measured_errors(run: FastRun) -> dict[str, Quantities]:
     model, found = run.model.at_point(run.point), estimate(run)
     if model.trained_errors is None or found is None:
         return {}
-    known = model.trained_errors.known
+    case = model.workspace.case
+    places, place = places_of(case, model.points), places_of(case, [run.point])[0]
+    averages, variance = sound_averages(case), np.array(interpolation_variance(places, place))
     return {
-        name: {q: output_errors(q, each, known, found.errors) for q, each in quantities.items()}
+        name: {
+            q: output_errors(each, places, averages).at(variance, found.errors)
+            for q, each in quantities.items()
+        }
         for name, quantities in model.measured_differences.items()
     }
 

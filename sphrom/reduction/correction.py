@@ -115,6 +115,17 @@ def interpolation_weights(places: Array, place: Array) -> tuple[Array, float]:
     return weights, missed * largest if missed > INSIDE else 0.0
 
 
+def interpolation_variance(places: Array, place: Array) -> float:
+    """Return the variance of what `interpolation_weights` miss at a place (n_parameters,).
+
+    It is that of a process whose increments have the distance as variance: zero at training
+    points (n_points, n_parameters), and between two of them largest in the middle.
+    """
+    weights, _ = interpolation_weights(places, place)
+    reach, between = _distances(places, place[None])[:, 0], _distances(places, places)
+    return float(2.0 * weights @ reach - weights @ between @ weights)
+
+
 CORRELATIONS = np.concatenate(([1e-6], np.linspace(0.02, 0.98, 49), [1.0 - 1e-6]))
 """Correlations of the defects at the two training points farthest apart, that are tried."""
 WORTHWHILE = 0.9

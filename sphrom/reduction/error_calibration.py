@@ -38,13 +38,14 @@ from products of snapshots with the basis, |x - Phi a|^2 = x.x - 2 a.(Phi^T x) +
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sphrom.arrays import Array, Indices
-from sphrom.reduction.correction import interpolation_weights
+from sphrom.metrics.series import smoothed
+from sphrom.reduction.correction import interpolation_variance, interpolation_weights
 from sphrom.reduction.held_out import UnheldShares
 
 FIELDS = ("velocity", "pressure")
@@ -58,8 +59,6 @@ SLOWEST = 0.3
 """The slowest of them over one a run."""
 LEFT_OUT = 0.1
 """Share of a run from its start that nothing is fitted to."""
-OF_QUANTITY: Mapping[str, Sequence[int]] = {"velocity": [0], "flow_rate": [0], "pressure": [1]}
-"""The fields whose errors those of a quantity are proportional to; of others it is both."""
 WITHIN = 0.95
 """Share of the training errors that stay within the factor."""
 
@@ -179,27 +178,56 @@ def accumulated(time: Array, residual: Array, decay_rate: float | Array) -> Arra
     return out
 
 
-def output_errors(quantity: str, differences: Array, known: Array, estimated: Array) -> Array:
-    """Return the estimated errors (..., *shape) of an output, such as the velocity at a probe.
+@dataclass(frozen=True)
+class OutputErrors:
+    """What an output, such as the velocity at a probe, may be wrong by; arrays are (*shape)."""
 
-    They are those of training runs, times the ratio of the errors over the fluid to those of
-    training runs, all root mean squares over runs and instants. The ratio is that of the velocity
-    for a velocity or a flow rate, of the pressure for a pressure, and else the larger of both.
+    noise: Array
+    """Mean square of what changes faster than sound."""
+    slope: Array
+    """Mean square of the rest, over the `interpolation_variance` of the training runs."""
+    n_trained: int
+    """Instants of training runs."""
+
+    def at(self, variance: Array, over_fluid: Array) -> Array:
+        """Return the errors (..., n_instants, *shape) of runs.
+
+        Beyond the trained time they grow as those over the fluid do.
+
+        Parameters
+        ----------
+        variance : (...) `interpolation_variance` of their places.
+        over_fluid : (..., n_instants, 2) their estimated errors.
+        """
+        before, after = np.split(over_fluid, [self.n_trained], axis=-2)
+        longer = np.ones_like(over_fluid[..., 0])
+        if after.size:
+            ratios = after / before.max(axis=-2, keepdims=True)
+            longer[..., self.n_trained :] = np.maximum(1.0, ratios.max(axis=-1))
+        own = np.sqrt(self.noise + np.multiply.outer(variance, self.slope))
+        longer = longer.reshape(*longer.shape, *(1,) * self.noise.ndim)
+        return np.asarray(longer * np.expand_dims(own, np.ndim(variance)))
+
+
+def output_errors(differences: Array, places: Array, averages: Array) -> OutputErrors:
+    """Return the errors of an output, from those of training runs that the others predict.
 
     Parameters
     ----------
-    quantity : one of `sphrom.metrics.measures.UNITS`.
     differences : (n_runs, n_snapshots, *shape) of training runs from full ones; of runs that
         diverged not finite: they are left out.
-    known : (n_runs, n_compared, 2) errors of the training runs over the fluid.
-    estimated : (..., 2) errors over the fluid, in the same units.
+    places : (n_runs, n_parameters) of the runs, as `interpolation_weights` measures distances.
+    averages : weights of averages over snapshots in which sound cancels.
     """
     finite = np.isfinite(differences).all(axis=tuple(range(1, differences.ndim)))
-    of_output, of_fluid = (
-        np.sqrt(np.mean(each[finite] ** 2, axis=(0, 1))) for each in (differences, known)
-    )
-    ratios = (estimated / of_fluid)[..., OF_QUANTITY.get(quantity, [0, 1])].max(axis=-1)
-    return np.multiply.outer(ratios, of_output)
+    known, places = differences[finite], places[finite]
+    slow = np.stack([smoothed(each, averages) for each in known])
+    noise, squares = np.mean((known - slow) ** 2, axis=(0, 1)), np.mean(slow**2, axis=1)
+    if len(places) < 2:
+        return OutputErrors(noise + squares.mean(axis=0), 0.0 * noise, known.shape[1])
+    apart = [interpolation_variance(np.delete(places, k, 0), p) for k, p in enumerate(places)]
+    slope = np.tensordot(1.0 / np.array(apart), squares, 1) / len(places)
+    return OutputErrors(noise, np.asarray(slope), known.shape[1])
 
 
 def calibrate_errors(

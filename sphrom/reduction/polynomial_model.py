@@ -14,7 +14,7 @@ import numpy as np
 
 from sphrom.arrays import Array, Indices
 from sphrom.kernels import polynomial as kernels
-from sphrom.reduction.reduced_rates import Polynomial, largest_steps
+from sphrom.reduction.reduced_rates import Polynomial, stability_limits
 
 Amplitude = Callable[[Array], Array]
 """The amplitude at times (n_times,) [s]."""
@@ -29,7 +29,8 @@ N_HALVINGS = 20
 
 def step_limit(polynomial: Polynomial, states: Array, amplitude: float = 0.0) -> float:
     """Return the largest time step [s] that is stable around every state (n_states, n_modes)."""
-    return float(largest_steps(polynomial.jacobians(states, amplitude)))
+    eigenvalues = np.linalg.eigvals(polynomial.jacobians(states, amplitude))
+    return float(stability_limits(eigenvalues.ravel().astype(np.complex128)).min())
 
 
 def steps_within(duration: float, limit: float) -> int:

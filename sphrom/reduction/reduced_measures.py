@@ -139,7 +139,8 @@ class ReducedForce(Record):
             if push is not None:
                 whole = whole.plus(Polynomial(((), (push,))))
             # The pressure has what the viscous force leaves of the whole.
-            kept = np.block([[np.eye(3) - one, -one], [np.zeros((3, 3)), np.eye(3)]])
+            kept = np.eye(6)
+            kept[:3] -= np.hstack((one, one))
             found = found.combined(kept).plus(whole.combined(np.concatenate((one, 0.0 * one))))
             uniform = uniform @ kept.T
         return PointForce(found, uniform, correction)

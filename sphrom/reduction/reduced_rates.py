@@ -26,9 +26,6 @@ STABLE_RADIUS = 4.0
 """Beyond it no ray of the left half-plane is stable for Runge-Kutta's fourth-order scheme."""
 NEUTRAL = 1e-12
 """How far a factor of growth may exceed one by rounding."""
-LEAST_SHARE = 0.85
-"""Of the largest eigenvalue, below which none sets the limit: all rays leave the region of
-stability between 2.61 and 2.97 from the origin."""
 N_BISECTIONS = 50
 MEMORY_RATIO = 0.2
 """Automatic memory length times the reduced Jacobian's spectral radius."""
@@ -114,7 +111,10 @@ class Polynomial:
     def combined(self, matrix: Array) -> Polynomial:
         """Return linear combinations (n_rows, n_modes) of the rates: as many rows as they are."""
         return Polynomial(
-            tuple(tuple(np.tensordot(matrix, t, 1) for t in tensors) for tensors in self.powers)
+            tuple(
+                tuple((matrix @ t.reshape(len(t), -1)).reshape(-1, *t.shape[1:]) for t in tensors)
+                for tensors in self.powers
+            )
         )
 
     def packed(self) -> tuple[Array, Indices]:
@@ -137,7 +137,7 @@ def _contracted_with_each(tensor: Array, states: Array, times: int) -> Array:
     """Return a tensor (n, ...) contracted with every state (n_states, n_modes)."""
     if times == 0:
         return tensor[None]
-    found = np.tensordot(states, tensor, (1, -1))
+    found = (states @ tensor.reshape(-1, states.shape[1]).T).reshape(-1, *tensor.shape[:-1])
     for _ in range(times - 1):
         found = np.einsum("s...j,sj->s...", found, states)
     return np.asarray(found)
@@ -177,20 +177,6 @@ class Spectrum:
     """[1/s]; above zero something grows."""
     radius: float
     """[1/s]."""
-
-
-def largest_steps(jacobians: Array) -> Array:
-    """Return the largest steps (...) [s] that are stable for all of some Jacobians.
-
-    Those are (..., n, n_modes, n_modes); infinite where nothing changes.
-    """
-    found = np.linalg.eigvals(jacobians).astype(np.complex128)
-    eigenvalues = found.reshape(*jacobians.shape[:-3], -1)
-    limits, size = np.full(eigenvalues.shape, math.inf), np.abs(_neutral(eigenvalues))
-    # What is much smaller than the largest allows larger steps, whatever its ray is.
-    setting = (size > 0.0) & (size >= LEAST_SHARE * size.max(axis=-1, keepdims=True))
-    limits[setting] = stability_limits(eigenvalues[setting])
-    return np.asarray(limits.min(axis=-1))
 
 
 def spectrum(jacobian: Array) -> Spectrum:

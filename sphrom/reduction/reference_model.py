@@ -102,13 +102,6 @@ class ReferenceModel:
         """Number of modes that are integrated, as long as training runs are."""
         return len(self.start) if self.leading is None else len(self.leading.start)
 
-    def with_leading(self, leading: ReferenceModel) -> ReferenceModel:
-        """Return the model that integrates the leading modes alone.
-
-        Its steps are as fine as the basis of all modes calls for.
-        """
-        return replace(self, leading=replace(leading, basis=self.basis))
-
     def with_steps_of(self, other: ReferenceModel) -> ReferenceModel:
         """Return the model with the linear parts that exponential steps of another one have."""
         leading = self.leading
@@ -163,8 +156,6 @@ MOST = 1.4
 """Largest factor between two trials: errors of large steps fall faster than the order predicts."""
 FINEST = 16
 """Largest refinement of stable steps: finer ones don't help."""
-ROUNDING = 1e-6
-"""Slack of a number of steps."""
 LONGER = 6
 """Exponential steps that are tried first, over stable ones: they turn out 1 to 6 times as long."""
 
@@ -324,12 +315,15 @@ def automatic_whole(model: ReferenceModel) -> Steps:
     """
     if model.linear is None:
         return accurate(runge_kutta(model, model.n_stable), step_tolerance(model.basis))
-    if model.first_step is None:
-        n_first = min(math.ceil(model.n_stable / LONGER), model.output_times.n_snapshots - 1)
-    else:
-        n_first = math.ceil(model.output_times.duration / model.first_step - ROUNDING)
+    times, step = model.output_times, model.first_step
+    n_first = 0 if step is None else math.ceil(round(times.duration / step, 6))
+    n_first = n_first or min(math.ceil(model.n_stable / LONGER), times.n_snapshots - 1)
     first = Steps(model, ExponentialModel(model.polynomial, model.linear), max(1, n_first))
-    return accurate(first, step_tolerance(model.basis))
+    found = accurate(first, step_tolerance(model.basis))
+    if step is None or model.states is None or found.n_steps < FINEST * first.n_steps:
+        return found
+    # The nearest training run is far away.
+    return automatic_whole(replace(model.around(model.states), first_step=None))
 
 
 def automatic(model: ReferenceModel) -> Integrator:

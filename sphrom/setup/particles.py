@@ -12,6 +12,7 @@ import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.case.models import Case
+from sphrom.case.plan import BEYOND
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError, UnstableError
 from sphrom.metrics.measures import FieldMeasure, Quantities
@@ -27,8 +28,6 @@ from sphrom.sph.walls import build_walls
 
 SAMPLING_RATIO = 2.0
 """Smoothing length of the moving least squares that sample particles, over the spacing."""
-BEYOND = 1e-6
-"""How far beyond a wall its velocity is asked for, over the spacing."""
 
 
 def functional(case: Case, point: ParameterPoint) -> Functional:

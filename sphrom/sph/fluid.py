@@ -37,6 +37,8 @@ VISCOUS_LIMIT = 0.125
 """Largest nu dt / h^2 (Morris, Fox and Zhu 1997)."""
 WALL_VISCOUS_LIMIT = 0.22
 """Largest nu dt / (h dx) beside walls, through which velocities are extrapolated from close by."""
+STIFFER_AT_CORNERS = 0.2
+"""What a corner adds to the largest rate of friction beside walls, over its sharpness."""
 LARGEST_WAVE_NUMBER = 1.4
 """Of sound that the kernel's sums resolve, times h: sqrt of the largest eigenvalue of -D G."""
 REAL_AXIS_LIMIT = 2.78
@@ -130,12 +132,14 @@ def step_limits(
     fluid: Fluid,
     discretization: Discretization,
     has_walls: bool = False,
+    sharpness: float = 0.0,
 ) -> StepLimits:
     """Return the limits of the time step.
 
     Sound limits it by Eq. 2.19. Beyond a damper's alpha of 2 over the largest wave number the
     shortest waves don't oscillate any more, and what the damper takes of them limits the step.
-    Beside walls the spacing counts for viscosity too.
+    Beside walls the spacing counts for viscosity too, and how sharp the sharpest corner is that
+    juts into the fluid (`sphrom.sph.polygons.jutting_corners`).
     """
     length, courant = discretization.smoothing_length, COURANT_LIMIT
     half = 0.5 * discretization.acoustic_damping * LARGEST_WAVE_NUMBER
@@ -144,6 +148,7 @@ def step_limits(
         courant = min(courant, REAL_AXIS_LIMIT / rate)
     diffusion = VISCOUS_LIMIT * length**2
     if has_walls:
-        diffusion = min(diffusion, WALL_VISCOUS_LIMIT * length * discretization.particle_spacing)
+        limit = WALL_VISCOUS_LIMIT / (1.0 + STIFFER_AT_CORNERS * sharpness)
+        diffusion = min(diffusion, limit * length * discretization.particle_spacing)
     acoustic = courant * length / fluid.sound_speed
     return StepLimits(acoustic, diffusion / fluid.kinematic_viscosity)

@@ -20,7 +20,7 @@ from sphrom.kernels.wendland import LAPLACIAN_SHAPE, weigh
 from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fluid import Discretization
 from sphrom.sph.neighbourhood import periodic_images
-from sphrom.sph.walls import NEAREST
+from sphrom.sph.walls import NEAREST, ghost_depths
 
 Matrix = Any
 """A sparse matrix in compressed rows."""
@@ -164,7 +164,7 @@ def ghost_sums(
     blocks, moments = [], []
     nearest = NEAREST * discretization.particle_spacing
     distance = np.maximum(domain.wall_distance(position), nearest)
-    depth = domain.fluid_distance(walls.position)
+    depth = ghost_depths(domain, walls.position, discretization)
     first = 0
     for pairs in _pair_blocks(position, walls.position, domain, discretization):
         x, y = pairs.offset

@@ -21,9 +21,8 @@ from shapely.geometry.base import BaseGeometry
 
 from sphrom.arrays import Array
 from sphrom.sph.domain import Domain
+from sphrom.sph.polygons import CORNER
 
-CORNER = math.radians(20.0)
-"""A row that turns by more than this at a point has a corner there."""
 TINY = 1e-6
 """Bends of a row that are smaller, over the spacing, are rounding."""
 MITRE_LIMIT = 1.5

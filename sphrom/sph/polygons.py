@@ -40,6 +40,8 @@ LEAST_TURN = math.radians(45.0)
 """Of a side into the end of a slot or plate."""
 TOUCHING = math.radians(2.0)
 """Sides that meet at less touch each other."""
+CORNER, SHARPEST = math.radians(20.0), math.radians(120.0)
+"""The least turn of an outline at a corner; sharper corners than the second count as that."""
 N_PLACES = 64
 """Places along the box's longer edge from which walls across are looked for, at least."""
 SLACK = 1e-7
@@ -71,6 +73,31 @@ def edges_of(shapes: Iterable[BaseGeometry]) -> tuple[Array, Array]:
     corners, ring = shapely.get_coordinates(rings, return_index=True)
     within = ring[1:] == ring[:-1]
     return corners[:-1][within], corners[1:][within]
+
+
+def jutting_corners(shape: BaseGeometry, reach: float) -> tuple[Array, Array]:
+    """Return corners (n_corners, 2) [m] that jut into a shape, and how sharp they are (n_corners,).
+
+    Sharpness is tan^2 of half the turn: 1 at a right angle, 3 at most. The outline turns at a
+    corner from the way that comes there from a reach before to the way that goes a reach on:
+    rounding that is finer is no hindrance, and jags are no corners.
+    """
+    places, turns = [np.empty((0, 2))], [np.empty(0)]
+    for ring in shapely.get_rings(shapely.orient_polygons(shapely.get_parts(shape))):
+        line = np.tile(shapely.get_coordinates(ring)[:-1], (3, 1))
+        along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))))
+        own = slice(len(line) // 3, 2 * len(line) // 3)
+        before, after = (
+            np.stack([np.interp(along[own] + way, along, axis) for axis in line.T], axis=1)
+            for way in (-reach, reach)
+        )
+        (a, b), (c, d) = (line[own] - before).T, (after - line[own]).T
+        places.append(line[own])
+        # The shape lies on the left, and what juts into it turns right.
+        turns.append(np.arctan2(b * c - a * d, a * c + b * d))
+    place, turn = np.concatenate(places), np.concatenate(turns)
+    juts = turn > CORNER
+    return place[juts], np.tan(0.5 * np.minimum(turn[juts], SHARPEST)) ** 2
 
 
 def require_few_crossings(shapes: Iterable[BaseGeometry]) -> None:

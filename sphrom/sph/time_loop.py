@@ -68,7 +68,7 @@ class Model(Protocol):
         """Return the fields of a state."""
 
     def remedy(self, state: Array, time_step: float) -> str:
-        """Return what may help a run that left the model's range near a state."""
+        """Return what may help a run that left the model's range in the step after a state."""
 
 
 @dataclass(frozen=True)
@@ -180,7 +180,7 @@ def march(
     if begin is not None:
         model.neighbourhood.rebuild_at(begin.neighbours_at)
     for step in range(first, steps.n_steps + 1):
-        keep = step % steps.every == 0
+        keep, before = step % steps.every == 0, state
         try:
             if step > 0:
                 with clock.running():
@@ -194,7 +194,7 @@ def march(
             else:
                 check_position(model.position(state), model.domain, step, steps.time(step))
         except UnstableError as error:
-            remedy = model.remedy(state, steps.time_step)
+            remedy = model.remedy(before, steps.time_step)
             raise UnstableError(f"{error}; {remedy}") from error
         if keep:
             yield step, state

@@ -265,7 +265,7 @@ class Workspace:
         plan = self.case.plan
         trained = dict.fromkeys(p for name in plan.reference_bases for p in plan.bases[name])
         parents = {"basis": self.basis(), **self._mapped(trained)}
-        if self.case.scene.measured_walls:
+        if self.case.scene.measure:
             parents |= self._full_runs(trained)
         parents["splines"] = self.splines()
         about = {

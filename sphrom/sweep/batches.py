@@ -31,6 +31,7 @@ from sphrom.online import rom
 from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.online.sensitivities import tangents
 from sphrom.reduction.trial_basis import KineticEnergy, SpeedBounds
+from sphrom.setup.assembly import places_of
 from sphrom.store.checkpoints import remove_checkpoints
 from sphrom.store.sampling import sample_run
 from sphrom.store.trajectory import measured_of
@@ -42,6 +43,8 @@ LOADS = ("force_x", "force_y", "torque")
 COMPLETE, UNSTABLE, FAILED, NOT_RUN = 0, 1, 2, 3
 STATES = ("complete", "unstable", "failed", "not run")
 """Words for them."""
+PLACE = "place"
+"""Where the point of a run is among others."""
 ERROR = "error_estimate/"
 """Prefix of the datasets of error estimates, which not all runs have."""
 
@@ -117,18 +120,18 @@ class SweptModel:
     def in_training(self, points: Sequence[ParameterPoint]) -> list[dict[str, Any]]:
         """Return by what the training runs of models at points differ from full ones.
 
-        They are values as records have them, with their errors over the fluid; none without
+        They are values as records have them, with the places of their points; none without
         estimates, and none at probes where the full run is gone.
         """
         if self._fast is None:
             return []
         found = []
         for name in dict.fromkeys(map(self._fast.basis_at, points)):
-            if (trained := (basis := self._fast.on_basis(name)).trained_errors) is None:
+            if (basis := self._fast.on_basis(name)).trained_errors is None:
                 return []
+            places = places_of(self.workspace.case, basis.points)
             for k, (reduced, run) in enumerate(basis.held_out):
-                errors = zip(PLACED, (trained.known[k] * trained.units).T, strict=True)
-                values = {f"{ERROR}{quantity}_over_time": each for quantity, each in errors}
+                values = {PLACE: places[k]}
                 measured = basis.measured_differences.items()
                 values |= _kept({n: {q: each[k] for q, each in m.items()} for n, m in measured})
                 target = self.workspace.full_run(basis.points[k])

@@ -1,9 +1,9 @@
 """Statistics of a sweep's outputs where its points are draws: records, tables and figures.
 
 Outputs are of all runs: over time, their means over time, or along a line at their end. Errors of
-what is measured, or kept at probes, are those of training runs, scaled by the estimated errors over
-the fluid (`output_errors`). With U the root mean square of the velocity, e_u that of its error and
-M the mass, the kinetic energy M U^2 / 2 is off by at most M (U e_u + e_u^2 / 2).
+what is measured, or kept at probes, follow from those of training runs (`output_errors`). With U
+the root mean square of the velocity, e_u that of its error and M the mass, the kinetic energy
+M U^2 / 2 is off by at most M (U e_u + e_u^2 / 2).
 """
 
 from __future__ import annotations
@@ -27,9 +27,11 @@ from sphrom.metrics.measures import PLACED, UNITS, components
 from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Panel, draw_grid
 from sphrom.plots.tables import format_figure, rows_of_columns, write_csv
+from sphrom.reduction.correction import interpolation_variance
 from sphrom.reduction.error_calibration import output_errors
+from sphrom.setup.assembly import places_of, sound_averages
 from sphrom.store.workspace import Workspace
-from sphrom.sweep.batches import ERROR, RunRecord, SweptModel
+from sphrom.sweep.batches import ERROR, PLACE, RunRecord, SweptModel
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -87,7 +89,7 @@ def _stacked(runs: Values) -> dict[str, Array]:
     found = {
         name: np.stack([values[name] for values in runs])
         for name in (set(runs[0]).intersection(*runs) if runs else ())
-        if name.startswith(("measure/", "probes/")) or name.endswith("_over_time")
+        if name.startswith(("measure/", "probes/", PLACE)) or name.endswith("_over_time")
     }
     if (paths := [f"{ERROR}{quantity}_over_time" for quantity in PLACED])[0] in found:
         found[ERROR] = np.stack([found.pop(path) for path in paths], axis=-1)
@@ -103,7 +105,7 @@ def _averaged(whole: Mapping[str, Array]) -> dict[str, Array]:
     return {
         name: np.sqrt(np.mean(values**2, axis=1, keepdims=True))
         if name == ERROR
-        else values.mean(axis=1, keepdims=True)
+        else (values if name == PLACE else values.mean(axis=1, keepdims=True))
         for name, values in whole.items()
         if not name.rpartition("/")[2].startswith(FINAL)
     }
@@ -113,7 +115,10 @@ def _outputs(
     case: Case, along: Along, runs: Mapping[str, Array], trained: Mapping[str, Array]
 ) -> Iterator[Output]:
     ending, over_fluid = "_mean" if along == MEAN else "", runs.get(ERROR)
-    energies, wrong = runs["kinetic_energy_over_time"], None
+    energies, wrong, places = runs["kinetic_energy_over_time"], None, trained.get(PLACE)
+    variances = np.zeros(len(energies))
+    if places is not None:
+        variances = np.array([interpolation_variance(places, each) for each in runs[PLACE]])
     if over_fluid is not None:
         mass, error = case.plan.mass * case.plan.n_particles, over_fluid[..., 0]
         wrong = mass * (np.sqrt(2.0 * energies / mass) * error + 0.5 * error**2)
@@ -126,9 +131,10 @@ def _outputs(
         if over_fluid is not None and path in trained:
             differences, there = trained[path], over_fluid
             if head:  # the end alone
-                differences, there = differences[:, None], there[:, -1]
-            errors = output_errors(quantity, differences, trained[ERROR], there)
-            parts = components(quantity, errors)
+                differences, there = differences[:, None], there[:, -1:]
+            known = output_errors(differences, trained[PLACE], sound_averages(case))
+            errors = known.at(variances, there)
+            parts = components(quantity, errors[:, 0] if head else errors)
         for component, each in components(quantity, runs[path]).items():
             column, where = f"{name}_{head}{component}{ending}", LINE if head else along
             yield Output(column, UNITS[quantity], where, each, parts.get(component))
@@ -145,9 +151,11 @@ def statistics_of(workspace: Workspace, records: Sequence[RunRecord]) -> Statist
     if sample is None or not section.levels:
         return None
     drawn = 2 * sample.count if sample.method == SALTELLI else sample.count
-    runs = [record.values for record in records[:drawn] if record.values]
-    if len(runs) < fewest_runs(section.levels):
+    complete = [record for record in records[:drawn] if record.values]
+    if len(complete) < fewest_runs(section.levels):
         return None
+    places = places_of(case, [record.point for record in complete])
+    runs = [{**r.values, PLACE: each} for r, each in zip(complete, places, strict=True)]
     trained = SweptModel(workspace).in_training([r.point for r in records if r.values])
     model, points = sweep_model(case), sweep_points(case)[:drawn]
     beyond = 0 if model is None else sum(bool(outside(p, case.plan.train_points)) for p in points)

@@ -23,7 +23,7 @@ from sphrom.plots.canvas import save
 from sphrom.store.trajectory import measured_of
 from sphrom.store.workspace import Workspace
 from sphrom.sweep import sweep as stage
-from sphrom.sweep.batches import ERROR, UNSTABLE, RunRecord, SweptModel
+from sphrom.sweep.batches import ERROR, PLACE, UNSTABLE, RunRecord, SweptModel
 from sphrom.sweep.statistics import draw_indices, draw_quantiles, outputs_of
 
 LID = {"distribution": "uniform", "loc": 0.5, "scale": 0.5}
@@ -254,23 +254,25 @@ def test_noise_has_its_share_of_the_variance_and_means_are_free_of_it():
     case = load_case({**CASE, "scene": {"kind": "lid-driven-cavity"}})
     random = np.random.default_rng(1)
 
-    def run(velocity: np.ndarray) -> dict[str, Any]:
+    def run(velocity: np.ndarray, place: float) -> dict[str, Any]:
         errors = {f"{ERROR}{q}_over_time": np.full(200, 0.1) for q in ("velocity", "pressure")}
         return {
             f"{ERROR}velocity": 0.1,
+            PLACE: np.array([place]),
             **errors,
             "kinetic_energy_over_time": np.ones(200),
             "probes/velocity": velocity,
             "probes/pressure": velocity[..., 0],
         }
 
-    trained = [run(0.5 * random.standard_normal((200, 1, 2))) for _ in range(4)]
-    runs = [run(np.full((200, 1, 2), drawn)) for drawn in random.standard_normal(500)]
+    noise = np.tile(np.array([0.5, -0.5])[:, None, None], (100, 1, 2))
+    trained = [run(noise, place) for place in range(4)]
+    runs = [run(np.full((200, 1, 2), drawn), 1.5) for drawn in random.standard_normal(500)]
     found = {each.name: each for each in outputs_of(case, runs, trained)}
     for name, share in (("probe1_v", 0.2), ("probe1_v_mean", 0.0)):
         output = found[name]
         shares = spread(output.values, output.errors, (0.5,)).error_share
-        np.testing.assert_allclose(shares, share, atol=0.02)
+        np.testing.assert_allclose(shares, share, atol=0.05)
 
 
 def test_the_error_of_an_energy_is_that_of_its_velocity():

@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sphrom.metrics.series import hat
+from sphrom.reduction.correction import interpolation_variance
 from sphrom.reduction.error_calibration import (
     ErrorCalibration,
     accumulated,
@@ -132,14 +134,18 @@ def test_runs_that_diverged_are_left_out() -> None:
     assert calibrate_errors(TIME, some, residuals, errors, np.arange(41), PLACES, SHARES) is None
 
 
-@pytest.mark.parametrize(
-    ("quantity", "ratio"), [("velocity", 2.0), ("pressure", 3.0), ("force", 3.0)]
-)
-def test_the_error_of_an_output_is_as_much_larger_as_that_over_the_fluid(quantity, ratio) -> None:
-    """Of a run that diverged nothing is known."""
-    noise = np.random.default_rng(0).standard_normal((2, 500, 2)) * [0.1, 0.4]
-    differences = np.concatenate((noise, np.full((1, 500, 2), np.nan)))
-    known = np.broadcast_to([0.5, 0.2], (3, 10, 2)) * np.array([1.0, 1.0, np.nan])[:, None, None]
-    estimated = np.array([[0.5, 0.2], [1.0, 0.6]])
-    found = output_errors(quantity, differences, known, estimated)
-    np.testing.assert_allclose(found, np.outer([1.0, ratio], [0.1, 0.4]), rtol=0.05)
+def test_the_error_of_an_output_is_noise_and_what_interpolation_misses() -> None:
+    """The latter vanishes at training points, and is a half in the middle between them."""
+    noise = np.random.default_rng(0).choice((-0.1, 0.1), (2, 500, 2))
+    differences = np.concatenate((noise + np.array([0.6, 0.0]), np.full((1, 500, 2), np.nan)))
+    places = np.concatenate((PLACES, [[9.0]]))
+    found = output_errors(differences, places, hat(10))
+    known = [interpolation_variance(PLACES, place) for place in (PLACES[0], PLACES.mean(axis=0))]
+    fluid = np.ones((2, 750, 2))
+    fluid[:, 500:] = 3.0
+    errors = found.at(np.array(known), fluid)
+    expected = np.array([[0.1, 0.1], [np.hypot(0.1, 0.3), 0.1]])
+    np.testing.assert_allclose(errors[:, 0], expected, rtol=0.1)
+    np.testing.assert_allclose(errors[:, -1], 3.0 * errors[:, 0])
+    alone = output_errors(differences[:1], places[:1], hat(10)).at(np.array([7.0]), fluid[:1])
+    np.testing.assert_allclose(alone[0, 0], [np.hypot(0.1, 0.6), 0.1], rtol=0.1)

@@ -130,10 +130,8 @@ def test_a_step_is_that_of_krogstad(time_step: float) -> None:
 
 def test_steps_and_snapshots_within_them_are_of_fourth_order() -> None:
     polynomial, output_times = driven(), OutputTimes(0.001, 121)
-    model, truth = (
-        ExponentialModel(polynomial, LinearPart(LINEAR)),
-        exact(driven(), output_times, np.cos),
-    )
+    model = ExponentialModel(polynomial, LinearPart(LINEAR))
+    truth = exact(driven(), output_times, np.cos)
     numbers = np.array([24, 30, 40, 60, 120])
     errors = [
         np.max(np.abs(model.run(n, START, output_times, np.cos).coordinates - truth))
@@ -187,11 +185,8 @@ def test_steps_are_chosen_by_the_flow_not_by_sound() -> None:
     polynomial, output_times = flow(), OutputTimes(0.01, 101)
     model = ExponentialModel(polynomial, LinearPart(jacobian(polynomial)))
     n_stable = math.ceil(output_times.time[-1] * SOUND / 2.8)
-    first = Steps(
-        Mock(start=START, output_times=output_times, amplitude=None, n_stable=n_stable),
-        model,
-        n_stable // LONGER,
-    )
+    reduced = Mock(start=START, output_times=output_times, amplitude=None, n_stable=n_stable)
+    first = Steps(reduced, model, n_stable // LONGER)
     errors = {}
     for tolerance in (1e-3, 1e-5):
         n_steps = accurate(first, tolerance).n_steps

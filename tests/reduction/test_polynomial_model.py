@@ -16,7 +16,6 @@ from sphrom.reduction.polynomial_model import (
     step_limit,
 )
 from sphrom.reduction.reduced_rates import (
-    LEAST_SHARE,
     Polynomial,
     memory_length,
     spectrum,
@@ -198,15 +197,6 @@ def test_the_limit_of_steps_is_that_of_the_worst_state() -> None:
         each = [stability_limits(values.astype(np.complex128)).min() for values in eigenvalues]
         assert step_limit(rates, states) == pytest.approx(min(each), rel=1e-14)
         assert min(each) < 0.9 * max(each)
-
-
-def test_rays_leave_the_region_of_stability_at_about_one_distance() -> None:
-    """So that of eigenvalues of a size only the largest set the step's limit."""
-    rays = np.exp(1j * np.linspace(0.5 * np.pi, np.pi, 20_001))
-    rays.real = np.minimum(rays.real, 0.0)
-    limits = stability_limits(rays)
-    assert 2.61 < limits.min() < limits.max() < 2.97
-    assert limits.min() / limits.max() > LEAST_SHARE
 
 
 SOUND_TIME = 5e-3

@@ -58,6 +58,11 @@ FLUIDS = {
                (1.35, -0.5, 1.85, -0.125)],
 }  # fmt: skip
 """What is fluid, by hand, with images."""
+CORNERS = {
+    CAVITY: [(x, -0.125, 1.0) for x in (-0.65, -0.15, 0.35, 0.85, 1.35, 1.85)],
+    SHAPES: [(x, 0.6, 3.0) for x in (-0.7, 0.8, 2.3)],
+}
+"""Corners that jut into the fluid, by hand, with images, and how sharp they are."""
 
 
 def lid(position: Array) -> Array:
@@ -154,6 +159,15 @@ def distances(domain: Domain, position: Array, ghosts: Array) -> tuple[Array, Ar
     return shapely.distance(solid, places[0]), shapely.distance(fluid, places[1])
 
 
+def gains(domain: Domain, ghosts: Array, length: float) -> Array:
+    """Return what ghosts gain in depth behind corners that jut into the fluid (n_ghosts,)."""
+    gain = np.ones(len(ghosts))
+    for x, y, sharpness in CORNERS.get(domain, []):
+        q = np.minimum(np.hypot(*(ghosts - (x, y)).T) / length, 2.0)
+        gain = np.maximum(gain, 1.0 + 3.0 * sharpness * (1.0 - q / 2.0) ** 4 * (2.0 * q + 1.0))
+    return gain
+
+
 class WallSums:
     """The sums over all pairs of fluid and ghosts of a functional with walls."""
 
@@ -180,7 +194,8 @@ class WallSums:
         self.offset = offset
         self.gradient = self.fluid.kernel_slope(self.distance)[..., None] * direction
         nearest = 0.5 * discretization.particle_spacing
-        from_wall, self.depth = distances(domain, self.fluid.position, self.walls.position)
+        from_wall, depth = distances(domain, self.fluid.position, self.walls.position)
+        self.depth = depth * gains(domain, self.walls.position, discretization.smoothing_length)
         self.from_wall = np.maximum(from_wall, nearest)
 
     def ghost_fields(self) -> GhostFields:

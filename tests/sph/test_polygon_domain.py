@@ -13,7 +13,7 @@ from sphrom.scenes.flows import OpenCavity
 from sphrom.sph.fluid import Discretization
 from sphrom.sph.packing import pack
 from sphrom.sph.polygon_domain import PolygonDomain
-from sphrom.sph.polygons import disc
+from sphrom.sph.polygons import disc, jutting_corners
 
 FIN = shapely.Polygon([(0.9, 0.0), (1.1, 0.0), (1.0, 0.5)])
 """Its tip has 23 degrees."""
@@ -252,3 +252,28 @@ def test_rounding_leaves_no_corners_in_straight_walls() -> None:
         beside = np.sort(np.mod(length[rows == row], 2.0 * period))
         assert np.diff(beside).min() > 0.9 * 0.05
         assert np.diff(beside).max() < 1.2 * 0.05
+
+
+JAGGED = [(1.0 + 0.01 * ((k + 1) // 2), 1.0 + 0.01 * (k // 2)) for k in range(100)]
+"""A slope in steps of a tenth of the spacing: it turns at its upper end alone."""
+
+
+@pytest.mark.parametrize(
+    ("solid", "sharpness"),
+    [
+        (shapely.box(1, 1, 2, 2).segmentize(0.3), 1.0),
+        (shapely.box(1, 1, 2, 2).buffer(-0.01).buffer(0.01), 0.9),
+        (shapely.Point(1.5, 1.5).buffer(1.0, quad_segs=2), math.tan(math.pi / 8.0) ** 2),
+        (shapely.LineString([(1, 1), (2, 2)]).buffer(0.001, cap_style="flat"), 3.0),
+        (disc((1.5, 1.5), 0.4), 0.0),
+        (
+            shapely.Polygon([*JAGGED, (1.5, 5.0), (-2.0, 5.0), (-2.0, -2.0), (1.0, -2.0)]),
+            math.tan(math.pi / 8.0) ** 2,
+        ),
+    ],
+)
+def test_corners_that_jut_into_the_fluid(solid: shapely.Geometry, sharpness: float) -> None:
+    """At a spacing of 0.1 fine rounding hardly matters, and a thin plate ends in tips."""
+    place, found = jutting_corners(shapely.difference(shapely.box(-2, -2, 5, 5), solid), 0.1)
+    assert found.max(initial=0.0) == pytest.approx(sharpness, abs=0.02)
+    assert np.max(shapely.distance(solid.exterior, shapely.points(place)), initial=0.0) < 1e-12
