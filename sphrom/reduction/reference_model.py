@@ -102,13 +102,6 @@ class ReferenceModel:
         """Number of modes that are integrated, as long as training runs are."""
         return len(self.start) if self.leading is None else len(self.leading.start)
 
-    def with_leading(self, leading: ReferenceModel) -> ReferenceModel:
-        """Return the model that integrates the leading modes alone.
-
-        Its steps are as fine as the basis of all modes calls for.
-        """
-        return replace(self, leading=replace(leading, basis=self.basis))
-
     def with_steps_of(self, other: ReferenceModel) -> ReferenceModel:
         """Return the model with the linear parts that exponential steps of another one have."""
         leading = self.leading
@@ -322,19 +315,15 @@ def automatic_whole(model: ReferenceModel) -> Steps:
     """
     if model.linear is None:
         return accurate(runge_kutta(model, model.n_stable), step_tolerance(model.basis))
-    if model.first_step is not None and model.states is not None:
-        n_first = max(1, math.ceil(round(model.output_times.duration / model.first_step, 6)))
-        found = accurate(_exponential(model, n_first), step_tolerance(model.basis))
-        if found.n_steps < FINEST * n_first:
-            return found
-        model = model.around(model.states)  # the nearest training run is far away
-    n_first = max(1, min(math.ceil(model.n_stable / LONGER), model.output_times.n_snapshots - 1))
-    return accurate(_exponential(model, n_first), step_tolerance(model.basis))
-
-
-def _exponential(model: ReferenceModel, n_steps: int) -> Steps:
-    assert model.linear is not None
-    return Steps(model, ExponentialModel(model.polynomial, model.linear), n_steps)
+    times, step = model.output_times, model.first_step
+    n_first = 0 if step is None else math.ceil(round(times.duration / step, 6))
+    n_first = n_first or min(math.ceil(model.n_stable / LONGER), times.n_snapshots - 1)
+    first = Steps(model, ExponentialModel(model.polynomial, model.linear), max(1, n_first))
+    found = accurate(first, step_tolerance(model.basis))
+    if step is None or model.states is None or found.n_steps < FINEST * first.n_steps:
+        return found
+    # The nearest training run is far away.
+    return automatic_whole(replace(model.around(model.states), first_step=None))
 
 
 def automatic(model: ReferenceModel) -> Integrator:
