@@ -390,8 +390,8 @@ class _Projection:
             size = best_size(chosen.error)
             velocity, pressure = (format_figure(100.0 * e) for e in chosen.error[size - 1])
             self.report.info(
-                f"basis {name}: {size} modes of {len(chosen.error)} predict training runs held "
-                f"out best, velocity to {velocity} % and pressure to {pressure} %"
+                f"basis {name}: n_modes: auto takes {size} of {len(chosen.error)} modes, expected "
+                f"errors between training runs: velocity {velocity} %, pressure {pressure} %"
             )
         for model in self.case.rom:
             n_modes = size if model.n_modes == AUTO and size else model.size
