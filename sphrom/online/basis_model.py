@@ -276,14 +276,14 @@ class BasisModel:
             for name, learnt in self.force_corrections.items()
             if learnt is not None
         }
-        forces = self._forces_at(found, point, added)
+        forces = self._forces_at(point, added)
         return replace(found, correction=self._added(point, held_out), forces=forces)
 
     def _forces_at(
-        self, found: ReferenceModel, point: ParameterPoint, added: Mapping[str, TimedLoads]
+        self, point: ParameterPoint, added: Mapping[str, TimedLoads]
     ) -> dict[str, PointForce]:
         viscosity = self.workspace.case.plan.kinematic_viscosity(point)
-        around = found.polynomial, viscosity, self.operators.walls_driven, point.factors
+        around = viscosity, self.operators.walls_driven, point.factors
         return {
             name: force.at(*around, added.get(name)) for name, (force, _) in self._forces.items()
         }
@@ -376,7 +376,7 @@ class BasisModel:
             return found
         for point, (reduced, run) in zip(self.points, runs, strict=False):
             added = self._added(point)
-            bare = replace(reduced, forces=self._forces_at(reduced, point, {}))
+            bare = replace(reduced, forces=self._forces_at(point, {}))
             states = run if added is None else run + added
             own.append(forces_of(bare, reduced.output_times.time, states))
         places, weights = places_of(case, self.points), sound_averages(case)
@@ -427,7 +427,10 @@ def forces_of(
     """
     mean = reduced.mean_density_fluctuation if mean is None else mean
     amplitude = np.zeros(len(time)) if reduced.amplitude is None else reduced.amplitude(time)
-    about = time, coordinates, mean, amplitude
+    if not reduced.forces:
+        return {}
+    rates = reduced.polynomial.along(coordinates, amplitude)
+    about = time, coordinates, rates, amplitude, mean
     return {name: force.at(*about) for name, force in reduced.forces.items()}
 
 
