@@ -44,7 +44,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sphrom.arrays import Array, Indices
-from sphrom.metrics.series import smoothed
+from sphrom.metrics.series import hat, smoothed
 from sphrom.reduction.correction import interpolation_variance, interpolation_weights
 from sphrom.reduction.held_out import UnheldShares
 
@@ -59,6 +59,8 @@ SLOWEST = 0.3
 """The slowest of them over one a run."""
 LEFT_OUT = 0.1
 """Share of a run from its start that nothing is fitted to."""
+N_PARTS = 10
+"""Of a run, over which errors of outputs are averaged."""
 WITHIN = 0.95
 """Share of the training errors that stay within the factor."""
 
@@ -180,14 +182,15 @@ def accumulated(time: Array, residual: Array, decay_rate: float | Array) -> Arra
 
 @dataclass(frozen=True)
 class OutputErrors:
-    """What an output, such as the velocity at a probe, may be wrong by; arrays are (*shape)."""
+    """What an output, such as the velocity at a probe, may be wrong by.
+
+    Arrays are (n_snapshots, *shape).
+    """
 
     noise: Array
     """Mean square of what changes faster than sound."""
     slope: Array
     """Mean square of the rest, over the `interpolation_variance` of the training runs."""
-    n_trained: int
-    """Instants of training runs."""
 
     def at(self, variance: Array, over_fluid: Array) -> Array:
         """Return the errors (..., n_instants, *shape) of runs.
@@ -199,20 +202,21 @@ class OutputErrors:
         variance : (...) `interpolation_variance` of their places.
         over_fluid : (..., n_instants, 2) their estimated errors.
         """
-        before, after = np.split(over_fluid, [self.n_trained], axis=-2)
-        longer = np.ones_like(over_fluid[..., 0])
-        if after.size:
-            ratios = after / before.max(axis=-2, keepdims=True)
-            longer[..., self.n_trained :] = np.maximum(1.0, ratios.max(axis=-1))
-        own = np.sqrt(self.noise + np.multiply.outer(variance, self.slope))
-        longer = longer.reshape(*longer.shape, *(1,) * self.noise.ndim)
-        return np.asarray(longer * np.expand_dims(own, np.ndim(variance)))
+        n_instants, n_trained = over_fluid.shape[-2], len(self.noise)
+        known, longer = np.minimum(np.arange(n_instants), n_trained - 1), np.ones(n_instants)
+        if n_instants > n_trained:
+            before, after = np.split(over_fluid, [n_trained], axis=-2)
+            ratios = np.max(after / before.max(axis=-2, keepdims=True), axis=-1)
+            longer = np.ones_like(over_fluid[..., 0])
+            longer[..., n_trained:] = np.maximum(1.0, ratios)
+        longer = longer.reshape(*longer.shape, *(1,) * (self.noise.ndim - 1))
+        return longer * np.sqrt(self.noise[known] + np.multiply.outer(variance, self.slope[known]))
 
 
 def output_errors(differences: Array, places: Array, averages: Array) -> OutputErrors:
     """Return the errors of an output, from those of training runs that the others predict.
 
-    Their start is left out: sound that it sends out is the same in all runs.
+    Mean squares are over the runs, and a tenth of the time to either side.
 
     Parameters
     ----------
@@ -224,14 +228,16 @@ def output_errors(differences: Array, places: Array, averages: Array) -> OutputE
     finite = np.isfinite(differences).all(axis=tuple(range(1, differences.ndim)))
     known, places = differences[finite], places[finite]
     slow = np.stack([smoothed(each, averages) for each in known])
-    late = slice(int(LEFT_OUT * known.shape[1]), None)
-    noise = np.mean((known - slow)[:, late] ** 2, axis=(0, 1))
-    squares = np.mean(slow[:, late] ** 2, axis=1)
+    # Sound that a start sends out is alike in all runs.
+    begin = slice(int(LEFT_OUT * known.shape[1]))
+    slow[:, begin] = known[:, begin]
+    around = hat(1 + known.shape[1] // N_PARTS)
+    noise = smoothed(np.mean((known - slow) ** 2, axis=0), around)
     if len(places) < 2:
-        return OutputErrors(noise + squares.mean(axis=0), 0.0 * noise, known.shape[1])
+        return OutputErrors(noise + smoothed(slow[0] ** 2, around), 0.0 * noise)
     apart = [interpolation_variance(np.delete(places, k, 0), p) for k, p in enumerate(places)]
-    slope = np.tensordot(1.0 / np.array(apart), squares, 1) / len(places)
-    return OutputErrors(noise, np.asarray(slope), known.shape[1])
+    slope = np.tensordot(1.0 / np.array(apart), slow**2, 1) / len(places)
+    return OutputErrors(noise, smoothed(slope, around))
 
 
 def calibrate_errors(

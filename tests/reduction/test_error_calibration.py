@@ -145,7 +145,7 @@ def test_the_error_of_an_output_is_noise_and_what_interpolation_misses() -> None
     fluid[:, 500:] = 3.0
     errors = found.at(np.array(known), fluid)
     expected = np.array([[0.1, 0.1], [np.hypot(0.1, 0.3), 0.1]])
-    np.testing.assert_allclose(errors[:, 0], expected, rtol=0.1)
-    np.testing.assert_allclose(errors[:, -1], 3.0 * errors[:, 0])
+    np.testing.assert_allclose(errors[:, 250], expected, rtol=0.1)
+    np.testing.assert_allclose(errors[:, -1], 3.0 * errors[:, 499])
     alone = output_errors(differences[:1], places[:1], hat(10)).at(np.array([7.0]), fluid[:1])
-    np.testing.assert_allclose(alone[0, 0], [np.hypot(0.1, 0.6), 0.1], rtol=0.1)
+    np.testing.assert_allclose(alone[0, 250], [np.hypot(0.1, 0.6), 0.1], rtol=0.1)
