@@ -333,7 +333,8 @@ def _model_problems(case: Case, model: ReducedModelSection) -> Found:
 
 def steady_problem(case: Case) -> str | None:
     """Return why a case has no steady states, or None."""
-    changes = case.plan.largest_force_head > 0.0 and case.scene.drive_changes
+    forced = case.plan.flow(case.plan.points[0]).body_force is not None
+    changes = forced and case.scene.drive_changes
     return "the scene's body force changes with time: there is no steady state" if changes else None
 
 

@@ -444,9 +444,13 @@ class CustomScene(SceneSection):
         drive = self._at(values)._drive
         if drive is None:
             return 0.0
-        field = np.abs(drive.field(self._samples.T)).max(axis=1, initial=0.0)
+        field = drive.field(self._samples.T)
+        if self.domain.fills_box:
+            rows = field.reshape(2, N_SAMPLES + 1, -1)
+            for axis in np.flatnonzero(self.domain.periodic):  # a mean presses on nothing there
+                rows[axis] -= rows[axis].mean(axis=1 - axis, keepdims=True)
         times = np.linspace(0.0, final_time, N_INSTANTS)
-        largest = float(np.dot(self.domain.lengths, field))
+        largest = float(np.dot(self.domain.lengths, np.abs(field).max(axis=1, initial=0.0)))
         largest *= float(np.abs([drive.amplitude(t) for t in times]).max())
         return largest if math.isfinite(largest) else 0.0  # else `problems` says so
 

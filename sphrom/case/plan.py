@@ -148,11 +148,13 @@ class Plan:
     @cached_property
     def largest_head(self) -> float:
         """About the largest head in any run [m2/s2]: of the body force, in gaps or at corners."""
-        domain, viscosity = self._case.scene.domain, max(map(self.kinematic_viscosity, self.points))
+        scene, end = self._case.scene, self._case.time.final_time
+        domain, viscosity = scene.domain, max(map(self.kinematic_viscosity, self.points))
         gap = domain.narrowest_gap or math.inf  # a check refuses none
         in_gaps = self.max_speed * max(domain.lengths) / gap**2
         at_corners = CORNER_PRESSURE * self._largest_jump / self.particle_spacing
-        return max(self.largest_force_head, viscosity * in_gaps, viscosity * at_corners)
+        of_force = max(scene.largest_head(end, values) for values in self._settings)
+        return max(of_force, viscosity * in_gaps, viscosity * at_corners)
 
     @cached_property
     def _largest_jump(self) -> float:
@@ -165,12 +167,6 @@ class Plan:
         velocities = (self.flow(point).wall_velocity(place) for point in points)
         jumps = (np.diff(np.where(of_walls, v.T, np.nan)) for v in velocities)
         return max(float(np.nanmax(np.hypot(*jump), initial=0.0)) for jump in jumps)
-
-    @cached_property
-    def largest_force_head(self) -> float:
-        """The bound of the body force's head along the fluid in any run [m2/s2]."""
-        scene, end = self._case.scene, self._case.time.final_time
-        return max(scene.largest_head(end, values) for values in self._settings)
 
     @cached_property
     def mass(self) -> float:

@@ -153,8 +153,8 @@ class ReducedModelSection(Section):
     )
     n_modes: Annotated[Whole, Field(ge=1, le=10_000)] | Literal["auto"] = key(
         5,
-        "modes it uses; auto, for evaluation: operators, takes as many as predict training runs "
-        "best that are held out in turn, of basis.n_modes or else 20",
+        "modes it uses; auto, for evaluation: operators, takes the fewest that are as good between "
+        "training runs as any, of basis.n_modes or else 20",
     )
     basis: SafeName = key(
         ALL,
@@ -191,7 +191,7 @@ class ReducedModelSection(Section):
         "auto",
         "how many of its modes are integrated, the first ones, as long as training runs are; these "
         "predict the others, for evaluation: operators, where it is corrected; auto takes as many "
-        "as predict training runs best that are held out in turn, all where it isn't calibrated",
+        "as are best between training runs, all where it isn't calibrated",
     )
     output: Literal["none", "snapshots"] = key(
         "none",

@@ -203,14 +203,15 @@ class _Projection:
                 continue
             scale, shares = force.balance.follows / [1.0, 1.0, arms[name]], []
             for k, point in enumerate(self.trained):
-                around = case.plan.kinematic_viscosity(point), point.factors
-                # The change of momentum is that of the snapshots, not of a model.
-                still, driven = self.operators.at(*around).scaled(0.0), self.points.walls_driven
-                change = np.gradient(states[k], times, axis=0) @ force.balance.momentum.T
-                local = force.at(still, around[0], driven, point.factors)
-                amplitude = amplitude_of(case, point)
+                viscosity, driven = case.plan.kinematic_viscosity(point), self.points.walls_driven
+                local, amplitude = (
+                    force.at(viscosity, driven, point.factors),
+                    amplitude_of(case, point),
+                )
                 pushes = np.zeros(len(times)) if amplitude is None else amplitude(times)
-                found = local.at(times, states[k], 0.0, pushes).sum(axis=1) - change
+                # The change of momentum is that of the snapshots, not of a model.
+                change = np.gradient(states[k], times, axis=0)
+                found = local.at(times, states[k], change, pushes).sum(axis=1)
                 whole = force.training_loads[k].sum(axis=1)
                 whole, found = (smoothed(each, averages)[late] for each in (whole, found))
                 size = np.linalg.norm(scale * whole)
@@ -389,8 +390,8 @@ class _Projection:
             size = best_size(chosen.error)
             velocity, pressure = (format_figure(100.0 * e) for e in chosen.error[size - 1])
             self.report.info(
-                f"basis {name}: {size} modes of {len(chosen.error)} predict training runs held "
-                f"out best, velocity to {velocity} % and pressure to {pressure} %"
+                f"basis {name}: n_modes: auto takes {size} of {len(chosen.error)} modes, expected "
+                f"errors between training runs: velocity {velocity} %, pressure {pressure} %"
             )
         for model in self.case.rom:
             n_modes = size if model.n_modes == AUTO and size else model.size

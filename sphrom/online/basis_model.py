@@ -33,7 +33,6 @@ from sphrom.reduction.held_out import FieldProducts
 from sphrom.reduction.polynomial_model import Run
 from sphrom.reduction.reduced_measures import (
     PointForce,
-    ReducedForce,
     ReducedMeasure,
     TimedLoads,
 )
@@ -268,15 +267,26 @@ class BasisModel:
 
         Of a training run that is `held_out`, the corrections are what the others give.
         """
-        forces, corrections = {}, self.force_corrections
-        place = places_of(self.workspace.case, [point])[0]
-        for name, (force, _) in self._forces.items():
-            added, learnt = None, corrections[name]
-            if learnt is not None:
-                parts = learnt.held_out(place) if held_out else learnt.at(place)
-                added = TimedLoads.of(snapshot_times(self.workspace.case), parts)
-            forces[name] = self._at_point(force, found, point, added)
+        place, times = (
+            places_of(self.workspace.case, [point])[0],
+            snapshot_times(self.workspace.case),
+        )
+        added = {
+            name: TimedLoads.of(times, learnt.held_out(place) if held_out else learnt.at(place))
+            for name, learnt in self.force_corrections.items()
+            if learnt is not None
+        }
+        forces = self._forces_at(point, added)
         return replace(found, correction=self._added(point, held_out), forces=forces)
+
+    def _forces_at(
+        self, point: ParameterPoint, added: Mapping[str, TimedLoads]
+    ) -> dict[str, PointForce]:
+        viscosity = self.workspace.case.plan.kinematic_viscosity(point)
+        around = viscosity, self.operators.walls_driven, point.factors
+        return {
+            name: force.at(*around, added.get(name)) for name, (force, _) in self._forces.items()
+        }
 
     @cached_property
     def correction(self) -> Correction | None:
@@ -354,24 +364,25 @@ class BasisModel:
         }
 
     @cached_property
-    def force_corrections(self) -> Mapping[str, Correction | None]:
+    def force_corrections(self) -> dict[str, Correction | None]:
         """What training runs add to forces, from the model's runs at the trained points.
 
-        None where these take steps without end.
+        Nothing where these take steps without end.
         """
-        case, found = self.workspace.case, dict[str, Correction | None].fromkeys(self._forces)
+        case, found, own = self.workspace.case, dict[str, Correction | None](), []
         try:
             runs = self.trained if self._forces else []
         except CaseError:
             return found
+        for point, (reduced, run) in zip(self.points, runs, strict=False):
+            added = self._added(point)
+            bare = replace(reduced, forces=self._forces_at(point, {}))
+            states = run if added is None else run + added
+            own.append(forces_of(bare, reduced.output_times.time, states))
         places, weights = places_of(case, self.points), sound_averages(case)
-        for name, (force, recorded) in self._forces.items():
-            defects = np.stack(
-                [
-                    loads.reshape(len(loads), -1) - self._loads(force, point, *run)
-                    for loads, point, run in zip(recorded, self.points, runs, strict=True)
-                ]
-            )
+        for name, (_, recorded) in self._forces.items():
+            defects = recorded - np.stack([each[name] for each in own])
+            defects = defects.reshape(*defects.shape[:2], -1)
             slow = np.stack([smoothed(each, weights) for each in defects])
             # Sound and the particles' noise may be of each run alone.
             parts = np.concatenate((slow, defects - slow), axis=2)
@@ -380,29 +391,6 @@ class BasisModel:
                 # Nothing tells how far the only one reaches.
                 found[name] = Correction(places, parts, np.full(parts.shape[2], np.inf))
         return found
-
-    def _loads(
-        self, force: ReducedForce, point: ParameterPoint, reduced: ReferenceModel, run: Array
-    ) -> Array:
-        """Return the loads (n_snapshots, 6) of a force in a training run of the model.
-
-        NaN where that isn't stable.
-        """
-        added = self._added(point)
-        states = run if added is None else run + added
-        local = replace(reduced, forces={"": self._at_point(force, reduced, point)})
-        return forces_of(local, reduced.output_times.time, states)[""].reshape(len(states), -1)
-
-    def _at_point(
-        self,
-        force: ReducedForce,
-        reduced: ReferenceModel,
-        point: ParameterPoint,
-        correction: TimedLoads | None = None,
-    ) -> PointForce:
-        viscosity = self.workspace.case.plan.kinematic_viscosity(point)
-        driven = self.operators.walls_driven
-        return force.at(reduced.polynomial, viscosity, driven, point.factors, correction)
 
 
 def steps_of(section: ReducedModelSection, reduced: ReferenceModel, full_steps: int) -> Steps:
@@ -439,7 +427,10 @@ def forces_of(
     """
     mean = reduced.mean_density_fluctuation if mean is None else mean
     amplitude = np.zeros(len(time)) if reduced.amplitude is None else reduced.amplitude(time)
-    about = time, coordinates, mean, amplitude
+    if not reduced.forces:
+        return {}
+    rates = reduced.polynomial.along(coordinates, amplitude)
+    about = time, coordinates, rates, amplitude, mean
     return {name: force.at(*about) for name, force in reduced.forces.items()}
 
 

@@ -212,6 +212,8 @@ class OutputErrors:
 def output_errors(differences: Array, places: Array, averages: Array) -> OutputErrors:
     """Return the errors of an output, from those of training runs that the others predict.
 
+    Their start is left out: sound that it sends out is the same in all runs.
+
     Parameters
     ----------
     differences : (n_runs, n_snapshots, *shape) of training runs from full ones; of runs that
@@ -222,7 +224,9 @@ def output_errors(differences: Array, places: Array, averages: Array) -> OutputE
     finite = np.isfinite(differences).all(axis=tuple(range(1, differences.ndim)))
     known, places = differences[finite], places[finite]
     slow = np.stack([smoothed(each, averages) for each in known])
-    noise, squares = np.mean((known - slow) ** 2, axis=(0, 1)), np.mean(slow**2, axis=1)
+    late = slice(int(LEFT_OUT * known.shape[1]), None)
+    noise = np.mean((known - slow)[:, late] ** 2, axis=(0, 1))
+    squares = np.mean(slow[:, late] ** 2, axis=1)
     if len(places) < 2:
         return OutputErrors(noise + squares.mean(axis=0), 0.0 * noise, known.shape[1])
     apart = [interpolation_variance(np.delete(places, k, 0), p) for k, p in enumerate(places)]

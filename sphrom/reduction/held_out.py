@@ -20,17 +20,19 @@ From some number of modes on, the coordinates that a model integrates may be as 
 large, and more of them make the others worse. A model of M modes can therefore integrate its first
 m alone; training runs predict the others, and correct the first (`sphrom.reduction.correction`).
 
-Each training run is predicted with a correction from the others. Its error counts as a share of its
-own size, in velocity and in c0 rho'/rho0 less its mean; the mean square over the runs gives two
-errors. Only runs that the others surround in the parameters count, where there are any: at the ends
-of the trained range the others extrapolate, with errors so large that they would decide alone. The
-basis and the calibration stay those of all runs. Errors with them are 0.6 to 1.7 times those of
-predictions between the runs, and choose numbers of modes that are within a few percent of the best.
-Without the run that is predicted, the rates themselves are extrapolated, which chooses far worse.
+Each training run is predicted with a correction from the others, and with its own. Errors count as
+a share of the run's size, in velocity and in c0 rho'/rho0 less its mean. With h and o their root
+mean squares over the runs, a prediction between training runs is expected to be off by
 
-- For each M the number m has the least product of both errors.
-- M is the least whose product is within 3 % of the least. A single run can't be held out: its own
-  errors count.
+    e^2 = o^2 + (h^2 - o^2) / 4,
+
+as a run that is left out is twice as far from its neighbours. Of h only those runs count that the
+others surround in the parameters, where there are any: at the ends of the trained range the others
+extrapolate. The basis and the calibration stay those of all runs: rates without the run that is
+predicted are extrapolated too, and choose far worse.
+
+- For each M the number m has the least product of both fields' errors.
+- M is the least whose product is within 3 % of the least.
 """
 
 from __future__ import annotations
@@ -250,6 +252,8 @@ def _errors(products: SnapshotProducts, learnt: Indices, asked: Indices, n_modes
 
 DIVERGED = 1e6
 """Error over the size of a run that has none, because a run diverged."""
+NEARER = 0.5
+"""Distance of predictions from training runs over that of runs held out."""
 ALIKE = 1.03
 """Product of errors over the least one, up to which fewer modes are as good."""
 
@@ -281,7 +285,7 @@ class TrainedSizes:
         return inside if len(inside) else np.arange(len(self.places))
 
     def errors(self, n_modes: int, integrated: Array) -> Array:
-        """Return errors (2,) of runs held out, over their sizes: root mean squares over the runs.
+        """Return the expected errors (2,) of predictions, over the fields' sizes.
 
         Parameters
         ----------
@@ -296,12 +300,19 @@ class TrainedSizes:
         runs[..., first] = integrated
         groups = (first, np.arange(len(first), n_modes))
         correction = learn_correction(self.places, projected - runs, groups)
+        known = unseen = self._squares(runs)
         if correction is not None:
-            runs = runs + [correction.held_out(place) for place in self.places]
-        products = self.products.only(np.arange(n_modes), self.largest)
+            known = self._squares(runs + [correction.at(place) for place in self.places])
+            unseen = self._squares(runs + [correction.held_out(place) for place in self.places])
+        squares = known.mean(axis=0), unseen[self.judged].mean(axis=0)
+        expected = np.average(squares, axis=0, weights=(1.0 - NEARER**2, NEARER**2))
+        return np.minimum(np.sqrt(expected), DIVERGED)
+
+    def _squares(self, runs: Array) -> Array:
+        """Return mean square errors (n_runs, 2) of coordinates, over those of the fields."""
+        products = self.products.only(np.arange(runs.shape[2]), self.largest)
         errors = [products.errors(k, run[self.compared]) for k, run in enumerate(runs)]
-        squares = np.mean(np.square(errors), axis=1) / np.mean(self.products.squares, axis=1)
-        return np.minimum(np.sqrt(np.mean(squares[self.judged], axis=0)), DIVERGED)
+        return np.asarray(np.mean(np.square(errors), axis=1) / np.mean(products.squares, axis=1))
 
 
 def best_size(errors: Array) -> int:

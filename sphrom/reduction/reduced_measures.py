@@ -6,7 +6,7 @@ coordinates). No field is rebuilt.
 
 A force follows from the balance of momentum of the whole fluid, tested with the Stokes flow w of
 the wall's motion (`sphrom.reduction.stokes_fields`). With the velocity sum_k a_k phi_k and the
-model's own rates da/dt it is quadratic in the coordinates,
+model's own rates da/dt it is
 
     F = beta(t) p - q . da/dt + a . A a - nu s . a,
 
@@ -104,7 +104,6 @@ class ReducedForce(Record):
 
     def at(
         self,
-        rates: Polynomial,
         kinematic_viscosity: float,
         walls_driven: bool = False,
         factors: Factors = NONE,
@@ -114,36 +113,35 @@ class ReducedForce(Record):
 
         Parameters
         ----------
-        rates : of the model's coordinates there.
         kinematic_viscosity : [m2/s].
-        walls_driven : whether walls move with the amplitude of the rates.
+        walls_driven : whether walls move with the amplitude.
         factors : the values of the parameters that drive the flow.
         correction : what training runs add.
         """
         viscous, n = kinematic_viscosity * self.viscous, N_OTHER_TERMS
         direct = np.concatenate((self.pressure, viscous))
-        heads, still = np.zeros_like(direct), np.zeros(3)
+        heads, momentum = np.zeros_like(direct), np.zeros_like(direct[:, n:])
         body_force = with_drives(self.body_force, self.drives, "force", factors)
         if body_force is not None:
             heads[:3] = body_force
         moved = kinematic_viscosity * with_drives(self.walls, self.drives, "walls", factors)
         (heads if walls_driven else direct)[3:, 0] += moved
-        found = Polynomial(tuple((each[:, 0], each[:, n:]) for each in (direct, heads)))
-        uniform = np.stack((direct[:, 1], heads[:, 1]))
+        quadratic = np.zeros((6, *2 * momentum.shape[1:]))
         if self.balance is not None:
-            balance, one = self.balance, np.diag(self.balance.follows.astype(float))
-            whole = rates.combined(-balance.momentum)
-            stress = -kinematic_viscosity * balance.strain
-            whole = whole.plus(Polynomial(((still, stress, balance.advection),)))
+            balance, follows = self.balance, self.balance.follows[:, None].astype(float)
+            # The pressure has what the viscous force leaves of the whole.
+            for terms in (direct, heads):
+                terms[:3] -= follows * (terms[:3] + terms[3:])
+            direct[:3, n:] -= follows * kinematic_viscosity * balance.strain
             push = with_drives(balance.push, self.drives, "push", factors)
             if push is not None:
-                whole = whole.plus(Polynomial(((), (push,))))
-            # The pressure has what the viscous force leaves of the whole.
-            kept = np.eye(6)
-            kept[:3] -= np.hstack((one, one))
-            found = found.combined(kept).plus(whole.combined(np.concatenate((one, 0.0 * one))))
-            uniform = uniform @ kept.T
-        return PointForce(found, uniform, correction)
+                heads[:3, 0] += follows[:, 0] * push
+            quadratic[:3] = follows[..., None] * balance.advection
+            momentum[:3] = -follows * balance.momentum
+        steady = direct[:, 0], direct[:, n:], quadratic
+        polynomial = Polynomial((steady, (heads[:, 0], heads[:, n:])))
+        uniform = np.stack((direct[:, 1], heads[:, 1]))
+        return PointForce(polynomial, momentum, uniform, correction)
 
 
 @dataclass(frozen=True)
@@ -176,20 +174,29 @@ class PointForce:
 
     polynomial: Polynomial
     """The six loads in the coordinates and the amplitude."""
+    momentum: Array
+    """(6, n_modes) by the rates of the coordinates."""
     uniform: Array
     """(2, 6) by the mean density fluctuation: alone, and times the amplitude [m3/s2, m4/s2]."""
     correction: TimedLoads | None = None
 
-    def at(self, time: Array, coordinates: Array, mean: Array | float, amplitude: Array) -> Array:
+    def at(
+        self,
+        time: Array,
+        coordinates: Array,
+        rates: Array,
+        amplitude: Array,
+        mean: Array | float = 0.0,
+    ) -> Array:
         """Return the pressure's and the viscous force and torque (n_states, 2, 3) [N/m, N].
 
         Parameters
         ----------
         time, amplitude : (n_states,) [s], and of the body force or of driven walls.
-        coordinates : (n_states, n_modes).
+        coordinates, rates : (n_states, n_modes), and how they change [1/s].
         mean : density fluctuation that is carried apart [kg/m3], (n_states,) or one for all.
         """
-        loads = self.polynomial.along(coordinates, amplitude)
+        loads = self.polynomial.along(coordinates, amplitude) + rates @ self.momentum.T
         by_mean = self.uniform[0] + amplitude[:, None] * self.uniform[1]
         loads += np.broadcast_to(mean, amplitude.shape)[:, None] * by_mean
         if self.correction is not None:

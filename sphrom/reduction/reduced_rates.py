@@ -108,15 +108,6 @@ class Polynomial:
             tuple(tuple(np.asarray(t + factor * u) for t, u in tensors) for tensors in powers)
         )
 
-    def combined(self, matrix: Array) -> Polynomial:
-        """Return linear combinations (n_rows, n_modes) of the rates: as many rows as they are."""
-        return Polynomial(
-            tuple(
-                tuple((matrix @ t.reshape(len(t), -1)).reshape(-1, *t.shape[1:]) for t in tensors)
-                for tensors in self.powers
-            )
-        )
-
     def packed(self) -> tuple[Array, Indices]:
         """Return the coefficients of monomials, as `sphrom.kernels.polynomial` wants them."""
         packed = [pack(tensors) for tensors in self.powers]

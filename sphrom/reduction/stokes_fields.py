@@ -89,7 +89,10 @@ def stokes_fields(
     held = at_walls.T @ at_walls
     weight = PENALTY * size / held.diagonal().mean()
     small = REGULARIZATION * size * eye_array(held.shape[0])
-    solved = splu((dissipation + smooth + weight * held + small).tocsc())
+    whole = (dissipation + smooth + weight * held + small).tocsc()
+    # Symmetric and positive: the order may keep the factors sparse, without pivots.
+    symmetric = {"SymmetricMode": True}
+    solved = splu(whole, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
     found = {}
     for name in names:
         own = wall == domain.wall_names.index(name)

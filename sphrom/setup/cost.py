@@ -119,7 +119,8 @@ def _operators(case: Case) -> float:
     tensors = [n**4 for _, n in plan.memory_models]
     for name in filter(plan.has_error_estimate, plan.reference_bases):
         linear = 1 + plan.basis_size(name)
-        driven = case.scene.domain.has_walls + (plan.largest_force_head > 0.0) + len(plan.driving)
+        driven = case.scene.domain.has_walls + len(plan.driving)
+        driven += plan.flow(plan.points[0]).body_force is not None
         tensors.append((linear * (linear + 1) + driven * linear) ** 2)
     largest = TENSOR_COPIES * max(tensors, default=0)
     return copies * N_FIELD_VALUES * most * plan.n_particles + sparse + BLOCK + largest

@@ -93,10 +93,16 @@ def test_points_of_a_reduced_model(load, parameters, expected):
     assert [point.reynolds for point in case.plan.rom_points(case.rom[0])] == expected
 
 
+CHANNEL = "box: {upper: [6, 6.6], periodic: [x]}"
+BODY = "solids: {body: {circle: {centre: [3, 3.3], radius: 0.7}}}"
+
+
 @pytest.mark.parametrize(
     ("scene", "speed", "expected"),
     [
-        ("kind: custom, box: {upper: [6, 3], periodic: [x]}, body_force: [0.2, 0]", 0.07, 6.3246),
+        (f"kind: custom, {CHANNEL}, body_force: [0.2, 0]", 0.07, 0.7),  # on nothing
+        (f"kind: custom, {CHANNEL}, {BODY}, body_force: [0.2, 0]", 0.07, 6.3246),
+        (f"kind: custom, {CHANNEL}, body_force: [0.4 * sin(pi * x / 3), 0]", 0.07, 8.9443),
         ("kind: custom, body_force: ['9 * exp(-t)', '-18 * exp(-t)']", 1.0, 30.0),
         ("kind: custom, walls: {top: {velocity: [1, 0]}}", 1.0, 40.8248),  # 2.5 nu U / dx
         ("kind: lid-driven-cavity, lid: uniform", 2.0, 81.6497),

@@ -148,12 +148,11 @@ def test_operators_at_any_point_are_those_assembled_there(unprojected, given):
         tested = StokesFields(np.ones(3, dtype=bool), *random_fields(len(position)))
         force = project_forces(points, basis, wall, circulations, (tested, None))
         own = particles.measured_walls(case, case.plan.flow(point))[name]
-        polynomial, driven = operators.at(nu, factors=factors), points.walls_driven
         local = [
-            force.at(polynomial, nu, driven, factors),
-            project_forces(there, basis, own, balance=(tested, None)).at(polynomial, nu, driven),
+            force.at(nu, points.walls_driven, factors),
+            project_forces(there, basis, own, balance=(tested, None)).at(nu, points.walls_driven),
         ]
-        loads = [each.at(np.zeros(4), states, 0.01, amplitude) for each in local]
+        loads = [each.at(np.zeros(4), states, states, amplitude, 0.01) for each in local]
         assert loads[0] == pytest.approx(loads[1], rel=1e-11, abs=1e-13)
 
 

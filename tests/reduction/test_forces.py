@@ -7,7 +7,6 @@ import pytest
 
 from sphrom.reduction.operator_projection import project_forces
 from sphrom.reduction.reduced_measures import TimedLoads
-from sphrom.reduction.reduced_rates import Polynomial
 from sphrom.reduction.stokes_fields import StokesFields
 from sphrom.sph.wall_forces import MeasuredWall
 from tests.reduction.conftest import N_MODES, SPACING
@@ -15,12 +14,6 @@ from tests.reduction.conftest import N_MODES, SPACING
 NU, AMPLITUDE, MEAN = 0.013, -1.4, 0.3
 NAMES = ["lid", "lid with its mean", "driven lid", "forced", "raw", "raw and forced"]
 RANDOM = np.random.default_rng(8)
-RATES = Polynomial(
-    (
-        (RANDOM.standard_normal(N_MODES), RANDOM.standard_normal((N_MODES, N_MODES))),
-        (RANDOM.standard_normal(N_MODES),),
-    )
-)
 TIMES, AMPLITUDES = np.zeros(2), np.full(2, AMPLITUDE)
 
 
@@ -51,14 +44,14 @@ def test_forces_are_those_of_the_fields(settings, unprojected, name: str) -> Non
     force = project_forces(points, setting.basis, wall)
     states = np.outer((1.0, 0.3), setting.coordinates)
     kept, some = np.array([0, 3]), states * [1.0, 0.0, 0.0, 1.0, 0.0]
-    local = force.at(RATES, NU, points.walls_driven)
-    few = force.of_modes(kept).at(RATES, NU, points.walls_driven)
+    local = force.at(NU, points.walls_driven)
+    few = force.of_modes(kept).at(NU, points.walls_driven)
     np.testing.assert_allclose(
-        few.at(TIMES, some[:, kept], MEAN, AMPLITUDES),
-        local.at(TIMES, some, MEAN, AMPLITUDES),
+        few.at(TIMES, some[:, kept], some[:, kept], AMPLITUDES, MEAN),
+        local.at(TIMES, some, some, AMPLITUDES, MEAN),
         rtol=1e-12,
     )
-    found = local.at(TIMES, states, MEAN, AMPLITUDES)
+    found = local.at(TIMES, states, states, AMPLITUDES, MEAN)
     model = unprojected(points, setting.basis)
     for coordinates, loads in zip(states, found, strict=True):
         q, velocity = model.fields(coordinates)
@@ -75,13 +68,13 @@ def test_with_a_stokes_flow_the_whole_force_is_the_balance_of_momentum(settings,
     tested = StokesFields(np.array([True, False, True]), value, slope)
     wall = a_wall(points.ghost_drag.shape[1])
     force = project_forces(points, basis, wall, balance=(tested, splines))
-    state = setting.coordinates
-    found = force.at(RATES, NU).at(TIMES[:1], state[None], MEAN, AMPLITUDES[:1])[0]
-    direct = project_forces(points, basis, wall).at(RATES, NU)
-    wanted = direct.at(TIMES[:1], state[None], MEAN, AMPLITUDES[:1])[0]
+    state, rates = setting.coordinates, RANDOM.standard_normal(N_MODES)
+    about = TIMES[:1], state[None], rates[None], AMPLITUDES[:1], MEAN
+    found = force.at(NU).at(*about)[0]
+    wanted = project_forces(points, basis, wall).at(NU).at(*about)[0]
 
     velocity = np.tensordot(state, basis.velocity_modes, 1)
-    change = np.tensordot(RATES(state, AMPLITUDE), basis.velocity_modes, 1)
+    change = np.tensordot(rates, basis.velocity_modes, 1)
     gradients = splines.values_and_gradients(points.position)[1].reshape(n, N_MODES, 3, 2)[:, :, 1:]
     gradient = np.tensordot(state, gradients, (0, 1))
     strain, tested_strain = (0.5 * (g + g.swapaxes(-1, -2)) for g in (gradient, slope))

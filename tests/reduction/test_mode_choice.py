@@ -78,7 +78,7 @@ def test_what_other_runs_do_not_share_is_not_predicted() -> None:
     projected[..., 2:] = noise(projected[..., 2:].shape, 0.1)
     known = sizes(projected)
     left_out = np.sqrt(np.mean(projected[1, :, 2:] ** 2) * 2 / np.mean(known.products.squares[1]))
-    assert known.errors(4, projected[..., :2]) == pytest.approx([left_out] * 2, rel=0.05)
+    assert known.errors(4, projected[..., :2]) == pytest.approx([left_out] * 2, rel=0.08)
 
 
 def test_models_that_diverge_are_never_chosen() -> None:

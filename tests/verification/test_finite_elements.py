@@ -21,7 +21,7 @@ REYNOLDS, RESOLUTION, END, STEADY_FROM = 100.0, 24, 10.0, 8.0
 
 
 def test_l_shaped_cavity(tmp_path: Path) -> None:
-    """Measured, of the lid's speed: 0.014 at most and 0.006 r.m.s. at 24 across."""
+    """Measured, of the lid's speed: 0.015 at most and 0.005 r.m.s. at 24 across."""
     settings = {
         "parameters": {"train": {"reynolds": [REYNOLDS]}, "test": {"reynolds": []}},
         "discretization.resolution": RESOLUTION,

@@ -89,7 +89,7 @@ class HeldOut(Record):
     )
     error: Array = dataset(
         "size field", "1",
-        "error over the field's size of such models, of training runs held out" + OF_FIELDS,
+        "error over the field's size to expect of such models between training runs" + OF_FIELDS,
     )
 
 
