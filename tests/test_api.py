@@ -263,7 +263,6 @@ def test_what_a_model_refuses(model, call, text):
     ("given", "text"),
     [
         ({"threads": "2"}, "--threads: must be a whole number"),
-        ({"n_modes": 3}, "'n_modes': may be basis.n_modes or rom.0.n_modes"),
         ({"resolutions": 3, "resolutoin": 3}, "did you mean resolution?"),
     ],
 )
@@ -288,12 +287,6 @@ def test_points_have_to_be_in_the_fluid(tmp_path):
     assert result.fields([[0.5, 1.0], [0.0, 0.0]]).sizes["point"] == 2
     with pytest.raises(sphrom.errors.CaseError, match=r"\(0.5, 1.01\) m is not in the fluid"):
         result.fields([[0.5, 0.5], [0.5, 1.01]])
-
-
-def test_models_of_a_study_without_artifacts_are_refused(tmp_path):
-    study = sphrom.Study(CASE, out=tmp_path, report=TOLD.append)
-    with pytest.raises(sphrom.errors.ArtifactError, match="is missing; make it with `sphrom"):
-        study.model("fast", reynolds=150)
 
 
 def test_every_kind_of_artifact_opens_with_all_that_it_holds(study):

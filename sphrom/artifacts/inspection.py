@@ -103,7 +103,7 @@ def inspect(file: h5py.File) -> Contents:
     """Return what the file holds. Raises Fault on anything that an artifact never holds."""
     contents = Contents(attributes=attributes_at(file, ""))
     # The view is for other programs, and never used.
-    for path, item in _items(file, but=VIEW):
+    for path, item in items(file, but=VIEW):
         if isinstance(item, h5py.Group):
             contents.attributes |= attributes_at(item, path)
         elif isinstance(item, h5py.Dataset):
@@ -115,13 +115,7 @@ def inspect(file: h5py.File) -> Contents:
     return contents
 
 
-def require_own_data(file: h5py.File) -> None:
-    """Raise Fault where a link or a dataset leads out of the file."""
-    for _ in _items(file):
-        pass
-
-
-def _items(file: h5py.File, but: str = "") -> Iterator[tuple[str, h5py.HLObject]]:
+def items(file: h5py.File, but: str = "") -> Iterator[tuple[str, h5py.HLObject]]:
     """Yield every group and dataset by its path, except for those in one group.
 
     Raises Fault where a link or a dataset may lead out of the file.

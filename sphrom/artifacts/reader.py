@@ -337,11 +337,12 @@ def read_record(artifact: Artifact, record: type[R], group: str = "", **others: 
     Raises ArtifactError when it is damaged, or lacks what older versions didn't write.
     """
     found: dict[str, Any] = {}
+    there = (*artifact.datasets, *artifact.attributes)
     for name, field in fields_of_record(record).items():
         path = joined(group, field.name)
         if field.is_mapping:
             found[name] = _mapping(artifact, record, field, path)
-        elif field.required or _holds(artifact, path):
+        elif field.required or any(f"{each}/".startswith(f"{path}/") for each in there):
             found[name] = _read(artifact, field, path)
     return record(**found, **others)
 
@@ -380,9 +381,3 @@ def _mapping(artifact: Artifact, record: type[Record], field: Field, path: str) 
         key = "/".join(given for expected, given in pairs if expected == "*")
         found[key] = _read(artifact, field, head)
     return found
-
-
-def _holds(artifact: Artifact, path: str) -> bool:
-    """Whether there is a dataset, an attribute or a group."""
-    names = (*artifact.datasets, *artifact.attributes)
-    return any(name == path or name.startswith(f"{path}/") for name in names)

@@ -93,7 +93,9 @@ def create_artifact(
             file.discard()
             raise
         finally:
-            writer._close()
+            with Uncollected():
+                writer._streams.clear()
+                writer._hdf5.close()
 
 
 class ArtifactWriter:
@@ -180,11 +182,6 @@ class ArtifactWriter:
             shapes = {name: stream.shape for name, stream in self._streams.items()}
             add_view(self._hdf5, self._schema.name, shapes)
             self._hdf5.flush()
-
-    def _close(self) -> None:
-        with Uncollected():
-            self._streams.clear()
-            self._hdf5.close()
 
     def _set(self, name: str, value: Value) -> None:
         group, _, key = name.rpartition("/")

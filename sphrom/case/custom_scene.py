@@ -270,7 +270,6 @@ class CustomScene(SceneSection):
     def driving(self, names: Collection[str]) -> tuple[str, ...]:
         """Return those of some parameters that walls' velocities or the force's field depend on."""
         drives = [expression for _, _, expression in self._drives()]
-
         return tuple(
             name
             for name in names

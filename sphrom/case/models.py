@@ -138,13 +138,9 @@ of another case. A key that is new needs none, as long as its default is what wa
 """
 
 
-def resolved_yaml(case: Case, sections: Iterable[str] | None = None) -> str:
-    """Return the case as YAML with every default filled in; it loads back to an equal case.
-
-    With `sections`, return those alone.
-    """
-    names = None if sections is None else set(sections)
-    return dump_yaml(case.model_dump(mode="json", include=names))
+def resolved_yaml(case: Case) -> str:
+    """Return the case as YAML with every default filled in; it loads back to an equal case."""
+    return dump_yaml(case.model_dump(mode="json"))
 
 
 def section_inputs(case: Case, sections: Iterable[str]) -> dict[str, object]:

@@ -23,6 +23,7 @@ from sphrom.case.fields import (
     LARGEST,
     SMALLEST,
     Coordinate,
+    Place,
     Positive,
     SafeName,
     Section,
@@ -121,10 +122,9 @@ def viscous(values: Mapping[str, Any]) -> Mapping[str, Any]:
     return values
 
 
-_Two = Annotated[tuple[Coordinate, ...], Field(min_length=2, max_length=2)]
-Interval = Annotated[_Two, AfterValidator(ordered)]
+Interval = Annotated[Place, AfterValidator(ordered)]
 """The least and the greatest value, which may be one."""
-Range = Annotated[_Two, AfterValidator(rising)]
+Range = Annotated[Place, AfterValidator(rising)]
 """The least value, and a greater one."""
 
 PointValues = Annotated[dict[SafeName, Coordinate], AfterValidator(viscous)]

@@ -102,7 +102,7 @@ def new(
     """
     from sphrom.case import template
 
-    text = template.new_case(template.require_kind(kind), full=full)
+    text = template.new_case(kind, full=full)
     if output is None:
         print(text, end="")
         return

@@ -120,17 +120,16 @@ def command(
     app: typer.Typer,
     name: str,
     taken: Sequence[str] = WHOLE,
-    help: str | None = None,
     own: Iterable[Parameter] = (),
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Return a decorator that adds a function as a command, with some common options.
 
-    The function gets these as `Options`, and has the command's own as further parameters.
+    The function gets these as `Options`, and has the command's own as further parameters. Its
+    docstring is the help.
 
     Parameters
     ----------
     taken : the names of fields of Options.
-    help : by default the function's docstring.
     own : options of the command that the function gets as further keywords.
     """
 
@@ -143,7 +142,7 @@ def command(
         run.__signature__ = Signature(  # type: ignore[attr-defined]
             [*(common[name] for name in ALL if name in taken), *others, *own]
         )
-        app.command(name, help=help or function.__doc__)(run)
+        app.command(name, help=function.__doc__)(run)
         return function
 
     return decorate

@@ -11,6 +11,7 @@ import hashlib
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -25,12 +26,13 @@ from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange.foreign_files import COMPONENTS, ForeignSnapshot, Source, read_foreign
 from sphrom.exchange.import_options import ImportOptions, pair, place
 from sphrom.exchange.instants import (
+    N_NODES,
     Choice,
     choose,
     find_sources,
+    interpolated,
     interval,
     series,
-    snapshots_of,
 )
 from sphrom.offline.fom import ensure_packed
 from sphrom.setup import assembly, particles
@@ -137,13 +139,10 @@ def _write(
             forces=particles.wall_forces(case, point, particles.functional(case, point)),
             fields=MeasuredFields.of(case),
         )
-        snapshots = snapshots_of(
-            choices,
-            lambda source: converter(_read(source, about)),
-            case.scene.domain,
-            plan.particle_spacing,
-        )
-        for index, (time, snapshot) in enumerate(snapshots):
+        read = lru_cache(maxsize=2 * N_NODES)(lambda source: converter(_read(source, about)))
+        for index, (time, nodes) in enumerate(choices):
+            near = [(node.time, read(node)) for node in nodes]
+            snapshot = interpolated(near, time, case.scene.domain, plan.particle_spacing)
             writer.append(time, index * plan.steps.every, snapshot)
             advance(1)
         writer.finish(None, about.seconds)

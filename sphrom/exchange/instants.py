@@ -10,9 +10,8 @@ from __future__ import annotations
 import math
 import re
 from bisect import bisect_left
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -129,29 +128,17 @@ def choose(sources: Sequence[Source], steps: TimeSteps) -> list[Choice]:
     return choices
 
 
-def snapshots_of(
-    choices: Sequence[Choice],
-    convert: Callable[[Source], Snapshot],
-    domain: Domain,
-    spacing: float,
-) -> Iterator[tuple[float, Snapshot]]:
-    """Yield time [s] and fields at the instants of a case.
-
-    Raises CaseError where particles jump, so that they can't be the same in all files.
-    """
-    read = lru_cache(maxsize=2 * N_NODES)(convert)
-    for time, nodes in choices:
-        near = [(node.time, read(node)) for node in nodes]
-        yield time, near[0][1] if len(near) == 1 else interpolated(near, time, domain, spacing)
-
-
 def interpolated(
     near: Sequence[tuple[float, Snapshot]], time: float, domain: Domain, spacing: float
 ) -> Snapshot:
     """Return the snapshot of an instant [s], by the polynomial through those of other times.
 
+    A single one is returned as it is.
+
     Raises CaseError where particles move farther than their speeds carry them and `spacing` [m].
     """
+    if len(near) == 1:
+        return near[0][1]
     nodes = np.array([node for node, _ in near])
     weights = [
         np.prod([(time - other) / (node - other) for other in nodes if other != node])

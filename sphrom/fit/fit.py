@@ -22,6 +22,7 @@ from sphrom.console import Reporter
 from sphrom.errors import CaseError, UnstableError
 from sphrom.fit.forward_model import FittedModel, TrainingDifferences, box_of, error_samples
 from sphrom.fit.measurements import Measurements, read_measurements
+from sphrom.metrics import measures
 from sphrom.metrics.estimation import (
     CONFIDENCE,
     Minimum,
@@ -323,26 +324,14 @@ def _estimates(
         reach = best.place[k] + known.half_width[k] * np.array([-1.0, 1.0])
         low, high = (box.value(name, end) for end in np.clip(reach, 0.0, 1.0).tolist())
         deviation = math.hypot(noise, error)
-        found = Estimate(name, values[name], deviation, noise, error, low, high, remark)
-        yield found
-        if name == REYNOLDS:
+        yield Estimate(name, values[name], deviation, noise, error, low, high, remark)
+        if name == REYNOLDS:  # which tells the viscosity too
             point = model.point(best.place)
-            yield _viscosity(found, model.fast.workspace.case.plan.kinematic_viscosity(point))
-
-
-def _viscosity(reynolds: Estimate, value: float) -> Estimate:
-    """Return what an estimate of the Reynolds number tells of the viscosity [m2/s]."""
-    share, scale = value / reynolds.value, value * reynolds.value
-    return replace(
-        reynolds,
-        parameter=VISCOSITY,
-        value=value,
-        standard_deviation=share * reynolds.standard_deviation,
-        by_noise=share * reynolds.by_noise,
-        by_model=share * reynolds.by_model,
-        low=scale / reynolds.high,
-        high=scale / reynolds.low,
-    )
+            viscosity = model.fast.workspace.case.plan.kinematic_viscosity(point)
+            share, scale = viscosity / values[name], viscosity * values[name]
+            deviation, noise, error = (share * part for part in (deviation, noise, error))
+            low, high = scale / high, scale / low
+            yield Estimate(VISCOSITY, viscosity, deviation, noise, error, low, high, remark)
 
 
 def _histories(
@@ -366,7 +355,7 @@ def _histories(
             curve=curves[:, k],
             half_width=norm.ppf(0.5 * (1.0 + CONFIDENCE)) * np.sqrt(variance),
             name=history.name,
-            units=history.unit,
+            units=measures.UNITS[history.quantity],
         )
 
 

@@ -66,11 +66,6 @@ class Column:
     quantity: str
     component: int | None
 
-    @property
-    def unit(self) -> str:
-        """Of the values."""
-        return UNITS[self.quantity]
-
 
 @dataclass(frozen=True)
 class History(Column):
@@ -209,7 +204,7 @@ def _names(head: Sequence[str], case: Case) -> Iterator[str]:
         )
     for name, stated in given:
         base = name.removesuffix(NOISE)
-        unit = AXES.get(name) or column_of(case, base).unit
+        unit = AXES.get(name) or UNITS[column_of(case, base).quantity]
         if base not in names:
             raise ValueError(f"column {quoted(name)} is of none of the others")
         if base in AT_PLACE and "x" not in names:

@@ -195,6 +195,9 @@ def spread(
     low, high = (list(each) for each in zip(*places, strict=True))
     ordered = np.sort(values, axis=0)
     sampling = np.stack((ordered[low], ordered[high]))
+    place = np.array(levels) * (len(ordered) - 1)
+    before = np.minimum(place.astype(np.int64), len(ordered) - 2)
+    between = (place - before)[:, None]
     interval = sampling
     mean_error = root_error = np.zeros(values.shape[1])
     if errors is not None:
@@ -214,7 +217,7 @@ def spread(
         mean_interval=mean + ends * of_mean,
         deviation=deviation,
         deviation_interval=np.maximum(deviation + ends * of_deviation, 0.0),
-        quantiles=_quantiles(ordered, levels),
+        quantiles=(1.0 - between) * ordered[before] + between * ordered[before + 1],
         sampling_interval=sampling,
         interval=interval,
         error_share=None if errors is None else share,
@@ -222,14 +225,6 @@ def spread(
         along=along,
         model_error="unknown" if errors is None else "estimated",
     )
-
-
-def _quantiles(ordered: Array, levels: tuple[float, ...]) -> Array:
-    """Return quantiles (n_levels, n_outputs) of sorted values, linear between neighbours."""
-    place = np.array(levels) * (len(ordered) - 1)
-    below = np.minimum(place.astype(np.int64), len(ordered) - 2)
-    share = (place - below)[:, None]
-    return np.asarray((1.0 - share) * ordered[below] + share * ordered[below + 1])
 
 
 def saltelli_design(unit: Array) -> Array:

@@ -109,7 +109,7 @@ def run(context: StageContext) -> None:
         *shown.items(),
         ("Errors", list(_tables(out / "tables", contents["tables"]))),
         ("Modes", [*modes, *_spectrum(out / "tables" / "singular_values.csv")]),
-        *((study["title"], list(_study(out, study))) for study in contents["studies"]),
+        *((study["title"], _study(out / study["folder"], study)) for study in contents["studies"]),
         ("Uncertainty", list(_pictures(out, sweep))),
         ("Costs", list(_tables(out / "tables", contents["costs"]))),
         ("The case", _case_parts(case, workspace.case_text)),
@@ -218,11 +218,10 @@ def _pictures(
             yield picture(content, before + caption, before + caption + told)
 
 
-def _study(out: Path, study: Mapping[str, Any]) -> Iterator[Html]:
-    """Yield figures and tables of a study, if it was made."""
-    folder = out / study["folder"]
-    yield from _pictures(folder, study["figures"])
-    yield from _tables(folder, study["tables"], study["made_by"])
+def _study(folder: Path, study: Mapping[str, Any]) -> list[Html]:
+    """Return figures and tables of a study, if it was made."""
+    tables = _tables(folder, study["tables"], study["made_by"])
+    return [*_pictures(folder, study["figures"]), *tables]
 
 
 def _tables(folder: Path, captions: Mapping[str, str], made_by: str = MADE_BY) -> Iterator[Html]:

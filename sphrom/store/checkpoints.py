@@ -68,9 +68,6 @@ class Checkpoints:
     seconds : time that writing them has taken in this process [s].
     """
 
-    begin: RunState | None
-    seconds: float
-
     def __init__(self, workspace: Workspace, target: Target, artifact: ArtifactWriter) -> None:
         """Look for files of a stopped run, and go on from them, give them up, or refuse to.
 
@@ -80,7 +77,8 @@ class Checkpoints:
         self._workspace, self._target, self._artifact = workspace, target, artifact
         self._context, self._name = workspace.context, target.path.name
         self._state = self._aside("checkpoint", "sphrom/checkpoint")
-        kept, self._book, self.begin = self._found(), _Book(), None
+        kept, self._book = self._found(), _Book()
+        self.begin: RunState | None = None
         if kept is None:
             _remove(target)
         else:

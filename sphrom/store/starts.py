@@ -85,17 +85,14 @@ class MappedStarts:
         begin = case.plan.start_point(point)
         key: object = begin if case.time.spin_up > 0.0 else begin.others
         if self._latest is None or self._latest[0] != key:
-            self._latest = key, self._stored_at(begin) or self._mapped(begin)
+            self._latest = key, self._fields_at(begin)
         return self._latest[1]
 
-    def _stored_at(self, begin: ParameterPoint) -> Fields | None:
+    def _fields_at(self, begin: ParameterPoint) -> Fields:
         if self._stored is not None:
             for k, values in enumerate(self._stored.parameters):
                 if _starts_alike(self._workspace.case, begin, values, self._points):
                     return self._stored.density_fluctuation[k], self._stored.velocity[k]
-        return None
-
-    def _mapped(self, begin: ParameterPoint) -> Fields:
         from sphrom.setup.particles import map_onto
 
         to_points = map_onto(self._workspace.case, self._points)

@@ -18,14 +18,6 @@ from sphrom.sph.walls import build_walls
 LID = "name: box\nscene:\n  kind: lid-driven-cavity\n"
 
 
-def test_derived_quantities(load):
-    case = load("scene: {kind: taylor-green, length: 2}\n", base="name: x\n")
-    assert case.plan.particle_spacing == pytest.approx(0.02)
-    assert case.plan.smoothing_length == pytest.approx(0.08)
-    assert case.plan.sound_speed == pytest.approx(10.0)
-    assert case.plan.kinematic_viscosity(ParameterPoint(50.0)) == pytest.approx(0.04)
-
-
 def test_limits_are_those_of_the_physics(load):
     case = load("parameters: {train: {reynolds: [5, 100]}, test: {reynolds: [2]}}\n")
     plan = case.plan

@@ -101,15 +101,8 @@ def test_a_case_is_not_changed_by_loading_it():
     assert repr(CASE) == before
 
 
-@pytest.mark.parametrize(
-    ("source", "overrides", "text"),
-    [
-        ({**CASE, "tiem": {}}, {}, "case: tiem: unknown key; did you mean time?"),
-        (CASE, {"resolution": 50.5}, "--set: discretization.resolution: must be a whole number"),
-        (CASE, {"rom.2.n_modes": 3}, "--set: rom.2: rom is a list of 2, counted from 0"),
-    ],
-)
-def test_problems_of_a_case_are_those_of_a_file(source, overrides, text):
-    with pytest.raises(CaseError) as refused:
-        load_case(source, overrides)
-    assert text in str(refused.value)
+def test_problems_of_a_case_are_those_of_a_file():
+    with pytest.raises(CaseError, match=r"case: tiem: unknown key; did you mean time\?"):
+        load_case({**CASE, "tiem": {}})
+    with pytest.raises(CaseError, match=r"--set: discretization\.resolution: must be a whole"):
+        load_case(CASE, {"resolution": 50.5})

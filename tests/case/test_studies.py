@@ -57,12 +57,6 @@ def test_percentages():
             percent(given, "--noise")
 
 
-def test_walls_stay_on_the_lattice(refusal):
-    base = "name: small\nscene:\n  kind: open-cavity\n"
-    (line,) = refusal("trade: {resolutions: [41]}\n", base=base)
-    assert "trade.resolutions: 41: a spacing of" in line
-
-
 def test_half_the_resolution_where_it_fits(load):
     coarse = "discretization: {resolution: 20, smoothing_length_ratio: 2.0}\n"
     assert coarser_resolution(load(coarse)) == 10

@@ -262,12 +262,6 @@ def test_help_imports_nothing_heavy(arguments):
     assert not imported & heavy
 
 
-def test_module_runs_and_reports_without_a_traceback(tmp_path):
-    result = python("-m", "sphrom", "fom", str(tmp_path / "no.yaml"))
-    assert result.returncode == 2
-    assert result.stderr == f"error: {tmp_path}/no.yaml: there is no such case file\n"
-
-
 @pytest.mark.skipif(os.name != "posix", reason="needs a shell")
 def test_reader_that_leaves_early_sees_no_traceback():
     command = f"{sys.executable} -m sphrom case schema | head -c 10"

@@ -50,7 +50,6 @@ def test_columns_are_measurements_of_the_case(tmp_path):
     assert [h.name for h in found.histories] == ["wake_u", "drag_torque", "flux_flow_rate"]
     wake, torque, flux = found.histories
     assert (wake.measure, wake.quantity, wake.component) == ("wake", "velocity", 0)
-    assert wake.unit == "m/s"
     assert wake.time.tolist() == [0.1, 0.2]
     assert wake.value.tolist() == [0.1, 0.3]
     assert wake.noise.tolist() == [0.02, 0.01]

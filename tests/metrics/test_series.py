@@ -82,15 +82,6 @@ def test_a_record_without_two_periods_or_a_spectrum_has_no_frequency(time, signa
         dominant_frequency(time, signal)
 
 
-@pytest.mark.parametrize("n_half", [1, 2, 7])
-def test_a_hat_is_symmetric_and_sums_up_to_one(n_half):
-    weights = hat(n_half)
-    assert weights.shape == (2 * n_half - 1,)
-    assert weights.sum() == pytest.approx(1.0)
-    np.testing.assert_allclose(weights, weights[::-1])
-    assert weights.argmax() == n_half - 1
-
-
 @pytest.mark.parametrize("period", [8.0, 4.0, 8.0 / 3.0])
 def test_oscillations_that_fit_into_half_the_hat_are_lost(period):
     wave = np.cos(2.0 * np.pi * np.arange(100) / period + 0.3)
