@@ -40,8 +40,11 @@ def ghost_depths(domain: Domain, ghost: Array, discretization: Discretization) -
     is singular (Moffatt, J. Fluid Mech. 18, 1964), and particles a spacing apart miss part of it:
     a solid acts as if it were smaller. What they miss has one form for all flows past one angle,
     so that one number makes up for it: d (1 + 3 tan^2(turn / 2) W(r) / W(0)), r from the corner.
+    Where ghosts' velocities count in continuity, that would be a source: they keep their distance.
     """
     depth = domain.fluid_distance(ghost)
+    if discretization.wall_continuity != "adjoint":
+        return depth
     corner, sharpness = jutting_corners(domain.fluid_with_images, discretization.particle_spacing)
     near, which = shapely.STRtree(shapely.points(corner)).query(
         shapely.points(ghost), predicate="dwithin", distance=discretization.support_radius
