@@ -48,7 +48,10 @@ def sort_sources(
     """Sort particles at (2, n_particles) [m], and their images within a margin [m] of the box."""
     particle, image = periodic_images(position, domain, margin)
     place = position[:, particle] + image
-    grid = _covering_grid(place[0], place[1], particle_spacing)
+    width, height = (ratio * particle_spacing for ratio in CELL_SIZE_RATIO)
+    origin = place.min(axis=1)
+    columns, rows = ((place.max(axis=1) - origin) / (width, height)).astype(int).tolist()
+    grid = Grid(float(origin[0]), float(origin[1]), width, height, columns + 1, rows + 1)
     order, cell_start = sort_by_cell(place[0], place[1], grid)
     return Sources(
         particle=particle[order],
@@ -150,19 +153,6 @@ def _require_near(position: Array, domain: Domain, margin: float) -> None:
     if bad.any():
         where = first_of(np.flatnonzero(bad), position)
         raise UnstableError(f"{where} is beyond the reach of the neighbour list")
-
-
-def _covering_grid(x: Array, y: Array, particle_spacing: float) -> Grid:
-    width, height = (ratio * particle_spacing for ratio in CELL_SIZE_RATIO)
-    x_origin, y_origin = float(x.min()), float(y.min())
-    return Grid(
-        x_origin=x_origin,
-        y_origin=y_origin,
-        cell_width=width,
-        cell_height=height,
-        n_columns=int((float(x.max()) - x_origin) / width) + 1,
-        n_rows=int((float(y.max()) - y_origin) / height) + 1,
-    )
 
 
 def periodic_images(position: Array, domain: Domain, margin: float) -> tuple[Indices, Array]:

@@ -212,8 +212,7 @@ class PolygonDomain(Domain):
 
     def distance_and_normal(self, position: Array) -> tuple[Array, Array]:
         """Return signed distances from walls (n_points,) [m] and normals (n_points, 2)."""
-        distance, normal, _ = self._nearest(position)
-        return distance, normal
+        return self._nearest(position)[:2]
 
     def nearest_wall(self, position: Array) -> Indices:
         """Return the wall (n_points,) that is nearest to positions (n_points, 2) [m]."""

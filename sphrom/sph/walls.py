@@ -10,9 +10,6 @@ flow at 50x50 is then off by up to 0.02 of its speed, extrapolated by 0.004.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-
 import numpy as np
 import shapely
 
@@ -56,25 +53,6 @@ def ghost_depths(domain: Domain, ghost: Array, discretization: Discretization) -
     gain = np.zeros_like(depth)
     np.maximum.at(gain, near, AT_CORNERS * sharpness[which] * (1 - 0.5 * q) ** 4 * (1 + 2 * q))
     return depth * (1.0 + gain)
-
-
-def build_walls(
-    domain: Domain,
-    particle_spacing: float,
-    n_layers: int,
-    wall_velocity: Callable[[Array], Array] | None = None,
-) -> Walls:
-    """Return the ghosts around a domain: points within some layers of the fluid.
-
-    Parameters
-    ----------
-    wall_velocity : the velocity (n_ghosts, 2) [m/s] of the walls that ghosts (n_ghosts, 2) [m]
-        belong to; None for walls at rest.
-    """
-    walls = domain.ghosts(particle_spacing, n_layers)
-    if wall_velocity is None:
-        return walls
-    return replace(walls, velocity=wall_velocity(walls.position))
 
 
 class GhostParticles:
