@@ -78,7 +78,6 @@ class Neighbourhood:
     sources: Sources
     block_start: Indices
     reach: float
-    scratch: Array
 
     def __init__(
         self, domain: Domain, support_radius: float, particle_spacing: float, n_fields: int
@@ -90,17 +89,13 @@ class Neighbourhood:
         self.built_at: Array | None = None
         self.scratch = np.empty((N_CHUNKS, n_fields, 0))
 
-    def forget(self) -> None:
-        """Build the list anew at the next update, wherever the particles are."""
-        self.built_at = None
-
     def rebuild_at(self, position: Array | None) -> None:
-        """Build the list as it was built at positions (2, n_particles) [m], or forget it.
+        """Build the list as it was built at positions (2, n_particles) [m]; None forgets it.
 
         Sums over neighbours are taken in the list's order: a run that goes on from a state has to
         go on with the list that it had.
         """
-        self.forget()
+        self.built_at = None
         if position is not None:
             self.update(position)
 

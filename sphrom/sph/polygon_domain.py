@@ -290,10 +290,8 @@ def list_by_cell(
     lower, upper : the box's corners (2,) [m].
     cell_width, reach : of the cells, and from within which all segments are listed [m].
     """
-    n_columns, n_rows = np.ceil((upper - lower) / cell_width).astype(int)
-    grid = Grid(
-        float(lower[0]), float(lower[1]), cell_width, cell_width, int(n_columns), int(n_rows)
-    )
+    n_columns, n_rows = np.ceil((upper - lower) / cell_width).astype(int).tolist()
+    grid = Grid(float(lower[0]), float(lower[1]), cell_width, cell_width, n_columns, n_rows)
     row, column = np.divmod(np.arange(n_columns * n_rows), n_columns)
     centres = shapely.points(lower + cell_width * (np.stack((column, row), axis=1) + 0.5))
     tree = shapely.STRtree(shapely.linestrings(segments[:, :4].reshape(-1, 2, 2)))

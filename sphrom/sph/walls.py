@@ -67,11 +67,9 @@ class GhostParticles:
         self.discretization = discretization
         self.walls_return = discretization.wall_continuity == "adjoint"
         self.search_walls = domain.wall_search(spacing)
-        self._depth = (
-            ghost_depths(domain, walls.position, discretization)
-            if discretization.no_slip == "linear"
-            else 0.0
-        )
+        self._depth: Array | float = 0.0
+        if discretization.no_slip == "linear":
+            self._depth = ghost_depths(domain, walls.position, discretization)
         self._mass = fluid.reference_density * spacing**2
         self._position = np.ascontiguousarray(walls.position.T)
         self._normal = _axes_of_normals(walls, discretization)
@@ -243,8 +241,7 @@ class WallTerms:
     def forces(self, fluid: FluidConstants) -> Array:
         """Return the pressure's and the viscous force on each ghost (2, 2, n_ghosts) [N/m].
 
-        They are per metre of depth; all of them together are minus what ghosts add to the fluid's
-        momentum. `self._source` has the pressure and the Laplacian's factor by now.
+        `self._source` has the pressure and the Laplacian's factor by now.
         """
         distance = np.empty(self._n_particles)
         distance[self._particle[self._targets]] = self._from_wall
