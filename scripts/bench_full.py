@@ -42,7 +42,6 @@ from sphrom.sph.fluid import Discretization, Fluid, fluctuation_of
 from sphrom.sph.functional import Functional
 from sphrom.sph.packing import pack
 from sphrom.sph.time_loop import runge_kutta_step
-from sphrom.sph.walls import build_walls
 
 TILE = 50
 """Particles along an edge of the packed square that larger sets are tiled with."""
@@ -85,7 +84,7 @@ def flow(scene: str, resolution: int, ratio: float) -> tuple[Functional, np.ndar
     discretization = Discretization(spacing, ratio * spacing)
     if walled:
         cavity = LidDrivenCavity(length=1.0, speed=1.0, lid="regularised")
-        walls = build_walls(domain, spacing, discretization.n_layers, cavity.wall_velocity)
+        walls = domain.ghosts(spacing, discretization.n_layers).moving(cavity.wall_velocity)
         position = domain.fill(spacing)
         state = np.vstack((position.T, np.zeros((3, len(position)))))
         return Functional(fluid, discretization, domain, walls=walls), state

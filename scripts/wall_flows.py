@@ -31,7 +31,6 @@ from sphrom.sph.packing import pack
 from sphrom.sph.polygon_domain import PolygonDomain
 from sphrom.sph.polygons import disc
 from sphrom.sph.time_loop import runge_kutta_step
-from sphrom.sph.walls import build_walls
 
 Array = NDArray[np.float64]
 Report = Callable[[Functional, Array, float], str]
@@ -67,7 +66,7 @@ def run(flow: Flow) -> None:
         flow.spacing, 2.0 * flow.spacing, acoustic_damping=1.0, fixed_volume=True
     )
     domain, walls = flow.domain, None
-    walls = build_walls(domain, flow.spacing, discretization.n_layers, flow.wall_velocity)
+    walls = domain.ghosts(flow.spacing, discretization.n_layers).moving(flow.wall_velocity)
     position = pack(
         domain, discretization, ghosts=walls.position, perturbation=PERTURBATION, tolerance=3e-4
     ).position

@@ -165,7 +165,7 @@ class ParticleModel:
 
     def wrapped(self, state: Array) -> Array:
         """Return the state with its particles in the box, and forget their neighbours."""
-        self.neighbourhood.forget()
+        self.neighbourhood.rebuild_at(None)
         position = self.domain.wrap(self.position(state).T)
         mean = self.mean_density_fluctuation(state)
         return self.initial_state(self.coordinates(state), position, mean)

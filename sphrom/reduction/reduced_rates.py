@@ -182,7 +182,7 @@ def stability_limits(eigenvalues: NDArray[np.complex128]) -> Array:
     They are where rays leave the scheme's region of stability. What grows does so at any step: it
     counts as if it only oscillated.
     """
-    neutral = _neutral(eigenvalues)
+    neutral = np.minimum(eigenvalues.real, 0.0) + 1j * eigenvalues.imag
     size = np.abs(neutral)
     ray = np.divide(neutral, size, out=np.zeros_like(neutral), where=size > 0.0)
     low, high = np.zeros(size.size), np.full(size.size, STABLE_RADIUS)
@@ -193,11 +193,6 @@ def stability_limits(eigenvalues: NDArray[np.complex128]) -> Array:
         stable = np.abs(growth) <= 1.0 + NEUTRAL
         low, high = np.where(stable, middle, low), np.where(stable, high, middle)
     return np.divide(low, size, out=np.full(size.size, np.inf), where=size > 0.0)
-
-
-def _neutral(eigenvalues: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Return eigenvalues of which those that grow only oscillate."""
-    return np.asarray(np.minimum(eigenvalues.real, 0.0) + 1j * eigenvalues.imag)
 
 
 def memory_length(jacobian: Array, smoothing_length: float, sound_speed: float) -> float:

@@ -24,7 +24,6 @@ from sphrom.sph.fixed_points import FixedPoints
 from sphrom.sph.fluid import Drive, pressure_of
 from sphrom.sph.functional import Functional
 from sphrom.sph.wall_forces import MeasuredWall, WallForces, measured_wall
-from sphrom.sph.walls import build_walls
 
 SAMPLING_RATIO = 2.0
 """Smoothing length of the moving least squares that sample particles, over the spacing."""
@@ -47,12 +46,8 @@ def walls(case: Case, flow: Scene) -> Walls | None:
     """Return the ghosts of a scene's walls, or None where it has no walls."""
     if not flow.domain.has_walls:
         return None
-    return build_walls(
-        flow.domain,
-        case.plan.particle_spacing,
-        case.plan.n_wall_layers,
-        wall_velocity=flow.wall_velocity,
-    )
+    at_rest = flow.domain.ghosts(case.plan.particle_spacing, case.plan.n_wall_layers)
+    return at_rest.moving(flow.wall_velocity)
 
 
 def measured_walls(case: Case, flow: Scene) -> dict[str, MeasuredWall]:

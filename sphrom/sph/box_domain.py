@@ -10,7 +10,6 @@ from functools import cached_property
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
 from sphrom.arrays import Array, Indices, Mask
@@ -219,7 +218,7 @@ class Rectangle:
         (left, low), (right, high) = self.lower, self.upper
         return Rectangle((left + x, low + y), (right + x, high + y))
 
-    def contains(self, position: Array) -> NDArray[np.bool_]:
+    def contains(self, position: Array) -> Mask:
         """Return which positions (n_points, 2) [m] lie in it, its edges among them."""
         inside = (position >= self.lower) & (position <= self.upper)
         return np.asarray(inside.all(axis=1))

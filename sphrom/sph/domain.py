@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -39,6 +39,10 @@ class Walls:
     normal: Array | None
     """(n_ghosts, 2) 1 along the axes of the normals of the walls that a ghost is behind, else 0;
     None where walls follow no axis."""
+
+    def moving(self, wall_velocity: Callable[[Array], Array]) -> Walls:
+        """Return them with the velocity (n_ghosts, 2) [m/s] of walls, from ghosts' positions."""
+        return replace(self, velocity=wall_velocity(self.position))
 
 
 @dataclass(frozen=True)
@@ -153,17 +157,11 @@ class Domain(ABC):
         """Return which positions lie in the fluid or on its edge, once wrapped."""
 
     def wall_distance(self, position: Array) -> Array:
-        """Return the distance (n_points,) [m] of positions to the nearest wall.
-
-        It is zero within walls, and infinite where there are none.
-        """
+        """Return the distance (n_points,) [m] to the nearest wall, zero within one."""
         return np.maximum(self.distance_and_normal(position)[0], 0.0)
 
     def fluid_distance(self, position: Array) -> Array:
-        """Return the distance (n_points,) [m] of positions to the nearest fluid.
-
-        It is zero within the fluid.
-        """
+        """Return the distance (n_points,) [m] of positions to the nearest fluid, zero within it."""
         return np.maximum(-self.distance_and_normal(position)[0], 0.0)
 
     @abstractmethod

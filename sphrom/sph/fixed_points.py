@@ -267,9 +267,8 @@ class FixedPoints:
         """Return the force of heads on ghosts (2, n_ghosts, ...) [N/m], of (2, n_points, ...)."""
         ghosts = self._beside_walls
         head = ghosts.heads(body_force)
-        return self.particle_mass * np.stack(
-            [scaled(row_sums(g), head) for g in ghosts.gradient_back]
-        )
+        push = np.stack([scaled(row_sums(g), head) for g in ghosts.gradient_back])
+        return self.particle_mass * push
 
     def ghost_friction(self, velocity: Array) -> Array:
         """Return the viscous force on ghosts at rest (2, n_ghosts, n_fields) [N/m], per viscosity.
@@ -277,11 +276,8 @@ class FixedPoints:
         Velocities are (2, n_points, n_fields) [m/s].
         """
         back = self._beside_walls.friction.T
-        return (
-            -2.0
-            * self.particle_mass
-            * np.stack([back @ scaled(self._viscous, u) for u in velocity])
-        )
+        drag = np.stack([back @ scaled(self._viscous, u) for u in velocity])
+        return -2.0 * self.particle_mass * drag
 
     @property
     def ghost_drag(self) -> Array:

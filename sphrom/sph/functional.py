@@ -297,7 +297,7 @@ class Functional:
 
     def wrapped(self, state: Array) -> Array:
         """Return the state with its particles in the box, and forget their neighbours."""
-        self.neighbourhood.forget()
+        self.neighbourhood.rebuild_at(None)
         return np.vstack((self.domain.wrap(state[:2].T).T, state[2:]))
 
     def snapshot(self, state: Array) -> Snapshot:

@@ -48,7 +48,10 @@ def sort_sources(
     """Sort particles at (2, n_particles) [m], and their images within a margin [m] of the box."""
     particle, image = periodic_images(position, domain, margin)
     place = position[:, particle] + image
-    grid = _covering_grid(place[0], place[1], particle_spacing)
+    width, height = (ratio * particle_spacing for ratio in CELL_SIZE_RATIO)
+    origin = place.min(axis=1)
+    columns, rows = ((place.max(axis=1) - origin) / (width, height)).astype(int).tolist()
+    grid = Grid(float(origin[0]), float(origin[1]), width, height, columns + 1, rows + 1)
     order, cell_start = sort_by_cell(place[0], place[1], grid)
     return Sources(
         particle=particle[order],
@@ -75,7 +78,6 @@ class Neighbourhood:
     sources: Sources
     block_start: Indices
     reach: float
-    scratch: Array
 
     def __init__(
         self, domain: Domain, support_radius: float, particle_spacing: float, n_fields: int
@@ -87,17 +89,13 @@ class Neighbourhood:
         self.built_at: Array | None = None
         self.scratch = np.empty((N_CHUNKS, n_fields, 0))
 
-    def forget(self) -> None:
-        """Build the list anew at the next update, wherever the particles are."""
-        self.built_at = None
-
     def rebuild_at(self, position: Array | None) -> None:
-        """Build the list as it was built at positions (2, n_particles) [m], or forget it.
+        """Build the list as it was built at positions (2, n_particles) [m]; None forgets it.
 
         Sums over neighbours are taken in the list's order: a run that goes on from a state has to
         go on with the list that it had.
         """
-        self.forget()
+        self.built_at = None
         if position is not None:
             self.update(position)
 
@@ -150,19 +148,6 @@ def _require_near(position: Array, domain: Domain, margin: float) -> None:
     if bad.any():
         where = first_of(np.flatnonzero(bad), position)
         raise UnstableError(f"{where} is beyond the reach of the neighbour list")
-
-
-def _covering_grid(x: Array, y: Array, particle_spacing: float) -> Grid:
-    width, height = (ratio * particle_spacing for ratio in CELL_SIZE_RATIO)
-    x_origin, y_origin = float(x.min()), float(y.min())
-    return Grid(
-        x_origin=x_origin,
-        y_origin=y_origin,
-        cell_width=width,
-        cell_height=height,
-        n_columns=int((float(x.max()) - x_origin) / width) + 1,
-        n_rows=int((float(y.max()) - y_origin) / height) + 1,
-    )
 
 
 def periodic_images(position: Array, domain: Domain, margin: float) -> tuple[Indices, Array]:

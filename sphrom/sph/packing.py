@@ -55,7 +55,6 @@ def pack(
     seed: int = 0,
     perturbation: float = 0.5,
     tolerance: float = 1e-3,
-    max_iterations: int = MAX_ITERATIONS,
     advance: Callable[[int], None] = lambda steps: None,
 ) -> Packing:
     """Pack a domain with evenly spread particles.
@@ -78,7 +77,7 @@ def pack(
     velocity = np.zeros_like(position)
     gradient = push(position)
     residual = [_residual(gradient, spacing)]
-    while residual[-1] > tolerance and len(residual) <= max_iterations:
+    while residual[-1] > tolerance and len(residual) <= MAX_ITERATIONS:
         velocity = (1.0 - DAMPING) * velocity - 2.0 * time_step * gradient
         ahead = _off_walls(position + time_step * velocity, domain, spacing)
         if domain.has_walls:

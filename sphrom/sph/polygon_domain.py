@@ -212,8 +212,7 @@ class PolygonDomain(Domain):
 
     def distance_and_normal(self, position: Array) -> tuple[Array, Array]:
         """Return signed distances from walls (n_points,) [m] and normals (n_points, 2)."""
-        distance, normal, _ = self._nearest(position)
-        return distance, normal
+        return self._nearest(position)[:2]
 
     def nearest_wall(self, position: Array) -> Indices:
         """Return the wall (n_points,) that is nearest to positions (n_points, 2) [m]."""
@@ -291,10 +290,8 @@ def list_by_cell(
     lower, upper : the box's corners (2,) [m].
     cell_width, reach : of the cells, and from within which all segments are listed [m].
     """
-    n_columns, n_rows = np.ceil((upper - lower) / cell_width).astype(int)
-    grid = Grid(
-        float(lower[0]), float(lower[1]), cell_width, cell_width, int(n_columns), int(n_rows)
-    )
+    n_columns, n_rows = np.ceil((upper - lower) / cell_width).astype(int).tolist()
+    grid = Grid(float(lower[0]), float(lower[1]), cell_width, cell_width, n_columns, n_rows)
     row, column = np.divmod(np.arange(n_columns * n_rows), n_columns)
     centres = shapely.points(lower + cell_width * (np.stack((column, row), axis=1) + 0.5))
     tree = shapely.STRtree(shapely.linestrings(segments[:, :4].reshape(-1, 2, 2)))

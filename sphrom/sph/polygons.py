@@ -57,9 +57,8 @@ def disc(centre: tuple[float, float], radius: float) -> BaseGeometry:
     turns = np.linspace(0.0, 2.0 * math.pi, N_CORNERS, endpoint=False)
     step = 2.0 * math.pi / N_CORNERS
     corner = radius * math.sqrt(step / math.sin(step))
-    return shapely.Polygon(
-        np.array(centre) + corner * np.stack((np.cos(turns), np.sin(turns)), axis=1)
-    )
+    around = np.stack((np.cos(turns), np.sin(turns)), axis=1)
+    return shapely.Polygon(np.array(centre) + corner * around)
 
 
 def digest(shape: BaseGeometry) -> str:

@@ -16,10 +16,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sphrom.arrays import Array
-from sphrom.sph.domain import Domain
+from sphrom.sph.domain import Domain, Walls
 
 if TYPE_CHECKING:
-    from sphrom.sph.domain import Walls
     from sphrom.sph.functional import Functional
 
 

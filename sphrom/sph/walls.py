@@ -10,9 +10,6 @@ flow at 50x50 is then off by up to 0.02 of its speed, extrapolated by 0.004.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-
 import numpy as np
 import shapely
 
@@ -58,25 +55,6 @@ def ghost_depths(domain: Domain, ghost: Array, discretization: Discretization) -
     return depth * (1.0 + gain)
 
 
-def build_walls(
-    domain: Domain,
-    particle_spacing: float,
-    n_layers: int,
-    wall_velocity: Callable[[Array], Array] | None = None,
-) -> Walls:
-    """Return the ghosts around a domain: points within some layers of the fluid.
-
-    Parameters
-    ----------
-    wall_velocity : the velocity (n_ghosts, 2) [m/s] of the walls that ghosts (n_ghosts, 2) [m]
-        belong to; None for walls at rest.
-    """
-    walls = domain.ghosts(particle_spacing, n_layers)
-    if wall_velocity is None:
-        return walls
-    return replace(walls, velocity=wall_velocity(walls.position))
-
-
 class GhostParticles:
     """The ghosts of a scene's walls, ready to take their fields from the fluid beside them."""
 
@@ -89,11 +67,9 @@ class GhostParticles:
         self.discretization = discretization
         self.walls_return = discretization.wall_continuity == "adjoint"
         self.search_walls = domain.wall_search(spacing)
-        self._depth = (
-            ghost_depths(domain, walls.position, discretization)
-            if discretization.no_slip == "linear"
-            else 0.0
-        )
+        self._depth: Array | float = 0.0
+        if discretization.no_slip == "linear":
+            self._depth = ghost_depths(domain, walls.position, discretization)
         self._mass = fluid.reference_density * spacing**2
         self._position = np.ascontiguousarray(walls.position.T)
         self._normal = _axes_of_normals(walls, discretization)
@@ -265,8 +241,7 @@ class WallTerms:
     def forces(self, fluid: FluidConstants) -> Array:
         """Return the pressure's and the viscous force on each ghost (2, 2, n_ghosts) [N/m].
 
-        They are per metre of depth; all of them together are minus what ghosts add to the fluid's
-        momentum. `self._source` has the pressure and the Laplacian's factor by now.
+        `self._source` has the pressure and the Laplacian's factor by now.
         """
         distance = np.empty(self._n_particles)
         distance[self._particle[self._targets]] = self._from_wall

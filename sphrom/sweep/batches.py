@@ -74,7 +74,12 @@ def make_runs(task: Task) -> tuple[Failure, ...]:
         except SphromError as error:
             failed.append(Failure(point, str(error), error.exit_code))
     if records:
-        write_part(swept.workspace, records)
+        require_folder(swept.workspace)
+        # A part is named by its points: it is made with the same and from the same as the whole.
+        text = "\n".join(record.point.label for record in records)
+        name = f"part-{hashlib.sha256(text.encode()).hexdigest()[:16]}.h5"
+        path = parts_folder(swept.workspace) / name
+        write_sweep(swept.workspace, replace(swept.workspace.sweep(), path=path), records)
     return tuple(failed)
 
 
@@ -325,15 +330,6 @@ def require_folder(workspace: Workspace) -> None:
 def parts_folder(workspace: Workspace) -> Path:
     """Return the folder of the parts of a sweep."""
     return workspace.out / f"sweep-{sweep_name(workspace.case)}"
-
-
-def write_part(workspace: Workspace, records: Sequence[RunRecord]) -> None:
-    """Write a part, named by its points: made with the same and from the same as the whole."""
-    require_folder(workspace)
-    text = "\n".join(record.point.label for record in records)
-    name = f"part-{hashlib.sha256(text.encode()).hexdigest()[:16]}.h5"
-    path = parts_folder(workspace) / name
-    write_sweep(workspace, replace(workspace.sweep(), path=path), records)
 
 
 def write_sweep(

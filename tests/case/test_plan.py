@@ -13,7 +13,6 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.template import examples
 from sphrom.sph.fluid import Discretization, Fluid, step_limits
-from sphrom.sph.walls import build_walls
 
 LID = "name: box\nscene:\n  kind: lid-driven-cavity\n"
 
@@ -165,7 +164,7 @@ def test_particles_and_ghosts_are_as_many_as_are_made(load, base, text):
     case = load(text, base=base)
     domain, spacing = case.scene.domain, case.plan.particle_spacing
     assert case.plan.n_particles == len(domain.fill(spacing))
-    assert case.plan.n_ghosts == len(build_walls(domain, spacing, case.plan.n_wall_layers).position)
+    assert case.plan.n_ghosts == len(domain.ghosts(spacing, case.plan.n_wall_layers).position)
 
 
 @pytest.mark.parametrize(

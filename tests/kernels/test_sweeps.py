@@ -39,7 +39,6 @@ import numpy as np
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
-from sphrom.sph.walls import build_walls
 from sphrom.reduction.reference_space import ReferenceMap
 state = np.load(sys.argv[1])
 box = BoxDomain((0.0, 0.0), (1.0, 1.0), (True, True))
@@ -49,7 +48,7 @@ printed = Discretization(0.125, 0.1875, shifting_transport="paper", viscosity="p
 printed = Functional(functional.fluid, printed, box)
 closed = BoxDomain((0.0, 0.0), (1.0, 1.0), (False, False))
 walled = Functional(
-    functional.fluid, functional.discretization, closed, build_walls(closed, 0.125, 3),
+    functional.fluid, functional.discretization, closed, closed.ghosts(0.125, 3),
     lambda position, time: position - time,
 )
 inside = np.vstack((state[:2] % 1.0, state[2:]))

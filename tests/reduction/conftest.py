@@ -15,7 +15,6 @@ from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.sph.fluid import Discretization, Fluid
-from sphrom.sph.walls import build_walls
 
 N_MODES = 5
 SPACING = 0.0625
@@ -74,7 +73,7 @@ class Setting:
         )
         walls = force = None
         if self.domain.has_walls:
-            walls = build_walls(self.domain, SPACING, discretization.n_layers, lid)
+            walls = self.domain.ghosts(SPACING, discretization.n_layers).moving(lid)
         if self.name == "channel":
             force = self.amplitude * np.stack((np.sin(self.position[:, 1]), self.position[:, 0]))
         fluid = replace(FLUID, reference_density=self.reference_density)

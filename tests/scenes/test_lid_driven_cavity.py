@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from sphrom.scenes.flows import LidDrivenCavity
-from sphrom.sph.walls import build_walls
 
 LENGTH, SPEED = 2.0, 1.5
 
@@ -22,7 +21,7 @@ def test_regularised_lid_is_flat_amid_and_vanishes_at_its_ends() -> None:
 def test_only_ghosts_above_the_box_move_and_only_along_it(lid: str) -> None:
     """Beside corners that stand."""
     scene = LidDrivenCavity(LENGTH, SPEED, lid)  # type: ignore[arg-type]
-    walls = build_walls(scene.domain, 0.2, 4, scene.wall_velocity)
+    walls = scene.domain.ghosts(0.2, 4).moving(scene.wall_velocity)
     x, y = walls.position.T
     above = (y > LENGTH) & (x > 0.0) & (x < LENGTH)
     assert np.count_nonzero(above) == 40

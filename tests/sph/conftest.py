@@ -21,7 +21,6 @@ from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import BodyForce, Functional
 from sphrom.sph.polygon_domain import PolygonDomain
 from sphrom.sph.polygons import disc
-from sphrom.sph.walls import build_walls
 
 Array = NDArray[np.float64]
 
@@ -92,7 +91,7 @@ class Scene:
 
     name: str
     domain: Domain
-    wall_velocity: Callable[[Array], Array] | None = None
+    wall_velocity: Callable[[Array], Array] = np.zeros_like
     body_force: BodyForce | None = None
 
     @property
@@ -101,7 +100,7 @@ class Scene:
 
     def walls(self, ratio: float = 2.0, layers: int | None = None) -> Walls:
         depth = layers or Discretization(SPACING, ratio * SPACING).n_layers
-        return build_walls(self.domain, SPACING, depth, self.wall_velocity)
+        return self.domain.ghosts(SPACING, depth).moving(self.wall_velocity)
 
     def functional(
         self, ratio: float = 2.0, *, fluid: Fluid = FLUID, layers: int | None = None, **options

@@ -12,7 +12,6 @@ import pytest
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
-from sphrom.sph.walls import build_walls
 
 N_COLUMNS = 16
 COUNTS = (25, 50, 100)
@@ -27,11 +26,8 @@ def layers(n: int, ratio: float = 2.0, lid: float = 0.0, **options):
     domain = BoxDomain((0.0, 0.0), (N_COLUMNS * spacing, 1.0), (True, False))
     options = {"diffusion_coefficient": 0.0, "shifting": False, **options}
     discretization = Discretization(spacing, ratio * spacing, **options)
-    walls = build_walls(
-        domain,
-        spacing,
-        discretization.n_layers,
-        lambda place: np.outer(place[:, 1] > 1.0, [lid, 0.0]),
+    walls = domain.ghosts(spacing, discretization.n_layers).moving(
+        lambda place: np.outer(place[:, 1] > 1.0, [lid, 0.0])
     )
     functional = Functional(Fluid(1.0, 10.0, 1.0, 1.0), discretization, domain, walls)
     position = domain.fill(spacing).T

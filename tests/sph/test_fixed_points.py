@@ -12,7 +12,6 @@ from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
-from sphrom.sph.walls import build_walls
 
 SPACING = 0.0625
 FLUID = Fluid(reference_density=800.0, sound_speed=7.0, kinematic_viscosity=0.013, max_speed=0.9)
@@ -60,10 +59,8 @@ class Setting:
     def walls(self, speed: float):
         if self.scene is None:
             return None
-        walls = build_walls(
-            self.domain, SPACING, self.discretization.n_layers, self.scene.wall_velocity
-        )
-        return replace(walls, velocity=speed * walls.velocity)
+        at_rest = self.domain.ghosts(SPACING, self.discretization.n_layers)
+        return at_rest.moving(lambda place: speed * self.scene.wall_velocity(place))
 
     def functional(self, q, velocity, speed: float = 0.0, amplitude: float = 0.0, fluid=FLUID):
         """Return the functional's rates (3, n_points) of q and velocity."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
@@ -24,12 +22,6 @@ def test_step_limits() -> None:
     assert limits.viscous == pytest.approx(0.125 * 0.02**2 / 0.01)
     assert limits.acoustic < limits.viscous
     assert step_limits(Fluid(1000.0, 10.0, 1.0, 1.0), Discretization(0.01, 0.02)).viscous < 1e-4
-
-
-def test_numbers_of_a_fluid_and_its_particles() -> None:
-    discretization = Discretization(0.01, 0.04)
-    assert discretization.support_radius == pytest.approx(0.08)
-    assert discretization.n_neighbours == pytest.approx(64.0 * math.pi)
 
 
 def test_state_equation() -> None:

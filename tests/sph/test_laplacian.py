@@ -13,7 +13,6 @@ from sphrom.sph.fixed_points import FixedPoints
 from sphrom.sph.fluid import REAL_AXIS_LIMIT, Discretization, Fluid, step_limits
 from sphrom.sph.functional import Functional
 from sphrom.sph.polygons import jutting_corners
-from sphrom.sph.walls import build_walls
 
 FLUID = Fluid(reference_density=1.0, sound_speed=10.0, kinematic_viscosity=1.0, max_speed=1.0)
 BOX = BoxDomain((0.0, 0.0), (1.0, 1.0), (False, False))
@@ -28,7 +27,7 @@ def points_of(
     position = domain.fill(1.0 / n)
     random = np.random.default_rng(3)
     position = position + jitter / n * random.uniform(-1.0, 1.0, position.shape)
-    walls = build_walls(domain, 1.0 / n, discretization.n_layers) if walled else None
+    walls = domain.ghosts(1.0 / n, discretization.n_layers) if walled else None
     return FixedPoints(position, FLUID, discretization, domain, walls)
 
 
@@ -86,8 +85,8 @@ def test_shear_along_flat_walls_has_no_friction(ratio: float) -> None:
             acoustic_damping=1.0,
             no_slip=no_slip,  # type: ignore[arg-type]
         )
-        walls = build_walls(
-            CHANNEL, 1.0 / n, options.n_layers, lambda at: np.outer(at[:, 1] > 1.0, [1.0, 0.0])
+        walls = CHANNEL.ghosts(1.0 / n, options.n_layers).moving(
+            lambda at: np.outer(at[:, 1] > 1.0, [1.0, 0.0])
         )
         functional = Functional(FLUID, options, CHANNEL, walls)
         state = np.vstack((position.T, np.zeros((3, len(position)))))

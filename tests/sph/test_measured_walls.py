@@ -14,7 +14,6 @@ from sphrom.sph.packing import pack
 from sphrom.sph.polygon_domain import PolygonDomain
 from sphrom.sph.polygons import disc
 from sphrom.sph.wall_forces import WallForces, measured_wall
-from sphrom.sph.walls import build_walls
 
 SPACING = 0.05
 FLUID = Fluid(reference_density=2.0, sound_speed=10.0, kinematic_viscosity=0.1, max_speed=1.0)
@@ -35,7 +34,7 @@ def domain_of(centre: tuple[float, float]) -> PolygonDomain:
 def test_arms_and_circulation_know_periodic_images(centre) -> None:
     domain = domain_of(centre)
     discretization = Discretization(SPACING, 2.0 * SPACING)
-    walls = build_walls(domain, SPACING, discretization.n_layers)
+    walls = domain.ghosts(SPACING, discretization.n_layers)
     arms = domain.arms("disc", domain.on_wall(walls.position))
     np.testing.assert_allclose(np.hypot(*arms.T), RADIUS, rtol=1e-3)
     np.testing.assert_allclose(arms.mean(axis=0), 0.0, atol=0.02)
@@ -65,7 +64,7 @@ def forces_on(domain: PolygonDomain, rate: float, state: np.ndarray) -> dict[str
         return turn(domain.on_wall(position))
 
     discretization = Discretization(SPACING, 2.0 * SPACING)
-    walls = build_walls(domain, SPACING, discretization.n_layers, velocity)
+    walls = domain.ghosts(SPACING, discretization.n_layers).moving(velocity)
     functional = Functional(FLUID, discretization, domain, walls)
     wall = measured_wall(domain, walls, "disc", velocity)
     return WallForces(functional, {"drag": wall})(state, 0.0)
@@ -78,7 +77,7 @@ def test_fluid_that_turns_with_a_cylinder_leaves_it_alone() -> None:
     """
     domain = domain_of((0.6, 0.5))
     discretization = Discretization(SPACING, 2.0 * SPACING)
-    ghosts = build_walls(domain, SPACING, discretization.n_layers).position
+    ghosts = domain.ghosts(SPACING, discretization.n_layers).position
     position = pack(domain, discretization, ghosts=ghosts, perturbation=0.0).position
     velocity = around((0.6, 0.5), 2.0)(position)
     state = np.vstack((position.T, np.zeros(len(position)), velocity.T))

@@ -92,7 +92,7 @@ def test_the_list_is_kept_until_some_particle_has_moved_far() -> None:
     assert neighbourhood.sources is not built
     assert neighbourhood.reach == pytest.approx(0.4)
     built = neighbourhood.sources
-    neighbourhood.forget()
+    neighbourhood.rebuild_at(None)
     neighbourhood.update(moved)
     assert neighbourhood.sources is not built
 

@@ -22,7 +22,6 @@ from sphrom.sph.packing import pack
 from sphrom.sph.polygon_domain import PolygonDomain
 from sphrom.sph.polygons import disc
 from sphrom.sph.wall_forces import WallForces, measured_wall
-from sphrom.sph.walls import build_walls
 
 FLUID = Fluid(reference_density=1.0, sound_speed=10.0, kinematic_viscosity=1.0, max_speed=0.1)
 SLOW = 1e-4
@@ -74,7 +73,7 @@ def steady_flow(
         return turns[:, None] * np.stack((-y, x), axis=1)
 
     discretization = Discretization(spacing, 2.0 * spacing)
-    walls = build_walls(domain, spacing, discretization.n_layers, wall_velocity)
+    walls = domain.ghosts(spacing, discretization.n_layers).moving(wall_velocity)
     position = pack(
         domain, discretization, ghosts=walls.position, perturbation=0.0, tolerance=3e-4
     ).position

@@ -10,7 +10,6 @@ from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
 from sphrom.sph.time_loop import runge_kutta_step
-from sphrom.sph.walls import build_walls
 
 SPACING = 0.0625
 FLUID = Fluid(800.0, 7.0, 0.013, 0.9)
@@ -77,7 +76,7 @@ def test_a_lid_that_starts_moves_no_mass(lid: str, continuity: str, is_a_sink: b
         2.0 * SPACING,
         wall_continuity=continuity,  # type: ignore[arg-type]
     )
-    walls = build_walls(scene.domain, SPACING, discretization.n_layers, scene.wall_velocity)
+    walls = scene.domain.ghosts(SPACING, discretization.n_layers).moving(scene.wall_velocity)
     functional = Functional(Fluid(1.0, 10.0, 0.01, 1.0), discretization, scene.domain, walls)
     position = scene.domain.fill(SPACING)
     state = np.zeros((5, len(position)))
@@ -174,7 +173,7 @@ def test_a_square_box_has_the_symmetries_of_a_square(name: str, options: dict) -
         return np.outer(above, [1.0, 0.0])
 
     def build(turn: np.ndarray) -> Functional:
-        walls = build_walls(box, SPACING, 4, lambda position: lid(position @ turn) @ turn.T)
+        walls = box.ghosts(SPACING, 4).moving(lambda position: lid(position @ turn) @ turn.T)
         return Functional(FLUID, discretization, box, walls)
 
     random = np.random.default_rng(7)
@@ -225,7 +224,7 @@ def hydrostatic(n: int, gravity: float, **options) -> tuple[Functional, np.ndarr
     def force(position: np.ndarray, _: float) -> np.ndarray:
         return np.outer([0.0, -gravity], np.ones(position.shape[1]))
 
-    walls = build_walls(box, spacing, discretization.n_layers)
+    walls = box.ghosts(spacing, discretization.n_layers)
     position = box.fill(spacing)
     state = np.zeros((5, len(position)))
     state[:2] = position.T

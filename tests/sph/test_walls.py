@@ -9,7 +9,6 @@ import pytest
 
 from sphrom.sph.domain import Domain
 from sphrom.sph.functional import Functional
-from sphrom.sph.walls import build_walls
 
 SPACING = 0.0625
 
@@ -41,7 +40,7 @@ def searched(domain: Domain, layers: int) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("layers", [1, 3, 5])
 def test_ghosts_fill_the_lattice_around_the_fluid(scenes: dict, name: str, layers: int) -> None:
     domain = scenes[name].domain
-    walls = build_walls(domain, SPACING, layers)
+    walls = domain.ghosts(SPACING, layers)
     ghosts, normals = searched(domain, layers)
     order, other = (np.lexsort(np.round(p.T / SPACING, 3)) for p in (walls.position, ghosts))
     np.testing.assert_allclose(walls.position[order], ghosts[other], atol=1e-12)

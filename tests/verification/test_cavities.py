@@ -15,7 +15,6 @@ from sphrom.scenes.reference_profiles import profiles_for
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
 from sphrom.sph.time_loop import runge_kutta_step
-from sphrom.sph.walls import build_walls
 
 Array = NDArray[np.float64]
 
@@ -50,7 +49,7 @@ def run(scene: Scene, fluid: Fluid, spacing: float, time: float, **options) -> R
     """Run a scene from rest on a lattice to a time [s]."""
     options = {"shifting_transport": "advective", "fixed_volume": True, **options}
     discretization = Discretization(spacing, 2.0 * spacing, **options)
-    walls = build_walls(scene.domain, spacing, discretization.n_layers, scene.wall_velocity)
+    walls = scene.domain.ghosts(spacing, discretization.n_layers).moving(scene.wall_velocity)
     functional = Functional(fluid, discretization, scene.domain, walls, scene.body_force)
     position = scene.domain.fill(spacing)
     state = np.zeros((5, len(position)))

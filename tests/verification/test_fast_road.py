@@ -38,7 +38,6 @@ from sphrom.sph.fluid import Discretization, Fluid, fluctuation_of
 from sphrom.sph.functional import Functional
 from sphrom.sph.packing import pack
 from sphrom.sph.time_loop import runge_kutta_step
-from sphrom.sph.walls import build_walls
 
 Array = NDArray[np.float64]
 
@@ -84,8 +83,8 @@ class Flow:
         if not self.domain.has_walls:
             return None
         layers = self.discretization.n_layers
-        velocity = self.scene(self.reynolds[0]).wall_velocity
-        return build_walls(self.domain, self.discretization.particle_spacing, layers, velocity)
+        at_rest = self.domain.ghosts(self.discretization.particle_spacing, layers)
+        return at_rest.moving(self.scene(self.reynolds[0]).wall_velocity)
 
     @property
     def interval(self) -> float:

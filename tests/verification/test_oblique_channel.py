@@ -17,7 +17,6 @@ from sphrom.sph.functional import Functional
 from sphrom.sph.packing import pack
 from sphrom.sph.polygon_domain import PolygonDomain
 from sphrom.sph.time_loop import runge_kutta_step
-from sphrom.sph.walls import build_walls
 
 VISCOSITY, END, SOLID_LAYERS, PERTURBATION = 0.1, 1.5, 10, 0.3
 
@@ -47,11 +46,8 @@ def largest_error(n: int, angle: float, lid: float) -> float:
     domain = PolygonDomain((0.0, 0.0), (period / math.tan(turn), period), (True, True), solids)
     fluid = Fluid(1.0, 10.0, VISCOSITY, 1.0)
     discretization = Discretization(spacing, 2.0 * spacing, acoustic_damping=1.0, fixed_volume=True)
-    walls = build_walls(
-        domain,
-        spacing,
-        discretization.n_layers,
-        lambda place: lid * np.outer(domain.nearest_wall(place) == 1, along),
+    walls = domain.ghosts(spacing, discretization.n_layers).moving(
+        lambda place: lid * np.outer(domain.nearest_wall(place) == 1, along)
     )
     packing = pack(
         domain, discretization, ghosts=walls.position, perturbation=PERTURBATION, tolerance=3e-4
