@@ -204,13 +204,11 @@ class _Projection:
             scale, shares = force.balance.follows / [1.0, 1.0, arms[name]], []
             for k, point in enumerate(self.trained):
                 viscosity, driven = case.plan.kinematic_viscosity(point), self.points.walls_driven
-                local, amplitude = (
-                    force.at(viscosity, driven, point.factors),
-                    amplitude_of(case, point),
-                )
+                amplitude = amplitude_of(case, point)
                 pushes = np.zeros(len(times)) if amplitude is None else amplitude(times)
                 # The change of momentum is that of the snapshots, not of a model.
                 change = np.gradient(states[k], times, axis=0)
+                local = force.at(viscosity, driven, point.factors)
                 found = local.at(times, states[k], change, pushes).sum(axis=1)
                 whole = force.training_loads[k].sum(axis=1)
                 whole, found = (smoothed(each, averages)[late] for each in (whole, found))

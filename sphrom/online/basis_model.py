@@ -68,8 +68,6 @@ from sphrom.store.workspace import Workspace
 if TYPE_CHECKING:
     from sphrom.reduction.mode_splines import ModeSplines
 
-LOADS_APART = tuple(np.array([k]) for k in range(12))
-"""Training runs correct each load of a force for itself, its slow part and the rest."""
 Start = Callable[[ParameterPoint], Fields]
 """The fields on the reference points at the start of a run at a parameter point."""
 
@@ -386,7 +384,8 @@ class BasisModel:
             slow = np.stack([smoothed(each, weights) for each in defects])
             # Sound and the particles' noise may be of each run alone.
             parts = np.concatenate((slow, defects - slow), axis=2)
-            found[name] = learn_correction(places, parts, LOADS_APART, worthwhile=math.inf)
+            each_load = list(np.arange(parts.shape[2])[:, None])
+            found[name] = learn_correction(places, parts, each_load, worthwhile=math.inf)
             if len(places) == 1 and np.isfinite(defects).all():
                 # Nothing tells how far the only one reaches.
                 found[name] = Correction(places, parts, np.full(parts.shape[2], np.inf))

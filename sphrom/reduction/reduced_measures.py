@@ -92,15 +92,12 @@ class ReducedForce(Record):
 
     def of_modes(self, modes: NDArray[np.int64]) -> ReducedForce:
         """Return the force in the coordinates of some modes."""
-        kept, balance = _kept_terms(modes), self.balance
-
-        def terms(each: Array) -> Array:
-            return each if each.ndim == 1 else each[:, kept]
-
-        if balance is None:
-            return self.mapped(terms)
-        few = balance.mapped(lambda each: each[np.ix_(np.arange(3), *[modes] * (each.ndim - 1))])
-        return replace(replace(self, balance=None).mapped(terms), balance=few)
+        kept, loads = _kept_terms(modes), np.arange(3)
+        direct = replace(self, balance=None).mapped(lambda x: x if x.ndim == 1 else x[:, kept])
+        if self.balance is None:
+            return direct
+        few = self.balance.mapped(lambda x: x[np.ix_(loads, *[modes] * (x.ndim - 1))])
+        return replace(direct, balance=few)
 
     def at(
         self,

@@ -85,7 +85,7 @@ def stokes_fields(
     size = dissipation.diagonal().mean()
     third = [math.sqrt(math.comb(3, k)) * around.of(k, 3 - k) for k in range(4)]
     smooth = SMOOTHING * spacing**2 * _squares(*third)
-    at_walls = vstack(sides.velocity, format="csr")
+    at_walls = vstack((sides.of(0, 1), -sides.of(1, 0)), format="csr")
     held = at_walls.T @ at_walls
     weight = PENALTY * size / held.diagonal().mean()
     small = REGULARIZATION * size * eye_array(held.shape[0])
@@ -153,11 +153,6 @@ class _Stream:
         means = np.tile([slopes[d] for d in self._means], (self._n_places, 1))
         return hstack((splines, csr_array(means)), format="csr") if self._means else splines
 
-    @property
-    def velocity(self) -> tuple[csr_array, csr_array]:
-        """The matrices of both components."""
-        return self.of(0, 1), -self.of(1, 0)
-
     def fields(self, coefficients: Array) -> tuple[Array, Array]:
         """Return the velocities of stream functions (n_coefficients, 3), and their gradients."""
 
@@ -166,7 +161,7 @@ class _Stream:
 
         mixed = self.of(1, 1)
         gradient = stacked(mixed, self.of(0, 2), -self.of(2, 0), -mixed)
-        return stacked(*self.velocity), gradient.reshape(*gradient.shape[:2], 2, 2)
+        return stacked(self.of(0, 1), -self.of(1, 0)), gradient.reshape(*gradient.shape[:2], 2, 2)
 
 
 class _Axis:

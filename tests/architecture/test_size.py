@@ -7,7 +7,7 @@ from collections import Counter
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-LINES, MODULES, CODE_LINES = 37_500, 190, 22_350
+LINES, MODULES, CODE_LINES = 37_500, 190, 22_400
 """Ceilings of the package."""
 TEST_LINES = 24_250
 LARGEST_SHARE = 0.16

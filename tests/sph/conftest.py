@@ -194,7 +194,9 @@ class WallSums:
         self.gradient = self.fluid.kernel_slope(self.distance)[..., None] * direction
         nearest = 0.5 * discretization.particle_spacing
         from_wall, depth = distances(domain, self.fluid.position, self.walls.position)
-        self.depth = depth * gains(domain, self.walls.position, discretization.smoothing_length)
+        self.depth = depth
+        if discretization.wall_continuity == "adjoint":
+            self.depth *= gains(domain, self.walls.position, discretization.smoothing_length)
         self.from_wall = np.maximum(from_wall, nearest)
 
     def ghost_fields(self) -> GhostFields:
