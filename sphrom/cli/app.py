@@ -90,8 +90,8 @@ def sphrom(
     """Turn a smoothed-particle-hydrodynamics simulation into a reduced model.
 
     The stages in their order: fom, map, pod, fit-psi, operators, rom, compare; run does all of
-    them. Each reads artifacts (HDF5) from runs/<name of the case>/ and writes its own there. The
-    command trade weighs the speed of models against their accuracy, sweep runs one model at
+    them. Each reads artifacts (HDF5) from runs/<name of the case> in the current folder, or from
+    the folder that --out names, and writes its own there. The command trade weighs the speed of models against their accuracy, sweep runs one model at
     thousands of parameter values, fit finds parameters from measurements, and train chooses the
     full runs that a model is trained on.
 
@@ -101,7 +101,6 @@ def sphrom(
       sphrom case check vortex.yaml
       sphrom run vortex.yaml
 
-    \b
     Exit codes: 0 done, 2 wrong usage or invalid case, 3 an artifact is missing or damaged,
     4 a run became unstable, 5 it would not fit this machine, 130 interrupted, 143 terminated.
     """

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
 import typer
+from typer.core import TyperCommand
 
 from sphrom import stages
 from sphrom.cli import completion
@@ -33,6 +34,13 @@ def option(metavar: str, text: str, *names: str, **more: Any) -> Any:
     return typer.Option(*names, metavar=metavar, help=text, **more)
 
 
+class Command(TyperCommand):
+    """A command whose summary is a whole sentence in the list of commands."""
+
+    def get_short_help_str(self, limit: int = 0) -> str:
+        return super().get_short_help_str(sys.maxsize)
+
+
 @dataclass(frozen=True)
 class Options:
     """The options that several commands have; each is declared here, with its help."""
@@ -47,7 +55,10 @@ class Options:
         ),
     ]
     out: Annotated[
-        Path | None, option("DIR", "Folder of the artifacts.  [default: runs/<name of the case>]")
+        Path | None,
+        option(
+            "DIR", "Folder of the artifacts.  [default: runs/<name of the case> below this one]"
+        ),
     ] = None
     overrides: Annotated[
         list[str] | None,
@@ -147,7 +158,7 @@ def command(
         run.__signature__ = Signature(  # type: ignore[attr-defined]
             [*(common[name] for name in ALL if name in taken), *others, *own]
         )
-        app.command(name, help=function.__doc__)(run)
+        app.command(name, cls=Command, help=function.__doc__)(run)
         return function
 
     return decorate

@@ -12,6 +12,8 @@ import pytest
 
 from sphrom import __version__, errors
 from sphrom.case.points import ParameterPoint
+from sphrom.cli.cases import cases
+from sphrom.cli.stage_commands import stages as studies
 
 COMMANDS = ["fom", "map", "pod", "fit-psi", "operators", "rom", "compare", "trade", "sweep"]
 EVERY_COMMAND = [
@@ -208,6 +210,17 @@ def test_help_shows_an_example_that_parses(sphrom, stages, command, monkeypatch,
     if not {"-o", ">"} & set(example) and command != "case schema":
         example_result = sphrom(*example)
         assert example_result.exit_code == 0, example_result.output
+
+
+def test_help_fits_a_terminal(sphrom, monkeypatch):
+    """No line is longer, no word is split, and no summary is cut."""
+    monkeypatch.setenv("COLUMNS", "80")
+    names = [c.name for c in studies.registered_commands]
+    names += [f"case {c.name or c.callback.__name__}" for c in cases.registered_commands]
+    for command in ("", "case", *names):
+        for line in sphrom(*command.split(), "--help").output.splitlines():
+            assert len(line) <= 80, (command, line)
+            assert not line.endswith(("-", "...")) or "Usage" in line
 
 
 def test_version(sphrom):
