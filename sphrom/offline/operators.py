@@ -236,9 +236,7 @@ class _Projection:
         for point in self.trained:
             with self.workspace.open(self.workspace.full_run(point)) as run:
                 recorded.append(measured_of(self.case, run))
-        projected = project_measures(
-            self.basis, lambda *state: fields(self.points.position, *state)
-        )
+        projected = project_measures(self.basis, self.splines, fields.position, fields.of_fields)
         return {
             name: TrainedMeasure(
                 **vars(measure),
