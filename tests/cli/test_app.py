@@ -243,20 +243,18 @@ def test_new_case(sphrom, stages, tmp_path):
     assert (again.exit_code, "editor" in again.stdout) == (0, False)
 
 
-def test_log_is_where_it_is_asked_for(sphrom, stages, case_file, monkeypatch):
+def test_the_log_is_beside_the_artifacts(sphrom, stages, case_file, monkeypatch):
     def say(context):
         context.report.details.info("a detail")
         raise errors.ArtifactError("no pod.h5")
 
     monkeypatch.setattr(sys.modules["sphrom.recorder_fom"], "run", say)
-    result = sphrom("fom", case_file, "--log", "my.log")
+    Path("here").mkdir()
+    result = sphrom("fom", case_file, "--out", "here")
     assert (result.exit_code, result.stdout) == (3, "")
-    lines = [line.split("  ", 1)[1] for line in Path("my.log").read_text().splitlines()]
+    lines = [line.split("  ", 1)[1] for line in Path("here/sphrom.log").read_text().splitlines()]
     assert lines[0].startswith("$ sphrom")
     assert lines[1:] == ["a detail", "stopped: no pod.h5"]
-    refused = sphrom("fom", case_file, "--log", "no/such/folder.log")
-    assert refused.exit_code == 3
-    assert "no/such/folder.log: No such file" in refused.stderr
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["fom", "--help"], ["--version"]])
