@@ -312,7 +312,7 @@ class CustomScene(SceneSection):
         try:
             expression = Expression(text, variables, self.constants)
             if "t" not in variables:  # of the body force, parts are compiled
-                expression.compile()
+                _ = expression.compiled
             return expression
         except ValueError as error:
             raise ValueError(f"{where}: {error}") from error
@@ -432,7 +432,7 @@ class CustomScene(SceneSection):
         return Drive(field, lru_cache(N_TIMES)(lambda time: float(amplitude(t=time))))
 
     @property
-    def drive_changes(self) -> bool:
+    def force_changes(self) -> bool:
         """Whether the body force changes with time."""
         return any(
             "t" in self._expression("body_force", value, "x", "y", "t").depends_on

@@ -63,12 +63,9 @@ class Expression:
         used = {node.id for node in ast.walk(self._tree) if isinstance(node, ast.Name)}
         self.depends_on = frozenset(used.intersection(variables))
 
-    def compile(self) -> None:
-        """Raise ValueError where it can't be evaluated."""
-        _ = self._compiled
-
     @cached_property
-    def _compiled(self) -> Callable[..., Any]:
+    def compiled(self) -> Callable[..., Any]:
+        """The compiled expression. Raises ValueError where it can't be evaluated."""
         import numexpr  # few scenes need it
 
         numexpr.set_num_threads(1)
@@ -87,7 +84,7 @@ class Expression:
         shape = np.broadcast_shapes(*(np.shape(value) for value in variables.values()))
         given = [np.atleast_1d(variables[name]).astype(float) for name in sorted(self.depends_on)]
         with np.errstate(all="ignore"):
-            value = self._compiled(*given)
+            value = self.compiled(*given)
         if not shape:
             return np.asarray(value, dtype=np.float64).reshape(())
         return np.broadcast_to(np.asarray(value, dtype=np.float64), shape)
