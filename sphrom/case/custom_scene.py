@@ -149,8 +149,8 @@ class CustomScene(SceneSection):
             if name not in self.domain.wall_names:
                 known = ", ".join(self.domain.wall_names) or "none"
                 raise ValueError(f"walls.{name}: there is no such wall; the walls are {known}")
-            self._check_along(name)
-        _ = self.domain, self._force, self._initial
+        _ = self.domain
+        self.check_at({})
         return self
 
     @cached_property

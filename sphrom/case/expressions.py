@@ -17,8 +17,6 @@ import numpy as np
 from sphrom.arrays import Array
 from sphrom.text import shortened
 
-MAX_LENGTH = 1000
-"""Characters of an expression."""
 MAX_DEPTH = 50
 """Levels of brackets and operators within each other."""
 MOST_QUOTED = 80
@@ -165,8 +163,6 @@ class _Plain(ast.NodeTransformer):
 
 def _parsed(text: str) -> ast.Expression:
     """Return the tree of a text, which has few enough levels to walk it recursively."""
-    if len(text) > MAX_LENGTH:
-        raise ValueError(f"an expression of {len(text)} characters; at most {MAX_LENGTH}")
     try:
         tree = ast.parse(text.strip(), mode="eval")
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:

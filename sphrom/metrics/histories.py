@@ -164,8 +164,8 @@ def compare(
     Eq. 4.1 needs fields of the reference that vary over the probes. With the period of the longest
     sound wave [s] pressures are also compared without sound.
     """
-    n_common = min(len(run.time), len(reference.time))
-    run, reference = run.until(n_common), reference.until(n_common)
+    common = slice(min(len(run.time), len(reference.time)))
+    run, reference = run.at(common), reference.at(common)
     meaningful = reference.time >= from_time - TIME_TOLERANCE
     for values in (reference.speed, reference.pressure):
         meaningful &= _varies(values, probes)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
+from functools import partial
 
 import numpy as np
 
@@ -236,9 +237,7 @@ class _Projection:
         for point in self.trained:
             with self.workspace.open(self.workspace.full_run(point)) as run:
                 recorded.append(measured_of(self.case, run))
-        projected = project_measures(
-            self.basis, lambda *state: fields(self.points.position, *state)
-        )
+        projected = project_measures(self.basis, partial(fields, self.points.position))
         return {
             name: TrainedMeasure(
                 **vars(measure),
