@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
@@ -131,16 +132,43 @@ class Case(Section):
 
 
 VERSIONS: Mapping[str, int] = {
-    "discretization": 2, "fluid": 2, "operators": 3, "psi": 2, "rom": 3, "trade": 2
+    "discretization": 2, "fluid": 2, "operators": 4, "psi": 2, "rom": 3, "trade": 2
 }  # fmt: skip
 """Of sections in which a default has changed, or the meaning of a key: what was made before is then
 of another case. A key that is new needs none, as long as its default is what was done without it.
 """
 
 
-def resolved_yaml(case: Case) -> str:
-    """Return the case as YAML with every default filled in; it loads back to an equal case."""
-    return dump_yaml(case.model_dump(mode="json"))
+FILE = "file"
+"""The key that names a file; what the file held is in keys beside it, and it may lie anywhere."""
+
+
+def resolved_yaml(case: Case, folder: Path | None = None) -> str:
+    """Return the case as YAML with every default filled in; it loads back to an equal case.
+
+    With a folder, files that the case names are found from there.
+    """
+    values = case.model_dump(mode="json")
+    return dump_yaml(values if folder is None else moved(values, case.folder, folder))
+
+
+def moved(values: Any, source: Path, folder: Path | None) -> Any:
+    """Return keys of a case in the folder `source` for a case in another folder, None for any.
+
+    In a folder outlines are in their files alone: a case is smaller than they may be.
+    """
+    if isinstance(values, list):
+        return [moved(one, source, folder) for one in values]
+    if not isinstance(values, dict):
+        return values
+    found = {name: moved(one, source, folder) for name, one in values.items()}
+    if isinstance(name := values.get(FILE), str):
+        # Links are followed, as `..` behind one leads elsewhere.
+        found[FILE] = os.path.realpath(source / name)
+        if folder is not None:
+            found.pop("wkt", None)
+            found[FILE] = os.path.relpath(found[FILE], os.path.realpath(folder))
+    return found
 
 
 def section_inputs(case: Case, sections: Iterable[str]) -> dict[str, object]:
@@ -160,7 +188,7 @@ def stated(value: object) -> object:
     if isinstance(value, BaseModel):
         fields = type(value).model_fields.items()
         usual = {name: field.get_default(call_default_factory=True) for name, field in fields}
-        given = ((name, getattr(value, name)) for name in usual)
+        given = ((name, getattr(value, name)) for name in usual if name != FILE)
         return {name: stated(one) for name, one in given if one != usual[name]}
     if isinstance(value, Mapping):
         return {str(key): stated(one) for key, one in value.items()}

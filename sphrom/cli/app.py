@@ -43,7 +43,7 @@ class Commands(TyperGroup):
             raise typer.Exit(error.exit_code) from None
         except KeyboardInterrupt as interrupt:
             terminated = isinstance(interrupt, Terminated)
-            tell("terminated" if terminated else "interrupted", error=True)
+            tell(str(interrupt) or ("terminated" if terminated else "interrupted"), error=True)
             raise typer.Exit(128 + (signal.SIGTERM if terminated else signal.SIGINT)) from None
 
 

@@ -17,10 +17,15 @@ import typer
 from sphrom import stages
 from sphrom.cli import completion
 from sphrom.console import LOG, LogFile, Reporter
+from sphrom.signals import Terminated
 from sphrom.whole_files import open_to_write
 
 WITHOUT_LOG = ("check", "draw")
 """Stages that leave nothing beside the artifacts."""
+GOES_ON = ("trade", "extremes", "train", "sweep")
+"""Stages that go on from their finished runs, unless they are forced to start anew."""
+LONGEST_COMMAND = 300
+"""Characters of a command that a message repeats; one may name thousands of files."""
 
 
 def option(metavar: str, text: str, *names: str, **more: Any) -> Any:
@@ -189,14 +194,40 @@ def run_stage(stage: str, options: Options, **asked: object) -> None:
                 "SIGTERM (`kill PID`), which also leaves a checkpoint"
             )
         context = stages.context_of(
-            case, report, out=options.out, force=options.force, threads=options.threads
+            case,
+            report,
+            out=options.out,
+            force=options.force,
+            threads=options.threads,
+            stage=stage,
         )
         context = stages.with_checkpoints(
             context, resume=options.resume, every=options.checkpoint_every
         )
         context = stages.selected(context, stage, options.only or ())
         context = replace(context, words=options.words)
-        if stage == "run":
-            stages.run_all(context)
-        else:
-            stages.run_stage(stage, context, **asked)
+        try:
+            if stage == "run":
+                stages.run_all(context)
+            else:
+                stages.run_stage(stage, context, **asked)
+        except KeyboardInterrupt as interrupt:
+            stopped = "terminated" if isinstance(interrupt, Terminated) else "interrupted"
+            raise type(interrupt)(f"{stopped}; {_way_on(stage)}") from None
+
+
+def _way_on(stage: str) -> str:
+    """Return what is kept of a stage that was stopped, and the command to go on with."""
+    words, kept, does = ["sphrom", *sys.argv[1:]], "complete files are kept", "starts again"
+    if stage in GOES_ON:
+        words = [word for word in words if word != "--force"]
+        kept, does = "finished runs are kept", "goes on"
+    elif stage in ("fom", "rom", "run"):
+        words += ["--resume"] * ("--resume" not in words)
+        kept, does = "finished artifacts and checkpoints are kept", "goes on from them"
+    elif stage == "export":
+        words += ["--force"] * ("--force" not in words)
+    command = shlex.join(words)
+    if len(command) > LONGEST_COMMAND:
+        command = shlex.join([*words[:2], "...", *words[-1:]])
+    return f"{kept}: `{command}` {does}"

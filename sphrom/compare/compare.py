@@ -13,7 +13,6 @@ from sphrom.compare.comparison_figures import draw_comparison
 from sphrom.compare.comparison_tables import (
     ALONE,
     FILE,
-    MADE_BY,
     DecayRow,
     Tables,
     best_name,
@@ -81,7 +80,8 @@ def run(context: StageContext) -> None:
         except ArtifactError:
             # Other programs may have changed the file: nothing else protects it.
             context.report.warn(
-                f"{workspace.out / FILE} is missing or damaged; `{MADE_BY} --force` writes it again"
+                f"{workspace.out / FILE} is missing or damaged; "
+                f"`{target.made_by} --force` writes it again"
             )
             return
     if case.compare.plots:

@@ -163,9 +163,11 @@ def _digest(choices: Sequence[Choice]) -> str:
 
 
 def fitted_case(
-    source: Path, overrides: Sequence[str], files: Sequence[Path], about: ImportOptions
+    source: Path, overrides: Sequence[str], files: Sequence[Path], about: ImportOptions, into: Path
 ) -> tuple[str, list[str]]:
     """Return a case file that says what another one does, but for keys that don't fit the files.
+
+    It goes into a folder: files that the case names are found from there.
 
     These are the times and, where another number of particles is found, the resolution; they come
     back as `key=value`. The time step is a whole part of the time between two snapshots, as stable
@@ -194,7 +196,7 @@ def fitted_case(
         f"time.step={float(f'{apart / every:.12g}')!r}",
         f"snapshots.every={every}",
     ]
-    text = dump_yaml(given_keys(source, [*overrides, *keys]))
+    text = dump_yaml(given_keys(source, [*overrides, *keys], into))
     return f"# {source.name}, fitted to {files[0].name} and others.\n{text}", keys
 
 

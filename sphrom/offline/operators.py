@@ -11,7 +11,6 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
-from functools import partial
 
 import numpy as np
 
@@ -237,7 +236,7 @@ class _Projection:
         for point in self.trained:
             with self.workspace.open(self.workspace.full_run(point)) as run:
                 recorded.append(measured_of(self.case, run))
-        projected = project_measures(self.basis, partial(fields, self.points.position))
+        projected = project_measures(self.basis, self.splines, fields.position, fields.of_fields)
         return {
             name: TrainedMeasure(
                 **vars(measure),

@@ -143,9 +143,8 @@ class Workspace:
         """Raise ArtifactError, naming the first cause, unless an artifact is there and valid."""
         if (reason := self.reason_to_make(target)) is not None:
             self._require_parents(target)
-            remedy = (
-                f"make it with `{target.made_by}`, or all that is missing with `sphrom run CASE`"
-            )
+            everything = f"all that is missing with `sphrom run {self.context.words}`"
+            remedy = f"make it with `{target.made_by}`, or {everything}"
             if target.path.exists():
                 remedy = f"make it again with `{target.made_by} --force`"
             raise ArtifactError(f"{target.path} {reason}; {remedy}")
@@ -375,7 +374,7 @@ class Workspace:
             path=self.context.folders.get(kind.schema, self.out) / kind.name.format(label),
             schema=f"sphrom/{kind.schema}",
             stage=kind.stage,
-            made_by=f"sphrom {kind.stage} CASE",
+            made_by=f"sphrom {kind.stage} {self.context.words}",
             inputs_digest=inputs_digest(inputs),
             parents=parents,
             sections=sections.union(*(parent.sections for parent in parents.values())),

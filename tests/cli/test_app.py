@@ -172,7 +172,7 @@ def test_force_insists_on_an_unstable_step(sphrom, stages, case_file, command):
         (errors.CaseError("one\ntwo"), 2, "error: one\nerror: two\n"),
         (errors.ArtifactError("no pod.h5"), 3, "error: no pod.h5\n"),
         (errors.UnstableError("at 0.3 s"), 4, "error: at 0.3 s\n"),
-        (KeyboardInterrupt(), 130, "interrupted\n"),
+        (KeyboardInterrupt(), 130, "interrupted; finished artifacts and checkpoints are kept: `"),
         (MemoryError(), 5, "error: out of memory"),
         (PermissionError(errno.EACCES, "Denied", "runs/x"), 3, "error: runs/x: Denied\n"),
         (OSError(errno.ENOSPC, "No space", "runs/x"), 5, "error: runs/x: No space\n"),
