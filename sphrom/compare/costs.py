@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
+from itertools import product
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -27,7 +29,7 @@ from sphrom.setup import particles
 from sphrom.sph.time_loop import Model, runge_kutta_step
 from sphrom.store.trained_models import memory_timing
 from sphrom.store.trajectory import snapshot_fields
-from sphrom.store.workspace import Workspace
+from sphrom.store.workspace import Target, Workspace
 
 Key = TypeVar("Key")
 
@@ -144,55 +146,35 @@ def run_timings(workspace: Workspace) -> Iterator[RunTiming]:
     """
     case, plan, found = workspace.case, workspace.case.plan, []
     timers: dict[object, Callable[[], float]] = {}
-    for point in plan.points:
+    for point, model in product(plan.points, case.rom):
+        if point not in plan.rom_points(model) or not plan.ends_with_case(model):
+            continue
         with workspace.open(workspace.full_run(point)) as run:
             imported, known = is_imported(run), known_seconds(run)
-        full = FULL, imported and point
+        with workspace.open(workspace.reduced_run(model, point)) as run:
+            if run.text("status") != "complete":
+                continue
+            step, memory_length = run.number("time_step"), _number(run, "memory_length")
+            n_modes = int(run.dataset("generalized_coordinates").shape[1])
+        full, own = (FULL, imported and point), (model.name, model.from_operators and point)
         if imported and known is not None:
             timers[full] = partial(float, known)
         elif not imported and full not in timers:
             timers[full] = full_run_timer(workspace, point, largest_step(case))
-        for model in case.rom:
-            if point not in plan.rom_points(model) or not plan.ends_with_case(model):
-                continue
-            with workspace.open(workspace.reduced_run(model, point)) as run:
-                if run.text("status") != "complete":
-                    continue
-                row = _untimed(case, model, point, run)
-            reduced = model.name, model.from_operators and point
-            if reduced not in timers:
-                timers[reduced] = _reduced_run_timer(workspace, model, point, row.reduced_step)
-            found.append((row, full, reduced))
+        if own not in timers:
+            timers[own] = _reduced_run_timer(workspace, model, point, step)
+        sizes = plan.n_particles, n_modes
+        factors = compression_factor(*sizes), field_compression_factor(*sizes)
+        about = model.name, point.label, n_modes, largest_step(case), step, memory_length
+        found.append((about, factors, full, own))
     seconds = taking_turns(timers, N_REPEATS) if found else {}
-    for row, *keys in found:
-        full_each, each = map(seconds.get, keys)
-        assert each is not None
-        row = replace(row, reduced_seconds=float(each.min()))
-        if full_each is not None:
-            least, ratios = float(full_each.min()), (full_each / each).tolist()
-            spread = least / float(each.min()), min(ratios), max(ratios)
-            gains = zip(("speed_up", "least_speed_up", "greatest_speed_up"), spread, strict=True)
-            row = replace(row, full_seconds=least, **dict(gains))
-        yield row
-
-
-def _untimed(
-    case: Case, model: ReducedModelSection, point: ParameterPoint, run: Artifact
-) -> RunTiming:
-    sizes = case.plan.n_particles, int(run.dataset("generalized_coordinates").shape[1])
-    return RunTiming(
-        model=model.name,
-        parameters=point.label,
-        n_modes=sizes[1],
-        full_step=largest_step(case),
-        reduced_step=run.number("time_step"),
-        memory_length=_number(run, "memory_length"),
-        full_seconds=None,
-        reduced_seconds=None,
-        speed_up=None,
-        compression_factor=compression_factor(*sizes),
-        field_compression_factor=field_compression_factor(*sizes),
-    )
+    for about, factors, full, own in found:
+        least = float(seconds[own].min())
+        if full not in seconds:
+            yield RunTiming(*about, None, least, None, *factors)
+            continue
+        whole, gains = float(seconds[full].min()), (seconds[full] / seconds[own]).tolist()
+        yield RunTiming(*about, whole, least, whole / least, *factors, min(gains), max(gains))
 
 
 def _number(run: Artifact, name: str) -> float | None:
@@ -211,20 +193,14 @@ def known_seconds(run: Artifact) -> float | None:
 
 
 def stage_timings(workspace: Workspace) -> Iterator[StageTiming]:
-    """Yield the wall-clock of every artifact that the comparison was made from.
-
-    The artifacts that runs were made from, such as packed particles, the end of a spin-up or
-    operators, are among them if they are there.
-    """
-    read = {target.path: target for target in workspace.comparison().parents.values()}
-    made_from = {
-        parent.path: parent
-        for target in read.values()
-        if target.stage in ("fom", "rom")
-        for parent in target.parents.values()
-        if parent.path.exists() and parent.path not in read
-    }
-    for target in (made_from | read).values():
+    """Yield the wall-clock of every artifact that the comparison was made from, if it is there."""
+    targets: dict[Path, Target] = {}
+    left = [workspace.comparison()]
+    while left:
+        parents = {each.path: each for each in left.pop().parents.values() if each.path.exists()}
+        left += [each for path, each in parents.items() if path not in targets]
+        targets |= parents
+    for target in targets.values():
         with open_artifact(target.path, target.schema, made_by=target.made_by) as artifact:
             seconds, threads = artifact.number("wall_seconds"), int(artifact.number("threads"))
             yield StageTiming(target.path.name, artifact.text("stage"), seconds, threads)

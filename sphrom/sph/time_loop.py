@@ -126,13 +126,6 @@ class Clock:
 
     seconds: float = 0.0
 
-    @contextmanager
-    def running(self) -> Iterator[None]:
-        """Count the time until the end of the block."""
-        started = time.perf_counter()
-        yield
-        self.seconds += time.perf_counter() - started
-
 
 def march(
     model: Model,
@@ -169,8 +162,9 @@ def march(
         keep, before = step % steps.every == 0, state
         try:
             if step > 0:
-                with clock.running():
-                    state = watched_step(model.rates, state, steps, step)
+                started = time.perf_counter()
+                state = watched_step(model.rates, state, steps, step)
+                clock.seconds += time.perf_counter() - started
                 advance(1)
             if keep:
                 state = model.wrapped(state)
