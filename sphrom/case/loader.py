@@ -14,7 +14,7 @@ from pydantic import TypeAdapter, ValidationError
 from sphrom.case import schema
 from sphrom.case.checks import case_problems
 from sphrom.case.fields import Coordinate, Positive
-from sphrom.case.models import Case
+from sphrom.case.models import Case, moved
 from sphrom.case.points import REYNOLDS, ParameterPoint
 from sphrom.case.scenes import kind_of
 from sphrom.case.schema import MAX_PROBLEMS, problems_of
@@ -70,9 +70,12 @@ def load_case(
     return case.model_copy(update={"rom": (model.model_copy(update={"n_modes": most}),)})
 
 
-def given_keys(source: str | os.PathLike[str], overrides: Sequence[str] = ()) -> dict[str, Any]:
-    """Return the keys that a case file gives, some changed, unchecked. Raises CaseError."""
-    data: dict[str, Any] = _given(source, overrides)[1].value
+def given_keys(source: FilePath, overrides: Sequence[str], folder: FilePath) -> dict[str, Any]:
+    """Return the keys that a case file gives, some changed, unchecked, for a file in a folder.
+
+    Raises CaseError.
+    """
+    data: dict[str, Any] = moved(_given(source, overrides)[1].value, source.parent, folder)
     return data
 
 

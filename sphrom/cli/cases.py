@@ -74,10 +74,11 @@ def show(options: Options) -> None:
       sphrom case show cases/lid_driven_cavity_demo.yaml
     """
     from sphrom.case.loader import load_case
-    from sphrom.case.models import resolved_yaml
+    from sphrom.case.models import moved
+    from sphrom.case.yaml_reader import dump_yaml
 
     case = load_case(options.case, options.overrides or (), options.force)
-    print(resolved_yaml(case), end="")
+    print(dump_yaml(moved(case.model_dump(mode="json"), case.folder, None)), end="")
 
 
 @cases.command()

@@ -194,7 +194,12 @@ def run_stage(stage: str, options: Options, **asked: object) -> None:
                 "SIGTERM (`kill PID`), which also leaves a checkpoint"
             )
         context = stages.context_of(
-            case, report, out=options.out, force=options.force, threads=options.threads
+            case,
+            report,
+            out=options.out,
+            force=options.force,
+            threads=options.threads,
+            stage=stage,
         )
         context = stages.with_checkpoints(
             context, resume=options.resume, every=options.checkpoint_every

@@ -328,7 +328,8 @@ def import_(
     if write_case is not None:
         from sphrom.exchange.import_ import fitted_case
 
-        text, keys = fitted_case(options.case, options.overrides or (), files, about)
+        folder, overrides = write_case.parent, options.overrides or ()
+        text, keys = fitted_case(options.case, overrides, files, about, folder)
         next_step = f", with {' '.join(keys)}; next: sphrom run {write_case}"
         write_new(write_case, text, next_step, force=options.force)
         options = replace(options, case=write_case, overrides=None)

@@ -55,7 +55,6 @@ ERRORS = (
     },
 )
 """The errors that are drawn, a row of velocities and one of pressures, and their labels."""
-OVERVIEW = "velocity, field, at all instants: relative L2 [%]"
 
 
 def draw_comparison(workspace: Workspace, tables: Tables, *, again: bool) -> None:
@@ -164,7 +163,8 @@ class _PointFigures:
         """Return the fields and the errors of the fastest model."""
         fastest = next(m for m in self.case.plan.models_by_speed if m in self.complete)
         complete = {m.name: self._errors[m.name] for m in self.complete}
-        errors = _error_panel("velocity_field_relative_l2", OVERVIEW, complete)
+        label = "velocity, field, at all instants: relative L2 [%]"
+        errors = _error_panel("velocity_field_relative_l2", label, complete)
         row: list[Field | Panel] = [*self._beside(fastest.name, "speed"), errors]
         return draw_grid([row], frame_of(self.case), scales=self._scales, title=self.when)
 

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Collection, Sequence
+import re
+import shlex
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -44,6 +46,7 @@ from sphrom.sph.fluid import fluctuation_of
 from sphrom.sph.time_loop import DENSITY_LIMIT, Snapshot
 from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Target, Workspace
+from sphrom.text import shortened
 
 VELOCITIES = (("u", "v"), ("velocity.x", "velocity.y"))
 """The names of velocities that are looked for unless --velocity names others."""
@@ -51,6 +54,8 @@ FLUCTUATION = "density_fluctuation"
 """The field of files that this program exported: density less its reference value."""
 ROUNDING = 1e-6
 """A third component of velocity up to this share of the largest speed is none."""
+MOST_NAMES = 20_000
+"""Characters of the files' names that are kept: an attribute holds three times as many."""
 COUNT_TOLERANCE = 0.05
 """How far the number of particles may be from the case's, relatively: edges are filled in many
 ways, but each particle has to stand for about the same area."""
@@ -82,19 +87,19 @@ def run(context: StageContext, files: Sequence[Path], about: ImportOptions) -> N
     )
     found = find_sources(files, about)
     choices = choose(found, case.plan.steps)
-    digest = _digest(choices)
+    about_files = {
+        "imported/files": _named(files),
+        "imported/options": shlex.join([*about.words, f"--only={points[0].label}"]),
+        "imported/sha256": _digest(choices),
+    }
+    if target.path.exists() and not context.force:
+        _require_same(target.path, workspace.imported(target), about_files)
     if not workspace.must_make(target):
-        with workspace.open(target) as artifact:
-            if artifact.attributes.get("imported/sha256") != digest:
-                raise ArtifactError(
-                    f"{target.path} is there, and not of these files; `--force` writes over it, "
-                    "`--out` names another folder"
-                )
         return
     require_room(case, workspace.out, points)
     converter = Converter(case, about, _read(choices[0][1][0], about))
     ensure_packed(workspace)
-    _write(workspace, target, points[0], choices, converter, digest)
+    _write(workspace, target, points[0], choices, converter, about_files)
     if any(len(nodes) > 1 for _, nodes in choices):
         context.report.warn(
             f"interpolated in time, by cubic polynomials: the files hold {series(found)}"
@@ -116,16 +121,11 @@ def _write(
     point: ParameterPoint,
     choices: Sequence[Choice],
     converter: Converter,
-    digest: str,
+    about_files: Mapping[str, str],
 ) -> None:
     """Write the snapshots of files as a full run at a parameter point."""
     case, plan, about = workspace.case, workspace.case.plan, converter.about
-    names = [path.name for path in _paths(choices)]
-    attributes = {
-        **assembly.run_attributes(case, point, plan.steps.time_step),
-        "imported/files": ", ".join(names if len(names) < 3 else [names[0], "...", names[-1]]),
-        "imported/sha256": digest,
-    }
+    attributes = {**assembly.run_attributes(case, point, plan.steps.time_step), **about_files}
     with (
         workspace.create(target, attributes) as artifact,
         workspace.context.report.progress(f"import, {point.label}", len(choices)) as advance,
@@ -148,24 +148,44 @@ def _write(
         writer.finish(None, about.seconds)
 
 
-def _paths(choices: Sequence[Choice]) -> list[Path]:
-    """Return the files that are read, each once."""
-    return list(dict.fromkeys(source.path for _, nodes in choices for source in nodes))
+def _named(files: Sequence[Path]) -> str:
+    """Return files as a command line names them, by a pattern where it finds the same ones."""
+    folder, suffix = files[0].parent, files[0].suffix
+    pattern = re.sub(r"\d+(\D*)$", r"*\1", files[0].stem) + suffix
+    if len(files) > 1 and set(folder.glob(pattern)) == set(files):
+        return "*".join(map(shlex.quote, f"{folder}/{pattern}".split("*")))
+    return shortened(shlex.join(map(str, files)), MOST_NAMES)
+
+
+def _require_same(path: Path, there: Mapping[str, str], here: Mapping[str, str]) -> None:
+    """Raise ArtifactError where another import, or none, made the run that is there."""
+    options = there.get("imported/options")
+    if there.get("imported/sha256") != here["imported/sha256"]:
+        origin = "imported from other files" if there else "computed here"
+    elif options != here["imported/options"]:
+        origin = f"imported with {options}, not {here['imported/options']}"
+    else:
+        return
+    raise ArtifactError(
+        f"{path} is there, {origin}; `--force` writes over it, `--out` names another folder"
+    )
 
 
 def _digest(choices: Sequence[Choice]) -> str:
     """Return one digest of all files' bytes, in their order."""
     digest = hashlib.sha256()
-    for path in _paths(choices):
+    for path in dict.fromkeys(source.path for _, nodes in choices for source in nodes):
         with path.open("rb") as file:
             digest.update(hashlib.file_digest(file, "sha256").digest())
     return digest.hexdigest()
 
 
 def fitted_case(
-    source: Path, overrides: Sequence[str], files: Sequence[Path], about: ImportOptions
+    source: Path, overrides: Sequence[str], files: Sequence[Path], about: ImportOptions, into: Path
 ) -> tuple[str, list[str]]:
     """Return a case file that says what another one does, but for keys that don't fit the files.
+
+    It goes into a folder: files that the case names are found from there.
 
     These are the times and, where another number of particles is found, the resolution; they come
     back as `key=value`. The time step is a whole part of the time between two snapshots, as stable
@@ -194,7 +214,7 @@ def fitted_case(
         f"time.step={float(f'{apart / every:.12g}')!r}",
         f"snapshots.every={every}",
     ]
-    text = dump_yaml(given_keys(source, [*overrides, *keys]))
+    text = dump_yaml(given_keys(source, [*overrides, *keys], into))
     return f"# {source.name}, fitted to {files[0].name} and others.\n{text}", keys
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Annotated
 
 import typer
@@ -82,6 +82,16 @@ class ImportOptions:
                 raise CaseError(f"{name}: must be a finite number above zero; got {value:g}")
         if not math.isfinite(self.start):
             raise CaseError(f"--start: must be a finite number; got {self.start}")
+
+    @property
+    def words(self) -> list[str]:
+        """The options of the command line that are not the defaults."""
+        given = {f.name: getattr(self, f.name) for f in fields(self)}
+        changed = {name: v for name, v in given.items() if v != getattr(ImportOptions, name)}
+        return [
+            f"--{name.replace('_', '-')}" + ("" if value is True else f"={value}")
+            for name, value in changed.items()
+        ]
 
     @property
     def scales(self) -> dict[str, float]:

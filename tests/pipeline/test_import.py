@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -90,7 +91,7 @@ def test_stages_go_on_from_what_pysph_wrote(case, sphrom) -> None:
     assert values[0] > 10.0 * values[1]
     with open_artifact(RUN, "sphrom/trajectory", made_by="import") as run:
         assert run.text("stage") == "import"
-        assert run.text("imported/files") == "taylor_green_00000.hdf5, ..., taylor_green_00040.hdf5"
+        assert run.text("imported/files") == f"{PYSPH[0].parent}/taylor_green_*.hdf5"
         assert run.number("timing/integration") == 7.0
         found = run.read("measure/centre/velocity")
     flow = TaylorGreen(length=1.0, speed=1.0, reference_density=1.0, kinematic_viscosity=0.01)
@@ -421,7 +422,7 @@ def test_run_that_is_there_is_kept_unless_forced(case, sphrom) -> None:
     ours = RUN.read_bytes()
     other_origin = sphrom("import", case, *names)
     assert other_origin.exit_code == 3
-    assert "is there, and not of these files; `--force` writes over it" in other_origin.stderr
+    assert "is there, computed here; `--force` writes over it" in other_origin.stderr
     assert RUN.read_bytes() == ours
     assert sphrom("import", case, *names, "--force").exit_code == 0
     theirs = RUN.read_bytes()
@@ -429,3 +430,26 @@ def test_run_that_is_there_is_kept_unless_forced(case, sphrom) -> None:
     assert again.exit_code == 0
     assert "there, and of this case: kept" in again.stdout
     assert ours != RUN.read_bytes() == theirs
+    # Other options, or other files, are another import.
+    other = sphrom("import", case, *names, "--velocity", "v,u")
+    assert (other.exit_code, "imported with --only=reynolds=100" in other.stderr) == (3, True)
+    other = sphrom("import", case, *write_npz(u=HIGH))
+    assert (other.exit_code, "imported from other files" in other.stderr) == (3, True)
+
+
+def test_force_replaces_no_imported_run(case, sphrom) -> None:
+    """What no stage can make, none writes over; the command that does is given."""
+    names = write_npz(id=np.arange(N))
+    assert sphrom("import", case, *names, "--sort-by", "id", "--units", "time=1.0").exit_code == 0
+    theirs, again = RUN.read_bytes(), ("./their_*.npz", "--sort-by=id", "--units=time=1.0")
+    assert "fom-reynolds100.h5: there" in sphrom("fom", case, "--force").stdout
+    other = ("--set", "fluid.mach_number=0.09")
+    for command in ("map", "run", "fom"):
+        for force in ((), ("--force",)):
+            refused = sphrom(command, case, *force, *other)
+            assert refused.exit_code == 3
+            assert all(part in refused.stderr for part in again), refused.stderr
+            assert RUN.read_bytes() == theirs
+    words = shlex.split(refused.stderr.split("`")[1])
+    assert sphrom(*words[1:3], *other, *names, *words[6:]).exit_code == 0
+    assert theirs != RUN.read_bytes()

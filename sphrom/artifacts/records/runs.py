@@ -142,7 +142,11 @@ class Trajectory(Snapshots, Settings, kind="sphrom/trajectory"):
     status_detail: str | None = attribute("", "what went wrong, where and when", default=None)
     memory_length: float | None = attribute("s", "tau of Eq. 3.22, of a reduced run", default=None)
     imported_files: str | None = attribute(
-        "", "another program's, that it is from", at="imported/files", default=None
+        "", "another program's, that it is from, as they were named", at="imported/files",
+        default=None,
+    )  # fmt: skip
+    imported_options: str | None = attribute(
+        "", "what was said of those files", at="imported/options", default=None
     )
     imported_sha256: str | None = attribute(
         "", "digest of those files", at="imported/sha256", default=None
