@@ -109,14 +109,16 @@ class Answer:
         if timing is None or timing.speed_up is None:
             yield "How long the full run took is unknown, and so is from when on the model pays."
             return
+        longest = "" if timing.full_step is None else " at its largest stable step"
         took = (
             f"Undisturbed, on one thread, it takes {duration(timing.reduced_seconds or 0.0)}, "
-            f"the full run {duration(timing.full_seconds or 0.0)} at its largest stable step"
+            f"the full run {duration(timing.full_seconds or 0.0)}{longest}."
         )
         if timing.speed_up <= 1.0:
-            yield f"{took}: it is not faster; {FASTER}."
+            yield f"{took} It is not faster; {FASTER}."
             return
-        yield f"{took}: {timing.times} times as long."
+        yield took
+        yield f"That is {timing.times} times as long."
         if self.offline_seconds is None or self.pays_from is None:
             yield "What making it took is unknown, and so is from when on it pays."
             return

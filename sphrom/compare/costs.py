@@ -53,7 +53,7 @@ class RunTiming:
     model: str
     parameters: str
     n_modes: int
-    full_step: float = field(metadata=SECONDS)
+    full_step: float | None = field(metadata=SECONDS)
     reduced_step: float = field(metadata=SECONDS)
     memory_length: float | None = field(metadata=SECONDS)
     full_seconds: float | None = field(metadata=SECONDS)
@@ -116,9 +116,10 @@ def full_run_timer(workspace: Workspace, point: ParameterPoint, step: float) -> 
     return _steps_timer(workspace.case, particles.functional(workspace.case, point), state, step)
 
 
-def _reduced_run_timer(
+def reduced_run_timer(
     workspace: Workspace, model: ReducedModelSection, point: ParameterPoint, step: float
 ) -> Callable[[], float]:
+    """Return what times a reduced run, on particles by some of its steps of a length [s]."""
     if model.from_operators:
         fast = FastModel(workspace, model)
         return partial(seconds_of, fast.at_point(point).integrator(fast.at(point)).run)
@@ -162,10 +163,11 @@ def run_timings(workspace: Workspace) -> Iterator[RunTiming]:
         elif not imported and full not in timers:
             timers[full] = full_run_timer(workspace, point, largest_step(case))
         if own not in timers:
-            timers[own] = _reduced_run_timer(workspace, model, point, step)
+            timers[own] = reduced_run_timer(workspace, model, point, step)
         sizes = plan.n_particles, n_modes
         factors = compression_factor(*sizes), field_compression_factor(*sizes)
-        about = model.name, point.label, n_modes, largest_step(case), step, memory_length
+        longest = None if imported else largest_step(case)
+        about = model.name, point.label, n_modes, longest, step, memory_length
         found.append((about, factors, full, own))
     seconds = taking_turns(timers, N_REPEATS) if found else {}
     for about, factors, full, own in found:
