@@ -61,10 +61,12 @@ def draw_comparison(workspace: Workspace, tables: Tables, *, again: bool) -> Non
     """Draw the figures of a comparison into the folder `plots`: all `again`, or those not there."""
     folder = workspace.folder("plots")
     with StoredComparison.of(workspace) as comparison:
-        for name, draw in _figures(workspace, tables, comparison):
-            path = folder / f"{name}.png"
-            if again or not path.exists():
+        figures = [(folder / f"{n}.png", d) for n, d in _figures(workspace, tables, comparison)]
+        missing = [(path, draw) for path, draw in figures if again or not path.exists()]
+        with workspace.context.report.details.progress("pictures", len(missing)) as advance:
+            for path, draw in missing:
                 save(draw(), path)
+                advance(1)
 
 
 def _figures(

@@ -18,6 +18,7 @@ import hashlib
 import pickle
 import sys
 import time
+import warnings
 from collections.abc import Callable
 from functools import lru_cache
 from importlib.metadata import version
@@ -35,7 +36,7 @@ from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
 
 from sphrom.kernels import asked_for
-from sphrom.kernels.code_cache import CodeCache, find_cache
+from sphrom.kernels.code_cache import CodeCache, CompilingWarning, find_cache
 from sphrom.machine import compiling
 
 Function = TypeVar("Function", bound=Callable[..., object])
@@ -131,6 +132,7 @@ class _KeptCode(NullCache):
         rtsys.initialize(target_context)
         content = code_cache().read(self._file(signature, target_context.codegen()))
         if content is None:
+            _tell_of_compiling()
             return None
         return CompileResult._rebuild(target_context, *pickle.loads(content))
 
@@ -148,6 +150,13 @@ class _KeptCode(NullCache):
     def _file(self, signature: Any, codegen: Any) -> str:
         made_for = hashlib.sha256(repr((signature, codegen.magic_tuple())).encode())
         return f"{self._name}-{made_for.hexdigest()[:16]}.nbc"
+
+
+@lru_cache(maxsize=1)
+def _tell_of_compiling() -> None:
+    if code_cache().writable:
+        text = "compiling kernels, once on this machine: each takes some seconds, and is kept"
+        warnings.warn(text, CompilingWarning, stacklevel=1)
 
 
 def _kept(compiled: Any) -> Any:
