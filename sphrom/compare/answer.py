@@ -11,14 +11,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 from sphrom.compare.comparison_tables import ErrorRow, Tables, best_name
-from sphrom.compare.costs import RunTiming, break_even, offline_seconds
+from sphrom.compare.costs import DIGITS, RunTiming, break_even, offline_seconds
 from sphrom.plots.tables import format_figure
 from sphrom.store.trained_models import basis_used
 from sphrom.store.workspace import Workspace
 from sphrom.text import counted, duration
 
-DIGITS = 2
-"""Significant digits of the figures in a sentence."""
 DEFINITION = (
     "the root mean square of the difference, over the whole field and all instants, in percent of "
     "the full run's own; a pressure is less its mean"
@@ -108,14 +106,16 @@ class Answer:
         if timing is None or timing.speed_up is None:
             yield "How long the full run took is unknown, and so is from when on the model pays."
             return
+        longest = "" if timing.full_step is None else " at its largest stable step"
         took = (
-            f"Undisturbed, it takes {duration(timing.reduced_seconds or 0.0)}, "
-            f"the full run {duration(timing.full_seconds or 0.0)}"
+            f"Undisturbed, on one thread, it takes {duration(timing.reduced_seconds or 0.0)}, "
+            f"the full run {duration(timing.full_seconds or 0.0)}{longest}."
         )
         if timing.speed_up <= 1.0:
-            yield f"{took}: it is not faster; {FASTER}."
+            yield f"{took} It is not faster; {FASTER}."
             return
-        yield f"{took}: {format_figure(timing.speed_up, DIGITS)} times as long."
+        yield took
+        yield f"That is {timing.times} times as long."
         if self.offline_seconds is None or self.pays_from is None:
             yield "What making it took is unknown, and so is from when on it pays."
             return
@@ -161,7 +161,8 @@ def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
         forces, expected = (
             _force_errors(tables, point.label, which) for which in ("relative_l2", "estimated")
         )
-        offline, training = offline_seconds(workspace, model, [point])
+        full_seconds = timings[0].full_seconds if timings else None
+        offline, training = offline_seconds(workspace, model, [point], full_seconds)
         return Answer(
             row=worst,
             n_points=len(unseen),

@@ -16,7 +16,16 @@ import numpy as np
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.compare.costs import is_imported, known_seconds, offline_seconds
+from sphrom.case.study_sections import FULL
+from sphrom.compare.costs import (
+    N_TIMED_STEPS,
+    full_run_timer,
+    is_imported,
+    known_seconds,
+    largest_step,
+    offline_seconds,
+    taking_turns,
+)
 from sphrom.errors import CaseError
 from sphrom.metrics.histories import EXACT, Errors, compare, errors_of
 from sphrom.metrics.measures import errors_of as relative_errors
@@ -42,7 +51,7 @@ from sphrom.store.trajectory import require_complete
 from sphrom.store.workspace import Workspace
 from sphrom.text import counted
 from sphrom.trade import candidates as weighed_models
-from sphrom.trade.candidates import FOLDER, N_TIMED_STEPS, STEP_FACTORS, candidates, trade_points
+from sphrom.trade.candidates import FOLDER, STEP_FACTORS, candidates, trade_points
 from sphrom.trade.weighing import (
     ESTIMATE,
     FRONTS,
@@ -120,24 +129,25 @@ class _Trade:
     def _sampled(self, workspace: Workspace, point: ParameterPoint) -> Samples:
         return weighed_models.sampled(workspace, point, self.probes, self.case.trade.measure)
 
-    def _full_seconds(self, workspace: Workspace) -> float:
-        return weighed_models.seconds_of_run(
-            workspace, next(iter(self.full)), self.case.trade.repeats
-        )
+    def _full_seconds(self, workspace: Workspace, step: float) -> float:
+        """Return how long a full run in steps of a length [s] takes on this machine now [s]."""
+        timer = {FULL: full_run_timer(workspace, next(iter(self.full)), step)}
+        return float(taking_turns(timer, self.case.trade.repeats)[FULL].min())
 
     def results(self) -> Results:
         """Run everything, and return the rows of all models, the case's own full run first."""
-        first = next(iter(self.full))
+        first, step = next(iter(self.full)), largest_step(self.case)
         with self.workspace.open(self.workspace.full_run(first)) as artifact:
             imported, own_seconds = is_imported(artifact), known_seconds(artifact)
         if not imported:  # Its steps are timed anew, as those of other full runs are.
-            own_seconds = self._full_seconds(self.workspace)
+            own_seconds = self._full_seconds(self.workspace, step)
+        self.full_seconds = own_seconds
         own = ModelRow(
             model="full, as in the case",
             family="full",
             kind="full",
             resolution=self.case.discretization.resolution,
-            time_step=self.case.plan.steps.time_step,
+            time_step=self.case.plan.steps.time_step if imported else step,
             online_seconds=own_seconds,
             errors={**EXACT, **self._measured_errors(first, self.full[first])},
         )
@@ -157,8 +167,8 @@ class _Trade:
         """Make the full runs of a variant, and return its rows."""
         workspace = weighed_models.workspace_of(self.workspace, variant)
         unstable = weighed_models.make(workspace, label, list(self.full))
-        seconds = None if unstable else self._full_seconds(workspace)
         runs, step = [], variant.plan.steps.time_step
+        seconds = None if unstable else self._full_seconds(workspace, step)
         for point in self.full:
             samples = None if point in unstable else self._sampled(workspace, point)
             runs.append(
@@ -185,7 +195,7 @@ class _Trade:
         family = "APG" if section.projection == "apg" else "Galerkin, calibrated"
         label = f"{family}, M = {section.size}" + (f", {factor} dt" if factor > 1 else "")
         runs = [self._fast(fast, label, factor, point) for point in self.full]
-        offline, training = offline_seconds(self.wider, section, list(self.full))
+        offline, training = offline_seconds(self.wider, section, list(self.full), self.full_seconds)
         row = ModelRow.of(
             runs,
             family=family,
@@ -290,9 +300,9 @@ def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None)
 def timed_words(case: Case) -> str:
     """Return how the seconds of a run are measured, in words."""
     text = (
-        f"online is a run of {case.plan.recorded_time:g} s, without reading and writing: the least "
-        f"of {counted(case.trade.repeats, 'time')}, of full runs {N_TIMED_STEPS} steps from the "
-        "start, of reduced runs all"
+        f"online is a run of {case.plan.recorded_time:g} s on one thread, without reading and "
+        f"writing: the least of {counted(case.trade.repeats, 'time')}, of full runs by "
+        f"{N_TIMED_STEPS} steps, the case's own at its largest stable step"
     )
     if case.time.spin_up == 0.0:
         return text
