@@ -33,7 +33,7 @@ from sphrom.metrics.measures import mean_square
 from sphrom.metrics.samples import Samples
 from sphrom.online.error_estimates import measured_errors, measured_shares
 from sphrom.online.fast_model import FastModel, FastRun
-from sphrom.plots.canvas import plain_logarithmic, save
+from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Panel, draw_grid
 from sphrom.plots.tables import (
     UNKNOWN,
@@ -74,8 +74,8 @@ Rows = tuple[ModelRow, list[RunRow]]
 
 MARGIN = 0.2
 """Around models, for their names, over the axis."""
-GAIN = 0.95
-"""The largest error over that of the point named before, for a point to be named."""
+APART = (0.2, 0.05)
+"""How far the names of points are from each other, across or up, over the axes."""
 ON_FRONT = "*"
 """Marks an error that no model gives in less time."""
 HEADINGS = ("offline [s]", "online [s]", "speed-up", "break-even", "no better than")
@@ -345,18 +345,18 @@ def draw_trade(results: Results) -> Figure:
     """Return errors against seconds of a run with their Pareto fronts, a panel for each quantity.
 
     It shows the stable models, but for the full run that they are compared with, and alternatives
-    without a model. Named are the last point of a front and earlier ones that gain in accuracy.
+    without a model. Named are the points of a front, from the last one on, whose names stay apart.
     """
     quantities = results.measure.quantities
     panels = [_panel(results, quantity) for quantity in quantities]
     figure = draw_grid([panels], title=results.measure.words)
     for axes, quantity in zip(figure.axes, quantities, strict=True):
         axes.margins(x=MARGIN, y=MARGIN)
-        plain_logarithmic(axes.yaxis, *axes.get_ylim())
-        least, front = float("inf"), _front(results, quantity)
-        for seconds, error, row in front:
-            if error < GAIN * least or row is front[-1][2]:
-                least, name = error, row.model.removeprefix(f"{row.family}, ")
+        shares, last = axes.transScale + axes.transLimits, np.full(2, np.inf)
+        for seconds, error, row in _front(results, quantity)[::-1]:
+            at = shares.transform((seconds, error))
+            if (np.abs(at - last) > APART).any():
+                last, name = at, row.model.removeprefix(f"{row.family}, ")
                 where: Any = {"textcoords": "offset points", "fontsize": 7.5}
                 axes.annotate(name, (seconds, error), (4, 4), **where)
     return figure
@@ -366,9 +366,10 @@ def _panel(results: Results, quantity: str) -> Panel:
     measure, places = results.measure, _places(results, quantity)
     own_seconds = results.rows[0].online_seconds
     curves = []
-    for family in dict.fromkeys(row.family for *_, row in places):
-        x, y = np.array([(s, e) for s, e, row in places if row.family == family]).T
-        curves.append(Curve(family, x, y, "reference"))
+    for k, family in enumerate(dict.fromkeys(row.family for row in results.rows[1:])):
+        own = [(s, e) for s, e, row in places if row.family == family]
+        x, y = np.array(own, dtype=float).reshape(-1, 2).T
+        curves.append(Curve(family, x, y, "reference", place=k))
     if front := _front(results, quantity):
         # Steps: no model between two of them is better than the slower one.
         x, y = np.array([place[:2] for place in front]).T
@@ -380,7 +381,7 @@ def _panel(results: Results, quantity: str) -> Panel:
     errors = [e for _, e, _ in places]
     if own_seconds is not None and errors:
         ends = np.array([min(errors), max(errors)])
-        curves.append(Curve("full run", np.full(2, own_seconds), ends, "full"))
+        curves.append(Curve("the case's full run", np.full(2, own_seconds), ends, "full"))
     label = f"{quantity.replace('_', ' ')}, error [%]"
     return Panel("", "seconds of a run [s]", label, curves, "both logarithmic")
 
