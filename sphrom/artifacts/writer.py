@@ -142,10 +142,14 @@ class ArtifactWriter:
         if len(shape) != len(field.axes):
             raise ValueError(f"{name} has the axes {field.axes}, not the shape {shape}")
         chunks = chunk_shape(field, shape)
-        checksum = chunks is not None
         with self._guarded():
             dataset = self._hdf5.create_dataset(
-                name, shape, field.kind, maxshape=shape, chunks=chunks, fletcher32=checksum
+                name,
+                shape,
+                field.kind,
+                maxshape=shape,
+                chunks=chunks,
+                fletcher32=chunks is not None,
             )
             dataset.attrs["axes"] = fixed_text(",".join(field.axes))
             for key, text in field.labels.items():

@@ -14,7 +14,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, PrivateAttr, ValidationInfo, model_validator
+from pydantic import BaseModel, ValidationInfo, model_validator
 
 from sphrom.case.fields import SafeName, Section, key
 from sphrom.case.full_model_sections import (
@@ -89,8 +89,6 @@ class Case(Section):
         "parameter with its least and greatest value, such as reynolds: [50, 1000]",
     )
 
-    _folder: Path = PrivateAttr(Path())
-
     @model_validator(mode="before")
     @classmethod
     def _with_defaults(cls, values: Any) -> Any:
@@ -104,7 +102,7 @@ class Case(Section):
     @model_validator(mode="after")
     def _with_folder(self, info: ValidationInfo) -> Case:
         # A process may change its own folder, and another one has its own.
-        self._folder = Path((info.context or {}).get("folder", Path())).absolute()
+        self.__dict__["folder"] = Path((info.context or {}).get("folder", Path())).absolute()
         return self
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Case:
@@ -113,17 +111,10 @@ class Case(Section):
         copied.__dict__.pop("plan", None)
         return copied
 
-    def __eq__(self, other: object) -> bool:
-        """Whether all keys have the same values, wherever the case's file is."""
-        names = type(self).model_fields
-        return type(self) is type(other) and all(
-            getattr(self, name) == getattr(other, name) for name in names
-        )
-
-    @property
+    @cached_property
     def folder(self) -> Path:
         """The folder of the case's file, which files that it names are relative to."""
-        return self._folder
+        return Path().absolute()
 
     @cached_property
     def plan(self) -> Plan:

@@ -6,7 +6,6 @@ It comes from the tables of a comparison, and from what artifacts say of their m
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
@@ -18,8 +17,6 @@ from sphrom.store.trained_models import basis_used
 from sphrom.store.workspace import Workspace
 from sphrom.text import counted, duration
 
-WIDTH = 100
-"""Of a line on the terminal."""
 DIGITS = 2
 """Significant digits of the figures in a sentence."""
 DEFINITION = (
@@ -214,8 +211,7 @@ def tell_answer(workspace: Workspace, tables: Tables) -> None:
     answer = find_answer(workspace, tables)
     sentences = ["No reduced model was compared over a whole run."]
     for sentence in sentences if answer is None else answer.sentences():
-        for line in textwrap.wrap(sentence, WIDTH, break_long_words=False, break_on_hyphens=False):
-            report.result(line)
+        report.prose(sentence)
     pictures = f", pictures in {out / 'plots'}" if (out / "plots").is_dir() else ""
     report.result(f"Tables are in {out / 'tables'}{pictures}.")
     report.result(f"All of it on one page: sphrom report {workspace.context.words}")

@@ -55,17 +55,18 @@ ERRORS = (
     },
 )
 """The errors that are drawn, a row of velocities and one of pressures, and their labels."""
-OVERVIEW = "velocity, field, at all instants: relative L2 [%]"
 
 
 def draw_comparison(workspace: Workspace, tables: Tables, *, again: bool) -> None:
     """Draw the figures of a comparison into the folder `plots`: all `again`, or those not there."""
     folder = workspace.folder("plots")
     with StoredComparison.of(workspace) as comparison:
-        for name, draw in _figures(workspace, tables, comparison):
-            path = folder / f"{name}.png"
-            if again or not path.exists():
+        figures = [(folder / f"{n}.png", d) for n, d in _figures(workspace, tables, comparison)]
+        missing = [(path, draw) for path, draw in figures if again or not path.exists()]
+        with workspace.context.report.details.progress("pictures", len(missing)) as advance:
+            for path, draw in missing:
                 save(draw(), path)
+                advance(1)
 
 
 def _figures(
@@ -164,7 +165,8 @@ class _PointFigures:
         """Return the fields and the errors of the fastest model."""
         fastest = next(m for m in self.case.plan.models_by_speed if m in self.complete)
         complete = {m.name: self._errors[m.name] for m in self.complete}
-        errors = _error_panel("velocity_field_relative_l2", OVERVIEW, complete)
+        label = "velocity, field, at all instants: relative L2 [%]"
+        errors = _error_panel("velocity_field_relative_l2", label, complete)
         row: list[Field | Panel] = [*self._beside(fastest.name, "speed"), errors]
         return draw_grid([row], frame_of(self.case), scales=self._scales, title=self.when)
 

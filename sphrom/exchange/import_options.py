@@ -69,7 +69,7 @@ class ImportOptions:
     ] = 0.0
     seconds: Annotated[
         float | None,
-        _option("SECONDS", "Time that the run took; unless it is given, no speed-up is known."),
+        _option("SECONDS", "Time that the run took; its speed-up is unknown without it."),
     ] = None
 
     def __post_init__(self) -> None:

@@ -17,6 +17,7 @@ from __future__ import annotations
 import hashlib
 import pickle
 import sys
+import warnings
 from collections.abc import Callable
 from functools import lru_cache
 from importlib.metadata import version
@@ -33,7 +34,7 @@ from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
 
 from sphrom.kernels import asked_for
-from sphrom.kernels.code_cache import CodeCache, find_cache
+from sphrom.kernels.code_cache import CodeCache, CompilingWarning, find_cache
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -128,6 +129,7 @@ class _KeptCode(NullCache):
         rtsys.initialize(target_context)
         content = code_cache().read(self._file(signature, target_context.codegen()))
         if content is None:
+            _tell_of_compiling()
             return None
         return CompileResult._rebuild(target_context, *pickle.loads(content))
 
@@ -145,6 +147,13 @@ class _KeptCode(NullCache):
     def _file(self, signature: Any, codegen: Any) -> str:
         made_for = hashlib.sha256(repr((signature, codegen.magic_tuple())).encode())
         return f"{self._name}-{made_for.hexdigest()[:16]}.nbc"
+
+
+@lru_cache(maxsize=1)
+def _tell_of_compiling() -> None:
+    if code_cache().writable:
+        text = "compiling kernels, once on this machine: each takes some seconds, and is kept"
+        warnings.warn(text, CompilingWarning, stacklevel=1)
 
 
 def _kept(compiled: Any) -> Any:
