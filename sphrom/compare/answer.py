@@ -22,8 +22,6 @@ DEFINITION = (
     "the full run's own; a pressure is less its mean"
 )
 """What the errors are."""
-TOO_LARGE, TOO_FAR = 20.0, 10.0
-"""A velocity's error [%], and its ratio to the best possible, beyond which a model is off track."""
 ROLES = {
     "predicted": "which was not simulated for training",
     "extrapolated": "which was not simulated for training and lies outside of the trained values",
@@ -59,6 +57,8 @@ class Answer:
     training_seconds: float | None
     n_training: int
     forces: tuple[Force, ...] = ()
+    doubts: tuple[tuple[str, str], ...] = ()
+    """Points of imported runs, and what lets doubt that the case describes them."""
 
     @property
     def pays_from(self) -> int | None:
@@ -95,11 +95,8 @@ class Answer:
             own = "" if estimate is None else f"; the model estimates {percent(estimate)}"
             found = f"{percent(error)} over time{nearest}{own}"
             yield f"The measured force ({name}) differs by {found}."
-        if self.best is not None and self.error[0] > max(TOO_LARGE, TOO_FAR * self.best[0]):
-            yield (
-                "The model does not follow this run, though its basis could: a run from elsewhere "
-                "may lie in another frame, or be of another flow than the scene (walls, force)."
-            )
+        for point, doubt in self.doubts:
+            yield f"The run at {point} was imported, and the case may not be its own: {doubt}."
 
     def _cost(self) -> Iterator[str]:
         timing = self.timing
@@ -175,6 +172,13 @@ def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
             offline_seconds=offline,
             training_seconds=training,
             n_training=len(plan.bases[basis]),
+            doubts=tuple(
+                (each.label, doubt)
+                for each in plan.points
+                for doubt in workspace.imported(workspace.full_run(each))
+                .get("imported/doubts", "")
+                .splitlines()
+            ),
             forces=tuple(
                 (name, force, forces.get((best, name)), expected.get((compared, name)))
                 for (compared, name), force in forces.items()
