@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -30,8 +30,6 @@ from sphrom.sph.time_loop import Model, runge_kutta_step
 from sphrom.store.trained_models import memory_timing
 from sphrom.store.trajectory import snapshot_fields
 from sphrom.store.workspace import Target, Workspace
-
-Key = TypeVar("Key")
 
 SECONDS = {"unit": "s"}
 N_REPEATS = 5
@@ -90,7 +88,7 @@ def largest_step(case: Case) -> float:
     return max(case.plan.limits.least, case.plan.steps.time_step)
 
 
-def taking_turns(timed: Mapping[Key, Callable[[], float]], repeats: int) -> dict[Key, Array]:
+def taking_turns(timed: Mapping[Any, Callable[[], float]], repeats: int) -> dict[Any, Array]:
     """Return the seconds (n_repeats,) that functions return in turns, on one thread.
 
     They are called once before, for all to be compiled.
