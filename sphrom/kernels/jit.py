@@ -17,6 +17,7 @@ from __future__ import annotations
 import hashlib
 import pickle
 import sys
+import time
 import warnings
 from collections.abc import Callable
 from functools import lru_cache
@@ -26,6 +27,7 @@ from typing import Any, TypeVar
 
 import numba
 from llvmlite.binding import Linkage
+from numba.core import event
 from numba.core.caching import NullCache
 from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
 from numba.core.compiler import CompileResult
@@ -35,6 +37,7 @@ from numba.core.serialize import dumps
 
 from sphrom.kernels import asked_for
 from sphrom.kernels.code_cache import CodeCache, CompilingWarning, find_cache
+from sphrom.machine import compiling
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -166,4 +169,21 @@ def _kept(compiled: Any) -> Any:
     return compiled
 
 
+class _Compiling(event.Listener):
+    """Counts the time of compiling functions, those that they call among them."""
+
+    depth = 0
+
+    def on_start(self, event: Any) -> None:
+        """Start the clock with the outermost function."""
+        compiling[0] -= (self.depth == 0) * time.process_time()
+        self.depth += 1
+
+    def on_end(self, event: Any) -> None:
+        """Stop it with the same."""
+        self.depth -= 1
+        compiling[0] += (self.depth == 0) * time.process_time()
+
+
+event.register("numba:compile", _Compiling())
 set_threads(asked_for())
