@@ -119,13 +119,6 @@ def test_wrapped_positions_are_inside_whole_turns_away(position: np.ndarray) -> 
     assert np.array_equal(position, before)
 
 
-@given(positions)
-def test_wrapping_twice_is_wrapping_once(position: np.ndarray) -> None:
-    once = BOX.wrap(position)
-    apart = np.abs(BOX.wrap(once) - once)
-    assert np.max(np.minimum(apart, BOX.lengths - apart)) < 1e-12
-
-
 def test_what_is_just_below_the_box_does_not_land_on_its_upper_side() -> None:
     unit = BoxDomain((0.0, 0.0), (1.0, 1.0), (True, True))
     assert np.array_equal(unit.wrap(np.array([[-1e-20, -0.0]])), [[0.0, 0.0]])
