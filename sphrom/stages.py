@@ -138,15 +138,16 @@ def _needed(case: Case, until: str | None) -> list[str]:
 
 @contextmanager
 def _warnings_in_lines(report: Reporter) -> Iterator[None]:
-    """Show in one line what the kernels' cache warns of, and nothing of overflows, in the block.
+    """Show in one line what the kernels' cache tells, and nothing of overflows, in the block.
 
     Values that aren't finite are refused where they are written, by name and place.
     """
-    from sphrom.kernels.code_cache import CodeCacheWarning
+    from sphrom.kernels.code_cache import CodeCacheWarning, CompilingWarning
 
     def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
         if issubclass(category, CodeCacheWarning):
-            report.warn(str(message))
+            tell = report.note if issubclass(category, CompilingWarning) else report.warn
+            tell(str(message))
         elif not issubclass(category, RuntimeWarning):
             before(message, category, *place, **more)
 

@@ -123,7 +123,7 @@ class Case(Section):
 
 
 VERSIONS: Mapping[str, int] = {
-    "discretization": 2, "fluid": 2, "operators": 4, "psi": 2, "rom": 3, "trade": 2
+    "compare": 2, "discretization": 2, "fluid": 2, "operators": 4, "psi": 2, "rom": 3, "trade": 2
 }  # fmt: skip
 """Of sections in which a default has changed, or the meaning of a key: what was made before is then
 of another case. A key that is new needs none, as long as its default is what was done without it.

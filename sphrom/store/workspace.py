@@ -170,8 +170,8 @@ class Workspace:
     def _import_command(self, target: Target) -> str | None:
         """Return the command that imports a full run again; None for what stages here make."""
         said = self.imported(target) if target.stage == "fom" else {}
-        given = said.get("imported/files", "FILES"), said.get("imported/options", "")
-        return " ".join(("sphrom import", self.context.words, *given, "--force")) if said else None
+        files = said.get("imported/files")
+        return files and f"sphrom import {self.context.words} {files} --force"
 
     def _require_parents(self, target: Target) -> None:
         """Raise ArtifactError when an input that is still there is not valid."""

@@ -169,6 +169,11 @@ def test_a_bad_fit_says_so(study, columns):
     swapped = {**table, "there_u": columns["there_v"], "there_v": columns["there_u"]}
     found = study.model("fast", **TRUE).fit(swapped, noise=1.0)
     assert any(p.startswith("the fit is bad: chi^2 per degree") for p in found.problems)
+    for factor in (1.0, 1.3, 1.5, 2.0, 4.0):
+        other = {**table, "there_u": factor * table["there_u"]}
+        found = study.model("fast", **TRUE).fit(other, noise=1.0)
+        *_, last = ("", *found.problems)
+        assert (found.chi_square > found.bound) == ("above the" in last), factor
 
 
 def test_without_full_runs_intervals_are_of_the_noise_alone(study, columns):
