@@ -49,7 +49,7 @@ class Options:
     out: Annotated[
         Path | None,
         option(
-            "DIR", "Folder of the artifacts.  [default: runs/<name of the case> below this one]"
+            "DIR", "Folder of the artifacts.  [default: runs/<name of the case> in the current folder]"
         ),
     ] = None
     overrides: Annotated[
