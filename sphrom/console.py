@@ -228,13 +228,12 @@ class Reporter:
         self._running.append(progress)
 
         def show() -> None:
-            if self._terminal and self._least <= Level.INFO:
+            if self._terminal and self._least <= Level.INFO and progress.is_stale():
                 _show_status("; ".join(map(str, self._running)))
 
         def advance(done: int) -> None:
             progress.count(done)
-            if progress.is_stale():
-                show()
+            show()
             if progress.is_due():
                 self._show(str(progress), Level.DETAIL if self._terminal else Level.INFO)
 
@@ -264,7 +263,8 @@ class _Progress:
 
     def __init__(self, description: str, total: int) -> None:
         self._description, self._total = description, total
-        self.start = self._since = self._shown = time.monotonic()
+        self.start = self._since = time.monotonic()
+        self._shown = -REFRESHED
         self.done = self._first = 0
         self._interval = LINE_INTERVAL
         self._next = self.start + self._interval
@@ -278,10 +278,10 @@ class _Progress:
 
     def is_stale(self) -> bool:
         """Return whether a terminal's line of it is old; it counts as new from now on."""
-        now, before = time.monotonic(), self._shown
-        if now >= before + REFRESHED:
-            self._shown = now
-        return self._shown > before
+        if (now := time.monotonic()) < self._shown + REFRESHED:
+            return False
+        self._shown = now
+        return True
 
     def is_due(self) -> bool:
         """Return whether to write a line: the more seldom the longer it takes."""
