@@ -6,6 +6,7 @@ else wrote, so that control characters are shown as escapes.
 
 from __future__ import annotations
 
+import re
 import shutil
 import sys
 import textwrap
@@ -33,6 +34,8 @@ LONGEST_LINE = 500
 """Characters of an error or a warning: what they quote may be of any length."""
 PROSE = 100
 """Characters of a line of sentences where there is no terminal."""
+TOGETHER = re.compile("`[^`]{,76}`| %")
+"""What stands in one line: a command to copy, a figure and its percent sign."""
 WHOLE_WORDS: Any = {"break_long_words": False, "break_on_hyphens": False}
 _ERASE = "\r\x1b[K"
 
@@ -49,7 +52,9 @@ def tell(text: str, *, error: bool = False, indent: int = 0) -> None:
     stream = sys.stderr if error else sys.stdout
     text = shortened(text, LONGEST_LINE) if error else visible(text)
     if stream.isatty():
+        text = TOGETHER.sub(lambda found: found[0].replace(" ", "\xa0"), text)
         text = textwrap.fill(text, _columns(), subsequent_indent=" " * indent, **WHOLE_WORDS)
+        text = text.replace("\xa0", " ")
     print(text, file=stream, flush=True)
 
 

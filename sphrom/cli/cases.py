@@ -107,9 +107,6 @@ def new(
         print(text, end="")
         return
     write_new(output, text, f"; next: sphrom case check {output}", force=force)
-    schema = output.with_name(template.SCHEMA_FILE)
-    if not schema.exists():
-        tell(f"for completion and checks in an editor: sphrom case schema -o {schema}")
 
 
 @cases.command(cls=Command)

@@ -94,7 +94,5 @@ def test_where_interrupts_are_ignored_the_program_tells_what_stops_it(sphrom, st
         assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
     finally:
         signal.signal(signal.SIGINT, before)
-    assert result.exit_code == 0
-    (line,) = (line for line in result.stdout.splitlines() if "SIGINT is ignored" in line)
-    assert "stop this command with SIGTERM" in line
+    assert (result.exit_code, result.stdout.count("stop this command with SIGTERM")) == (0, 1)
     assert "SIGINT" not in sphrom("pod", case_file).stdout
