@@ -21,9 +21,8 @@ from numpy.typing import NDArray
 from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.compare.answer import Answer, find_answer, percent
+from sphrom.compare.answer import DIGITS, Answer, find_answer, percent
 from sphrom.compare.comparison_tables import RECORDS, SpectrumRow, Tables
-from sphrom.compare.costs import DIGITS
 from sphrom.compare.mode_figures import frame_of
 from sphrom.plots.canvas import (
     DIFFERENCE_MAP,
