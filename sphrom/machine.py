@@ -8,9 +8,12 @@ has.
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 _ROOT = Path("/")
 
@@ -22,10 +25,20 @@ def one_blas_thread() -> Iterator[None]:
     With more of them the last bits of results differ.
     """
     import scipy.linalg  # noqa: F401 - it brings a library of its own, and loads it late
-    from threadpoolctl import threadpool_limits
 
-    with threadpool_limits(1, user_api="blas"):
+    with _thread_pools(len(sys.modules)).limit(limits=1, user_api="blas"):
         yield
+
+
+@lru_cache(maxsize=1)
+def _thread_pools(n_modules: int) -> Any:
+    """Return the loaded libraries with threads; finding them takes longer than a reduced run.
+
+    A library comes with a module: they are looked for again once there are more modules.
+    """
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
 
 
 def physical_ram(root: Path = _ROOT) -> int:

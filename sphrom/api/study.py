@@ -74,6 +74,9 @@ class Study:
             threads=threads,
         )
 
+        self._models: dict[tuple[str, int], Model] = {}
+        """By name, and how many artifacts had been written: each may change a model."""
+
     def __repr__(self) -> str:
         return f"Study({self.case.name!r}, out={str(self.folder)!r}, models={[*self.models]})"
 
@@ -155,8 +158,13 @@ class Study:
         sections = {section.name: section for section in self.case.rom}
         if name not in sections:
             raise CaseError(f"no model has the name {quoted(name)}; {nearest(str(name), sections)}")
+        key = name, len(self._context.known.written)
+        if key in self._models:
+            return self._models[key].at(**parameters)
         context = replace(self._context, keep_valid=True)
-        return Model(context, sections[name], parameter_point(self.case, parameters))
+        found = Model(context, sections[name], parameter_point(self.case, parameters))
+        self._models = {**self._models, key: found}
+        return found
 
 
 @guarded(computes=False)

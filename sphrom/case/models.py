@@ -109,7 +109,8 @@ class Case(Section):
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Case:
         """Return a copy with keys changed, and with a plan of its own."""
         copied = super().model_copy(update=update, deep=deep)
-        copied.__dict__.pop("plan", None)
+        for worked_out in ("plan", "text"):
+            copied.__dict__.pop(worked_out, None)
         return copied
 
     def __eq__(self, other: object) -> bool:
@@ -129,6 +130,11 @@ class Case(Section):
         """What follows from the keys."""
         return Plan(self)
 
+    @cached_property
+    def text(self) -> str:
+        """The case as YAML with every default filled in; it loads back to an equal case."""
+        return dump_yaml(self.model_dump(mode="json"))
+
 
 VERSIONS: Mapping[str, int] = {
     "discretization": 2, "fluid": 2, "operators": 3, "psi": 2, "rom": 3, "trade": 2
@@ -136,11 +142,6 @@ VERSIONS: Mapping[str, int] = {
 """Of sections in which a default has changed, or the meaning of a key: what was made before is then
 of another case. A key that is new needs none, as long as its default is what was done without it.
 """
-
-
-def resolved_yaml(case: Case) -> str:
-    """Return the case as YAML with every default filled in; it loads back to an equal case."""
-    return dump_yaml(case.model_dump(mode="json"))
 
 
 def section_inputs(case: Case, sections: Iterable[str]) -> dict[str, object]:

@@ -74,10 +74,9 @@ def show(options: Options) -> None:
       sphrom case show cases/lid_driven_cavity_demo.yaml
     """
     from sphrom.case.loader import load_case
-    from sphrom.case.models import resolved_yaml
 
     case = load_case(options.case, options.overrides or (), options.force)
-    print(resolved_yaml(case), end="")
+    print(case.text, end="")
 
 
 @cases.command()

@@ -23,7 +23,7 @@ from sphrom.case.studies import sweep_model, sweep_name, sweep_points
 from sphrom.console import Reporter
 from sphrom.errors import ArtifactError, CaseError, UnstableError, error_of
 from sphrom.metrics import measures
-from sphrom.metrics.measures import COMPONENTS, STATISTICS, UNITS
+from sphrom.metrics.measures import STATISTICS, UNITS, component_names
 from sphrom.offline.fom import ensure_packed
 from sphrom.plots.tables import format_figure, rows_of_columns, write_csv
 from sphrom.setup.context import StageContext
@@ -55,14 +55,15 @@ BATCHES_EACH = 4
 MOST_SHOWN = 10
 """Runs without a result that are shown one by one."""
 FIGURES = {
-    "time_step": ("time_step", "s"),
-    "kinetic_energy": ("kinetic_energy", "J/m"),
-    "largest_speed": ("largest_speed", "m/s"),
-    "velocity_error_estimate": (f"{ERROR}velocity", "%"),
-    "pressure_error_estimate": (f"{ERROR}pressure", "%"),
+    "time_step": "s",
+    "kinetic_energy": "J/m",
+    "largest_speed": "m/s",
+    "error_estimate_velocity": "%",
+    "error_estimate_pressure": "%",
 }
-"""Figures of a run, with their datasets and units: energy at the end, the largest speed of all
-points and snapshots, and root mean squares of estimated errors over those of the fields."""
+"""Figures of a run with their units, called as in `sphrom.open`: energy at the end, the largest
+speed of all points and snapshots, root mean squares of estimated errors over those of the fields.
+"""
 
 Cells = dict[str, str | float | None]
 """The cells of a run's row in the table, by column; None without a result, or an estimate."""
@@ -170,13 +171,12 @@ def columns_of(case: Case, records: Sequence[RunRecord]) -> dict[str, str | None
     """
     derivatives = next((record.derivative_names for record in records if record.values), ())
     names = {**dict.fromkeys(case.plan.parameter_names), "status": None}
-    names |= {name: unit for name, (_, unit) in FIGURES.items()}
-    names |= dict.fromkeys((*derivatives, "extrapolated", "reason"))
+    names |= FIGURES | dict.fromkeys((*derivatives, "extrapolated", "reason"))
     return names | {
         f"{name}_{component}_{statistic}": UNITS[quantity]
         for name, section in case.scene.measure.items()
         for quantity in section.quantities
-        for component in COMPONENTS.get(quantity, (quantity,))
+        for component in component_names(quantity)
         for statistic in STATISTICS
     }
 
@@ -304,7 +304,8 @@ def _cells(record: RunRecord, names: Iterable[str]) -> Cells:
     values = record.values
     cells: Cells = {**dict.fromkeys(names), **record.point.as_dict()}
     cells |= {"status": STATES[record.status], "reason": record.reason, "extrapolated": ""}
-    cells |= {n: float(values[path]) for n, (path, _) in FIGURES.items() if path in values}
+    figures = {path.replace("/", "_"): value for path, value in values.items()}
+    cells |= {name: float(figures[name]) for name in FIGURES if name in figures}
     if values:
         derivatives = values["derivatives"].tolist() if record.derivative_names else ()
         cells |= zip(record.derivative_names, derivatives, strict=True)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from sphrom.arrays import Array
 from sphrom.case.checks import case_problems
 from sphrom.case.loader import case_of_text
-from sphrom.case.models import Case, resolved_yaml
+from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import Region, fast_model, percent, trained_at
@@ -98,7 +98,7 @@ def run(
     _check_case_file(path, case, training.starts)
     outcome = training.run()
     found = trained_at(case, outcome.stages[-1].points)
-    write_whole(path, resolved_yaml(found).encode())
+    write_whole(path, found.text.encode())
     publish(training.workspace, outcome, path, training.share(outcome.stages[-1].points))
     if failed := [run for stage in outcome.stages for run in stage.held_out if run.failure]:
         labels = ", ".join(run.point.label for run in failed)
@@ -114,7 +114,7 @@ def _check_case_file(path: Path, case: Case, points: Sequence[ParameterPoint]) -
         raise CaseError(f"--write-case: {path.parent} is no folder")
     try:
         require_writable(path)
-        case_of_text(resolved_yaml(trained_at(case, points)), path.parent)
+        case_of_text(trained_at(case, points).text, path.parent)
     except ArtifactError as error:
         raise CaseError(f"--write-case: {error}") from error
     except CaseError as error:
