@@ -12,6 +12,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -32,13 +33,8 @@ def one_blas_thread() -> Iterator[None]:
 
 @lru_cache(maxsize=1)
 def _thread_pools(n_modules: int) -> Any:
-    """Return the loaded libraries with threads; finding them takes longer than a reduced run.
-
-    A library comes with a module: they are looked for again once there are more modules.
-    """
-    from threadpoolctl import ThreadpoolController
-
-    return ThreadpoolController()
+    """Find libraries with threads, again once there are more modules: that takes milliseconds."""
+    return import_module("threadpoolctl").ThreadpoolController()
 
 
 def physical_ram(root: Path = _ROOT) -> int:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from sphrom.api.result import Labels, Result, Sensitivities, finite_array, rows_of
 from sphrom.arrays import Array
 from sphrom.case.checks import steady_problem
-from sphrom.case.hints import beyond_training, extrapolation, extrapolations
+from sphrom.case.hints import beyond_training, extrapolation
 from sphrom.case.loader import parameter_point
 from sphrom.case.plan import lengthened
 from sphrom.case.points import ParameterPoint
@@ -55,25 +55,28 @@ class Model:
     ArtifactError when artifacts that they need are missing, damaged, or of another case.
     """
 
-    def __init__(
-        self, context: StageContext, section: ReducedModelSection, point: ParameterPoint
-    ) -> None:
+    _point: ParameterPoint
+    _reduced: ReferenceModel | None = None
+
+    def __init__(self, context: StageContext, section: ReducedModelSection) -> None:
         self._workspace, self._section = Workspace(context), section
         self._labels = Labels(context.case)
         self._errors: TrainingDifferences = {}
         self._fast: FastModel | None = None
-        self._move(point)
-
-    def _move(self, point: ParameterPoint) -> None:
-        case = self._workspace.case
-        require_basis(case, self._section, point)
-        if (warning := extrapolation(case, point)) is not None:
-            self._warn(warning)
-        if self._section.from_operators and self._fast is None:
+        if section.from_operators:
             self._workspace.require(self._workspace.operators())
-            self._fast = FastModel(self._workspace, self._section)
-        self._point = point
-        self._reduced = None if self._fast is None else self._fast.at(point)
+            self._fast = FastModel(self._workspace, section)
+
+    def _points(self, rows: Iterable[Mapping[str, float]]) -> list[ParameterPoint]:
+        """Return points of the model by their values; warn of the first that extrapolates."""
+        case = self._workspace.case
+        points = [parameter_point(case, values) for values in rows]
+        for point in points:
+            require_basis(case, self._section, point)
+        for warning in filter(None, (extrapolation(case, point) for point in points)):
+            self._warn(warning)
+            break
+        return points
 
     def _warn(self, text: str) -> None:
         self._workspace.context.report.warn(f"{self.name}: {text}")
@@ -99,8 +102,9 @@ class Model:
     @guarded()
     def at(self, **parameters: float) -> Model:
         """Return the same model at other parameter values; nothing is read again."""
-        point, other = parameter_point(self._workspace.case, parameters), copy(self)
-        other._move(point)
+        other = copy(self)
+        (other._point,) = self._points([parameters])
+        other._reduced = None if self._fast is None else self._fast.at(other._point)
         return other
 
     @guarded()
@@ -154,12 +158,8 @@ class Model:
         the model was trained on, else zero; and `status` (run). A run that became `unstable` has
         NaN for its values.
         """
-        case, (fast, _) = self._workspace.case, self._by_operators("run_many")
-        at = [parameter_point(case, values) for values in rows_of(points)]
-        for point in at:
-            require_basis(case, self._section, point)
-        if (warning := extrapolations(case, self.name, at)) is not None:
-            self._warn(warning)
+        fast, _ = self._by_operators("run_many")
+        at = self._points(rows_of(points))
         return self._labels.runs(map(fast.run, at), [p.as_dict() for p in at], self.name)
 
     @guarded()
@@ -199,8 +199,8 @@ class Model:
                 own.time, velocity, np.stack([each.pressure - own.pressure for each in others])
             )
 
-        about = {"model": self.name, "at": self.parameters}
-        return Sensitivities(**vars(found), **about, _labels=self._labels, _sample=changes)
+        own: Any = {"model": self.name, "at": self.parameters}
+        return Sensitivities(**vars(found), **own, _labels=self._labels, _sample=changes)
 
     @guarded()
     def fit(

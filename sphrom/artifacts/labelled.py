@@ -53,9 +53,8 @@ def open_labelled(path: str | Path, group: str = "") -> xarray.Dataset:
         for wall in {name.split("/")[1] for name in fields if name.startswith("force/")}:
             for load in ("force", "torque"):
                 one, other = (variables[f"{wall}_{p}_{load}"] for p in ("pressure", "viscous"))
-                about = {"units": one.attrs["units"], "long_name": f"{load} on the wall"}
                 variables[f"{wall}_{load}"] = whole = one + other
-                whole.attrs.update(about)
+                whole.attrs = {"units": one.attrs["units"], "long_name": f"{load} on the wall"}
         others = tuple(f"{other}/" for other in (*groups, "lineage") if other != group)
         attributes: dict[str, Any] = {
             _short(name, group): value
@@ -65,11 +64,8 @@ def open_labelled(path: str | Path, group: str = "") -> xarray.Dataset:
         if groups:
             attributes["groups"] = groups
         found = xarray.Dataset(variables, attrs=attributes)
-        names = {axis: str(attributes.get(f"{axis}_names", "")) for axis in found.dims}
-        names |= {"component": ",".join(AXES)}
-        found = found.assign_coords(
-            {axis: each.split(",") for axis, each in names.items() if each and axis in found.dims}
-        )
+        if "component" in found.dims:
+            found = found.assign_coords(component=list(AXES))
         if "time" in found and found["time"].dims == ("snapshot",):
             found = found.set_coords("time").set_xindex("time")
         found.set_close(stack.pop_all().close)

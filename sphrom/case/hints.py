@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 
 from sphrom.case.checks import beyond_limits
 from sphrom.case.models import Case
@@ -106,17 +106,11 @@ def slow_sweep(case: Case) -> str | None:
 
 def sweep_beyond_training(case: Case) -> str | None:
     """Return how many points of a reduced sweep lie outside of the trained range, in words."""
-    model = sweep_model(case)
-    found = None if model is None else extrapolations(case, model.name, sweep_points(case))
-    return None if found is None else f"sweep: {found}"
-
-
-def extrapolations(case: Case, model: str, points: Sequence[ParameterPoint]) -> str | None:
-    """Return how many points of a reduced model are outside of the trained range, in words."""
+    model, points = sweep_model(case), sweep_points(case)
     beyond = [point for point in points if outside(point, case.plan.train_points)]
-    if not beyond:
+    if model is None or not beyond:
         return None
     return (
-        f"{len(beyond)} of {len(points)} points, such as {beyond[0].label}, are outside of the "
-        f"trained range: {model} extrapolates there"
+        f"sweep: {len(beyond)} of {len(points)} points, such as {beyond[0].label}, are outside of "
+        f"the trained range: {model.name} extrapolates there"
     )

@@ -135,7 +135,7 @@ def tangents(
         changes,
         means,
         np.asarray(case.plan.mass * np.einsum("sm,psm->ps", gradient, changes)),
-        {name: measured[name] for name in case.scene.measure},
+        {name: measured[name] for name in (*case.scene.measure, *measured)},
     )
 
 

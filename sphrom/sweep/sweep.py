@@ -32,7 +32,6 @@ from sphrom.store.workspace import Target, Workspace
 from sphrom.sweep import statistics
 from sphrom.sweep.batches import (
     COMPLETE,
-    ERROR,
     FAILED,
     NOT_RUN,
     STATES,
@@ -299,31 +298,26 @@ class Results:
         return locked(self._workspace.folder() / parts_folder(self._workspace).name, wait=True)
 
 
-def _cells(record: RunRecord, names: Iterable[str]) -> Cells:
-    """Return the cells of a run's row, without those of what is measured."""
-    values = record.values
-    cells: Cells = {**dict.fromkeys(names), **record.point.as_dict()}
-    cells |= {"status": STATES[record.status], "reason": record.reason, "extrapolated": ""}
-    figures = {path.replace("/", "_"): value for path, value in values.items()}
-    cells |= {name: float(figures[name]) for name in FIGURES if name in figures}
-    if values:
-        derivatives = values["derivatives"].tolist() if record.derivative_names else ()
-        cells |= zip(record.derivative_names, derivatives, strict=True)
-    if f"{ERROR}extrapolated" in values:
-        cells["extrapolated"] = "yes" if values[f"{ERROR}extrapolated"] else "no"
-    return cells
-
-
 def _rows(records: Sequence[RunRecord], names: Iterable[str]) -> list[Cells]:
     """Return the rows of runs, by the names of columns."""
-    rows = [_cells(record, names) for record in records]
+    rows: list[Cells] = []
+    for record in records:
+        values = {path.replace("/", "_"): value for path, value in record.values.items()}
+        row: Cells = {**dict.fromkeys(names), **record.point.as_dict()}
+        row |= {"status": STATES[record.status], "reason": record.reason, "extrapolated": ""}
+        row |= {name: float(values[name]) for name in FIGURES if name in values}
+        derivatives = values.get("derivatives", np.zeros(0)).tolist()
+        row |= zip(record.derivative_names, derivatives, strict=True)
+        if (beyond := values.get("error_estimate_extrapolated")) is not None:
+            row["extrapolated"] = "yes" if beyond else "no"
+        rows.append(row)
     complete = [k for k, record in enumerate(records) if record.values]
     for path in records[complete[0]].values if complete else ():
         if path.startswith("measure/"):
             _, name, quantity = path.split("/")
             series = np.stack([records[k].values[path] for k in complete])
-            for figure, values in measures.statistics({quantity: series}).items():
-                for k, value in zip(complete, values.tolist(), strict=True):
+            for figure, found in measures.statistics({quantity: series}).items():
+                for k, value in zip(complete, found.tolist(), strict=True):
                     rows[k][f"{name}_{figure}"] = value
     return rows
 
@@ -332,24 +326,18 @@ def _summary(
     records: Sequence[RunRecord], rows: Sequence[Cells], names: Mapping[str, str | None]
 ) -> Iterator[tuple[str, ...]]:
     """Yield a row for each figure: its extremes, where they are, and its mean."""
+    points = [record.point for record in records]
     for name, unit in names.items():
         if name == "time_step" or not (name in FIGURES or name.endswith("_mean")):
             continue
-        found = [
-            (value, record.point)
-            for record, row in zip(records, rows, strict=True)
-            if isinstance(value := row[name], float)
-        ]
-        if found:
-            (least, first), (most, last) = min(found), max(found)
-            at_least, at_most = (
-                ", ".join(f"{n} {v:.6g}" for n, v in point.as_dict().items())
-                for point in (first, last)
-            )
+        cells = zip([row[name] for row in rows], points, strict=True)
+        if found := [(value, point) for value, point in cells if isinstance(value, float)]:
             mean = sum(value for value, _ in found) / len(found)
-            cells = (least, at_least, mean, most, at_most)
-            words = f"{name.replace('_', ' ')} [{unit}]"
-            yield (words, *(format_figure(cell) for cell in cells))
+            least, most = (
+                (format_figure(value), ", ".join(f"{n} {v:.6g}" for n, v in at.as_dict().items()))
+                for value, at in (min(found), max(found))
+            )
+            yield (f"{name.replace('_', ' ')} [{unit}]", *least, format_figure(mean), *most)
 
 
 def show_lost(report: Reporter, runs: Sequence[RunRecord | Failure]) -> None:

@@ -227,7 +227,7 @@ def test_draws_outside_of_training_are_counted_and_told(swept, told):
     assert any(said in text for text in told)
     (named,) = (text for text in told if "full runs may have other quantiles" in text)
     assert "there_velocity_x (" in named
-    assert "load_x (" not in named
+    assert "load_force_x (" not in named
     assert not found.indices
 
 
