@@ -2,11 +2,12 @@
 
 Trains on a short Taylor-Green vortex at each resolution, then times in this process: steps of the
 full model, the online loop of models on the reference points over one second, and steps of models
-on moving particles. Whole `sphrom rom` commands are timed apart. Prints tables and writes JSON.
-Artifacts are kept in --folder, where a second run finds them.
+on moving particles. They take turns on one thread, and the least processor time counts. Whole
+`sphrom rom` commands are timed apart. Prints tables and writes JSON. Artifacts are kept in
+--folder, where a second run finds them.
 
     python scripts/bench_reduced.py --resolutions 50 100 200 --modes 2 5 10 20
-    python scripts/bench_reduced.py --resolutions 32 --modes 2 5 --repeats 20   # seconds
+    python scripts/bench_reduced.py --resolutions 32 --modes 2 5 --repeats 5   # seconds
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,17 +32,14 @@ from rich.table import Table
 from sphrom.case.loader import load_case
 from sphrom.case.models import Case
 from sphrom.case.sections import ReducedModelSection
+from sphrom.compare.costs import full_run_timer, largest_step, reduced_run_timer, taking_turns
 from sphrom.console import SilentReporter
 from sphrom.kernels.jit import set_threads
-from sphrom.machine import one_blas_thread
+from sphrom.machine import one_blas_thread, seconds_of
 from sphrom.online.fast_model import FastModel
-from sphrom.online.particle_runs import build_model, close
 from sphrom.reduction.polynomial_model import OutputTimes
-from sphrom.reduction.reference_model import automatic
-from sphrom.setup import particles
+from sphrom.reduction.reference_model import Integrator, ReferenceModel, automatic
 from sphrom.setup.context import StageContext
-from sphrom.sph.time_loop import Clock, Model, TimeSteps, march
-from sphrom.store.starts import start
 from sphrom.store.workspace import Workspace
 
 DURATION = 1.0
@@ -50,10 +50,6 @@ N_TRAINING_SNAPSHOTS = 100
 """To learn from, about, if there are as many steps."""
 CASE_STEP = 0.125
 """The step of the published runs over the spacing [s/m]: 1.25 ms at 100 x 100."""
-LARGEST_COURANT_NUMBER = 1.5
-"""Of Eq. 2.19."""
-KEPT_EVERY = 4
-"""Full and faithful steps between which particles are put back into the box."""
 TRAIN = ("fom", "map", "pod", "fit-psi", "operators")
 
 Row = dict[str, Any]
@@ -98,35 +94,24 @@ def prepare(
     return path
 
 
-def step_seconds(model: Model, state: np.ndarray, case: Case, time_step: float, n: int) -> float:
-    """Return what a step takes [s]: the mean of some after the first, in which all is compiled."""
-    clock = Clock()
-    steps = TimeSteps(time_step, n, KEPT_EVERY, check_every=n)
-    for _ in range(2):
-        clock.seconds = 0.0
-        for _ in march(model, state, steps, case.fluid.reference_density, clock, lambda done: None):
-            pass
-    return clock.seconds / n
-
-
-def full_row(workspace: Workspace, n_steps: int) -> Row:
-    """Time the full model, and return what a run would take at several steps [s]."""
+def timers(
+    workspace: Workspace, modes: list[int], faithful: bool
+) -> dict[str | int, Callable[[], float]]:
+    """Return what times a full step, models on the reference points, and steps on particles."""
     case = workspace.case
     (point,) = case.plan.train_points
-    model = particles.functional(case, point)
-    automatic = case.plan.steps.time_step
-    seconds = step_seconds(model, start(workspace, point).state, case, automatic, n_steps)
-    own = CASE_STEP * case.plan.particle_spacing
-    courant = {"time_step_auto": automatic, "time_step_case": own}
-    courant["time_step_largest"] = automatic * LARGEST_COURANT_NUMBER / case.time.courant_number
-    runs = {
-        name.replace("time_step", "run"): DURATION / dt * seconds for name, dt in courant.items()
-    }
-    return {"resolution": case.discretization.resolution, "step": seconds, **courant, **runs}
+    whole = case.plan.recorded_time  # a run in one step takes what a step takes
+    found: dict[str | int, Callable[[], float]] = {"full": full_run_timer(workspace, point, whole)}
+    for n_modes in modes:
+        found[n_modes] = partial(seconds_of, integrator_of(workspace, n_modes)[1].run)
+    for model in case.rom if faithful else ():
+        if not model.from_operators:
+            found[model.projection] = reduced_run_timer(workspace, model, point, whole)
+    return found
 
 
-def fast_row(workspace: Workspace, n_modes: int, repeats: int, full: Row) -> Row:
-    """Time the online loop of a model on the reference points."""
+def integrator_of(workspace: Workspace, n_modes: int) -> tuple[ReferenceModel, Integrator]:
+    """Return a model on the reference points, and what integrates it over the runs' duration."""
     (point,) = workspace.case.plan.train_points
     section = ReducedModelSection(
         name="fast", evaluation="operators", n_modes=n_modes, calibrated=True
@@ -137,21 +122,33 @@ def fast_row(workspace: Workspace, n_modes: int, repeats: int, full: Row) -> Row
         raise SystemExit("a model without training states")
     output_times = OutputTimes(interval, N_SNAPSHOTS, largest_norm=largest)
     integrator = automatic(replace(reduced, output_times=output_times, amplitude=None))
-    seconds = []
-    for _ in range(repeats + 1):
-        started = time.perf_counter()
-        runs = integrator.run()
-        seconds.append(time.perf_counter() - started)
-    if not np.isnan(runs.diverged_at):
-        raise SystemExit(f"M = {n_modes} at {full['resolution']}: the run diverged")
-    median = float(np.median(seconds[1:]))
+    if not np.isnan(integrator.run().diverged_at):
+        raise SystemExit(f"M = {n_modes}: the run diverged")
+    return reduced, integrator
+
+
+def full_row(case: Case, seconds: float) -> Row:
+    """Return what a run of the full model takes at several steps, from one step [s]."""
+    automatic = case.plan.steps.time_step
+    own = CASE_STEP * case.plan.particle_spacing
+    courant = {"time_step_auto": automatic, "time_step_case": own}
+    courant["time_step_largest"] = largest_step(case)
+    runs = {
+        name.replace("time_step", "run"): DURATION / dt * seconds for name, dt in courant.items()
+    }
+    return {"resolution": case.discretization.resolution, "step": seconds, **courant, **runs}
+
+
+def fast_row(workspace: Workspace, n_modes: int, loop: float, full: Row) -> Row:
+    """Return the online loop of a model on the reference points beside full runs."""
+    reduced, integrator = integrator_of(workspace, n_modes)
     return {
         "resolution": full["resolution"],
         "n_modes": n_modes,
         "n_steps": integrator.steps.n_steps,
         "limit": reduced.step_limit,
-        "loop": median,
-        **{f"speed_up_{at}": full[f"run_{at}"] / median for at in ("case", "auto", "largest")},
+        "loop": loop,
+        **{f"speed_up_{at}": full[f"run_{at}"] / loop for at in ("case", "auto", "largest")},
     }
 
 
@@ -165,15 +162,11 @@ def commands(path: Path, n_modes: int) -> Row:
     return row
 
 
-def faithful_row(workspace: Workspace, projection: str, n_steps: int, full: Row) -> Row:
-    """Time steps of a model on moving particles."""
-    case = workspace.case
-    (point,) = case.plan.train_points
-    (section,) = [m for m in case.rom if not m.from_operators and m.projection == projection]
-    reduced, state = build_model(workspace, section, point)
-    close(case, section, reduced, state, 0.0)
-    time_step = case.plan.steps.time_step
-    seconds = step_seconds(reduced, state, case, time_step, n_steps)
+def faithful_row(workspace: Workspace, projection: str, seconds: float, full: Row) -> Row:
+    """Return a step of a model on moving particles beside a full one."""
+    (section,) = [
+        m for m in workspace.case.rom if not m.from_operators and m.projection == projection
+    ]
     with workspace.open(workspace.splines()) as splines:
         fitting = splines.number("wall_seconds")
     return {
@@ -252,8 +245,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--resolutions", type=int, nargs="+", default=[50, 100, 200])
     parser.add_argument("--modes", type=int, nargs="+", default=[2, 5, 10, 20])
-    parser.add_argument("--repeats", type=int, default=200, help="of every online loop")
-    parser.add_argument("--steps", type=int, default=8, help="of full and faithful models")
+    parser.add_argument("--repeats", type=int, default=20, help="in which all take turns")
     parser.add_argument("--faithful", type=int, nargs="*", default=[100], help="resolutions")
     parser.add_argument("--commands", type=int, nargs="*", default=[100], help="resolutions")
     parser.add_argument("--training-time", type=float, default=0.2, help="[s]")
@@ -282,15 +274,16 @@ def measure(arguments: argparse.Namespace) -> None:
     for resolution, path in paths.items():
         context = StageContext(load_case(path), path.parent, False, threads, SilentReporter())
         workspace = Workspace(context)
-        full = full_row(workspace, arguments.steps)
+        faithful = resolution in arguments.faithful
+        turns = taking_turns(timers(workspace, arguments.modes, faithful), arguments.repeats)
+        seconds = {name: float(each.min()) for name, each in turns.items()}
+        full = full_row(workspace.case, seconds["full"])
         results["full"].append(full)
         for n_modes in arguments.modes:
-            results["fast"].append(fast_row(workspace, n_modes, arguments.repeats, full))
-        if resolution in arguments.faithful:
-            results["faithful"] += [
-                faithful_row(workspace, projection, arguments.steps, full)
-                for projection in ("galerkin", "apg")
-            ]
+            results["fast"].append(fast_row(workspace, n_modes, seconds[n_modes], full))
+        for projection in ("galerkin", "apg") if faithful else ():
+            row = faithful_row(workspace, projection, seconds[projection], full)
+            results["faithful"].append(row)
         if resolution in arguments.commands:
             n_modes = min(5, max(arguments.modes))
             row = commands(path, n_modes)

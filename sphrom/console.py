@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import shutil
 import sys
+import textwrap
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -15,7 +16,7 @@ from copy import copy
 from datetime import datetime
 from enum import IntEnum
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 from sphrom.text import duration, shortened, visible
 from sphrom.whole_files import open_to_write
@@ -30,25 +31,36 @@ REFRESHED = 0.1
 """Seconds from one change of a terminal's last line to the next."""
 LONGEST_LINE = 500
 """Characters of an error or a warning: what they quote may be of any length."""
+PROSE = 100
+"""Characters of a line of sentences where there is no terminal."""
+WHOLE_WORDS: Any = {"break_long_words": False, "break_on_hyphens": False}
 _ERASE = "\r\x1b[K"
 
 _status = ""
 """The terminal's last line, which says how far things are."""
 
 
-def tell(text: str, *, error: bool = False) -> None:
-    """Write one line to the output, or to the error stream, where it has its middle left out."""
+def tell(text: str, *, error: bool = False, indent: int = 0) -> None:
+    """Write one line to the output, or to the error stream, where it has its middle left out.
+
+    A terminal has it in lines of whole words, of which all but the first may be indented.
+    """
     _show_status("")
-    if error:
-        print(shortened(text, LONGEST_LINE), file=sys.stderr, flush=True)
-    else:
-        print(visible(text), flush=True)
+    stream = sys.stderr if error else sys.stdout
+    text = shortened(text, LONGEST_LINE) if error else visible(text)
+    if stream.isatty():
+        text = textwrap.fill(text, _columns(), subsequent_indent=" " * indent, **WHOLE_WORDS)
+    print(text, file=stream, flush=True)
+
+
+def _columns() -> int:
+    return shutil.get_terminal_size().columns
 
 
 def _show_status(text: str) -> None:
     """Put a text in place of the terminal's last line."""
     global _status
-    text = visible(text)[: shutil.get_terminal_size().columns - 1]
+    text = textwrap.shorten(visible(text), _columns() - 1, placeholder=" ...", **WHOLE_WORDS)
     if text != _status:
         _status = text
         print(_ERASE + text, end="", flush=True)
@@ -158,6 +170,11 @@ class Reporter:
         """Tell a result in one line."""
         self._tell(text, Level.RESULT)
 
+    def prose(self, text: str) -> None:
+        """Tell a result in sentences."""
+        for line in [text] if self._terminal else textwrap.wrap(text, PROSE, **WHOLE_WORDS):
+            self.result(line)
+
     def _tell(self, text: str, level: Level) -> None:
         if not self._is_brief:
             self._show(text, level)
@@ -177,15 +194,24 @@ class Reporter:
             self._write(text)
 
     def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        """Show a result as a table: the first column to the left, numbers to the right."""
+        """Show a result as a table: the first column to the left, numbers to the right.
+
+        A row that is longer than a terminal's line goes on in indented ones.
+        """
         columns, *rows = ([visible(cell) for cell in row] for row in (columns, *rows))
         widths = [max(map(len, cells)) for cells in zip(columns, *rows, strict=True)]
         level = Level.DETAIL if self._level is Level.DETAIL else Level.RESULT
+        room = _columns() if self._terminal else sys.maxsize
         self._tell(title, level)
         for row in (columns, ["-" * width for width in widths], *rows):
             first, *others = zip(row, widths, strict=True)
-            cells = [first[0].ljust(first[1]), *(cell.rjust(width) for cell, width in others)]
-            self._tell("  ".join(cells).rstrip(), level)
+            line = first[0].ljust(first[1])
+            for cell, width in others:
+                if len(line) + 2 + width > room:
+                    self._tell(line.rstrip(), level)
+                    line = ""
+                line += "  " + cell.rjust(width)
+            self._tell(line.rstrip(), level)
 
     @contextmanager
     def progress(self, description: str, total: int) -> Iterator[Callable[[int], None]]:
@@ -201,13 +227,18 @@ class Reporter:
         progress = _Progress(description, total)
         self._running.append(progress)
 
+        def show() -> None:
+            if self._terminal and self._least <= Level.INFO:
+                _show_status("; ".join(map(str, self._running)))
+
         def advance(done: int) -> None:
             progress.count(done)
-            if self._terminal and self._least <= Level.INFO and progress.is_stale():
-                _show_status("; ".join(map(str, self._running)))
+            if progress.is_stale():
+                show()
             if progress.is_due():
                 self._show(str(progress), Level.DETAIL if self._terminal else Level.INFO)
 
+        show()
         try:
             yield advance
         finally:

@@ -1,4 +1,4 @@
-"""What this process can have of the machine: memory, and threads of linear algebra.
+"""What this process has of the machine: memory, threads of linear algebra, processor time.
 
 Its memory is the machine's, or less where a control group limits it. A container, a batch system or
 a service manager sets such limits; beyond them the process is killed, whatever the machine still
@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import lru_cache
 from importlib import import_module
@@ -17,6 +18,26 @@ from pathlib import Path
 from typing import Any
 
 _ROOT = Path("/")
+LEAST_TIMED = 5e-4
+"""Processor time [s] of what is timed at once: below it the clock itself counts."""
+compiling = [0.0]
+"""Processor time that this process has compiled for [s]."""
+
+
+def computing_seconds() -> float:
+    """Return the processor time of this process [s], that of compiling kernels left out."""
+    return time.process_time() - compiling[0]
+
+
+def seconds_of(run: Callable[[], object]) -> float:
+    """Return the processor time of a call [s], the mean over as many as can be timed."""
+    count, taken = 0, 0.0
+    while taken < LEAST_TIMED:
+        count, started = max(1, 4 * count), time.process_time()
+        for _ in range(count):
+            run()
+        taken = time.process_time() - started
+    return taken / count
 
 
 @contextmanager

@@ -49,6 +49,8 @@ STAGES = {
     "report": "report.report",
 }
 """The module of each stage, which has a function `run`."""
+UNTRAINED = ("check", "draw", "train")
+"""Stages before which a model may have nothing to learn from."""
 
 
 def context_of(
@@ -58,12 +60,13 @@ def context_of(
     out: Path | None,
     force: bool,
     threads: int | None,
+    stage: str = "",
 ) -> StageContext:
     """Return what a stage needs to know to run on a case, and report the case's warnings."""
     from sphrom.case.hints import case_warnings
     from sphrom.setup.context import StageContext
 
-    for warning in case_warnings(case):
+    for warning in case_warnings(case, trained=stage not in UNTRAINED):
         report.warn(warning)
     return StageContext(case, folder_of(case, out), force, threads, report)
 
@@ -135,15 +138,16 @@ def _needed(case: Case, until: str | None) -> list[str]:
 
 @contextmanager
 def _warnings_in_lines(report: Reporter) -> Iterator[None]:
-    """Show in one line what the kernels' cache warns of, and nothing of overflows, in the block.
+    """Show in one line what the kernels' cache tells, and nothing of overflows, in the block.
 
     Values that aren't finite are refused where they are written, by name and place.
     """
-    from sphrom.kernels.code_cache import CodeCacheWarning
+    from sphrom.kernels.code_cache import CodeCacheWarning, CompilingWarning
 
     def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
         if issubclass(category, CodeCacheWarning):
-            report.warn(str(message))
+            tell = report.note if issubclass(category, CompilingWarning) else report.warn
+            tell(str(message))
         elif not issubclass(category, RuntimeWarning):
             before(message, category, *place, **more)
 

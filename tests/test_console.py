@@ -94,10 +94,26 @@ def test_a_terminal_shows_it_so_too(monkeypatch, clock):
         outer(2)
     erased = console._ERASE
     assert terminal.text == (
+        f"{erased}all runs: 0 %{erased}all runs: 0 %; {SHOWN}: 0 %"
         f"{erased}all runs: 0 %; {SHOWN}: 50 %{erased}a line between\n"
         f"{erased}all runs: 0 %; {SHOWN}: 75 %, 1 s left{erased}"
         f"{erased}all runs: 100 %{erased}"
     )
+
+
+def test_lines_of_a_terminal_have_whole_words(monkeypatch):
+    """Rows of tables go on in indented lines."""
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stdout", terminal)
+    monkeypatch.setenv("COLUMNS", "20")
+    console.tell("a well-known name  and what it is", indent=4)
+    Reporter().prose("five words of a sentence")
+    Reporter().table("t", ["run", "velocity", "pressure", "role"], [["full", "1", "2", "own"]])
+    assert terminal.text.splitlines() == [
+        "a well-known name", "    and what it is", "five words of a", "sentence", "t",
+        "run   velocity", "  pressure  role", "----  --------", "  --------  ----",
+        "full         1", "         2   own",
+    ]  # fmt: skip
 
 
 def say_all(report) -> None:

@@ -38,6 +38,7 @@ from sphrom.declaration import (
     joined,
 )
 from sphrom.errors import ArtifactError
+from sphrom.machine import computing_seconds
 from sphrom.version import __version__
 from sphrom.whole_files import TemporaryFile, Uncollected, explained, replacement
 
@@ -105,7 +106,7 @@ class ArtifactWriter:
         self._path = path
         self._file = file
         self._schema = SCHEMAS[schema]
-        self._started = time.monotonic()
+        self._started, self._computing = time.monotonic(), computing_seconds()
         self._streams: dict[str, Stream] = {}
         self._attributes: dict[str, Value] = {}
         with Uncollected():
@@ -142,10 +143,14 @@ class ArtifactWriter:
         if len(shape) != len(field.axes):
             raise ValueError(f"{name} has the axes {field.axes}, not the shape {shape}")
         chunks = chunk_shape(field, shape)
-        checksum = chunks is not None
         with self._guarded():
             dataset = self._hdf5.create_dataset(
-                name, shape, field.kind, maxshape=shape, chunks=chunks, fletcher32=checksum
+                name,
+                shape,
+                field.kind,
+                maxshape=shape,
+                chunks=chunks,
+                fletcher32=chunks is not None,
             )
             dataset.attrs["axes"] = fixed_text(",".join(field.axes))
             for key, text in field.labels.items():
@@ -174,6 +179,7 @@ class ArtifactWriter:
         lines = {name: stream.seal() for name, stream in self._streams.items()}
         self._set("content_sha256", content_digest(self._schema.name, self._attributes, lines))
         self._set("wall_seconds", self.age)
+        self._set("timing/processor", computing_seconds() - self._computing)
         there = {*self._attributes, *self._streams}
         for field in (*self._schema.datasets, *self._schema.attributes):
             if field.required and "*" not in field.name and field.name not in there:

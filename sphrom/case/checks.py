@@ -141,6 +141,19 @@ def _check_geometry(case: Case) -> Found:
         if getattr(section.walls, key) != field.default:
             reason = f"a scene of kind {case.scene.kind} has no walls"
             yield f"discretization.walls.{key}", reason
+    most = min(0.5 * domain.narrowest_gap, domain.thinnest_solid)
+    for name, smoothing_length in (
+        ("discretization", plan.smoothing_length),
+        ("reference", plan.reference_smoothing_length),
+    ):
+        radius = SUPPORT_RATIO * smoothing_length
+        if domain.narrowest_gap > 0.0 and radius > most * (1.0 + ROUNDING):
+            largest = most / (SUPPORT_RATIO * plan.particle_spacing)
+            yield (
+                f"{name}.smoothing_length_ratio",
+                f"a support of radius {radius:g} m is larger than half of the narrowest fluid, or "
+                f"the thinnest solid: use at most {largest:g}, or raise the resolution",
+            )
 
 
 def nearest_fitting_resolution(case: Case) -> int | None:
@@ -152,30 +165,11 @@ def nearest_fitting_resolution(case: Case) -> int | None:
     return min(fitting, key=lambda number: (abs(number - resolution), -number), default=None)
 
 
-def _check_support(case: Case) -> Found:
-    domain, spacing = case.scene.domain, case.plan.particle_spacing
-    most = min(0.5 * domain.narrowest_gap, domain.thinnest_solid)
-    for section, smoothing_length in (
-        ("discretization", case.plan.smoothing_length),
-        ("reference", case.plan.reference_smoothing_length),
-    ):
-        radius = SUPPORT_RATIO * smoothing_length
-        if domain.narrowest_gap > 0.0 and radius > most * (1.0 + ROUNDING):
-            yield (
-                f"{section}.smoothing_length_ratio",
-                f"a support of radius {radius:g} m is larger than half of the narrowest fluid, or "
-                f"the thinnest solid: use at most {most / (SUPPORT_RATIO * spacing):g}, or raise "
-                "the resolution",
-            )
-
-
 def coarser_resolution(case: Case) -> int | None:
     """Return half the resolution, or None where particles would not fit the scene then."""
     half = case.discretization.resolution // 2
-    coarser = at_resolution(case, half) if half >= COARSEST else None
-    if coarser is None or any((*_check_geometry(coarser), *_check_support(coarser))):
-        return None
-    return half
+    fits = half >= COARSEST and not any(_check_geometry(at_resolution(case, half)))
+    return half if fits else None
 
 
 def _check_steps(case: Case) -> Found:
@@ -333,9 +327,9 @@ def _model_problems(case: Case, model: ReducedModelSection) -> Found:
 
 def steady_problem(case: Case) -> str | None:
     """Return why a case has no steady states, or None."""
-    forced = case.plan.flow(case.plan.points[0]).body_force is not None
-    changes = forced and case.scene.drive_changes
-    return "the scene's body force changes with time: there is no steady state" if changes else None
+    if not case.scene.force_changes:
+        return None
+    return "the scene's body force changes with time: there is no steady state"
 
 
 def _check_fixed_points(case: Case) -> Found:
@@ -423,8 +417,7 @@ def _check_trade(case: Case) -> Found:
         reason = f"the basis keeps {plan.n_modes} modes; got {size}; basis.n_modes keeps more"
         yield "trade.n_modes", reason
     for resolution in section.resolutions or ():
-        coarser = at_resolution(case, resolution)
-        for _, reason in (*_check_geometry(coarser), *_check_support(coarser)):
+        for _, reason in _check_geometry(at_resolution(case, resolution)):
             yield "trade.resolutions", f"{resolution}: {reason}"
 
 
@@ -477,7 +470,6 @@ _CHECKS: tuple[Callable[[Case], Found], ...] = (
     _check_geometry,
     _check_scene,
     _check_splines,
-    _check_support,
     _check_steps,
     _check_bases,
     _check_models,

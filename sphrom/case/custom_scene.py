@@ -149,8 +149,8 @@ class CustomScene(SceneSection):
             if name not in self.domain.wall_names:
                 known = ", ".join(self.domain.wall_names) or "none"
                 raise ValueError(f"walls.{name}: there is no such wall; the walls are {known}")
-            self._check_along(name)
-        _ = self.domain, self._force, self._initial
+        _ = self.domain
+        self.check_at({})
         return self
 
     @cached_property
@@ -312,7 +312,7 @@ class CustomScene(SceneSection):
         try:
             expression = Expression(text, variables, self.constants)
             if "t" not in variables:  # of the body force, parts are compiled
-                expression.compile()
+                _ = expression.compiled
             return expression
         except ValueError as error:
             raise ValueError(f"{where}: {error}") from error
@@ -432,7 +432,7 @@ class CustomScene(SceneSection):
         return Drive(field, lru_cache(N_TIMES)(lambda time: float(amplitude(t=time))))
 
     @property
-    def drive_changes(self) -> bool:
+    def force_changes(self) -> bool:
         """Whether the body force changes with time."""
         return any(
             "t" in self._expression("body_force", value, "x", "y", "t").depends_on

@@ -17,8 +17,6 @@ import numpy as np
 from sphrom.arrays import Array
 from sphrom.text import shortened
 
-MAX_LENGTH = 1000
-"""Characters of an expression."""
 MAX_DEPTH = 50
 """Levels of brackets and operators within each other."""
 MOST_QUOTED = 80
@@ -63,12 +61,9 @@ class Expression:
         used = {node.id for node in ast.walk(self._tree) if isinstance(node, ast.Name)}
         self.depends_on = frozenset(used.intersection(variables))
 
-    def compile(self) -> None:
-        """Raise ValueError where it can't be evaluated."""
-        _ = self._compiled
-
     @cached_property
-    def _compiled(self) -> Callable[..., Any]:
+    def compiled(self) -> Callable[..., Any]:
+        """The compiled expression. Raises ValueError where it can't be evaluated."""
         import numexpr  # few scenes need it
 
         numexpr.set_num_threads(1)
@@ -87,7 +82,7 @@ class Expression:
         shape = np.broadcast_shapes(*(np.shape(value) for value in variables.values()))
         given = [np.atleast_1d(variables[name]).astype(float) for name in sorted(self.depends_on)]
         with np.errstate(all="ignore"):
-            value = self._compiled(*given)
+            value = self.compiled(*given)
         if not shape:
             return np.asarray(value, dtype=np.float64).reshape(())
         return np.broadcast_to(np.asarray(value, dtype=np.float64), shape)
@@ -168,8 +163,6 @@ class _Plain(ast.NodeTransformer):
 
 def _parsed(text: str) -> ast.Expression:
     """Return the tree of a text, which has few enough levels to walk it recursively."""
-    if len(text) > MAX_LENGTH:
-        raise ValueError(f"an expression of {len(text)} characters; at most {MAX_LENGTH}")
     try:
         tree = ast.parse(text.strip(), mode="eval")
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:

@@ -8,36 +8,45 @@ from sphrom.case.checks import beyond_limits
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint, outside
 from sphrom.case.sections import AUTO
-from sphrom.case.studies import sweep_model, sweep_points
+from sphrom.case.studies import Region, sweep_model, sweep_points
 
 SNAPSHOTS_PER_MODE = 2
 """Fewer snapshots are few for so many modes."""
 
 
-def case_warnings(case: Case) -> list[str]:
-    """Return what a user should know about a valid case."""
+def case_warnings(case: Case, trained: bool = True) -> list[str]:
+    """Return what a user should know about a valid case.
+
+    `trained` is false where `train` is still to choose what models learn from.
+    """
     return [
         *(f"scene.{key}: {reason}" for key, reason in case.scene.warnings()),
         *(f"time.step: {reason}" for reason in beyond_limits(case)),
-        *_extrapolations(case, "parameters.test", case.plan.test_points),
-        *_of_models(case),
+        *_extrapolations(case, "parameters.test", case.plan.test_points, trained),
+        *_of_models(case, trained),
         *_of_numerics(case),
     ]
 
 
-def _extrapolations(case: Case, key: str, points: Iterable[ParameterPoint]) -> Iterator[str]:
+def _extrapolations(
+    case: Case, key: str, points: Iterable[ParameterPoint], trained: bool
+) -> Iterator[str]:
     for point in points:
-        if (warning := extrapolation(case, point)) is not None:
-            yield f"{key}: {warning}"
+        inside = bool(case.training.ranges) and Region(case).contains(point)
+        warning = extrapolation(case, point) if trained or not inside else None
+        if warning is not None:
+            yield (
+                f"{key}: {warning}" + inside * "; `sphrom train` chooses runs in all of `training`"
+            )
 
 
-def _of_models(case: Case) -> Iterator[str]:
-    trained = case.plan.steps.end_time
+def _of_models(case: Case, trained: bool) -> Iterator[str]:
+    trained_until = case.plan.steps.end_time
     for i, model in enumerate(case.rom):
-        if case.plan.model_steps(model).end_time > trained:
-            yield f"rom.{i}.until: {beyond_training(trained)}"
+        if case.plan.model_steps(model).end_time > trained_until:
+            yield f"rom.{i}.until: {beyond_training(trained_until)}"
         unseen = [point for point in case.plan.rom_points(model) if point not in case.plan.points]
-        yield from _extrapolations(case, f"rom.{i}.parameters", unseen)
+        yield from _extrapolations(case, f"rom.{i}.parameters", unseen, trained)
         for point in unseen:
             start = case.plan.start_point(point)
             if start != point:
@@ -82,6 +91,7 @@ def _of_numerics(case: Case) -> Iterator[str]:
 
 def few_snapshots(case: Case) -> Iterator[str]:
     """Warn where a basis keeps most of what its snapshots hold: the last modes are their noise."""
+    how = "with a lower snapshots.every" if case.plan.steps.every > 1 else "of more training runs"
     needed = max((model.size for model in case.rom if model.n_modes != AUTO), default=0)
     for name in dict.fromkeys(name for m in case.rom for name in case.plan.bases_for(m)):
         number = case.plan.n_basis_snapshots(name)
@@ -89,7 +99,7 @@ def few_snapshots(case: Case) -> Iterator[str]:
             yield (
                 f"snapshots.every: {needed} modes from {number} snapshots (basis {name}): the last "
                 f"modes fit what is particular to these snapshots; keep {SNAPSHOTS_PER_MODE} a "
-                "mode or more, with a lower snapshots.every, or ask for fewer modes"
+                f"mode or more, {how}, or ask for fewer modes"
             )
 
 

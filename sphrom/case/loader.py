@@ -14,7 +14,7 @@ from pydantic import TypeAdapter, ValidationError
 from sphrom.case import schema
 from sphrom.case.checks import case_problems
 from sphrom.case.fields import Coordinate, Positive
-from sphrom.case.models import Case
+from sphrom.case.models import Case, moved
 from sphrom.case.points import REYNOLDS, ParameterPoint
 from sphrom.case.scenes import kind_of
 from sphrom.case.schema import MAX_PROBLEMS, problems_of
@@ -58,11 +58,12 @@ def load_case(
     name, document, changed = _given(source, overrides)
     try:
         case = Case.model_validate(document.value, context={"folder": FilePath(name).parent})
+        problems = case_problems(case, force=force)
     except ValidationError as error:
         problems = problems_of(error, document.value)
-        raise _error(name, document, problems, changed) from error
-    if problems := case_problems(case, force=force):
-        raise _error(name, document, problems, changed)
+    if problems:
+        cause = changed if changed and _is_valid(source, force) else ()
+        raise _error(name, document, problems, changed, cause)
     if "rom" in case.model_fields_set:
         return case
     # The model of a case that lists none has no more modes than there are snapshots.
@@ -71,9 +72,19 @@ def load_case(
     return case.model_copy(update={"rom": (model.model_copy(update={"n_modes": most}),)})
 
 
-def given_keys(source: str | os.PathLike[str], overrides: Sequence[str] = ()) -> dict[str, Any]:
-    """Return the keys that a case file gives, some changed, unchecked. Raises CaseError."""
-    data: dict[str, Any] = _given(source, overrides)[1].value
+def _is_valid(source: str | os.PathLike[str] | Mapping[str, Any], force: bool) -> bool:
+    try:
+        return bool(load_case(source, (), force))
+    except CaseError:
+        return False
+
+
+def given_keys(source: FilePath, overrides: Sequence[str], folder: FilePath) -> dict[str, Any]:
+    """Return the keys that a case file gives, some changed, unchecked, for a file in a folder.
+
+    Raises CaseError.
+    """
+    data: dict[str, Any] = moved(_given(source, overrides)[1].value, source.parent, folder)
     return data
 
 
@@ -177,9 +188,18 @@ def _key_in(container: Any, segment: str, path: Path) -> str | int:
 
 
 def _error(
-    name: str, document: Document, problems: Sequence[Problem], changed: Sequence[Path] = ()
+    name: str,
+    document: Document,
+    problems: Sequence[Problem],
+    changed: Sequence[Path] = (),
+    cause: Sequence[Path] = (),
 ) -> CaseError:
+    """Return all problems, of a case whose changed keys may be the cause of those of others."""
     lines = [_line(name, document, problem, changed) for problem in problems[:MAX_PROBLEMS]]
+    if cause:
+        keys = ", ".join(dict.fromkeys(map(show_path, cause)))
+        due = f"because of {OVERRIDE} {keys}: "
+        lines = [line if line.startswith(OVERRIDE) else due + line for line in lines]
     if len(problems) > MAX_PROBLEMS:
         lines.append(f"{name}: and {len(problems) - MAX_PROBLEMS} more problems")
     return CaseError("\n".join(lines))

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, PrivateAttr, ValidationInfo, model_validator
+from pydantic import BaseModel, ValidationInfo, model_validator
 
 from sphrom.case.fields import SafeName, Section, key
 from sphrom.case.full_model_sections import (
@@ -88,8 +89,6 @@ class Case(Section):
         "parameter with its least and greatest value, such as reynolds: [50, 1000]",
     )
 
-    _folder: Path = PrivateAttr(Path())
-
     @model_validator(mode="before")
     @classmethod
     def _with_defaults(cls, values: Any) -> Any:
@@ -103,7 +102,7 @@ class Case(Section):
     @model_validator(mode="after")
     def _with_folder(self, info: ValidationInfo) -> Case:
         # A process may change its own folder, and another one has its own.
-        self._folder = Path((info.context or {}).get("folder", Path())).absolute()
+        self.__dict__["folder"] = Path((info.context or {}).get("folder", Path())).absolute()
         return self
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Case:
@@ -113,17 +112,10 @@ class Case(Section):
             copied.__dict__.pop(worked_out, None)
         return copied
 
-    def __eq__(self, other: object) -> bool:
-        """Whether all keys have the same values, wherever the case's file is."""
-        names = type(self).model_fields
-        return type(self) is type(other) and all(
-            getattr(self, name) == getattr(other, name) for name in names
-        )
-
-    @property
+    @cached_property
     def folder(self) -> Path:
         """The folder of the case's file, which files that it names are relative to."""
-        return self._folder
+        return Path().absolute()
 
     @cached_property
     def plan(self) -> Plan:
@@ -132,16 +124,48 @@ class Case(Section):
 
     @cached_property
     def text(self) -> str:
-        """The case as YAML with every default filled in; it loads back to an equal case."""
-        return dump_yaml(self.model_dump(mode="json"))
+        """The case as `resolved_yaml` has it."""
+        return resolved_yaml(self)
 
 
 VERSIONS: Mapping[str, int] = {
-    "discretization": 2, "fluid": 2, "operators": 3, "psi": 2, "rom": 3, "trade": 2
+    "compare": 2, "discretization": 2, "fluid": 2, "operators": 4, "psi": 2, "rom": 3, "trade": 2
 }  # fmt: skip
 """Of sections in which a default has changed, or the meaning of a key: what was made before is then
 of another case. A key that is new needs none, as long as its default is what was done without it.
 """
+
+
+FILE = "file"
+"""The key that names a file; what the file held is in keys beside it, and it may lie anywhere."""
+
+
+def resolved_yaml(case: Case, folder: Path | None = None) -> str:
+    """Return the case as YAML with every default filled in; it loads back to an equal case.
+
+    With a folder, files that the case names are found from there.
+    """
+    values = case.model_dump(mode="json")
+    return dump_yaml(values if folder is None else moved(values, case.folder, folder))
+
+
+def moved(values: Any, source: Path, folder: Path | None) -> Any:
+    """Return keys of a case in the folder `source` for a case in another folder, None for any.
+
+    In a folder outlines are in their files alone: a case is smaller than they may be.
+    """
+    if isinstance(values, list):
+        return [moved(one, source, folder) for one in values]
+    if not isinstance(values, dict):
+        return values
+    found = {name: moved(one, source, folder) for name, one in values.items()}
+    if isinstance(name := values.get(FILE), str):
+        # Links are followed, as `..` behind one leads elsewhere.
+        found[FILE] = os.path.realpath(source / name)
+        if folder is not None:
+            found.pop("wkt", None)
+            found[FILE] = os.path.relpath(found[FILE], os.path.realpath(folder))
+    return found
 
 
 def section_inputs(case: Case, sections: Iterable[str]) -> dict[str, object]:
@@ -161,7 +185,7 @@ def stated(value: object) -> object:
     if isinstance(value, BaseModel):
         fields = type(value).model_fields.items()
         usual = {name: field.get_default(call_default_factory=True) for name, field in fields}
-        given = ((name, getattr(value, name)) for name in usual)
+        given = ((name, getattr(value, name)) for name in usual if name != FILE)
         return {name: stated(one) for name, one in given if one != usual[name]}
     if isinstance(value, Mapping):
         return {str(key): stated(one) for key, one in value.items()}

@@ -84,7 +84,7 @@ def outside(point: ParameterPoint, trained: Iterable[ParameterPoint]) -> dict[st
     for name, value in point.as_dict().items():
         low, high = min(p[name] for p in points), max(p[name] for p in points)
         if not low <= value <= high:
-            found[name] = f"{exact(low)} to {exact(high)}"
+            found[name] = exact(low) if low == high else f"{exact(low)} to {exact(high)}"
     return found
 
 

@@ -93,8 +93,8 @@ class SceneSection(Section):
         return 0.0
 
     @property
-    def drive_changes(self) -> bool:
-        """Whether what drives the flow, a force or walls, changes with time."""
+    def force_changes(self) -> bool:
+        """Whether there is a body force that changes with time."""
         return False
 
     def stations(self, line: float) -> Array:

@@ -108,11 +108,6 @@ class LidDrivenCavityScene(SceneSection):
         """Return the lid's largest speed [m/s]."""
         return abs(values.get("lid", 0.0))
 
-    @property
-    def drive_changes(self) -> bool:
-        """Whether the lid takes time to come up to speed."""
-        return self.lid_ramp > 0.0
-
     def reference_profiles(
         self, reynolds: float, reference_speed: float
     ) -> tuple[ReferenceProfile, ...]:
@@ -202,7 +197,7 @@ class OpenCavityScene(SceneSection):
         return abs(self._force(values).largest) * cavity * (1.0 - cavity / length)
 
     @property
-    def drive_changes(self) -> bool:
+    def force_changes(self) -> bool:
         """Whether the body force changes with time: it does."""
         return True
 

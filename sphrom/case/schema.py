@@ -150,7 +150,8 @@ def allowed(node: Node) -> str:
     if len(found) > 1 and len(known := words(node)) == len(found):
         return "one of " + ", ".join(known)
     # Words such as auto stand last.
-    return " or ".join(sorted(map(_allowed_branch, found), key=lambda text: " " not in text))
+    texts = dict.fromkeys(map(_allowed_branch, found))
+    return " or ".join(sorted(texts, key=lambda text: " " not in text))
 
 
 def _allowed_branch(node: Node) -> str:

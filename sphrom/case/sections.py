@@ -27,8 +27,6 @@ from sphrom.case.study_sections import FigureSection
 from sphrom.text import exact, repeated
 
 ProjectionName = Literal["galerkin", "apg"]
-EvaluationName = Literal["particles", "operators"]
-
 
 _ONLY_FOR = {
     ("projection", "galerkin"): ("calibrated",),
@@ -143,7 +141,7 @@ class ReducedModelSection(Section):
     """One reduced model (Alg. 3.4 and 3.5)."""
 
     name: SafeName = key(..., "what its files and tables call it")
-    evaluation: EvaluationName = key(
+    evaluation: Literal["particles", "operators"] = key(
         "particles",
         "how its rates are computed: on moving particles, which costs as much as a full run; or "
         "from operators that are projected once, on the fixed points of the reference space",

@@ -53,6 +53,11 @@ def fast_model(case: Case, name: str | None = None) -> ReducedModelSection | Non
     return next(models, None)
 
 
+def place_of(case: Case, name: str) -> int:
+    """Return which of the case's reduced models has a name, counted from 0."""
+    return [model.name for model in case.rom].index(name)
+
+
 def sweep_model(case: Case) -> ReducedModelSection | None:
     """Return the reduced model of a case's sweep, None where it is the full one."""
     name = case.sweep.model

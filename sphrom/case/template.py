@@ -14,13 +14,14 @@ from typing import Any, get_args
 from sphrom.case import schema
 from sphrom.case.models import Case
 from sphrom.case.scenes import DEFAULTS, AnyScene, kind_of_section
-from sphrom.case.sections import ProjectionName
-from sphrom.case.yaml_reader import Path, dump_yaml
+from sphrom.case.yaml_reader import Path, dump_yaml, show_path
 from sphrom.errors import CaseError
 from sphrom.text import nearest, quoted
 
-WIDTH = 100
+WIDTH = 80
 INDENT = "  "
+NAME = "NAME"
+"""Stands in a path for a key that the case names."""
 SCHEMA_FILE = "sphrom.schema.json"
 """What a new case calls the schema, beside it, that an editor reads."""
 FOLDER = FilePath(__file__).parent.parent / "cases"
@@ -28,8 +29,10 @@ _END_OF_CLAUSE = re.compile(r"(?<!et al)\.(?:\s|$)|;")
 _FULL_HEAD = """\
 # yaml-language-server: $schema={schema}
 # A case of sphrom: {kind}.
-# Every key but name and scene.kind may be left out: it then has the value below, except
-# for parameters, rom and sweep, which hold an example. Units are in brackets."""
+# Every key but name and scene.kind may be left out: it then has the value here,
+# except for parameters, rom and sweep, which hold an example. Units are in
+# brackets. Comments with dots are the keys of what is empty here: NAME is a
+# name that you choose, 0 the first entry of a list."""
 
 
 def examples() -> Mapping[str, FilePath]:
@@ -86,10 +89,6 @@ def new_case(kind: str | None, *, full: bool = False) -> str:
 def _example(kind: str) -> Case:
     least = {"name": f"my-{kind}", "scene": {"kind": kind}}
     (reynolds,) = Case.model_validate(least).parameters.train.reynolds
-    models = [
-        {"name": f"{name}-m5", "projection": name, "n_modes": 5}
-        for name in get_args(ProjectionName)
-    ]
     return Case.model_validate(
         {
             **least,
@@ -97,7 +96,7 @@ def _example(kind: str) -> Case:
                 "train": {"reynolds": (reynolds, 2.0 * reynolds)},
                 "test": {"reynolds": (1.5 * reynolds,)},
             },
-            "rom": [{"name": "fast-m5", "evaluation": "operators", "n_modes": 5}, *models],
+            "rom": [{"name": "fast-m5", "evaluation": "operators", "n_modes": 5}],
             "sweep": {"reynolds": {"low": reynolds, "high": 2.0 * reynolds, "count": 11}},
         }
     )
@@ -118,27 +117,41 @@ def _section(values: dict[str, Any], path: Path, indent: str, kind: str) -> Iter
                 yield from _entry(entry, (*at, i), indent + 2 * INDENT, kind)
         else:
             yield f"{indent}{key}: {_inline(value)}"
+            for below in () if value else _keys_of(at, kind):
+                yield from _comment(below, indent, kind, f"  {show_path(below[len(path) :])}: ")
 
 
 def _entry(entry: dict[str, Any], path: Path, indent: str, kind: str) -> Iterator[str]:
-    """Yield an entry of a list; the keys of the first one are explained."""
     lines = list(_section(entry, path, indent, kind))
-    if path[-1] != 0:
-        lines = [line for line in lines if not line.lstrip().startswith("#")]
     first = next(n for n, line in enumerate(lines) if not line.lstrip().startswith("#"))
     lines[first] = f"{indent[: -len(INDENT)]}- {lines[first].lstrip()}"
     yield from lines
 
 
-def _comment(path: Path, indent: str, kind: str) -> Iterator[str]:
+def _keys_of(path: Path, kind: str, above: tuple[list[str], ...] = ()) -> Iterator[Path]:
+    """Yield what a value may hold that is left out: keys, those below a name, of an entry."""
+    for below in (path, (*path, NAME), (*path, 0)):
+        keys = schema.known_keys(below, kind)
+        if keys and keys not in above:  # shapes are made of shapes
+            for key in keys:
+                yield (*below, key)
+                yield from _keys_of((*below, key), kind, (*above, keys))
+            return
+
+
+def _comment(path: Path, indent: str, kind: str, before: str = "") -> Iterator[str]:
     node = schema.node_at(path, kind) or {}
-    text = str(node.get("description", ""))
+    told = {each.get("description", "") for each in node.get("anyOf", [node])} - {""}
+    text = before + str(node.get("description", told.pop() if len(told) == 1 else ""))
     if unit := node.get("unit"):
         text += f" [{unit}]"
     if not schema.is_section(node):
-        text += f"; {schema.allowed(node)}"
+        text += f"{'; ' * (text != before)}{schema.allowed(node)}"
     begin = indent + "# "
-    yield from textwrap.wrap(text, WIDTH, initial_indent=begin, subsequent_indent=begin)
+    more = f"{begin}    " if before else begin
+    yield from textwrap.wrap(
+        text, WIDTH, initial_indent=begin, subsequent_indent=more, break_on_hyphens=False
+    )
 
 
 def _inline(value: Any) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -29,8 +30,8 @@ class Commands(TyperGroup):
         self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any
     ) -> Any:
         with _visible_usage():
-            for before, given in zip(["", *args], args, strict=False):
-                _refuse_empty(before, given)
+            if any(re.fullmatch("(--[a-z-]+=)?", given) for given in args):  # a path: this folder
+                raise UsageError("an argument is empty; is a variable of the shell not set?")
             return super().make_context(info_name, args, parent, **extra)
 
     def invoke(self, ctx: Any) -> Any:
@@ -43,17 +44,8 @@ class Commands(TyperGroup):
             raise typer.Exit(error.exit_code) from None
         except KeyboardInterrupt as interrupt:
             terminated = isinstance(interrupt, Terminated)
-            tell("terminated" if terminated else "interrupted", error=True)
+            tell(str(interrupt) or ("terminated" if terminated else "interrupted"), error=True)
             raise typer.Exit(128 + (signal.SIGTERM if terminated else signal.SIGINT)) from None
-
-
-def _refuse_empty(before: str, given: str) -> None:
-    """Refuse an argument that is empty: as a path it would be the current folder."""
-    if given.startswith("--") and given.endswith("=") and given.count("=") == 1:
-        before, given = given[:-1], ""
-    if not given:
-        where = f"the value of {before}" if before.startswith("-") else "an argument"
-        raise UsageError(f"{where} is empty; is a variable of the shell not set?")
 
 
 @contextmanager
@@ -90,10 +82,10 @@ def sphrom(
     """Turn a smoothed-particle-hydrodynamics simulation into a reduced model.
 
     The stages in their order: fom, map, pod, fit-psi, operators, rom, compare; run does all of
-    them. Each reads artifacts (HDF5) from runs/<name of the case>/ and writes its own there. The
-    command trade weighs the speed of models against their accuracy, sweep runs one model at
-    thousands of parameter values, fit finds parameters from measurements, and train chooses the
-    full runs that a model is trained on.
+    them. Each reads artifacts (HDF5) from runs/<name of the case> in the current folder, or from
+    the folder that --out names, and writes its own there. The command trade weighs the speed of
+    models against their accuracy, sweep runs one model at thousands of parameter values, fit finds
+    parameters from measurements, and train chooses the full runs that a model is trained on.
 
     \b
     Example, from a case file to a comparison:
@@ -101,7 +93,6 @@ def sphrom(
       sphrom case check vortex.yaml
       sphrom run vortex.yaml
 
-    \b
     Exit codes: 0 done, 2 wrong usage or invalid case, 3 an artifact is missing or damaged,
     4 a run became unstable, 5 it would not fit this machine, 130 interrupted, 143 terminated.
     """

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from sphrom.cli import completion
-from sphrom.cli.options import Options, command, option, stage_command
+from sphrom.cli.options import Command, Options, command, option, run_stage, stage_command
 from sphrom.console import tell
 from sphrom.errors import CaseError
 from sphrom.whole_files import open_to_write
@@ -44,14 +44,14 @@ def check(options: Options) -> None:
     """
 
 
-@stage_command(cases, "draw", ("case", "overrides", "force"))
+@command(cases, "draw", ("case", "out", "overrides", "force"))
 def draw(
     options: Options,
     output: Annotated[
         Path | None,
         option(
             "FILE",
-            "Where to, PNG or SVG by how it ends.  [default: <name of the case>.png]",
+            "Where to, PNG or SVG by how it ends.  [default: NAME.png in --out, or here]",
             "--output",
             "-o",
         ),
@@ -63,6 +63,7 @@ def draw(
     Example:
       sphrom case draw cases/gallery/cylinder.yaml -o cylinder.svg
     """
+    run_stage("draw", options, output=output, folder=options.out)
 
 
 @command(cases, "show", ("case", "overrides", "force"))
@@ -74,12 +75,14 @@ def show(options: Options) -> None:
       sphrom case show cases/lid_driven_cavity_demo.yaml
     """
     from sphrom.case.loader import load_case
+    from sphrom.case.models import moved
+    from sphrom.case.yaml_reader import dump_yaml
 
     case = load_case(options.case, options.overrides or (), options.force)
-    print(case.text, end="")
+    print(dump_yaml(moved(case.model_dump(mode="json"), case.folder, None)), end="")
 
 
-@cases.command()
+@cases.command(cls=Command)
 def new(
     kind: Annotated[
         str | None,
@@ -111,7 +114,7 @@ def new(
         tell(f"for completion and checks in an editor: sphrom case schema -o {schema}")
 
 
-@cases.command()
+@cases.command(cls=Command)
 def examples(
     name: Annotated[
         str | None,
@@ -140,7 +143,7 @@ def examples(
         known = template.examples()
         width = max(map(len, known))
         for each, path in known.items():
-            tell(f"{each:{width}}  {template.title(path)}")
+            tell(f"{each:{width}}  {template.title(path)}", indent=width + 2)
         return
     source = template.example(name)
     target = output or Path(source.name)
@@ -148,7 +151,7 @@ def examples(
     write_new(target, text, f"; next: sphrom run {target}", force=force)
 
 
-@cases.command()
+@cases.command(cls=Command)
 def schema(output: Output = None, force: Force = False) -> None:
     """Print the JSON schema of case files, by which editors complete and check them.
 

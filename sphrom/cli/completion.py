@@ -1,25 +1,11 @@
-"""What the shell completes, beside commands and options: case files, kinds, keys and values.
+"""What the shell completes, beside commands, options and files: kinds, keys and values.
 
 Nothing is said where there is nothing to complete: a shell that asks wants no errors.
 """
 
 from __future__ import annotations
 
-import glob
-
 import typer
-
-DEPTH = 3
-"""Folders below this one, itself included, in which case files are looked for."""
-
-
-def case_files(incomplete: str) -> list[str]:
-    """Return the case files in or near the folder that is named so far."""
-    folder = glob.escape(incomplete[: incomplete.rfind("/") + 1])
-    found = (name for depth in range(DEPTH) for name in glob.glob(f"{folder}{'*/' * depth}*.y*ml"))
-    return sorted(
-        name for name in found if name.startswith(incomplete) and name.endswith((".yaml", ".yml"))
-    )
 
 
 def kinds(incomplete: str) -> list[str]:

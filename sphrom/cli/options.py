@@ -7,25 +7,35 @@ import signal
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import wraps
+from functools import partial
 from inspect import Parameter, Signature, signature
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
 import typer
+from typer.core import TyperCommand
 
 from sphrom import stages
 from sphrom.cli import completion
 from sphrom.console import LOG, LogFile, Reporter
-from sphrom.whole_files import open_to_write
+from sphrom.signals import Terminated
 
 WITHOUT_LOG = ("check", "draw")
 """Stages that leave nothing beside the artifacts."""
+GOES_ON = ("trade", "extremes", "train", "sweep")
+"""Stages that go on from their finished runs, unless they are forced to start anew."""
 
 
 def option(metavar: str, text: str, *names: str, **more: Any) -> Any:
     """Return an option, by default called as its parameter, with the name of its value and help."""
     return typer.Option(*names, metavar=metavar, help=text, **more)
+
+
+class Command(TyperCommand):
+    """A command whose summary is a whole sentence in the list of commands."""
+
+    def get_short_help_str(self, limit: int = 0) -> str:
+        return super().get_short_help_str(sys.maxsize)
 
 
 @dataclass(frozen=True)
@@ -34,15 +44,13 @@ class Options:
 
     case: Annotated[
         Path,
-        typer.Argument(
-            metavar="CASE",
-            help="The case file (YAML).",
-            show_default=False,
-            autocompletion=completion.case_files,
-        ),
+        typer.Argument(metavar="CASE", help="The case file (YAML).", show_default=False),
     ]
     out: Annotated[
-        Path | None, option("DIR", "Folder of the artifacts.  [default: runs/<name of the case>]")
+        Path | None,
+        option(
+            "DIR", "Folder of the artifacts.  [default: runs/<name of the case> below this one]"
+        ),
     ] = None
     overrides: Annotated[
         list[str] | None,
@@ -61,13 +69,6 @@ class Options:
     )
     quiet: Annotated[bool, typer.Option("--quiet", help="Show warnings and results only.")] = False
     verbose: Annotated[bool, typer.Option("--verbose", help="Show details and all tables.")] = False
-    log: Annotated[
-        Path | None,
-        option(
-            "FILE",
-            "Log all that the command says.  [default: sphrom.log, beside the artifacts]",
-        ),
-    ] = None
     only: Annotated[
         list[str] | None,
         option(
@@ -121,6 +122,7 @@ def command(
     name: str,
     taken: Sequence[str] = WHOLE,
     own: Iterable[Parameter] = (),
+    does: Callable[..., None] | None = None,
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Return a decorator that adds a function as a command, with some common options.
 
@@ -131,18 +133,19 @@ def command(
     ----------
     taken : the names of fields of Options.
     own : options of the command that the function gets as further keywords.
+    does : what is called in place of the function.
     """
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
         def run(**given: Any) -> None:
-            function(Options(**{name: given.pop(name) for name in taken}), **given)
+            (does or function)(Options(**{name: given.pop(name) for name in taken}), **given)
 
         common, named = parameters_of(Options), parameters_of(function)
         others = [p for n, p in named.items() if n not in ("options", "own")]
         run.__signature__ = Signature(  # type: ignore[attr-defined]
             [*(common[name] for name in ALL if name in taken), *others, *own]
         )
-        app.command(name, help=function.__doc__)(run)
+        app.command(name, cls=Command, help=function.__doc__)(run)
         return function
 
     return decorate
@@ -156,15 +159,7 @@ def stage_command(
     The function that it takes has no body: its parameters are the command's own options, and its
     docstring is the help.
     """
-
-    def decorate(function: Callable[..., None]) -> Callable[..., None]:
-        @wraps(function)
-        def run(options: Options, **own: Any) -> None:
-            run_stage(name, options, **own)
-
-        return command(app, name, taken)(run)
-
-    return decorate
+    return command(app, name, taken, does=partial(run_stage, name))
 
 
 def run_stage(stage: str, options: Options, **asked: object) -> None:
@@ -175,28 +170,44 @@ def run_stage(stage: str, options: Options, **asked: object) -> None:
     from sphrom.case.loader import load_case
 
     case = load_case(options.case, options.overrides or (), options.force)
-    log = LogFile()
-    if options.log is not None:
-        open_to_write(options.log, "a").close()
-        log = LogFile(options.log)
-    elif stage not in WITHOUT_LOG:
-        log = LogFile(stages.folder_of(case, options.out) / LOG)
+    folder = stages.folder_of(case, options.out)
+    log = LogFile(None if stage in WITHOUT_LOG else folder / LOG)
     report = Reporter(quiet=options.quiet, verbose=options.verbose, log=log)
     with log.recorded(["sphrom", *sys.argv[1:]]):
         if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-            report.info(
-                "SIGINT is ignored, as in background jobs of a script: stop this command with "
-                "SIGTERM (`kill PID`), which also leaves a checkpoint"
-            )
+            report.info("SIGINT is ignored here: stop this command with SIGTERM (`kill PID`)")
         context = stages.context_of(
-            case, report, out=options.out, force=options.force, threads=options.threads
+            case,
+            report,
+            out=options.out,
+            force=options.force,
+            threads=options.threads,
+            stage=stage,
         )
         context = stages.with_checkpoints(
             context, resume=options.resume, every=options.checkpoint_every
         )
         context = stages.selected(context, stage, options.only or ())
         context = replace(context, words=options.words)
-        if stage == "run":
-            stages.run_all(context)
-        else:
-            stages.run_stage(stage, context, **asked)
+        try:
+            if stage == "run":
+                stages.run_all(context)
+            else:
+                stages.run_stage(stage, context, **asked)
+        except KeyboardInterrupt as interrupt:
+            stopped = "terminated" if isinstance(interrupt, Terminated) else "interrupted"
+            raise type(interrupt)(f"{stopped}; {_way_on(stage)}") from None
+
+
+def _way_on(stage: str) -> str:
+    """Return what is kept of a stage that was stopped, and the command to go on with."""
+    words, kept, does = ["sphrom", *sys.argv[1:]], "complete files are kept", "starts again"
+    if stage in GOES_ON:
+        words = [word for word in words if word != "--force"]
+        kept, does = "finished runs are kept", "goes on"
+    elif stage in ("fom", "rom", "run"):
+        words += ["--resume"] * ("--resume" not in words)
+        kept, does = "finished artifacts and checkpoints are kept", "goes on from them"
+    elif stage == "export":
+        words += ["--force"] * ("--force" not in words)
+    return f"{kept}: `{shlex.join(words)}` {does}"

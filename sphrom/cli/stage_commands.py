@@ -50,9 +50,9 @@ def fom(options: Options) -> None:
     same artifact bit for bit. The end of a spin-up is kept in spin-up-<parameters>.h5.
 
     \b
-    Example, one value on two threads, and the same after it was stopped:
-      sphrom fom cases/taylor_green_demo.yaml --only reynolds=100 --threads 2
-      sphrom fom cases/taylor_green_demo.yaml --only reynolds=100 --threads 2 --resume
+    Example, one value, and the same after it was stopped:
+      sphrom fom cases/taylor_green_demo.yaml --only reynolds=100
+      sphrom fom cases/taylor_green_demo.yaml --only reynolds=100 --resume
     """
 
 
@@ -61,8 +61,8 @@ def map_(options: Options) -> None:
     """Map snapshots onto the reference space: map-<parameters>.h5.
 
     \b
-    Example, with the Shepard filter, into a folder that already holds the full runs:
-      sphrom map cases/taylor_green_demo.yaml --out runs/demo --set reference.method=shepard
+    Example, in a folder that already holds the full runs:
+      sphrom map cases/taylor_green_demo.yaml --out runs/demo
     """
 
 
@@ -82,7 +82,7 @@ def fit_psi(options: Options) -> None:
 
     \b
     Example, with splines of a higher order:
-      sphrom fit-psi cases/taylor_green_demo.yaml --set psi.order=5 --set psi.polynomial_degree=2
+      sphrom fit-psi cases/taylor_green_demo.yaml --set psi.order=5
     """
 
 
@@ -94,8 +94,8 @@ def operators(options: Options) -> None:
     particles.
 
     \b
-    Example, without the data for error estimates:
-      sphrom operators cases/taylor_green_demo.yaml --set operators.error_estimate=false
+    Example:
+      sphrom operators cases/taylor_green_demo.yaml
     """
 
 
@@ -130,9 +130,9 @@ def figures(options: Options) -> None:
     Runs and their comparison have to be there.
 
     \b
-    Example, the paper's figures of the Taylor-Green vortex on a coarse grid:
-      sphrom run cases/taylor_green.yaml --set discretization.resolution=40 --out runs/coarse
-      sphrom figures cases/taylor_green.yaml --set discretization.resolution=40 --out runs/coarse
+    Example, the paper's figures of the Taylor-Green vortex:
+      sphrom run cases/taylor_green_paper.yaml
+      sphrom figures cases/taylor_green_paper.yaml
     """
 
 
@@ -154,8 +154,8 @@ def run(options: Options) -> None:
     """Run all stages that are needed, keeping what is there and valid.
 
     \b
-    Example, the whole pipeline on a coarser grid, in a folder of its own:
-      sphrom run cases/taylor_green_demo.yaml --set discretization.resolution=40 --out runs/coarse
+    Example, the whole pipeline with a longer step, in a folder of its own:
+      sphrom run cases/taylor_green_demo.yaml --out coarse --set time.step=0.01
     """
 
 
@@ -180,7 +180,7 @@ def trade(
     have to be there. Further full runs are kept below it: the same command goes on from them.
 
     \b
-    Example, after a run of the case: the cheapest model that is wrong by no more than one percent:
+    Example, after a run: the cheapest model that is wrong by at most one percent:
       sphrom trade cases/taylor_green_demo.yaml --tolerance 1%
     """
     if not extremes:
@@ -287,8 +287,8 @@ def train(
     a full run became unstable.
 
     \b
-    Example, a model that is wrong by no more than one percent, from at most eight full runs:
-      sphrom train case.yaml --set 'training.reynolds=[50, 1000]' --tolerance 1% --budget 8
+    Example, a model that is wrong by at most one percent, from eight full runs:
+      sphrom train case.yaml --tolerance 1% --budget 8
     """
 
 
@@ -319,20 +319,24 @@ def import_(
     none, snapshots are interpolated in time.
 
     \b
-    Example, Taylor-Green of PySPH, whose vortices are a quarter of the box from ours; others with
-    the times of the files:
-      sphrom import vortex.yaml taylor_green_output/*.hdf5 --only reynolds=100 --origin=-0.25,-0.25
-      sphrom import vortex.yaml theirs/*.vtp --write-case theirs.yaml --units length=mm,time=ms
+    Example, Taylor-Green of PySPH, whose origin is elsewhere; then files in mm:
+      sphrom import vortex.yaml tg/*.hdf5 --only reynolds=100 --origin=-0.25,-0.25
+      sphrom import vortex.yaml *.vtp --write-case theirs.yaml --units length=mm
     """
     about = ImportOptions(**own)
-    if write_case is not None:
-        from sphrom.exchange.import_ import fitted_case
+    if write_case is None:
+        run_stage("import", options, files=files, about=about)
+        return
+    from sphrom.exchange.import_ import fitted_case
 
-        text, keys = fitted_case(options.case, options.overrides or (), files, about)
-        next_step = f", with {' '.join(keys)}; next: sphrom run {write_case}"
-        write_new(write_case, text, next_step, force=options.force)
-        options = replace(options, case=write_case, overrides=None)
+    if write_case.suffix not in (".yaml", ".yml") or (write_case.exists() and not options.force):
+        raise CaseError(f"{write_case}: must be a new case, or one that --force writes over")
+    overrides = options.overrides or []
+    text, keys = fitted_case(options.case, overrides, files, about, write_case.parent)
+    options = replace(options, overrides=[*overrides, *keys])
     run_stage("import", options, files=files, about=about)
+    next_step = f", with {' '.join(keys)}; next: sphrom run {write_case}"
+    write_new(write_case, text, next_step, force=options.force)
 
 
 @stage_command(stages, "export", OF_FILES)

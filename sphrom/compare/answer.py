@@ -6,29 +6,22 @@ It comes from the tables of a comparison, and from what artifacts say of their m
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
 from sphrom.compare.comparison_tables import ErrorRow, Tables, best_name
-from sphrom.compare.costs import RunTiming, break_even, offline_seconds
+from sphrom.compare.costs import DIGITS, RunTiming, break_even, offline_seconds
 from sphrom.plots.tables import format_figure
 from sphrom.store.trained_models import basis_used
 from sphrom.store.workspace import Workspace
 from sphrom.text import counted, duration
 
-WIDTH = 100
-"""Of a line on the terminal."""
-DIGITS = 2
-"""Significant digits of the figures in a sentence."""
 DEFINITION = (
     "the root mean square of the difference, over the whole field and all instants, in percent of "
     "the full run's own; a pressure is less its mean"
 )
 """What the errors are."""
-TOO_LARGE, TOO_FAR = 20.0, 10.0
-"""A velocity's error [%], and its ratio to the best possible, beyond which a model is off track."""
 ROLES = {
     "predicted": "which was not simulated for training",
     "extrapolated": "which was not simulated for training and lies outside of the trained values",
@@ -64,6 +57,8 @@ class Answer:
     training_seconds: float | None
     n_training: int
     forces: tuple[Force, ...] = ()
+    doubts: tuple[tuple[str, str], ...] = ()
+    """Points of imported runs, and what lets doubt that the case describes them."""
 
     @property
     def pays_from(self) -> int | None:
@@ -100,25 +95,24 @@ class Answer:
             own = "" if estimate is None else f"; the model estimates {percent(estimate)}"
             found = f"{percent(error)} over time{nearest}{own}"
             yield f"The measured force ({name}) differs by {found}."
-        if self.best is not None and self.error[0] > max(TOO_LARGE, TOO_FAR * self.best[0]):
-            yield (
-                "The model does not follow this run, though its basis could: a run from elsewhere "
-                "may lie in another frame, or be of another flow than the scene (walls, force)."
-            )
+        for point, doubt in self.doubts:
+            yield f"The run at {point} was imported, and the case may not be its own: {doubt}."
 
     def _cost(self) -> Iterator[str]:
         timing = self.timing
         if timing is None or timing.speed_up is None:
             yield "How long the full run took is unknown, and so is from when on the model pays."
             return
+        longest = "" if timing.full_step is None else " at its largest stable step"
         took = (
-            f"Undisturbed, it takes {duration(timing.reduced_seconds or 0.0)}, "
-            f"the full run {duration(timing.full_seconds or 0.0)}"
+            f"Undisturbed, on one thread, it takes {duration(timing.reduced_seconds or 0.0)}, "
+            f"the full run {duration(timing.full_seconds or 0.0)}{longest}."
         )
         if timing.speed_up <= 1.0:
-            yield f"{took}: it is not faster; {FASTER}."
+            yield f"{took} It is not faster; {FASTER}."
             return
-        yield f"{took}: {format_figure(timing.speed_up, DIGITS)} times as long."
+        yield took
+        yield f"That is {timing.times} times as long."
         if self.offline_seconds is None or self.pays_from is None:
             yield "What making it took is unknown, and so is from when on it pays."
             return
@@ -164,7 +158,8 @@ def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
         forces, expected = (
             _force_errors(tables, point.label, which) for which in ("relative_l2", "estimated")
         )
-        offline, training = offline_seconds(workspace, model, [point])
+        full_seconds = timings[0].full_seconds if timings else None
+        offline, training = offline_seconds(workspace, model, [point], full_seconds)
         return Answer(
             row=worst,
             n_points=len(unseen),
@@ -177,6 +172,13 @@ def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
             offline_seconds=offline,
             training_seconds=training,
             n_training=len(plan.bases[basis]),
+            doubts=tuple(
+                (each.label, doubt)
+                for each in plan.points
+                for doubt in workspace.imported(workspace.full_run(each))
+                .get("imported/doubts", "")
+                .splitlines()
+            ),
             forces=tuple(
                 (name, force, forces.get((best, name)), expected.get((compared, name)))
                 for (compared, name), force in forces.items()
@@ -210,8 +212,7 @@ def tell_answer(workspace: Workspace, tables: Tables) -> None:
     answer = find_answer(workspace, tables)
     sentences = ["No reduced model was compared over a whole run."]
     for sentence in sentences if answer is None else answer.sentences():
-        for line in textwrap.wrap(sentence, WIDTH, break_long_words=False, break_on_hyphens=False):
-            report.result(line)
+        report.prose(sentence)
     pictures = f", pictures in {out / 'plots'}" if (out / "plots").is_dir() else ""
     report.result(f"Tables are in {out / 'tables'}{pictures}.")
     report.result(f"All of it on one page: sphrom report {workspace.context.words}")

@@ -13,7 +13,6 @@ from sphrom.compare.comparison_figures import draw_comparison
 from sphrom.compare.comparison_tables import (
     ALONE,
     FILE,
-    MADE_BY,
     DecayRow,
     Tables,
     best_name,
@@ -22,7 +21,7 @@ from sphrom.compare.comparison_tables import (
     show,
     wall_row,
 )
-from sphrom.compare.costs import reduced_timing, stage_timings, undisturbed_seconds
+from sphrom.compare.costs import run_timings, stage_timings
 from sphrom.compare.measured import (
     Measured,
     MeasureRow,
@@ -73,6 +72,7 @@ def run(context: StageContext) -> None:
                 _PointComparison(workspace, writer, tables).compare()
             tables.decay.extend(_decay(workspace, *pair) for pair in _exact_flows(case))
             tables.singular_values.extend(spectrum_rows(workspace))
+            tables.timings.extend(run_timings(workspace))
             tables.stages.extend(stage_timings(workspace))
             tables.write(workspace)
     else:
@@ -81,7 +81,8 @@ def run(context: StageContext) -> None:
         except ArtifactError:
             # Other programs may have changed the file: nothing else protects it.
             context.report.warn(
-                f"{workspace.out / FILE} is missing or damaged; `{MADE_BY} --force` writes it again"
+                f"{workspace.out / FILE} is missing or damaged; "
+                f"`{target.made_by} --force` writes it again"
             )
             return
     if case.compare.plots:
@@ -135,7 +136,6 @@ class _PointComparison:
             run = StoredRun(workspace, trajectory, point)
             self.full = self._sampled("the full run", run)
             writer.full_run(self.full)
-            self.full_seconds = undisturbed_seconds(trajectory, plan.steps.n_steps)
             for row, profile in compare_with_references(self.case, point, trajectory, probes):
                 tables.reference.append(row)
                 writer.profile(row, profile)
@@ -200,9 +200,6 @@ class _PointComparison:
                     self.tables.estimates.append(estimate)
                 estimates = measured_estimates(case, trajectory)
                 self._measure(model.name, measured_of(case, trajectory), basis, size, estimates)
-                self.tables.timings.append(
-                    reduced_timing(case, model, point, trajectory, self.full_seconds)
-                )
         for against in (FULL, "exact") if self.exact is not None else (FULL,):
             self._add(reduced, model.name, against, basis, size, status)
 

@@ -7,6 +7,7 @@ basis singular values and modes. Figures that a case asks for by name share thei
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
@@ -16,7 +17,7 @@ from sphrom.arrays import Array
 from sphrom.artifacts.records.comparison import Series
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.studies import Row
+from sphrom.case.studies import Row, place_of
 from sphrom.case.study_sections import FULL
 from sphrom.compare.comparison_tables import BEST, Tables
 from sphrom.compare.mode_figures import draw_modes, draw_spectrum, frame_of, model_sizes
@@ -54,17 +55,18 @@ ERRORS = (
     },
 )
 """The errors that are drawn, a row of velocities and one of pressures, and their labels."""
-OVERVIEW = "velocity, field, at all instants: relative L2 [%]"
 
 
 def draw_comparison(workspace: Workspace, tables: Tables, *, again: bool) -> None:
     """Draw the figures of a comparison into the folder `plots`: all `again`, or those not there."""
     folder = workspace.folder("plots")
     with StoredComparison.of(workspace) as comparison:
-        for name, draw in _figures(workspace, tables, comparison):
-            path = folder / f"{name}.png"
-            if again or not path.exists():
+        figures = [(folder / f"{n}.png", d) for n, d in _figures(workspace, tables, comparison)]
+        missing = [(path, draw) for path, draw in figures if again or not path.exists()]
+        with workspace.context.report.details.progress("pictures", len(missing)) as advance:
+            for path, draw in missing:
                 save(draw(), path)
+                advance(1)
 
 
 def _figures(
@@ -163,7 +165,8 @@ class _PointFigures:
         """Return the fields and the errors of the fastest model."""
         fastest = next(m for m in self.case.plan.models_by_speed if m in self.complete)
         complete = {m.name: self._errors[m.name] for m in self.complete}
-        errors = _error_panel("velocity_field_relative_l2", OVERVIEW, complete)
+        label = "velocity, field, at all instants: relative L2 [%]"
+        errors = _error_panel(self.case, "velocity_field_relative_l2", label, complete)
         row: list[Field | Panel] = [*self._beside(fastest.name, "speed"), errors]
         return draw_grid([row], frame_of(self.case), scales=self._scales, title=self.when)
 
@@ -181,7 +184,10 @@ class _PointFigures:
             best = self.comparison.errors(self.best, self.point)
             others.append(("best possible (projection)", "best", best))
         rows = [
-            [_error_panel(name, label, self._errors, others) for name, label in row.items()]
+            [
+                _error_panel(self.case, name, label, self._errors, others)
+                for name, label in row.items()
+            ]
             for row in ERRORS
         ]
         return draw_grid(rows, title=self.point.label)
@@ -228,7 +234,7 @@ class _PointFigures:
                     label = f"{component.replace('_', ' ')} [{UNITS[quantity]}]"
                     # A flow rate is over time alone, a probe's fields are at one place.
                     shown = one[-1] if is_line else one.reshape(len(x))
-                    curve = _curve(None if model is None else model.name, x, shown)
+                    curve = _curve(self.case, FULL if model is None else model.name, x, shown)
                     panels.setdefault(label, []).append(curve)
         return draw_grid([[Panel("", x_label, *panel) for panel in panels.items()]], title=title)
 
@@ -237,29 +243,33 @@ class _PointFigures:
         curves = []
         for name in (None, *(model.name for model in self.complete)):
             if (found := self.comparison.samples("stations", name, self.point)) is not None:
-                curves.append(_curve(name, found[1].time, found[1].velocity[:, 0, 1]))
+                velocity = found[1].velocity[:, 0, 1]
+                curves.append(_curve(self.case, name or FULL, found[1].time, velocity))
         title = f"{self.point.label}, at x = {x:.4g} m, y = {y:.4g} m"
         return draw_grid([[Panel("", "time [s]", "v [m/s]", curves)]], title=title)
 
 
-def _curve(name: str | None, x: Array, y: Array) -> Curve:
+def _curve(case: Case, name: str, x: Array, y: Array) -> Curve:
     """Return the curve of a reduced run, or of the full one."""
-    return Curve(FULL, x, y, "full") if name is None else Curve(name, x, y)
+    return (
+        Curve(name, x, y, "full") if name == FULL else Curve(name, x, y, place=place_of(case, name))
+    )
 
 
 def _error_panel(
+    case: Case,
     name: str,
     label: str,
     models: Mapping[str, Series],
     others: Sequence[tuple[str, Role, Series | None]] = (),
 ) -> Panel:
     """Return one error of reduced models over time, from zero; beside others logarithmic."""
-    drawn = [*others, *((model, "run", series) for model, series in models.items())]
-    curves = [
-        Curve(told, series.time, {**series.relative_l2, **series.eq41}[name], role)
-        for told, role, series in drawn
-        if series is not None
-    ]
+
+    def error(series: Series) -> tuple[Array, Array]:
+        return series.time, {**series.relative_l2, **series.eq41}[name]
+
+    curves = [Curve(told, *error(each), role) for told, role, each in others if each is not None]
+    curves += [_curve(case, model, *error(series)) for model, series in models.items()]
     return Panel("", "time [s]", label, curves, "logarithmic" if others else "from zero")
 
 
@@ -286,24 +296,31 @@ def draw_lines(
             lines = {m.name: comparison.line(m.name, point)[1] for m in models if m is not None}
             row = []
             for quantity in quantities:
-                drawn = _along_line(where[:, 1], {FULL: full, **lines}, index, quantity, exact)
+                each = {FULL: full, **lines}
+                drawn = _along_line(case, where[:, 1], each, index, quantity, exact)
                 row.append(Panel(point.label, "y [m]", LABELS[quantity], list(drawn)))
             panels.append(row)
     return draw_grid(panels, title=f"x = {where[0, 0]:.4g} m, t = {time:.4g} s")
 
 
 def _along_line(
-    y: Array, lines: Mapping[str, Samples], snapshot: int, quantity: str, exact: Samples | None
+    case: Case,
+    y: Array,
+    lines: Mapping[str, Samples],
+    snapshot: int,
+    quantity: str,
+    exact: Samples | None,
 ) -> Iterator[Curve]:
     """Yield a quantity along a line at a snapshot; of a run that ended before, its name alone."""
     if exact is not None:
         yield Curve("exact", y, _along(exact, quantity)[0], "exact")
     for name, line in lines.items():
         if snapshot < len(line.time):
-            yield _curve(None if name == FULL else name, y, _along(line, quantity)[snapshot])
+            yield _curve(case, name, y, _along(line, quantity)[snapshot])
         else:
             before = f"after {line.time[-1]:.3g} s" if len(line.time) else "at the start"
-            yield Curve(f"{name} (unstable {before})", np.empty(0), np.empty(0))
+            ended = _curve(case, name, np.empty(0), np.empty(0))
+            yield replace(ended, label=f"{name} (unstable {before})")
 
 
 def _along(line: Samples, quantity: str) -> Array:

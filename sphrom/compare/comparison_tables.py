@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 FILE = "compare.json"
-MADE_BY = "sphrom compare CASE"
 
 
 Cells = Mapping[str, Any]
@@ -160,7 +159,7 @@ class Tables:
 
         Raises ArtifactError when `compare.json` is missing or damaged.
         """
-        found = read_json(workspace.out / FILE, MADE_BY, RECORDS)
+        found = read_json(workspace.out / FILE, workspace.comparison().made_by, RECORDS)
         return cls(**{name: found[name] for name in RECORDS if name in found}), found["about"]
 
     def write(self, workspace: Workspace) -> None:

@@ -3,33 +3,57 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
+from itertools import product
 from pathlib import Path
+from typing import TypeVar
 
+import numpy as np
+
+from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, open_artifact
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
+from sphrom.case.study_sections import FULL
+from sphrom.kernels import ask_for_threads, asked_for
+from sphrom.machine import seconds_of
 from sphrom.metrics.histories import compression_factor, field_compression_factor
+from sphrom.online.fast_model import FastModel
+from sphrom.online.particle_runs import build_model, close
+from sphrom.plots.tables import format_figure
+from sphrom.setup import particles
+from sphrom.sph.time_loop import Model, runge_kutta_step
 from sphrom.store.trained_models import memory_timing
+from sphrom.store.trajectory import snapshot_fields
 from sphrom.store.workspace import Target, Workspace
 
+Key = TypeVar("Key")
+
 SECONDS = {"unit": "s"}
+N_REPEATS = 5
+"""Of what is timed, in turns: the least counts, and all of them show the spread."""
+N_TIMED_STEPS = 10
+"""Steps that are timed at once: neighbours are searched in some of them only."""
+DIGITS = 2
+"""Significant digits of the figures in a sentence."""
 
 
 @dataclass(frozen=True)
 class RunTiming:
-    """One reduced run against the full one, both as they ran, undisturbed by other programs.
+    """One reduced run against the full one at its largest stable step, without their spin-up.
 
-    That is all steps at the least time of a step, means of ten in a row, or for a run of
-    milliseconds the least of several. None where an imported run doesn't tell.
+    Seconds are processor time on one thread, of the steps alone, the least of some repeats in which
+    all runs took turns. None where an imported run doesn't tell.
     """
 
     model: str
     parameters: str
     n_modes: int
-    full_step: float = field(metadata=SECONDS)
+    full_step: float | None = field(metadata=SECONDS)
     reduced_step: float = field(metadata=SECONDS)
     memory_length: float | None = field(metadata=SECONDS)
     full_seconds: float | None = field(metadata=SECONDS)
@@ -38,6 +62,17 @@ class RunTiming:
     compression_factor: float
     """Eq. 4.2 the right way up."""
     field_compression_factor: float
+    least_speed_up: float | None = None
+    """Of one repeat; the greatest likewise."""
+    greatest_speed_up: float | None = None
+
+    @property
+    def times(self) -> str:
+        """How many times as long the full run takes, with the spread, in words."""
+        some = (self.speed_up, self.least_speed_up, self.greatest_speed_up)
+        middle, low, high = (format_figure(each, DIGITS) for each in some)
+        spread = f" ({low} to {high} over {N_REPEATS} repeats)"
+        return middle + (spread if self.least_speed_up is not None else "")
 
 
 @dataclass(frozen=True)
@@ -50,32 +85,98 @@ class StageTiming:
     threads: int
 
 
-def reduced_timing(
-    case: Case,
-    model: ReducedModelSection,
-    point: ParameterPoint,
-    trajectory: Artifact,
-    full_seconds: float | None,
-) -> RunTiming:
-    """Return the cost of a reduced run's time steps, without reading and writing."""
-    steps, n_particles = case.plan.steps, case.plan.n_particles
-    reduced_step = trajectory.number("time_step")
-    duration = (steps.n_snapshots - 1) * steps.snapshot_interval
-    seconds = undisturbed_seconds(trajectory, round(duration / reduced_step))
-    n_modes = int(trajectory.dataset("generalized_coordinates").shape[1])
-    return RunTiming(
-        model=model.name,
-        parameters=point.label,
-        n_modes=n_modes,
-        full_step=steps.time_step,
-        reduced_step=reduced_step,
-        memory_length=_number(trajectory, "memory_length"),
-        full_seconds=full_seconds,
-        reduced_seconds=seconds,
-        speed_up=full_seconds / seconds if full_seconds and seconds else None,
-        compression_factor=compression_factor(n_particles, n_modes),
-        field_compression_factor=field_compression_factor(n_particles, n_modes),
-    )
+def largest_step(case: Case) -> float:
+    """Return the largest stable step of the full model [s], or the case's where that is larger."""
+    return max(case.plan.limits.least, case.plan.steps.time_step)
+
+
+def taking_turns(timed: Mapping[Key, Callable[[], float]], repeats: int) -> dict[Key, Array]:
+    """Return the seconds (n_repeats,) that functions return in turns, on one thread.
+
+    They are called once before, for all to be compiled.
+    """
+    threads = asked_for()
+    ask_for_threads(1)
+    try:
+        rounds = np.array([[each() for each in timed.values()] for _ in range(repeats + 1)])
+    finally:
+        ask_for_threads(threads)
+    return dict(zip(timed, rounds[1:].T, strict=True))
+
+
+def full_run_timer(workspace: Workspace, point: ParameterPoint, step: float) -> Callable[[], float]:
+    """Return what times steps of the full model, as seconds of a run in steps of a length [s].
+
+    They are the case's own steps from half-way through a run; what one costs depends neither on its
+    length nor on parameters.
+    """
+    with workspace.open(workspace.full_run(point)) as run:
+        position, *fields = snapshot_fields(run, run.length("time") // 2)
+    state = np.vstack((position.T, fields[0], fields[1].T))
+    return _steps_timer(workspace.case, particles.functional(workspace.case, point), state, step)
+
+
+def reduced_run_timer(
+    workspace: Workspace, model: ReducedModelSection, point: ParameterPoint, step: float
+) -> Callable[[], float]:
+    """Return what times a reduced run, on particles by some of its steps of a length [s]."""
+    if model.from_operators:
+        fast = FastModel(workspace, model)
+        return partial(seconds_of, fast.at_point(point).integrator(fast.at(point)).run)
+    reduced, state = build_model(workspace, model, point)
+    close(workspace.case, model, reduced, state, workspace.case.plan.steps.start_time)
+    return _steps_timer(workspace.case, reduced, state, step)
+
+
+def _steps_timer(case: Case, model: Model, state: Array, step: float) -> Callable[[], float]:
+    steps, n_steps = case.plan.steps, case.plan.recorded_time / step
+
+    def seconds() -> float:
+        now, started = model.wrapped(state), time.process_time()
+        for number in range(N_TIMED_STEPS):
+            now = runge_kutta_step(model.rates, now, steps.time(number), steps.time_step)
+        return (time.process_time() - started) / N_TIMED_STEPS * n_steps
+
+    return seconds
+
+
+def run_timings(workspace: Workspace) -> Iterator[RunTiming]:
+    """Time the reduced runs that ran to their end, and full ones beside them, and yield them.
+
+    Steps on particles cost the same at all points, and are timed once for each model.
+    """
+    case, plan, found = workspace.case, workspace.case.plan, []
+    timers: dict[object, Callable[[], float]] = {}
+    for point, model in product(plan.points, case.rom):
+        if point not in plan.rom_points(model) or not plan.ends_with_case(model):
+            continue
+        with workspace.open(workspace.full_run(point)) as run:
+            imported, known = is_imported(run), known_seconds(run)
+        with workspace.open(workspace.reduced_run(model, point)) as run:
+            if run.text("status") != "complete":
+                continue
+            step, memory_length = run.number("time_step"), _number(run, "memory_length")
+            n_modes = int(run.dataset("generalized_coordinates").shape[1])
+        full, own = (FULL, imported and point), (model.name, model.from_operators and point)
+        if imported and known is not None:
+            timers[full] = partial(float, known)
+        elif not imported and full not in timers:
+            timers[full] = full_run_timer(workspace, point, largest_step(case))
+        if own not in timers:
+            timers[own] = reduced_run_timer(workspace, model, point, step)
+        sizes = plan.n_particles, n_modes
+        factors = compression_factor(*sizes), field_compression_factor(*sizes)
+        longest = None if imported else largest_step(case)
+        about = model.name, point.label, n_modes, longest, step, memory_length
+        found.append((about, factors, full, own))
+    seconds = taking_turns(timers, N_REPEATS) if found else {}
+    for about, factors, full, own in found:
+        least = float(seconds[own].min())
+        if full not in seconds:
+            yield RunTiming(*about, None, least, None, *factors)
+            continue
+        whole, gains = float(seconds[full].min()), (seconds[full] / seconds[own]).tolist()
+        yield RunTiming(*about, whole, least, whole / least, *factors, min(gains), max(gains))
 
 
 def _number(run: Artifact, name: str) -> float | None:
@@ -93,62 +194,58 @@ def known_seconds(run: Artifact) -> float | None:
     return _number(run, "timing/integration") or None
 
 
-def undisturbed_seconds(run: Artifact, n_steps: int) -> float | None:
-    """Return how long the steps of a run take undisturbed [s], None where nobody knows."""
-    least = _number(run, "timing/least_step")
-    return known_seconds(run) if least is None else n_steps * least
-
-
 def stage_timings(workspace: Workspace) -> Iterator[StageTiming]:
-    """Yield the wall-clock of every artifact that the comparison was made from.
-
-    The artifacts that runs were made from, such as packed particles, the end of a spin-up or
-    operators, are among them if they are there.
-    """
-    read = {target.path: target for target in workspace.comparison().parents.values()}
-    made_from = {
-        parent.path: parent
-        for target in read.values()
-        if target.stage in ("fom", "rom")
-        for parent in target.parents.values()
-        if parent.path.exists() and parent.path not in read
-    }
-    for target in (made_from | read).values():
+    """Yield the wall-clock of every artifact that the comparison was made from, if it is there."""
+    targets: dict[Path, Target] = {}
+    left = [workspace.comparison()]
+    while left:
+        parents = {each.path: each for each in left.pop().parents.values() if each.path.exists()}
+        left += [each for path, each in parents.items() if path not in targets]
+        targets |= parents
+    for target in targets.values():
         with open_artifact(target.path, target.schema, made_by=target.made_by) as artifact:
             seconds, threads = artifact.number("wall_seconds"), int(artifact.number("threads"))
             yield StageTiming(target.path.name, artifact.text("stage"), seconds, threads)
 
 
 def offline_seconds(
-    workspace: Workspace, model: ReducedModelSection, points: Iterable[ParameterPoint]
+    workspace: Workspace,
+    model: ReducedModelSection,
+    points: Iterable[ParameterPoint],
+    full_seconds: float | None,
 ) -> tuple[float | None, float | None]:
     """Return the cost of making a reduced model [s]: all of it, and the full runs it learns from.
 
-    Spin-ups and packing count; the closures of other models, in the same artifact, don't. None
-    where nobody knows, as the cost of an imported run is unknown.
+    Full runs count as one at the largest stable step takes, `full_seconds`, in their own steps with
+    the spin-up; all else with the processor time that it took, compiling left out. Packing counts;
+    the closures of other models, in the same artifact, don't. None where nobody knows, as the cost
+    of an imported run is unknown.
     """
     plan = workspace.case.plan
     names = {plan.basis_for(model, point): None for point in points}
     trained = {point: None for name in names for point in plan.bases[name]}
-    runs: dict[Path, Target] = {}
+    n_steps = plan.steps.n_steps + plan.steps.n_spin_up_steps
+    longer, training = n_steps * largest_step(workspace.case) / plan.recorded_time, 0.0
     for point in trained:
-        _collect(workspace.full_run(point), runs)
-    training = 0.0
-    for run in runs.values():
-        with workspace.open(run) as artifact:
-            seconds = (known_seconds if is_imported(artifact) else _wall_seconds)(artifact)
+        with workspace.open(workspace.full_run(point)) as run:
+            seconds = (
+                known_seconds(run) if is_imported(run) else full_seconds and full_seconds * longer
+            )
         if seconds is None:
             return None, None
         training += seconds
+    if plan.packed and workspace.packing().path.exists():
+        with workspace.open(workspace.packing()) as packing:
+            training += _computing_seconds(packing)
     offline = training
     stages = [workspace.mapped(point) for point in trained]
     for stage in (*stages, workspace.basis(), workspace.splines()):
         with workspace.open(stage) as artifact:
-            offline += _wall_seconds(artifact)
+            offline += _computing_seconds(artifact)
     if model.from_operators:
         own = [(name, model.size) for name in names if model.projection == "apg"]
         with workspace.open(workspace.operators()) as artifact:
-            offline += _wall_seconds(artifact) - sum(
+            offline += _computing_seconds(artifact) - sum(
                 artifact.number(memory_timing(*closure))
                 for closure in plan.memory_models
                 if closure not in own
@@ -156,15 +253,8 @@ def offline_seconds(
     return offline, training
 
 
-def _collect(target: Target, found: dict[Path, Target]) -> None:
-    """Add a target and all that it is made from."""
-    found[target.path] = target
-    for parent in target.parents.values():
-        _collect(parent, found)
-
-
-def _wall_seconds(artifact: Artifact) -> float:
-    return artifact.number("wall_seconds")
+def _computing_seconds(artifact: Artifact) -> float:
+    return _number(artifact, "timing/processor") or artifact.number("wall_seconds")
 
 
 def break_even(once: float | None, full_seconds: float | None, online_seconds: float) -> int | None:

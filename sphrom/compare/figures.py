@@ -15,7 +15,7 @@ from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.case.studies import rows_of
+from sphrom.case.studies import place_of, rows_of
 from sphrom.case.study_sections import (
     FULL,
     ErrorFigure,
@@ -29,7 +29,7 @@ from sphrom.compare.comparison_figures import LABELS, draw_lines
 from sphrom.compare.mode_figures import draw_spectrum, frame_of, mode_fields
 from sphrom.compare.stored_comparison import StoredComparison
 from sphrom.errors import ArtifactError
-from sphrom.plots.canvas import save
+from sphrom.plots.canvas import COLOURS, save
 from sphrom.plots.panels import Curve, Field, Panel, draw_grid
 from sphrom.setup.context import StageContext
 from sphrom.store.stored_run import StoredRun
@@ -153,7 +153,7 @@ def _draw_errors(case: Case, comparison: StoredComparison, figure: ErrorFigure) 
         row = []
         for quantity in figure.quantities:
             runs = []
-            for model, point in product(models, points):
+            for model, (k, point) in product(models, enumerate(points)):
                 if model is not None:
                     time, error = comparison.discrepancy(model.name, point, quantity, figure.range)
                     found = comparison.errors(model.name, point)
@@ -162,7 +162,8 @@ def _draw_errors(case: Case, comparison: StoredComparison, figure: ErrorFigure) 
                     if not complete:
                         after = f" after {time[-1]:.3g} s" if len(time) else ""
                         label += f" (unstable{after})"
-                    runs.append(Curve(label, time, error, complete=complete))
+                    look = place_of(case, model.name) + k * len(COLOURS)  # other dashes
+                    runs.append(Curve(label, time, error, complete=complete, place=look))
             label = f"Eq. 4.1 by {OVER[figure.range]} [%]"
             row.append(Panel(quantity, "time [s]", label, runs, "from zero"))
         panels.append(row)

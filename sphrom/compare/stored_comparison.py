@@ -144,7 +144,7 @@ class StoredComparison:
         n_common = len(reduced.time)
         if not n_common:
             return np.empty(0), np.empty(0)
-        expected, found = (getattr(s.until(n_common), quantity) for s in (full, reduced))
+        expected, found = (getattr(s.at(slice(n_common)), quantity) for s in (full, reduced))
         ranges = instantaneous_range(expected)
         if over == "field":
             stored = read_record(self._artifact, Ranges, f"ranges/{point.file_label}")

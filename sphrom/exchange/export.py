@@ -95,7 +95,7 @@ def run(
         n_written = _write_all(workspace, folder)
     if n_written == 0:
         raise ArtifactError(
-            f"{context.out}: there is nothing to export; make runs with `sphrom run CASE`"
+            f"{context.out}: nothing to export; make runs with `sphrom run {context.words}`"
         )
 
 

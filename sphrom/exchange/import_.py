@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Collection, Sequence
+import re
+import shlex
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -22,11 +24,12 @@ from sphrom.case.loader import given_keys, load_case
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.yaml_reader import dump_yaml
-from sphrom.errors import ArtifactError, CaseError
+from sphrom.errors import ArtifactError, CaseError, UnstableError
 from sphrom.exchange.foreign_files import COMPONENTS, ForeignSnapshot, Source, read_foreign
 from sphrom.exchange.import_options import ImportOptions, pair, place
 from sphrom.exchange.instants import (
     N_NODES,
+    TIME_TOLERANCE,
     Choice,
     choose,
     find_sources,
@@ -35,15 +38,18 @@ from sphrom.exchange.instants import (
     series,
 )
 from sphrom.offline.fom import ensure_packed
+from sphrom.plots.tables import format_figure
 from sphrom.setup import assembly, particles
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import require_room
 from sphrom.setup.particles import MeasuredFields
 from sphrom.sph import fluid
 from sphrom.sph.fluid import fluctuation_of
-from sphrom.sph.time_loop import DENSITY_LIMIT, Snapshot
+from sphrom.sph.functional import Functional
+from sphrom.sph.time_loop import DENSITY_LIMIT, Clock, Snapshot, TimeSteps, march
 from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Target, Workspace
+from sphrom.text import shortened
 
 VELOCITIES = (("u", "v"), ("velocity.x", "velocity.y"))
 """The names of velocities that are looked for unless --velocity names others."""
@@ -51,6 +57,17 @@ FLUCTUATION = "density_fluctuation"
 """The field of files that this program exported: density less its reference value."""
 ROUNDING = 1e-6
 """A third component of velocity up to this share of the largest speed is none."""
+MOST_NAMES = 20_000
+"""Characters of the files' names that are kept: an attribute holds three times as many."""
+FOLLOWED = 0.5
+"""Time for which the case's own model follows an imported run, over that in which the flow crosses
+the scene."""
+MODEL_OFF, PER_SPACING, START_OFF = 3.0, 80.0, 20.0
+"""Differences of velocities [%] beyond which an imported run, and its start, may not be the case's:
+at least, and per spacing over the scene's length. Other schemes make 0.5 to 3 % in a cavity of 20
+spacings, another lid 5 % (6 % of 40), 10 % of the viscosity 2 %."""
+LEAST_SPEED = 0.05
+"""Over the scene's: differences count over it in slower flows."""
 COUNT_TOLERANCE = 0.05
 """How far the number of particles may be from the case's, relatively: edges are filled in many
 ways, but each particle has to stand for about the same area."""
@@ -81,20 +98,30 @@ def run(context: StageContext, files: Sequence[Path], about: ImportOptions) -> N
         workspace.full_run(points[0]), stage="import", made_by="sphrom import CASE FILES"
     )
     found = find_sources(files, about)
-    choices = choose(found, case.plan.steps)
-    digest = _digest(choices)
+    choices = choose(found, case.plan.steps, about)
+    options = shlex.join([*about.words, f"--only={points[0].label}"])
+    named = f"{_named(files)} {options}"
+    origin = {"imported/files": named, "imported/sha256": _digest(choices, options)}
+    there = workspace.imported(target)
+    differs = target.path.exists() and there.get("imported/sha256") != origin["imported/sha256"]
+    if differs and not context.force:
+        before = f"imported from {there['imported/files']}" if there else "computed here"
+        raise ArtifactError(
+            f"{target.path} is there, {before}, and not from {named}; `--force` writes over it, "
+            "`--out` names another folder"
+        )
     if not workspace.must_make(target):
-        with workspace.open(target) as artifact:
-            if artifact.attributes.get("imported/sha256") != digest:
-                raise ArtifactError(
-                    f"{target.path} is there, and not of these files; `--force` writes over it, "
-                    "`--out` names another folder"
-                )
         return
+    read = {source for _, nodes in choices for source in nodes}
+    if left_out := [source for source in found if source not in read]:
+        context.report.warn(
+            f"{len(left_out)} of {len(found)} snapshots are at no instant of the case: left out, "
+            f"the last of them {left_out[-1].path.name}, at t = {left_out[-1].time:.6g} s"
+        )
     require_room(case, workspace.out, points)
     converter = Converter(case, about, _read(choices[0][1][0], about))
     ensure_packed(workspace)
-    _write(workspace, target, points[0], choices, converter, digest)
+    _write(workspace, target, points[0], choices, converter, origin)
     if any(len(nodes) > 1 for _, nodes in choices):
         context.report.warn(
             f"interpolated in time, by cubic polynomials: the files hold {series(found)}"
@@ -116,56 +143,118 @@ def _write(
     point: ParameterPoint,
     choices: Sequence[Choice],
     converter: Converter,
-    digest: str,
+    origin: Mapping[str, str],
 ) -> None:
     """Write the snapshots of files as a full run at a parameter point."""
     case, plan, about = workspace.case, workspace.case.plan, converter.about
-    names = [path.name for path in _paths(choices)]
-    attributes = {
-        **assembly.run_attributes(case, point, plan.steps.time_step),
-        "imported/files": ", ".join(names if len(names) < 3 else [names[0], "...", names[-1]]),
-        "imported/sha256": digest,
-    }
-    with (
-        workspace.create(target, attributes) as artifact,
-        workspace.context.report.progress(f"import, {point.label}", len(choices)) as advance,
-    ):
+    attributes = {**assembly.run_attributes(case, point, plan.steps.time_step), **origin}
+    crossing = case.scene.length_scale / plan.max_speed
+    n_followed = max(1, int(FOLLOWED * crossing / plan.steps.snapshot_interval))
+    begin = max(0, len(choices) - 1 - n_followed)
+    with workspace.create(target, attributes) as artifact:
+        model, kept = particles.functional(case, point), dict[int, tuple[float, Snapshot]]()
         writer = TrajectoryWriter(
             artifact,
             len(choices),
             converter.n_particles,
             plan.sound_speed,
             walls=particles.walls(case, plan.flow(point)),
-            forces=particles.wall_forces(case, point, particles.functional(case, point)),
+            forces=particles.wall_forces(case, point, model),
             fields=MeasuredFields.of(case),
         )
         read = lru_cache(maxsize=2 * N_NODES)(lambda source: converter(_read(source, about)))
-        for index, (time, nodes) in enumerate(choices):
-            near = [(node.time, read(node)) for node in nodes]
-            snapshot = interpolated(near, time, case.scene.domain, plan.particle_spacing)
-            writer.append(time, index * plan.steps.every, snapshot)
-            advance(1)
+        with workspace.context.report.progress(f"import, {point.label}", len(choices)) as advance:
+            for index, (time, nodes) in enumerate(choices):
+                near = [(node.time, read(node)) for node in nodes]
+                snapshot = interpolated(near, time, case.scene.domain, plan.particle_spacing)
+                writer.append(time, index * plan.steps.every, snapshot)
+                if index in (0, begin, len(choices) - 1):
+                    kept[index] = time, snapshot
+                advance(1)
         writer.finish(None, about.seconds)
+        doubts = [*filter(None, [converter.speeds()]), *_doubts(workspace, point, model, kept)]
+        for doubt in doubts:
+            workspace.context.report.warn(f"{point.label}: {doubt}")
+        artifact.annotate("imported/doubts", "\n".join(doubts))
 
 
-def _paths(choices: Sequence[Choice]) -> list[Path]:
-    """Return the files that are read, each once."""
-    return list(dict.fromkeys(source.path for _, nodes in choices for source in nodes))
+def _doubts(
+    workspace: Workspace,
+    point: ParameterPoint,
+    model: Functional,
+    kept: Mapping[int, tuple[float, Snapshot]],
+) -> Iterator[str]:
+    """Yield why a case may not be that of a run of which some snapshots are given, in words.
+
+    The case's own full model is run from the last but one of them to the last one. It departs by
+    nothing from what it made itself, and by the errors of schemes from what others made.
+    """
+    case, plan, report = workspace.case, workspace.case.plan, workspace.context.report
+    (_, first), *_, (end_time, last) = kept.values()
+    (index, (time, begin)), (end, _) = list(kept.items())[-2:]
+    slow = LEAST_SPEED * plan.max_speed
+
+    def off(found: Array, expected: Array) -> float:
+        largest = max(np.linalg.norm(each) for each in (found, expected))
+        return 100.0 * float(
+            np.linalg.norm(found - expected) / max(largest, slow * found.size**0.5)
+        )
+
+    start = off(first.velocity.T, assembly.initial_fields(case, point, first.position.T)[1])
+    if start > START_OFF:
+        yield (
+            f"its start is {format_figure(start, 2)} % off the scene's in velocity, with which "
+            "models begin: see --origin, --start, --units and the scene"
+        )
+    steps = (end - index) * plan.steps.every
+    about = TimeSteps(plan.steps.time_step, steps, steps, time)
+    state = np.vstack((begin.position, begin.density_fluctuation, begin.velocity))
+    onto = particles.map_onto(case, case.scene.domain.fill(plan.particle_spacing))
+    within = f"within {end_time - time:.3g} s from t = {time:.4g} s the case's own full model"
+    density = case.fluid.reference_density
+    try:
+        with report.progress(f"the case's own model, {point.label}", steps) as advance:
+            *_, (_, state) = march(model, state, about, density, Clock(), advance)
+        own, theirs = (
+            onto(s.position.T, s.density_fluctuation, s.velocity.T)[1]
+            for s in (model.snapshot(state), last)
+        )
+    except (UnstableError, ValueError) as error:
+        yield f"{within} becomes unstable: {error}"
+        return
+    most = max(MODEL_OFF, PER_SPACING * plan.particle_spacing / case.scene.length_scale)
+    if (departed := off(own, theirs)) > most:
+        yield (
+            f"{within} departs from it by {format_figure(departed, 2)} % in velocity, and other "
+            f"schemes do by {most:.2g} % at most: see walls that move, such as scene.lid, the "
+            "Reynolds number, the body force and --units"
+        )
 
 
-def _digest(choices: Sequence[Choice]) -> str:
-    """Return one digest of all files' bytes, in their order."""
-    digest = hashlib.sha256()
-    for path in _paths(choices):
+def _named(files: Sequence[Path]) -> str:
+    """Return files as a command line names them, by a pattern where it finds the same ones."""
+    folder, suffix = files[0].parent, files[0].suffix
+    pattern = re.sub(r"\d+(\D*)$", r"*\1", files[0].stem) + suffix
+    if len(files) > 1 and set(folder.glob(pattern)) == set(files):
+        return "*".join(map(shlex.quote, f"{folder}/{pattern}".split("*")))
+    return shortened(shlex.join(map(str, files)), MOST_NAMES)
+
+
+def _digest(choices: Sequence[Choice], options: str) -> str:
+    """Return one digest of all files' bytes, in their order, and of the options."""
+    digest = hashlib.sha256(options.encode())
+    for path in dict.fromkeys(source.path for _, nodes in choices for source in nodes):
         with path.open("rb") as file:
             digest.update(hashlib.file_digest(file, "sha256").digest())
     return digest.hexdigest()
 
 
 def fitted_case(
-    source: Path, overrides: Sequence[str], files: Sequence[Path], about: ImportOptions
+    source: Path, overrides: Sequence[str], files: Sequence[Path], about: ImportOptions, into: Path
 ) -> tuple[str, list[str]]:
     """Return a case file that says what another one does, but for keys that don't fit the files.
+
+    It goes into a folder: files that the case names are found from there.
 
     These are the times and, where another number of particles is found, the resolution; they come
     back as `key=value`. The time step is a whole part of the time between two snapshots, as stable
@@ -188,13 +277,13 @@ def fitted_case(
     case = load_case(source, [*overrides, *keys])
     plan, apart = case.plan, interval(found)
     limit = case.time.courant_number / fluid.COURANT_LIMIT * plan.limits.least
-    every = max(1, math.ceil(apart / limit))
+    every, n = max(1, math.ceil(apart / limit)), int(found[-1].time / apart + TIME_TOLERANCE)
     keys += [
-        f"time.final_time={float(f'{apart * (len(found) - 1):.12g}')!r}",
+        f"time.final_time={float(f'{apart * n:.12g}')!r}",
         f"time.step={float(f'{apart / every:.12g}')!r}",
         f"snapshots.every={every}",
     ]
-    text = dump_yaml(given_keys(source, [*overrides, *keys]))
+    text = dump_yaml(given_keys(source, [*overrides, *keys], into))
     return f"# {source.name}, fitted to {files[0].name} and others.\n{text}", keys
 
 
@@ -236,13 +325,26 @@ class Converter:
         Raises CaseError or ArtifactError where it does not fit the case or the first one.
         """
         order = self._order(given)
-        position = self._place(given)[order]
         velocity = np.stack([given.field(name, "--velocity")[order] for name in self._velocity])
         velocity = velocity * self._scales["velocity"]
         self.largest_speed = max(self.largest_speed, float(np.hypot(*velocity).max()))
+        position = self._place(given)[order]
+        if self.largest_speed > self._case.plan.sound_speed:
+            raise CaseError(f"{given.path}: {self.speeds()}")
         self._require_flat(given)
         fluctuation = self._fluctuation(given)[order]
         return Snapshot(np.ascontiguousarray(position.T), fluctuation, velocity)
+
+    def speeds(self) -> str:
+        """Return why the unit of velocities may be another one; nothing where it fits the scene."""
+        plan, found = self._case.plan, self.largest_speed
+        ratio = plan.max_speed / (found or plan.max_speed)
+        if 0.5 < ratio < 10.0:
+            return ""
+        return (
+            f"the largest speed is {found:.4g} m/s, this scene's about {plan.max_speed:.4g} m/s"
+            + self.about.fitting("velocity", 0.2 * ratio, 5.0 * ratio)
+        )
 
     def _order(self, given: ForeignSnapshot) -> NDArray[np.intp]:
         """Return the order in which particles are the same ones in all files."""
@@ -268,15 +370,20 @@ class Converter:
         """Return positions (n_particles, 2) [m] in the scene, checked."""
         domain = self._case.scene.domain
         columns = [given.field(name, "--position") for name in self._position]
-        position = domain.wrap((np.stack(columns, axis=1) - self._origin) * self._scales["length"])
-        outside = np.flatnonzero(~domain.contains(position))
-        if outside.size:
-            low, high = position.min(axis=0), position.max(axis=0)
-            x, y = position[outside[0]]
+        position = (np.stack(columns, axis=1) - self._origin) * self._scales["length"]
+        low, high = position.min(axis=0), position.max(axis=0)
+        left, below, right, above = domain.fluid.bounds
+        ratio = (right - left, above - below) / (high - low + self._case.plan.particle_spacing)
+        fitting = ""
+        if not 0.5 < ratio.min() < 2.0:
+            fitting = self.about.fitting("length", 0.8 * ratio.max(), 1.2 * ratio.min())
+        position = domain.wrap(position)
+        outside = int(np.sum(~domain.contains(position)))
+        if outside or fitting:
             raise CaseError(
-                f"{given.path}: {outside.size} particles are outside the scene, such as one at "
-                f"({x:.6g}, {y:.6g}) m; they span {low[0]:.6g} to {high[0]:.6g} m and {low[1]:.6g} "
-                f"to {high[1]:.6g} m: check --units, --origin, --array and the scene's size"
+                f"{given.path}: {outside} of the particles are outside the scene; all span "
+                f"{low[0]:.6g} to {high[0]:.6g} m and {low[1]:.6g} to {high[1]:.6g} m: check "
+                f"--units, --origin, --array and the scene's size{fitting}"
             )
         return position
 

@@ -69,7 +69,7 @@ class ImportOptions:
     ] = 0.0
     seconds: Annotated[
         float | None,
-        _option("SECONDS", "Time that the run took; unless it is given, no speed-up is known."),
+        _option("SECONDS", "Time that the run took; its speed-up is unknown without it."),
     ] = None
 
     def __post_init__(self) -> None:
@@ -82,6 +82,13 @@ class ImportOptions:
                 raise CaseError(f"{name}: must be a finite number above zero; got {value:g}")
         if not math.isfinite(self.start):
             raise CaseError(f"--start: must be a finite number; got {self.start}")
+
+    @property
+    def words(self) -> list[str]:
+        """The options of the command line that are not the defaults."""
+        changed = {k: v for k, v in vars(self).items() if v != getattr(ImportOptions, k)}
+        texts = {k: "" if value is True else f"={value}" for k, value in changed.items()}
+        return [f"--{name.replace('_', '-')}{text}" for name, text in texts.items()]
 
     @property
     def scales(self) -> dict[str, float]:
@@ -98,6 +105,13 @@ class ImportOptions:
                 allowed = "; ".join(f"{name}={', '.join(units)}" for name, units in UNITS.items())
                 raise CaseError(f"--units: got {part!r}; must be a number, or of {allowed}")
         return scales
+
+    def fitting(self, quantity: str, least: float, most: float) -> str:
+        """Return advice on the unit that is this much larger than the given one, if one is."""
+        now = self.scales[quantity]
+        units = UNITS[quantity].items()
+        fits = next((unit for unit, scale in units if least <= scale / now <= most), None)
+        return "" if fits is None else f"; {quantity}={fits} of --units would fit"
 
 
 def pair(option: str, text: str) -> tuple[str, str]:

@@ -89,8 +89,12 @@ def _natural(path: Path) -> list[tuple[int, str]]:
 
 
 def interval(sources: Sequence[Source]) -> float:
-    """Return the mean time from snapshot to snapshot [s], to twelve digits."""
-    return float(f"{(sources[-1].time - sources[0].time) / (len(sources) - 1):.12g}")
+    """Return the mean time from snapshot to snapshot [s], to twelve digits.
+
+    The last one doesn't count where there are more than two: many programs write it at the end.
+    """
+    last = max(1, len(sources) - 2)
+    return float(f"{(sources[last].time - sources[0].time) / last:.12g}")
 
 
 def series(sources: Sequence[Source]) -> str:
@@ -99,7 +103,7 @@ def series(sources: Sequence[Source]) -> str:
     return f"{len(sources)} snapshots, at t = {shortened(times, 60)} s"
 
 
-def choose(sources: Sequence[Source], steps: TimeSteps) -> list[Choice]:
+def choose(sources: Sequence[Source], steps: TimeSteps, about: ImportOptions) -> list[Choice]:
     """Return the snapshots for each instant that a case keeps.
 
     Raises CaseError where the files end before the case, or hold less than half as many snapshots
@@ -120,10 +124,12 @@ def choose(sources: Sequence[Source], steps: TimeSteps) -> list[Choice]:
         choices.append((source.time, [source]) if gap <= tolerance else around)
     n_within = int((times <= instants[-1] + slack).sum())
     if times[-1] < instants[-1] - slack or 2 * n_within <= len(instants):
+        ratio = instants[-1] / times[-1]
         raise CaseError(
             f"the files hold {series(sources)}; the case keeps {len(instants)}, every {apart:g} s "
             f"until {instants[-1]:g} s; --units time, --time-step or --start may be others, or "
             "--write-case FILE writes a case that fits them"
+            + about.fitting("time", 0.9 * ratio, 1.1 * ratio)
         )
     return choices
 

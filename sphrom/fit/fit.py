@@ -17,7 +17,15 @@ from sphrom.artifacts.records import fit as records
 from sphrom.artifacts.records.fit import FittedHistory
 from sphrom.case.fields import NAME_PATTERN
 from sphrom.case.points import REYNOLDS
-from sphrom.case.studies import Box, fast_model, fit_ranges, fit_values, percent, trained_ranges
+from sphrom.case.studies import (
+    Box,
+    fast_model,
+    fit_ranges,
+    fit_values,
+    percent,
+    place_of,
+    trained_ranges,
+)
 from sphrom.console import Reporter
 from sphrom.errors import CaseError, UnstableError
 from sphrom.fit.forward_model import FittedModel, TrainingDifferences, box_of, error_samples
@@ -59,6 +67,7 @@ SHOWN_SHARE = 0.01
 AT_BOUND, UNDETERMINED = "at its bound", "not determined"
 MOST_SHOWN = 12
 """Histories in the terminal, and in the figure."""
+FITTED = "fitted model, with the 95 % interval of the flow's own history"
 COLUMNS = 2
 """Histories beside one another in the figure."""
 NUMBERS = ("value", "standard_deviation", "by_noise", "by_model", "low", "high")
@@ -119,22 +128,34 @@ class Fit(records.Fit):
         return tuple(self.history[str(k)] for k in range(len(self.history)))
 
     @property
+    def bound(self) -> float:
+        """The largest chi^2 that the noise and the model's errors, as estimated, explain.
+
+        The noise stays below its part with a probability of 99.9 %.
+        """
+        from scipy.stats import chi2
+
+        dof = self.degrees_of_freedom
+        return float(chi2.ppf(SURE, dof)) + self.expected_chi_square - dof
+
+    @property
     def problems(self) -> tuple[str, ...]:
         """What to know before these figures are used, in words."""
         return tuple(self.warnings.splitlines())
 
-    def draw(self, path: str | os.PathLike[str]) -> None:
+    def draw(self, path: str | os.PathLike[str], place: int = 0) -> None:
         """Draw data, fit and intervals of every history into a file, PNG or SVG by its name.
+
+        The model looks as in other figures if its `place` in the case is given, counted from 0.
 
         Raises ArtifactError when the file can't be written.
         """
         panels = []
         for each in self.histories[:MOST_SHOWN]:
+            ends = np.stack([each.curve - each.half_width, each.curve + each.half_width])
             curves = [
-                Curve("measured", each.instant, each.measured),
-                Curve("fitted model", self.time, each.curve, "full"),
-                Curve("95 % interval, low end", self.time, each.curve - each.half_width, "level"),
-                Curve("high end", self.time, each.curve + each.half_width, "level"),
+                Curve(FITTED, self.time, each.curve, interval=ends, place=place),
+                Curve("measured", each.instant, each.measured, "reference"),
             ]
             panels.append(Panel(each.name, "time [s]", f"[{each.units}]", curves))
         rows = [panels[k : k + COLUMNS] for k in range(0, len(panels), COLUMNS)]
@@ -187,7 +208,7 @@ def run(
         with workspace.create(target) as artifact:
             write_record(artifact, found)
         write_csv(target.path.with_suffix(".csv"), found.estimates)
-        found.draw(target.path.with_suffix(".png"))
+        found.draw(target.path.with_suffix(".png"), place_of(case, model.name))
     show(context.report, found)
     context.report.info(f"a table and a figure are in {target.path.with_suffix('')}.csv, .png")
 
@@ -218,8 +239,8 @@ def show(report: Reporter, fit: Fit) -> None:
     dof = fit.degrees_of_freedom
     report.info(
         f"chi^2 per degree of freedom is {fit.chi_square / dof:.3g}; noise and the model's errors "
-        f"explain up to {fit.expected_chi_square / dof:.3g}; {fit.starts_led_here} of {fit.starts} "
-        "starts led here"
+        f"explain up to {fit.bound / dof:.3g}; "
+        f"{fit.starts_led_here} of {fit.starts} starts led here"
     )
     for problem in fit.problems:
         report.warn(problem)
@@ -307,7 +328,7 @@ def fit(fast: FastModel, box: Box, measurements: Measurements, known: TrainingDi
     problems = (
         *_about_the_case(model, samples),
         *_about_the_search(box, likely, shares),
-        *_about_the_fit(fitted, weights),
+        *_about_the_fit(fitted),
     )
     return replace(fitted, warnings="\n".join(problems))
 
@@ -407,17 +428,22 @@ def _about_the_search(box: Box, found: Sequence[Minimum], shares: Array) -> Iter
         yield f"other fits are nearly as good: {'; '.join(fits)}"
 
 
-def _about_the_fit(fitted: Fit, weights: Weights) -> Iterator[str]:
+def _about_the_fit(fitted: Fit) -> Iterator[str]:
     from scipy.stats import chi2
 
     dof = fitted.degrees_of_freedom
-    ratio, expected = fitted.chi_square / dof, fitted.expected_chi_square / dof
-    if fitted.chi_square > chi2.ppf(SURE, dof) + TRUSTED * weights.expected:
+    ratio, beyond = fitted.chi_square / dof, fitted.chi_square - fitted.bound
+    if beyond > 0.0:
         worst = max(fitted.histories, key=lambda each: each.residual)
+        model = fitted.expected_chi_square - dof
+        bad = beyond > (TRUSTED - 1.0) * model
+        larger = "" if bad else f"{100.0 * (math.sqrt(1.0 + beyond / model) - 1.0):.2g} % "
         yield (
-            f"the fit is bad: chi^2 per degree of freedom is {ratio:.3g}, where noise and the "
-            f"model's errors explain {expected:.3g}; {worst.name} fits worst: is its "
-            "unit, place or noise another, or does the model lack something?"
+            f"{'the fit is bad: ' * bad}chi^2 per degree of freedom is {ratio:.3g}, above the "
+            f"{fitted.bound / dof:.3g} that noise and the model's errors explain. The model's "
+            f"errors are {larger or 'far '}larger than estimated, the noise is larger than stated, "
+            "or another flow was measured than the case's: the intervals are too narrow. "
+            f"{worst.name} fits worst: check its unit, place and noise, or fit without it"
         )
     elif fitted.chi_square < chi2.ppf(1.0 - SURE, dof):
         yield (

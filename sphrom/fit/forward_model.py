@@ -32,7 +32,6 @@ from sphrom.reduction.exponential_steps import ExponentialModel
 from sphrom.reduction.reduced_measures import ReducedMeasure, project_measures
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
 from sphrom.setup.particles import MeasuredFields
-from sphrom.store.trained_models import read_points
 from sphrom.store.trajectory import snapshot_fields
 from sphrom.text import exact
 
@@ -107,9 +106,9 @@ class FittedModel:
         if basis not in self._measures:
             self._measures[basis] = {}
             if (fields := self.unnamed) is not None:
-                position = read_points(self.fast.workspace)
+                splines = self.fast.on_basis(basis).splines
                 self._measures[basis] = project_measures(
-                    found.basis, lambda *state: fields(position, *state)
+                    found.basis, splines, fields.position, fields.of_fields
                 )
         measures = {**found.measures, **self._measures[basis]}
         return replace(found.with_steps_of(self._stepped[basis]), measures=measures)

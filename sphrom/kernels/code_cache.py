@@ -24,6 +24,10 @@ class CodeCacheWarning(UserWarning):
     """Compiled code can't be kept."""
 
 
+class CompilingWarning(CodeCacheWarning):
+    """Code is compiled that is not kept yet."""
+
+
 @dataclass(frozen=True)
 class CodeCache:
     """A folder of compiled code, None where the user has none."""

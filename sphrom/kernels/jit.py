@@ -17,6 +17,8 @@ from __future__ import annotations
 import hashlib
 import pickle
 import sys
+import time
+import warnings
 from collections.abc import Callable
 from functools import lru_cache
 from importlib.metadata import version
@@ -25,6 +27,7 @@ from typing import Any, TypeVar
 
 import numba
 from llvmlite.binding import Linkage
+from numba.core import event
 from numba.core.caching import NullCache
 from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
 from numba.core.compiler import CompileResult
@@ -33,7 +36,8 @@ from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
 
 from sphrom.kernels import asked_for
-from sphrom.kernels.code_cache import CodeCache, find_cache
+from sphrom.kernels.code_cache import CodeCache, CompilingWarning, find_cache
+from sphrom.machine import compiling
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -128,6 +132,7 @@ class _KeptCode(NullCache):
         rtsys.initialize(target_context)
         content = code_cache().read(self._file(signature, target_context.codegen()))
         if content is None:
+            _tell_of_compiling()
             return None
         return CompileResult._rebuild(target_context, *pickle.loads(content))
 
@@ -147,6 +152,13 @@ class _KeptCode(NullCache):
         return f"{self._name}-{made_for.hexdigest()[:16]}.nbc"
 
 
+@lru_cache(maxsize=1)
+def _tell_of_compiling() -> None:
+    if code_cache().writable:
+        text = "compiling kernels, once on this machine: each takes some seconds, and is kept"
+        warnings.warn(text, CompilingWarning, stacklevel=1)
+
+
 def _kept(compiled: Any) -> Any:
     """Keep the code of a kernel; a function from elsewhere has no place in this folder."""
     of_kernels = isinstance(compiled, CPUDispatcher) and (
@@ -157,4 +169,21 @@ def _kept(compiled: Any) -> Any:
     return compiled
 
 
+class _Compiling(event.Listener):
+    """Counts the time of compiling functions, those that they call among them."""
+
+    depth = 0
+
+    def on_start(self, event: Any) -> None:
+        """Start the clock with the outermost function."""
+        compiling[0] -= (self.depth == 0) * time.process_time()
+        self.depth += 1
+
+    def on_end(self, event: Any) -> None:
+        """Stop it with the same."""
+        self.depth -= 1
+        compiling[0] += (self.depth == 0) * time.process_time()
+
+
+event.register("numba:compile", _Compiling())
 set_threads(asked_for())

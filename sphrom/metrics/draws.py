@@ -261,12 +261,9 @@ def sobol_indices(values: Array, n_parameters: int, seed: int = 0) -> OutputIndi
     found = stats.sobol_indices(
         func={"f_A": own.T, "f_B": other.T, "f_AB": mixed.transpose(0, 2, 1)}, n=n_points
     )
-    shape = n_parameters, n_outputs
     # Scipy has outputs first, and no axis of one output.
-    first, total = (
-        order.reshape(n_outputs, n_parameters).T.reshape(shape)
-        for order in (found.first_order, found.total_order)
-    )
+    orders = found.first_order, found.total_order
+    first, total = (order.reshape(n_outputs, n_parameters).T for order in orders)
     both = np.concatenate((own, other))
     vary = both.std(axis=0) > LEAST_SPREAD * np.abs(both).max(axis=0)
     resampled = _resampled(own, other, mixed, _drawn(n_points, seed))

@@ -164,8 +164,8 @@ def compare(
     Eq. 4.1 needs fields of the reference that vary over the probes. With the period of the longest
     sound wave [s] pressures are also compared without sound.
     """
-    n_common = min(len(run.time), len(reference.time))
-    run, reference = run.until(n_common), reference.until(n_common)
+    common = slice(min(len(run.time), len(reference.time)))
+    run, reference = run.at(common), reference.at(common)
     meaningful = reference.time >= from_time - TIME_TOLERANCE
     for values in (reference.speed, reference.pressure):
         meaningful &= _varies(values, probes)
@@ -353,19 +353,13 @@ def effectivity(
     kept = (reference.time >= start - TIME_TOLERANCE) & (errors > 0.0).all(axis=1)
     if not kept.any():
         return None
-    figures: dict[str, float] = {}
-    for name, estimate, error, size in zip(
-        QUANTITIES, estimates[kept].T, errors[kept].T, sizes[kept].T, strict=True
-    ):
-        scale, ratio = 100.0 / float(np.linalg.norm(size)), estimate / error
-        figures |= {
-            f"{name}_estimate": scale * float(np.linalg.norm(estimate)),
-            f"{name}_error": scale * float(np.linalg.norm(error)),
-            f"{name}_effectivity_mean": float(ratio.mean()),
-            f"{name}_effectivity_min": float(ratio.min()),
-            f"{name}_effectivity_max": float(ratio.max()),
-        }
-    return figures
+    figures: list[float] = []
+    for each in zip(estimates[kept].T, errors[kept].T, sizes[kept].T, strict=True):
+        estimate, error, size = (float(np.linalg.norm(values)) for values in each)
+        ratio = each[0] / each[1]
+        figures += 100.0 / size * estimate, 100.0 / size * error
+        figures += float(ratio.mean()), float(ratio.min()), float(ratio.max())
+    return dict(zip(EFFECTIVITY, figures, strict=True))
 
 
 def _rms(fields: Array) -> Array:

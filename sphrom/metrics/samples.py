@@ -80,10 +80,6 @@ class Samples:
         """The velocity's magnitude [m/s]."""
         return np.asarray(np.linalg.norm(self.velocity, axis=2))
 
-    def until(self, n_snapshots: int) -> Samples:
-        """Return the first snapshots."""
-        return self.at(slice(n_snapshots))
-
     def at(self, snapshots: slice | NDArray[np.int64]) -> Samples:
         """Return some snapshots, at the times of as many first ones."""
         measured = {name: values[snapshots] for name, values in self.measured.items()}

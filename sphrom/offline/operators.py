@@ -26,6 +26,7 @@ from sphrom.artifacts.records.reduced_models import (
 from sphrom.case.plan import MAX_STEPS
 from sphrom.case.sections import AUTO
 from sphrom.errors import CaseError
+from sphrom.machine import computing_seconds
 from sphrom.metrics.series import smoothed
 from sphrom.plots.tables import format_figure
 from sphrom.reduction import reference_model
@@ -148,14 +149,14 @@ class _Projection:
             return found
         with self.report.progress(f"memory operators, basis {self.name}", len(sizes)) as advance:
             for n_modes in sizes:
-                started = time.perf_counter()
+                started = computing_seconds()
                 found[str(n_modes)] = project_memory_operators(
                     self.points,
                     truncate(self.basis, n_modes),
                     first_modes(self.splines, self.basis, n_modes),
                     largest_viscosity=self.case.plan.largest_viscosity,
                 )
-                taken = time.perf_counter() - started
+                taken = computing_seconds() - started
                 artifact.annotate(memory_timing(self.name, n_modes), taken)
                 advance(1)
         return found
@@ -236,9 +237,7 @@ class _Projection:
         for point in self.trained:
             with self.workspace.open(self.workspace.full_run(point)) as run:
                 recorded.append(measured_of(self.case, run))
-        projected = project_measures(
-            self.basis, lambda *state: fields(self.points.position, *state)
-        )
+        projected = project_measures(self.basis, self.splines, fields.position, fields.of_fields)
         return {
             name: TrainedMeasure(
                 **vars(measure),

@@ -14,9 +14,9 @@ from sphrom.errors import CaseError
 from sphrom.metrics.histories import cumulative_singular_value_share, energy
 from sphrom.reduction.decomposition import decompose
 from sphrom.reduction.trial_basis import JOINT, Modes, TrialBasis, weighted_mean
+from sphrom.setup.assembly import inner_product
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import decomposition_ram_limit, require_room
-from sphrom.store.trained_models import inner_product
 from sphrom.store.trajectory import require_complete
 from sphrom.store.workspace import Workspace
 
@@ -73,7 +73,7 @@ def _mean_densities(workspace: Workspace, runs: list[Artifact], volume: Array) -
     """
     if not workspace.case.plan.separate_mean_density:
         return None
-    weights = inner_product(workspace).weights(volume)
+    weights = inner_product(workspace.case).weights(volume)
     densities = [run.dataset("density_fluctuation") for run in runs]
     return np.array([[weighted_mean(d, weights) for d in density] for density in densities])
 
@@ -110,7 +110,7 @@ def _decompose(
             read_block,
             n_points=len(volume),
             n_snapshots=per_run * len(runs),
-            product=inner_product(workspace),
+            product=inner_product(case),
             volume=volume,
             n_modes={name: case.plan.basis_size(name) for name in learnt},
             snapshots=learnt,

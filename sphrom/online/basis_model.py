@@ -32,19 +32,10 @@ from sphrom.reduction.error_calibration import OutputErrors, output_errors
 from sphrom.reduction.exponential_steps import LinearPart
 from sphrom.reduction.held_out import FieldProducts
 from sphrom.reduction.polynomial_model import Run
-from sphrom.reduction.reduced_measures import (
-    PointForce,
-    ReducedMeasure,
-    TimedLoads,
-)
+from sphrom.reduction.reduced_measures import PointForce, ReducedMeasure, TimedLoads
 from sphrom.reduction.reduced_operators import MemoryOperators
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
-from sphrom.reduction.trial_basis import (
-    kept_modes,
-    mean_density_fluctuation,
-    project,
-    truncate,
-)
+from sphrom.reduction.trial_basis import kept_modes, mean_density_fluctuation, project, truncate
 from sphrom.setup.assembly import (
     amplitude_of,
     memory_length_of,
@@ -267,10 +258,8 @@ class BasisModel:
 
         Of a training run that is `held_out`, the corrections are what the others give.
         """
-        place, times = (
-            places_of(self.workspace.case, [point])[0],
-            snapshot_times(self.workspace.case),
-        )
+        case = self.workspace.case
+        place, times = places_of(case, [point])[0], snapshot_times(case)
         added = {
             name: TimedLoads.of(times, learnt.held_out(place) if held_out else learnt.at(place))
             for name, learnt in self.force_corrections.items()

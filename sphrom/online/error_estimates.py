@@ -100,7 +100,7 @@ def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
     if fitted.factors is not None and not found.extrapolates:
         factors = fitted.factors.tolist()
     errors = measured_errors(run)
-    constants = [float(constant) for constant in fitted.constants * trained.units]
+    constants = (fitted.constants * trained.units).tolist()
     stored = StoredEstimate(
         velocity=found.velocity,
         pressure=found.pressure,

@@ -48,8 +48,7 @@ class FastModel:
     def on_basis(self, name: str) -> BasisModel:
         """Return the model with one of its bases."""
         if name not in self._on_basis:
-            start = self._starts.at
-            self._on_basis[name] = BasisModel(self.workspace, self.section, name, start)
+            self._on_basis[name] = BasisModel(self.workspace, self.section, name, self._starts.at)
         return self._on_basis[name]
 
     def at_point(self, point: ParameterPoint) -> BasisModel:

@@ -9,16 +9,14 @@ of its errors.
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import replace
-from functools import lru_cache
-
-import numpy as np
+from functools import lru_cache, partial
 
 from sphrom.artifacts import ArtifactWriter, write_record
 from sphrom.artifacts.records.coordinates import Converged, Steady
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
+from sphrom.machine import seconds_of
 from sphrom.metrics.measures import UNITS, Quantities, components
 from sphrom.online.basis_model import fields_of, forces_of
 from sphrom.online.error_estimates import (
@@ -55,12 +53,8 @@ def seek_steady_state(run: FastRun, artifact: ArtifactWriter) -> None:
     polynomial, amplitude = run.reduced.polynomial, 0.0
     if run.reduced.amplitude is not None:
         amplitude = float(run.reduced.amplitude(run.time)[-1])
-    taken = []
-    for _ in range(N_TIMED):
-        started = time.perf_counter()
-        found = steady_state(polynomial, run.coordinates[-1], amplitude=amplitude)
-        taken.append(time.perf_counter() - started)
-    seconds = float(np.median(taken))
+    seek = partial(steady_state, polynomial, run.coordinates[-1], amplitude=amplitude)
+    found, seconds = seek(), min(seconds_of(seek) for _ in range(N_TIMED))
     growth = spectrum(polynomial.jacobian(found.coordinates, amplitude)).largest_real_part
     status: Converged = "converged" if found.converged else "not converged"
     stored = Steady.of(found, status=status, largest_real_part=growth)

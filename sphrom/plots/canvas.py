@@ -30,8 +30,8 @@ TITLE = 9.5
 """Size of the letters of titles."""
 LETTER, MARGINS = 0.066, 0.6
 """About the width of a letter of a legend, and of what stands beside its labels [inch]."""
-FEW_DECADES = 300.0
-"""A logarithmic axis that spans less than this factor also labels 2 and 5."""
+LABELLED, LEAST_LABELS = ((1.0,), (1.0, 2.0, 5.0), (1.0, 2.0, 3.0, 4.0, 5.0, 7.0)), 3
+"""Multiples of decades that a logarithmic axis labels: the first that give it so many labels."""
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 DASHES: tuple[Any, ...] = (
     "-",
@@ -124,11 +124,16 @@ def label_axes(axes: Axes, x: str, y: str) -> None:
 
 
 def plain_logarithmic(axis: Axis, low: float, high: float) -> None:
-    """Label a logarithmic axis with plain numbers: each decade, and 2 and 5 where few fit."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+    """Label a logarithmic axis with plain numbers: decades, or more where these are few."""
+    from matplotlib.ticker import FuncFormatter, Locator, LogLocator, MaxNLocator, NullFormatter
 
-    few = high < FEW_DECADES * low
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,)))
+    locators: list[Locator] = [LogLocator(subs=subs) for subs in LABELLED]
+    locators.append(MaxNLocator(LEAST_LABELS + 1))
+    for locator in locators:
+        ticks = np.asarray(locator.tick_values(low, high))
+        if np.sum((ticks >= low) & (ticks <= high)) >= LEAST_LABELS:
+            break
+    axis.set_major_locator(locator)
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
 

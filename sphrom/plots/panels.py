@@ -2,8 +2,8 @@
 
 Pictures take fields on a regular grid as (ny, nx), from below; where there is no fluid they are
 NaN, and grey. Where a frame knows its solids, their outline is drawn as it is, not in the steps of
-a grid. The full model is always drawn in ink, the exact solution in grey, and a reduced model has
-the same colour, line and marker in every panel in which it has the same place.
+a grid. The full model and what was measured are always drawn in ink, the exact solution in grey,
+and a reduced model has the colour, line and marker of its place in the case in every figure.
 """
 
 from __future__ import annotations
@@ -168,6 +168,8 @@ class Curve:
     """Whether the run ran to the end."""
     interval: Array | None = None
     """(2, n) low and high ends of a band around it."""
+    place: int | None = None
+    """A model's in its case, by which it looks; None counts the panel's curves of the role."""
 
 
 @dataclass(frozen=True)
@@ -331,14 +333,15 @@ def _bar_below(
     bar.ax.xaxis.get_offset_text().set_fontsize(7.5)
 
 
-def _look(role: Role, index: int, n_points: int) -> dict[str, Any]:
-    """Return how the curve of this index among those of its role is drawn."""
-    if role in LOOKS:
+def _look(curve: Curve, index: int) -> dict[str, Any]:
+    """Return how a curve of this index among those of its role is drawn."""
+    if curve.role in LOOKS:
         later = {"color": "#777777", "linestyle": DASHES[index % len(DASHES)]}
-        return later if index else LOOKS[role]
-    look = line_of(index) | {"markerfacecolor": "white", "markersize": 4.2}
-    if role == "reference":
-        return look | {"linestyle": "none", "markevery": max(1, n_points // MOST_MARKERS)}
+        return later if index else LOOKS[curve.role]
+    look, n_points = line_of(index) | {"markerfacecolor": "white", "markersize": 4.2}, len(curve.x)
+    if curve.role == "reference":
+        look |= {"linestyle": "none", "markevery": max(1, n_points // MOST_MARKERS)}
+        return look if curve.place is not None else look | {"color": INK}
     # Markers of several models never hide one another.
     spacing = max(1, n_points // N_MARKERS)
     return look | {"linewidth": 1.3, "markevery": (index * spacing // 4 % spacing, spacing)}
@@ -349,7 +352,7 @@ def _draw_curves(axes: Axes, panel: Panel) -> None:
     for curve in panel.curves:
         # Zeros have no place on a logarithmic axis.
         y = np.where(curve.y > 0.0, curve.y, np.nan) if "log" in panel.axes else curve.y
-        look = _look(curve.role, drawn[curve.role], len(y))
+        look = _look(curve, drawn[curve.role] if curve.place is None else curve.place)
         drawn[curve.role] += 1
         axes.plot(curve.x, y, label=curve.label, **look)
         if curve.interval is not None:
@@ -357,6 +360,8 @@ def _draw_curves(axes: Axes, panel: Panel) -> None:
     label_axes(axes, panel.x_label, panel.y_label)
     axes.set_title(panel.title)
     axes.margins(x=0.01)
+    if all(np.issubdtype(curve.x.dtype, np.integer) for curve in panel.curves):
+        axes.locator_params(axis="x", integer=True)
     if panel.axes == "from zero":
         axes.set_ylim(0.0, _highest(panel))
     elif panel.axes == "logarithmic":
@@ -365,6 +370,7 @@ def _draw_curves(axes: Axes, panel: Panel) -> None:
     elif panel.axes == "both logarithmic":
         axes.set(xscale="log", yscale="log")
         plain_logarithmic(axes.xaxis, *axes.get_xlim())
+        plain_logarithmic(axes.yaxis, *axes.get_ylim())
         _mark(axes, panel.marked)
 
 

@@ -246,8 +246,7 @@ class ExponentialModel(PolynomialModel):
         m, ratio = self._method(n_steps, output_times)
         taken = ratio.n_steps(output_times.n_snapshots - 1)
         start_time, time_step = output_times.start_time, ratio.time_step(output_times.interval)
-        driven = self._driven(start_time, taken, time_step, amplitude)
-        coefficients, used, amplitudes = driven
+        coefficients, used, amplitudes = self._driven(start_time, taken, time_step, amplitude)
         by_parameter = np.zeros((len(changes), *coefficients.shape))
         by_amplitude = np.zeros(coefficients.shape)
         powers = np.arange(1, len(by_amplitude), dtype=np.float64)

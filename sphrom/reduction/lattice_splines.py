@@ -118,8 +118,6 @@ def _cells(domain: Domain, shape: tuple[int, ...]) -> bspline.Lattice:
 
 def _lattice_order(position: Array, domain: Domain) -> tuple[tuple[int, int], Indices]:
     """Return the lattice's shape, and its points' places among `position`, row by row."""
-    if not domain.fills_box:
-        raise ValueError("B-splines need fluid that fills its box")
     width, height = domain.lengths
     n_columns = max(1, round(math.sqrt(len(position) * width / height)))
     n_rows = len(position) // n_columns

@@ -348,8 +348,6 @@ def project_forces(
     circulations : [m2/s] of the walls' velocity that a parameter gives per unit.
     balance : the Stokes flows of the wall's motions, where the balance of momentum is projected
         too, and the splines of the modes.
-
-    Raises ValueError where there are no walls.
     """
     tested = None if balance is None else balance[0]
 

@@ -40,9 +40,10 @@ from numpy.typing import NDArray
 from sphrom.arrays import Array, Indices
 from sphrom.declaration import Record, dataset, part
 from sphrom.metrics.measures import Quantities
+from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.reduced_operators import FORCE, VALUE, VISCOSITY, WALLS, with_drives
 from sphrom.reduction.reduced_rates import Polynomial
-from sphrom.reduction.trial_basis import TrialBasis, reconstruct
+from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.sph.fluid import NONE, Factors
 
 N_OTHER_TERMS = 2
@@ -207,7 +208,7 @@ def _kept_terms(modes: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 Measuring = Callable[[Array, Array], Mapping[str, Quantities]]
-"""From density fluctuation (n_points,) and velocity (n_points, 2), what is measured, by name."""
+"""From density fluctuation (n_positions,) and velocity (n_positions, 2), what is measured."""
 
 
 class ReducedMeasure(Record):
@@ -247,15 +248,19 @@ class ReducedMeasure(Record):
         return {name: np.tensordot(terms, q, (1, -1)) for name, q in self.quantities.items()}
 
 
-def project_measures(basis: TrialBasis, measured: Measuring) -> dict[str, ReducedMeasure]:
-    """Project what is measured onto a basis; `measured` is affine in its fields."""
-    density, velocity = reconstruct(basis, np.zeros(basis.n_modes))
-    mean = np.ones_like(density), np.zeros_like(velocity)
-    modes = zip(
-        basis.density_modes / basis.inner_product.density_scale, basis.velocity_modes, strict=True
-    )
-    found = [measured(*fields) for fields in ((density, velocity), mean, *modes)]
-    offset, linear = measured(0.0 * density, 0.0 * velocity), np.arange(len(found)) > 0
+def project_measures(
+    basis: TrialBasis, splines: ModeSplines, position: Array, measured: Measuring
+) -> dict[str, ReducedMeasure]:
+    """Project what is measured onto a basis, of which there are splines.
+
+    `measured` is affine in the fields at positions (n_positions, 2) [m].
+    """
+    product, modes = basis.inner_product, splines.values(position).reshape(len(position), -1, 3)
+    fields = np.concatenate((np.zeros((2, *modes.shape[::2])), modes.swapaxes(0, 1)))
+    density, velocity = fields[..., 0] / product.density_scale, fields[..., 1:]
+    density[0], density[1] = product.density_fluctuation(density[0]), 1.0
+    found = [measured(*each) for each in zip(density, velocity, strict=True)]
+    offset, linear = measured(0.0 * density[0], velocity[0]), np.arange(len(found)) > 0
 
     def terms(name: str, quantity: str) -> Array:
         values = np.stack([each[name][quantity] for each in found], -1)

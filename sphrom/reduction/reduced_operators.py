@@ -115,7 +115,16 @@ class ReducedOperators(Record):
 
         The amplitude of the polynomial is that of the body force, or of driven walls.
         """
-        return _affine_sum(self, kinematic_viscosity, factors)
+        viscosity = Polynomial((self.viscosity,))
+        found = Polynomial((self.inertia,)).plus(viscosity, kinematic_viscosity)
+        force = with_drives(self.force, self.drives, "force", factors)
+        if force is not None:
+            found = found.plus(Polynomial(((), force)))
+        moved = with_drives(self.walls, self.drives, "walls", factors)
+        if moved is not None:
+            walls = ((), moved) if self.walls_driven else (moved,)
+            found = found.plus(Polynomial(walls), kinematic_viscosity)
+        return found
 
 
 class DriveResidual(Record):
@@ -195,22 +204,6 @@ class ResidualFactor(Record):
             else:
                 steady[:, : moved.shape[1]] += moved
         return (steady,) if driven is None else (steady, driven)
-
-
-def _affine_sum(parts: Any, kinematic_viscosity: float, factors: Factors) -> Polynomial:
-    """Return the sum of tensors by parameter, at their values.
-
-    `parts` has the tensors of `inertia`, `viscosity`, `walls` and `force`, and of `drives`.
-    """
-    found = Polynomial((parts.inertia,)).plus(Polynomial((parts.viscosity,)), kinematic_viscosity)
-    force = with_drives(parts.force, parts.drives, "force", factors)
-    if force is not None:
-        found = found.plus(Polynomial(((), force)))
-    moved = with_drives(parts.walls, parts.drives, "walls", factors)
-    if moved is not None:
-        walls = ((), moved) if parts.walls_driven else (moved,)
-        found = found.plus(Polynomial(walls), kinematic_viscosity)
-    return found
 
 
 def with_drives(own: Any, drives: Mapping[str, Any], part: str, factors: Factors) -> Any:

@@ -15,7 +15,6 @@ about the error of models.
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -23,6 +22,7 @@ from functools import cached_property
 import numpy as np
 
 from sphrom.arrays import Array
+from sphrom.machine import seconds_of
 from sphrom.reduction.correction import faded
 from sphrom.reduction.exponential_steps import ExponentialModel, LinearPart
 from sphrom.reduction.polynomial_model import (
@@ -276,16 +276,11 @@ class Integrator:
         return replace(run, coordinates=coordinates, correction=correction, diverged_at=diverged_at)
 
     def timed(self, repeats: int) -> tuple[Run, float]:
-        """Run it, and return the least time [s] of some runs once everything is compiled.
+        """Run it, and return the least processor time [s] of some runs, once all is compiled.
 
         The matrices of exponential steps are computed once, and their time doesn't count.
         """
-        run, seconds = self.run(), []
-        for _ in range(repeats):
-            started = time.perf_counter()
-            run = self.run()
-            seconds.append(time.perf_counter() - started)
-        return run, min(seconds)
+        return self.run(), min(seconds_of(self.run) for _ in range(repeats))
 
 
 def choose(model: ReferenceModel, steps: Callable[[ReferenceModel], Steps]) -> Integrator:

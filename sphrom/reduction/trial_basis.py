@@ -42,17 +42,16 @@ class InnerProduct:
     name: Literal["acoustic", "raw"]
     density_scale: float
     density_offset: float
-    weighted: bool
 
     @classmethod
     def acoustic(cls, reference_density: float, sound_speed: float) -> InnerProduct:
         """Return the acoustic-energy product: c0 rho'/rho0 [m/s], weighted with the volume."""
-        return cls("acoustic", sound_speed / reference_density, 0.0, True)
+        return cls("acoustic", sound_speed / reference_density, 0.0)
 
     @classmethod
     def raw(cls, reference_density: float) -> InnerProduct:
         """Return the paper's product: the full density [kg/m3], unit weights."""
-        return cls("raw", 1.0, reference_density, False)
+        return cls("raw", 1.0, reference_density)
 
     def without_mean(self) -> InnerProduct:
         """Return the product of states stripped of their mean density: no constant part is left."""
@@ -71,7 +70,7 @@ class InnerProduct:
 
         Raises ValueError when a weight is not positive and finite.
         """
-        weights = np.array(volume, dtype=float) if self.weighted else np.ones(len(volume))
+        weights = np.ones(len(volume)) if self.name == "raw" else np.array(volume, dtype=float)
         if not np.all(np.isfinite(weights) & (weights > 0.0)):
             raise ValueError("every point needs a positive, finite volume")
         return weights

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.compare.answer import DIGITS, Answer, find_answer, percent
-from sphrom.compare.comparison_tables import MADE_BY, RECORDS, SpectrumRow, Tables
+from sphrom.compare.answer import Answer, find_answer, percent
+from sphrom.compare.comparison_tables import RECORDS, SpectrumRow, Tables
 from sphrom.compare.mode_figures import frame_of
 from sphrom.plots.canvas import (
     DIFFERENCE_MAP,
@@ -88,6 +88,7 @@ def run(context: StageContext) -> None:
     workspace.require(workspace.comparison())
     tables, about = Tables.read(workspace)
     case, answer, out = context.case, find_answer(workspace, tables), workspace.out
+    made_by = f"sphrom compare {context.words}"
     contents = yaml.safe_load((files("sphrom.report") / "contents.yaml").read_text("utf-8"))
     captions = contents["points"] | _measure_captions(case)
     points = {"Predicted": case.plan.test_points, "Trained": case.plan.train_points}
@@ -107,11 +108,11 @@ def run(context: StageContext) -> None:
     sweep = {beside(workspace.sweep().path, k, "png").name: text for k, text in FIGURES.items()}
     sections = [
         *shown.items(),
-        ("Errors", list(_tables(out / "tables", contents["tables"]))),
-        ("Modes", [*modes, *_spectrum(out / "tables" / "singular_values.csv")]),
-        *((study["title"], _study(out / study["folder"], study)) for study in contents["studies"]),
+        ("Errors", list(_tables(out / "tables", contents["tables"], made_by))),
+        ("Modes", [*modes, *_spectrum(out / "tables" / "singular_values.csv", made_by)]),
+        *((study["title"], _study(context, study)) for study in contents["studies"]),
         ("Uncertainty", list(_pictures(out, sweep))),
-        ("Costs", list(_tables(out / "tables", contents["costs"]))),
+        ("Costs", list(_tables(out / "tables", contents["costs"], made_by))),
         ("The case", _case_parts(case, case.text)),
     ]
     footer = (
@@ -139,8 +140,7 @@ def _headline(answer: Answer) -> Html:
     if timing is not None and timing.reduced_seconds is not None:
         figures.append(("a run takes", duration(timing.reduced_seconds)))
     if timing is not None and timing.speed_up is not None:
-        runs = f"{format_figure(timing.speed_up, DIGITS)} runs"
-        figures.append(("the full run takes as long as", runs))
+        figures.append(("the full run takes as long as", f"{timing.times} runs"))
     if answer.pays_from is not None:
         figures.append(("it pays from", f"{answer.pays_from} runs on"))
     return headline(figures, list(answer.sentences()))
@@ -218,13 +218,14 @@ def _pictures(
             yield picture(content, before + caption, before + caption + told)
 
 
-def _study(folder: Path, study: Mapping[str, Any]) -> list[Html]:
+def _study(context: StageContext, study: Mapping[str, Any]) -> list[Html]:
     """Return figures and tables of a study, if it was made."""
-    tables = _tables(folder, study["tables"], study["made_by"])
+    folder, made_by = context.out / study["folder"], f"{study['made_by']} {context.words}"
+    tables = _tables(folder, study["tables"], made_by)
     return [*_pictures(folder, study["figures"]), *tables]
 
 
-def _tables(folder: Path, captions: Mapping[str, str], made_by: str = MADE_BY) -> Iterator[Html]:
+def _tables(folder: Path, captions: Mapping[str, str], made_by: str) -> Iterator[Html]:
     for key, caption in captions.items():
         name, _, part = key.partition(" ")
         path = folder / f"{name}.csv"
@@ -235,9 +236,9 @@ def _tables(folder: Path, captions: Mapping[str, str], made_by: str = MADE_BY) -
             yield _table(caption, headings, rows, [*described, *kept])
 
 
-def _spectrum(path: Path) -> Iterator[Html]:
+def _spectrum(path: Path, made_by: str) -> Iterator[Html]:
     if path.exists():
-        headings, rows = read_csv(path, MADE_BY, SpectrumRow)
+        headings, rows = read_csv(path, made_by, SpectrumRow)
         number = headings.index("n_modes")
         shown = [row for row in rows if row[number] in map(str, SHOWN_VALUES)]
         caption = "Singular values, and the share of the first modes."

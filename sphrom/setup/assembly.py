@@ -37,10 +37,11 @@ def initial_fields(case: Case, point: ParameterPoint, position: Array) -> tuple[
 
 
 def inner_product(case: Case) -> InnerProduct:
-    """Return the inner product of the trial basis."""
+    """Return the product in which the modes of the case are orthonormal."""
+    product = InnerProduct.raw(case.fluid.reference_density)
     if case.basis.inner_product == "acoustic":
-        return InnerProduct.acoustic(case.fluid.reference_density, case.plan.sound_speed)
-    return InnerProduct.raw(case.fluid.reference_density)
+        product = InnerProduct.acoustic(case.fluid.reference_density, case.plan.sound_speed)
+    return product.without_mean() if case.plan.separate_mean_density else product
 
 
 def run_attributes(case: Case, point: ParameterPoint, time_step: float) -> dict[str, object]:

@@ -40,19 +40,21 @@ NAME: Any = {
 """The look of a name in the picture."""
 
 
-def run(context: StageContext, output: Path | None = None) -> None:
-    """Draw a case's geometry into a file, by default `<name of the case>.png`.
+def run(context: StageContext, output: Path | None = None, folder: Path | None = None) -> None:
+    """Draw a case's geometry into a file, by default `<name of the case>.png` in a folder or here.
 
     Raises CaseError when the file's name ends in no known format, or the file is there already and
     may not be written over; ArtifactError when it can't be written.
     """
     case = context.case
-    path = output or Path(f"{case.name}.png")
+    path = output or (folder or Path()) / f"{case.name}.png"
     if path.suffix.lower() not in FORMATS:
         raise CaseError(f"--output: must end in {' or '.join(FORMATS)}; got {path}")
     if path.is_dir() or (path.exists() and not context.force):
         what = "is a folder" if path.is_dir() else "is there already; --force writes over it"
         raise CaseError(f"{path}: {what}")
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
     save(draw(case), path)
     context.report.info(f"wrote {path}")
 

@@ -165,7 +165,7 @@ def sampler(case: Case, points: Array) -> ReferenceMap:
 
 
 class MeasuredFields:
-    """Fields of particles, interpolated to where they are measured: affine in the fields.
+    """Fields where they are measured, those of particles interpolated: affine in the fields.
 
     On walls fluid has their velocity. By what the interpolation misses it there, places are
     corrected: in full on the wall, and not at all from a spacing away. Flow rates aren't: particles
@@ -187,7 +187,9 @@ class MeasuredFields:
         for flow in per_unit.values():
             varies |= (flow.wall_velocity(beyond) != self._walls).any(axis=1)
         self._share = np.where(varies, 0.0, 1.0 - distance[near] / spacing)[:, None]
-        self._sample = sampler(case, np.concatenate((places, on_walls)))
+        self.position = np.concatenate((places, on_walls))
+        """(n_positions, 2) [m] where fields are wanted."""
+        self._sample = sampler(case, self.position)
 
     @classmethod
     def of(cls, case: Case) -> MeasuredFields | None:
@@ -203,10 +205,13 @@ class MeasuredFields:
         Raises UnstableError where too few particles are near a place.
         """
         try:
-            density, found = self._sample(position, density_fluctuation, velocity)
+            return self.of_fields(*self._sample(position, density_fluctuation, velocity))
         except ValueError as error:
             raise UnstableError(f"unstable where fields are measured: {error}") from error
-        pressure = pressure_of(density, self._sound_speed)
+
+    def of_fields(self, density_fluctuation: Array, velocity: Array) -> dict[str, Quantities]:
+        """Return by name what is measured of fields (n_positions[, 2]) at `position`."""
+        found, pressure = velocity.copy(), pressure_of(density_fluctuation, self._sound_speed)
         ends = np.cumsum([len(measure.position) for measure in self.measures.values()])
         found[self._near] += self._share * (self._walls - found[ends[-1] :])
         # What is left over is on walls.

@@ -294,8 +294,7 @@ class FixedPoints:
 
     @property
     def _beside_walls(self) -> GhostSums:
-        if self._ghosts is None:
-            raise ValueError("there are no walls")
+        assert self._ghosts is not None
         return self._ghosts
 
 

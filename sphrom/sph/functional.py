@@ -200,13 +200,10 @@ class Functional:
         force on a wall is the sum over its ghosts. The viscous part has the stress mu du/dn: along
         a wall at rest it is the whole, and along one that turns the torque lacks -2 mu times its
         angular velocity and the area that it encloses.
-
-        Raises ValueError where there are no walls.
         """
         force = None if self.body_force is None else self.body_force(state[:2], time)
         _, walls, *_ = self._first_sums(state[:2], state[2], state[3:], force, time)
-        if walls is None:
-            raise ValueError("there are no walls")
+        assert walls is not None
         return walls.forces(self._fluid_constants)
 
     def _wall_terms(self, source: Array, force: Array | None, time: float) -> WallTerms | None:

@@ -162,17 +162,13 @@ class PolygonDomain(Domain):
     @cached_property
     def outline(self) -> WallSearch:
         """The walls, listed by cells of the box."""
-        return self._listed(max(self.lengths) / N_CELLS, 0.0)
+        return self.wall_search(0.0)
 
     def wall_search(self, particle_spacing: float) -> WallSearch:
         """Return what finds particles' distances from walls at every substep."""
         width = max(particle_spacing, max(self.lengths) / N_CELLS)
-        return self._listed(width, LISTED * particle_spacing)
-
-    def _listed(self, cell_width: float, reach: float) -> WallSearch:
-        margin = MARGIN * cell_width
-        lower, upper = np.subtract(self.lower, margin), np.add(self.upper, margin)
-        return list_by_cell(self._segments[0], lower, upper, cell_width, reach)
+        lower, upper = np.subtract(self.lower, MARGIN * width), np.add(self.upper, MARGIN * width)
+        return list_by_cell(self._segments[0], lower, upper, width, LISTED * particle_spacing)
 
     @cached_property
     def _segments(self) -> tuple[Array, Indices]:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -22,8 +21,6 @@ if TYPE_CHECKING:
 Item = Mapping[str, NDArray[Any]]
 """One snapshot: what goes into each dataset of a trajectory."""
 
-STEPS_IN_BLOCK = 10
-"""Steps that are timed together: neighbours are searched in some of them only."""
 DENSITY_LIMIT = 0.1
 """Largest |rho - rho_0| / rho_0: ten times what a weakly compressible flow may show."""
 
@@ -128,24 +125,6 @@ class Clock:
     """Adds up the time of the steps alone: not that of compiling, looking or writing."""
 
     seconds: float = 0.0
-    least_step: float = math.inf
-    """What a step takes [s], the least mean of a block of steps: other programs disturb some."""
-    _block: list[float] = field(default_factory=list)
-
-    @contextmanager
-    def running(self) -> Iterator[None]:
-        """Count the time until the end of the block."""
-        started = time.perf_counter()
-        yield
-        self._block.append(time.perf_counter() - started)
-        self.seconds += self._block[-1]
-        if len(self._block) == STEPS_IN_BLOCK:
-            self.least_step = min(self.least_step, sum(self._block) / STEPS_IN_BLOCK)
-            self._block.clear()
-
-    def undisturbed(self, n_steps: int) -> float:
-        """Return what so many steps take [s] as far as they were not disturbed."""
-        return n_steps * self.least_step if math.isfinite(self.least_step) else self.seconds
 
 
 def march(
@@ -183,8 +162,9 @@ def march(
         keep, before = step % steps.every == 0, state
         try:
             if step > 0:
-                with clock.running():
-                    state = watched_step(model.rates, state, steps, step)
+                started = time.perf_counter()
+                state = watched_step(model.rates, state, steps, step)
+                clock.seconds += time.perf_counter() - started
                 advance(1)
             if keep:
                 state = model.wrapped(state)

@@ -279,7 +279,7 @@ def integrate(
                 checkpoints.add(item)
         except UnstableError as error:
             failure = error
-    trajectory.finish(failure, clock.seconds, checkpoints.seconds, clock.least_step)
+    trajectory.finish(failure, clock.seconds, checkpoints.seconds)
     return failure
 
 

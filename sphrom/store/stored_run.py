@@ -1,7 +1,8 @@
 """The fields of stored runs, full and reduced: on their own points, and at any places.
 
 This is the one way from the artifact of a run to a field at a place. Particles are sampled by
-moving least squares, coordinates by the splines of their modes.
+moving least squares, coordinates by the splines of their modes. What runs measure at places has the
+same values; within a spacing of walls it takes in their velocity.
 """
 
 from __future__ import annotations

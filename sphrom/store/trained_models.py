@@ -25,19 +25,13 @@ from sphrom.reduction.held_out import best_size
 from sphrom.reduction.mode_splines import ModeSplines, first_modes
 from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure
 from sphrom.reduction.reduced_operators import ReducedOperators
-from sphrom.reduction.trial_basis import InnerProduct, TrialBasis, project, truncate
+from sphrom.reduction.trial_basis import TrialBasis, project, truncate
 from sphrom.setup import assembly
 from sphrom.store.trajectory import totals
 from sphrom.store.workspace import Workspace
 
 N_BLOCK_SNAPSHOTS = 16
 """Snapshots that are projected at once."""
-
-
-def inner_product(workspace: Workspace) -> InnerProduct:
-    """Return the product in which the modes of the case are orthonormal."""
-    product = assembly.inner_product(workspace.case)
-    return product.without_mean() if workspace.case.plan.separate_mean_density else product
 
 
 def read_points(workspace: Workspace) -> Array:
@@ -48,7 +42,7 @@ def read_points(workspace: Workspace) -> Array:
 
 def read_basis(workspace: Workspace, name: str) -> TrialBasis:
     """Read one trial basis."""
-    product = inner_product(workspace)
+    product = assembly.inner_product(workspace.case)
     with workspace.open(workspace.basis()) as artifact:
         return read_record(
             artifact,

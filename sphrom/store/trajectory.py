@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
@@ -159,19 +158,16 @@ class TrajectoryWriter:
         failure: UnstableError | None,
         seconds: float | None,
         checkpoint_seconds: float = 0.0,
-        least_step: float = math.inf,
     ) -> None:
         """Say how the run ended, and how long its time steps and its checkpoints took [s].
 
-        `seconds` is None where nobody knows, `least_step` what a step takes at its fastest.
+        `seconds` is None where nobody knows.
         """
         self._artifact.annotate("status", "complete" if failure is None else "unstable")
         if failure is not None:
             self._artifact.annotate("status_detail", str(failure))
         if seconds is not None:
             self._artifact.annotate("timing/integration", seconds)
-        if math.isfinite(least_step):
-            self._artifact.annotate("timing/least_step", least_step)
         self._artifact.annotate("timing/checkpoints", checkpoint_seconds)
 
 

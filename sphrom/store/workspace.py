@@ -21,6 +21,7 @@ from sphrom.artifacts import (
     open_artifact,
     probe,
 )
+from sphrom.artifacts.inspection import Fault, inspect, open_file
 from sphrom.case.fields import Section
 from sphrom.case.models import VERSIONS, inputs_digest, section_inputs, stated
 from sphrom.case.points import ParameterPoint
@@ -121,16 +122,23 @@ class Workspace:
     def must_make(self, target: Target) -> bool:
         """Return whether a stage is to make an artifact, and say why not.
 
-        Raises ArtifactError when it is there but not valid, and may not be overwritten.
+        Raises ArtifactError when it is there but not valid, and may not be overwritten, as what was
+        imported never is.
         """
         if target.path.is_dir():
             raise ArtifactError(f"{target.path} is a folder where an artifact has to be: remove it")
-        if self.context.force and not self.context.keep_valid:
+        command = self._import_command(target)
+        if self.context.force and not self.context.keep_valid and command is None:
             return True
         reason = self.reason_to_make(target)
         if reason is None:
             self.context.report.info(f"{target.path.name}: there, and of this case: kept")
             return False
+        if command is not None:
+            raise ArtifactError(
+                f"{target.path} {reason}; it was imported, and no simulation replaces it: import "
+                f"it again with `{command}`"
+            )
         if target.path.exists() and not self.context.force:
             self._require_parents(target)
             raise ArtifactError(f"{target.path} {reason}; `--force` makes it anew")
@@ -142,12 +150,27 @@ class Workspace:
         """Raise ArtifactError, naming the first cause, unless an artifact is there and valid."""
         if (reason := self.reason_to_make(target)) is not None:
             self._require_parents(target)
-            remedy = (
-                f"make it with `{target.made_by}`, or all that is missing with `sphrom run CASE`"
-            )
+            everything = f"all that is missing with `sphrom run {self.context.words}`"
+            remedy = f"make it with `{target.made_by}`, or {everything}"
             if target.path.exists():
-                remedy = f"make it again with `{target.made_by} --force`"
+                command = self._import_command(target) or f"{target.made_by} --force"
+                remedy = f"make it again with `{command}`"
             raise ArtifactError(f"{target.path} {reason}; {remedy}")
+
+    def imported(self, target: Target) -> dict[str, str]:
+        """Return what an artifact says of its import; nothing where it was made here or damaged."""
+        try:
+            with open_file(target.path) as file:
+                said = inspect(file).attributes
+        except Fault:
+            return {}
+        return {name: str(value) for name, value in said.items() if name.startswith("imported/")}
+
+    def _import_command(self, target: Target) -> str | None:
+        """Return the command that imports a full run again; None for what stages here make."""
+        said = self.imported(target) if target.stage == "fom" else {}
+        files = said.get("imported/files")
+        return files and f"sphrom import {self.context.words} {files} --force"
 
     def _require_parents(self, target: Target) -> None:
         """Raise ArtifactError when an input that is still there is not valid."""
@@ -374,7 +397,7 @@ class Workspace:
             path=self.context.folders.get(kind.schema, self.out) / kind.name.format(label),
             schema=f"sphrom/{kind.schema}",
             stage=kind.stage,
-            made_by=f"sphrom {kind.stage} CASE",
+            made_by=f"sphrom {kind.stage} {self.context.words}",
             inputs_digest=inputs_digest(inputs),
             parents=parents,
             sections=sections.union(*(parent.sections for parent in parents.values())),

@@ -121,7 +121,7 @@ def run(
     if shard is not None and (left := results.missing(points)):
         context.report.info(
             f"{len(points) - len(left)} of {len(points)} runs are done; the last shard gathers "
-            "them, or `sphrom sweep CASE --collect`"
+            f"them, or `sphrom sweep {context.words} --collect`"
         )
         show_lost(context.report, failed)
         raise_failed(failed)

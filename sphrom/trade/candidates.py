@@ -22,16 +22,13 @@ from sphrom.case.study_sections import TradeSection
 from sphrom.errors import CaseError, UnstableError
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.offline import fom, operators
-from sphrom.setup import particles
 from sphrom.setup.context import StageContext
-from sphrom.sph.time_loop import Clock, TimeSteps, march
+from sphrom.sph.time_loop import TimeSteps
 from sphrom.store.stored_run import StoredRun
 from sphrom.store.workspace import Workspace
 
 FOLDER = "trade"
 """Of a trade, below that of the case's artifacts."""
-N_TIMED_STEPS = 10
-"""Steps of the full model that are timed at once."""
 SIZES = (2, 5, 10, 20, 50)
 """Default numbers of modes, as far as the basis has as many."""
 MOST_CLOSED_MODES = 20
@@ -215,26 +212,6 @@ def make(variant: Workspace, label: str, points: Sequence[ParameterPoint]) -> li
             variant.context.report.warn(f"{label}, {point.label}: {error}")
             unstable.append(point)
     return unstable
-
-
-def seconds_of_run(workspace: Workspace, point: ParameterPoint, repeats: int) -> float:
-    """Return how long a full run takes on this machine now [s].
-
-    Some steps are timed several times, from the run's start, and the least counts for all. The cost
-    of a step doesn't depend on parameters.
-    """
-    case, plan = workspace.case, workspace.case.plan.steps
-    state = fom.start(workspace, point).state
-    n_steps = min(N_TIMED_STEPS, plan.n_steps)
-    steps = TimeSteps(plan.time_step, n_steps, n_steps, plan.start_time, check_every=n_steps)
-    model, density = particles.functional(case, point), case.fluid.reference_density
-    each = []
-    for _ in range(repeats):
-        clock = Clock()
-        for _ in march(model, state, steps, density, clock, lambda done: None):
-            pass
-        each.append(clock.seconds / n_steps)
-    return min(each) * plan.n_steps
 
 
 def sampled(

@@ -25,7 +25,7 @@ from sphrom.metrics.samples import Samples
 from sphrom.offline import fit_psi, fom, operators, pod
 from sphrom.offline import map as mapping
 from sphrom.online.fast_model import FastModel, FastRun
-from sphrom.plots.canvas import plain_logarithmic, save
+from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Panel, draw_grid
 from sphrom.plots.tables import about, format_figure, write_csv, write_json
 from sphrom.reduction.reference_model import Integrator, runge_kutta
@@ -385,10 +385,10 @@ def draw_extremes(rows: Sequence[ExtremeRow]) -> Figure:
     panels = []
     for title, some in _maps(rows).items():
         curves = []
-        for state in STATES:
+        for k, state in enumerate(STATES):
             places = [(row.value, row.n_modes) for row in some if row.state == state]
             values, modes = np.array(places, dtype=float).reshape(-1, 2).T
-            curves.append(Curve(state, values, modes, "reference"))
+            curves.append(Curve(state, values, modes, "reference", place=k))
         label = AXES[some[0].varied].label
         panels.append(Panel(title, label, "modes M [–]", curves, "both logarithmic"))
     figure = draw_grid([panels[k : k + IN_A_ROW] for k in range(0, len(panels), IN_A_ROW)])
@@ -396,5 +396,4 @@ def draw_extremes(rows: Sequence[ExtremeRow]) -> Figure:
         for line in axes.get_lines():
             line.set(markersize=MARKER, markevery=1)
         axes.margins(0.1)
-        plain_logarithmic(axes.yaxis, *axes.get_ylim())
     return figure

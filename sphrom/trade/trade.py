@@ -16,7 +16,16 @@ import numpy as np
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.compare.costs import is_imported, known_seconds, offline_seconds
+from sphrom.case.study_sections import FULL
+from sphrom.compare.costs import (
+    N_TIMED_STEPS,
+    full_run_timer,
+    is_imported,
+    known_seconds,
+    largest_step,
+    offline_seconds,
+    taking_turns,
+)
 from sphrom.errors import CaseError
 from sphrom.metrics.histories import EXACT, Errors, compare, errors_of
 from sphrom.metrics.measures import errors_of as relative_errors
@@ -24,7 +33,7 @@ from sphrom.metrics.measures import mean_square
 from sphrom.metrics.samples import Samples
 from sphrom.online.error_estimates import measured_errors, measured_shares
 from sphrom.online.fast_model import FastModel, FastRun
-from sphrom.plots.canvas import plain_logarithmic, save
+from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Panel, draw_grid
 from sphrom.plots.tables import (
     UNKNOWN,
@@ -42,7 +51,7 @@ from sphrom.store.trajectory import require_complete
 from sphrom.store.workspace import Workspace
 from sphrom.text import counted
 from sphrom.trade import candidates as weighed_models
-from sphrom.trade.candidates import FOLDER, N_TIMED_STEPS, STEP_FACTORS, candidates, trade_points
+from sphrom.trade.candidates import FOLDER, STEP_FACTORS, candidates, trade_points
 from sphrom.trade.weighing import (
     ESTIMATE,
     FRONTS,
@@ -65,8 +74,8 @@ Rows = tuple[ModelRow, list[RunRow]]
 
 MARGIN = 0.2
 """Around models, for their names, over the axis."""
-GAIN = 0.95
-"""The largest error over that of the point named before, for a point to be named."""
+APART = (0.2, 0.05)
+"""How far the names of points are from each other, across or up, over the axes."""
 ON_FRONT = "*"
 """Marks an error that no model gives in less time."""
 HEADINGS = ("offline [s]", "online [s]", "speed-up", "break-even", "no better than")
@@ -120,24 +129,25 @@ class _Trade:
     def _sampled(self, workspace: Workspace, point: ParameterPoint) -> Samples:
         return weighed_models.sampled(workspace, point, self.probes, self.case.trade.measure)
 
-    def _full_seconds(self, workspace: Workspace) -> float:
-        return weighed_models.seconds_of_run(
-            workspace, next(iter(self.full)), self.case.trade.repeats
-        )
+    def _full_seconds(self, workspace: Workspace, step: float) -> float:
+        """Return how long a full run in steps of a length [s] takes on this machine now [s]."""
+        timer = {FULL: full_run_timer(workspace, next(iter(self.full)), step)}
+        return float(taking_turns(timer, self.case.trade.repeats)[FULL].min())
 
     def results(self) -> Results:
         """Run everything, and return the rows of all models, the case's own full run first."""
-        first = next(iter(self.full))
+        first, step = next(iter(self.full)), largest_step(self.case)
         with self.workspace.open(self.workspace.full_run(first)) as artifact:
             imported, own_seconds = is_imported(artifact), known_seconds(artifact)
         if not imported:  # Its steps are timed anew, as those of other full runs are.
-            own_seconds = self._full_seconds(self.workspace)
+            own_seconds = self._full_seconds(self.workspace, step)
+        self.full_seconds = own_seconds
         own = ModelRow(
             model="full, as in the case",
             family="full",
             kind="full",
             resolution=self.case.discretization.resolution,
-            time_step=self.case.plan.steps.time_step,
+            time_step=self.case.plan.steps.time_step if imported else step,
             online_seconds=own_seconds,
             errors={**EXACT, **self._measured_errors(first, self.full[first])},
         )
@@ -157,8 +167,8 @@ class _Trade:
         """Make the full runs of a variant, and return its rows."""
         workspace = weighed_models.workspace_of(self.workspace, variant)
         unstable = weighed_models.make(workspace, label, list(self.full))
-        seconds = None if unstable else self._full_seconds(workspace)
         runs, step = [], variant.plan.steps.time_step
+        seconds = None if unstable else self._full_seconds(workspace, step)
         for point in self.full:
             samples = None if point in unstable else self._sampled(workspace, point)
             runs.append(
@@ -185,7 +195,7 @@ class _Trade:
         family = "APG" if section.projection == "apg" else "Galerkin, calibrated"
         label = f"{family}, M = {section.size}" + (f", {factor} dt" if factor > 1 else "")
         runs = [self._fast(fast, label, factor, point) for point in self.full]
-        offline, training = offline_seconds(self.wider, section, list(self.full))
+        offline, training = offline_seconds(self.wider, section, list(self.full), self.full_seconds)
         row = ModelRow.of(
             runs,
             family=family,
@@ -290,9 +300,9 @@ def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None)
 def timed_words(case: Case) -> str:
     """Return how the seconds of a run are measured, in words."""
     text = (
-        f"online is a run of {case.plan.recorded_time:g} s, without reading and writing: the least "
-        f"of {counted(case.trade.repeats, 'time')}, of full runs {N_TIMED_STEPS} steps from the "
-        "start, of reduced runs all"
+        f"online is a run of {case.plan.recorded_time:g} s on one thread, without reading and "
+        f"writing: the least of {counted(case.trade.repeats, 'time')}, of full runs by "
+        f"{N_TIMED_STEPS} steps, the case's own at its largest stable step"
     )
     if case.time.spin_up == 0.0:
         return text
@@ -335,18 +345,18 @@ def draw_trade(results: Results) -> Figure:
     """Return errors against seconds of a run with their Pareto fronts, a panel for each quantity.
 
     It shows the stable models, but for the full run that they are compared with, and alternatives
-    without a model. Named are the last point of a front and earlier ones that gain in accuracy.
+    without a model. Named are the points of a front, from the last one on, whose names stay apart.
     """
     quantities = results.measure.quantities
     panels = [_panel(results, quantity) for quantity in quantities]
     figure = draw_grid([panels], title=results.measure.words)
     for axes, quantity in zip(figure.axes, quantities, strict=True):
         axes.margins(x=MARGIN, y=MARGIN)
-        plain_logarithmic(axes.yaxis, *axes.get_ylim())
-        least, front = float("inf"), _front(results, quantity)
-        for seconds, error, row in front:
-            if error < GAIN * least or row is front[-1][2]:
-                least, name = error, row.model.removeprefix(f"{row.family}, ")
+        shares, last = axes.transScale + axes.transLimits, np.full(2, np.inf)
+        for seconds, error, row in _front(results, quantity)[::-1]:
+            at = shares.transform((seconds, error))
+            if (np.abs(at - last) > APART).any():
+                last, name = at, row.model.removeprefix(f"{row.family}, ")
                 where: Any = {"textcoords": "offset points", "fontsize": 7.5}
                 axes.annotate(name, (seconds, error), (4, 4), **where)
     return figure
@@ -356,9 +366,10 @@ def _panel(results: Results, quantity: str) -> Panel:
     measure, places = results.measure, _places(results, quantity)
     own_seconds = results.rows[0].online_seconds
     curves = []
-    for family in dict.fromkeys(row.family for *_, row in places):
-        x, y = np.array([(s, e) for s, e, row in places if row.family == family]).T
-        curves.append(Curve(family, x, y, "reference"))
+    for k, family in enumerate(dict.fromkeys(row.family for row in results.rows[1:])):
+        own = [(s, e) for s, e, row in places if row.family == family]
+        x, y = np.array(own, dtype=float).reshape(-1, 2).T
+        curves.append(Curve(family, x, y, "reference", place=k))
     if front := _front(results, quantity):
         # Steps: no model between two of them is better than the slower one.
         x, y = np.array([place[:2] for place in front]).T
@@ -370,7 +381,7 @@ def _panel(results: Results, quantity: str) -> Panel:
     errors = [e for _, e, _ in places]
     if own_seconds is not None and errors:
         ends = np.array([min(errors), max(errors)])
-        curves.append(Curve("full run", np.full(2, own_seconds), ends, "full"))
+        curves.append(Curve("the case's full run", np.full(2, own_seconds), ends, "full"))
     label = f"{quantity.replace('_', ' ')}, error [%]"
     return Panel("", "seconds of a run [s]", label, curves, "both logarithmic")
 

@@ -239,11 +239,9 @@ def weighed(
             beaten_by=next(better, None),
         )
 
-    found = [gains(own)]
-    for k, row in enumerate(others):
-        on = {name: front[k] for name, front in fronts.items()}
-        found.append(replace(gains(row), fronts=on))
-    return found
+    on = [{name: front[k] for name, front in fronts.items()} for k in range(len(others))]
+    placed = [replace(gains(row), fronts=each) for row, each in zip(others, on, strict=True)]
+    return [gains(own), *placed]
 
 
 def pareto_front(costs: Sequence[tuple[float, float] | None]) -> list[bool]:

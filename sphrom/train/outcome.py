@@ -161,7 +161,8 @@ def publish(
     )
     (report.info if outcome.ending == "within" else report.warn)(_statement(outcome))
     report.info(f"tables, training.json and training.png are in {folder}")
-    following = f"sphrom run {case_file}"
+    _, option, out = workspace.context.words.partition(" --out ")
+    following = f"sphrom run {case_file}{option}{out}"
     if kept:
         following += f" --force, which makes {', '.join(kept)} again for them; full runs stay"
     report.info(f"the case with the {len(points)} points: {case_file}; next: {following}")

@@ -21,12 +21,11 @@ from numpy.typing import NDArray
 
 from sphrom.arrays import Array
 from sphrom.case.checks import case_problems
-from sphrom.case.loader import case_of_text
-from sphrom.case.models import Case
+from sphrom.case.models import resolved_yaml
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import Region, fast_model, percent, trained_at
-from sphrom.errors import ArtifactError, CaseError, UnstableError, error_of
+from sphrom.errors import CaseError, UnstableError, error_of
 from sphrom.metrics.histories import TIME_TOLERANCE
 from sphrom.offline import fit_psi, fom, operators, pod
 from sphrom.offline import map as map_stage
@@ -95,10 +94,12 @@ def run(
     case = context.case.model_copy(update={"training": section})
     training = _Training(replace(context, case=case), workers, scheduler)
     path = write_case or training.workspace.folder(FOLDER) / CASE_FILE
-    _check_case_file(path, case, training.starts)
+    if not path.parent.is_dir():
+        raise CaseError(f"--write-case: {path.parent} is no folder")
+    require_writable(path)
     outcome = training.run()
     found = trained_at(case, outcome.stages[-1].points)
-    write_whole(path, found.text.encode())
+    write_whole(path, resolved_yaml(found, path.parent).encode())
     publish(training.workspace, outcome, path, training.share(outcome.stages[-1].points))
     if failed := [run for stage in outcome.stages for run in stage.held_out if run.failure]:
         labels = ", ".join(run.point.label for run in failed)
@@ -106,22 +107,6 @@ def run(
             f"{len(failed)} of the chosen full runs became unstable and were left out: {labels}; "
             "nothing is promised near them"
         )
-
-
-def _check_case_file(path: Path, case: Case, points: Sequence[ParameterPoint]) -> None:
-    """Raise CaseError unless a case, trained at some points, can be written and read there."""
-    if not path.parent.is_dir():
-        raise CaseError(f"--write-case: {path.parent} is no folder")
-    try:
-        require_writable(path)
-        case_of_text(trained_at(case, points).text, path.parent)
-    except ArtifactError as error:
-        raise CaseError(f"--write-case: {error}") from error
-    except CaseError as error:
-        raise CaseError(
-            "--write-case: the case names files beside it, so name a file in "
-            f"{case.folder}; in {path.parent} it can't be read"
-        ) from error
 
 
 class _Training:

@@ -9,7 +9,7 @@ import pytest
 import sphrom
 from sphrom.case.hints import case_warnings
 from sphrom.case.loader import load_case
-from sphrom.case.models import VERSIONS, Case, inputs_digest, section_inputs
+from sphrom.case.models import VERSIONS, Case, inputs_digest, resolved_yaml, section_inputs
 from sphrom.case.schema import json_schema, key_paths, node_at
 from sphrom.case.studies import sweep_model, sweep_points
 from sphrom.case.template import new_case, scene_kinds
@@ -52,10 +52,10 @@ def test_cavities_of_the_paper_are_as_printed_but_for_walls_and_steps(scene):
 @pytest.mark.parametrize("path", CASES, ids=lambda path: path.stem)
 def test_resolved_case_loads_back_equal(path, tmp_path):
     case = load_case(path)
-    (tmp_path / "case.yaml").write_text(case.text, encoding="utf-8")
+    (tmp_path / "case.yaml").write_text(resolved_yaml(case), encoding="utf-8")
     again = load_case(tmp_path / "case.yaml")
     assert again == case
-    assert again.text == case.text
+    assert resolved_yaml(again) == resolved_yaml(case)
 
 
 @pytest.mark.parametrize("kind", scene_kinds())
@@ -65,11 +65,22 @@ def test_template_loads_and_explains_every_key(kind, tmp_path):
     case = load_case(tmp_path / "case.yaml")
     assert case.scene.kind == kind
     assert case_warnings(case) == []
-    assert max(map(len, text.splitlines())) <= 100
+    assert max(map(len, text.splitlines())) <= 80
     lines = text.splitlines()
     for path in own_paths(kind):
         line = next(n for n, found in enumerate(lines) if found.strip().startswith(f"{path[-1]}:"))
         assert lines[line - 1].strip().startswith("#"), path
+
+
+def test_template_of_custom_shows_every_key_of_shapes_and_measures():
+    text, sections = new_case("custom", full=True), json_schema()["$defs"]
+    names = ["CustomScene"]
+    for name in names:  # which grows
+        found = re.findall(r"#/\$defs/(\w+)", json.dumps(sections[name]))
+        names += [each for each in dict.fromkeys(found) if each not in names]
+        for key in sections[name]["properties"]:
+            assert re.search(rf"[ .]{key}:", text), (name, key)
+    assert len(names) > 8
 
 
 def own_paths(kind):
@@ -93,7 +104,7 @@ def test_template_holds_the_defaults(kind, tmp_path):
 def test_short_template_is_short_and_leads_to_the_fast_model(kind, tmp_path):
     text = new_case(kind)
     assert len(text.splitlines()) <= 32
-    assert max(map(len, text.splitlines())) <= 100
+    assert max(map(len, text.splitlines())) <= 80
     (tmp_path / "case.yaml").write_text(text, encoding="utf-8")
     case = load_case(tmp_path / "case.yaml")
     assert case.scene.kind == kind

@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+import shapely
 import yaml
 
-from sphrom.case.loader import case_of_text, load_case
-from sphrom.case.models import Case, inputs_digest, section_inputs
+from sphrom.case.loader import case_of_text, given_keys, load_case
+from sphrom.case.models import Case, inputs_digest, resolved_yaml, section_inputs
 from sphrom.errors import CaseError
 
 SQUARE = "x,y,u,v,p\n0,0,0,1,5\n1,0,2,1,5\n0,1,4,1,5\n1,1,6,1,5\n"
@@ -20,16 +21,18 @@ SQUARE = "x,y,u,v,p\n0,0,0,1,5\n1,0,2,1,5\n0,1,4,1,5\n1,1,6,1,5\n"
 def load(tmp_path: Path):
     """Load a case that starts from a file of some content."""
 
-    def case(content: str | bytes | None, **initial: Any) -> Case:
+    def case(content: str | bytes | None, /, **given: Any) -> Case:
         if content is not None:
             data = content if isinstance(content, bytes) else content.encode()
             (tmp_path / "start.csv").write_bytes(data)
         scene = {
             "kind": "custom",
             "box": {"upper": [2, 1], "periodic": ["x", "y"]},
-            "initial": {"file": "start.csv", **initial},
+            "initial": {"file": "start.csv"},
+            **given,
         }
-        (tmp_path / "case.yaml").write_text(yaml.safe_dump({"name": "x", "scene": scene}))
+        keys = {"name": "x", "scene": scene, "snapshots": {"every": 1}}
+        (tmp_path / "case.yaml").write_text(yaml.safe_dump(keys))
         return load_case(tmp_path / "case.yaml")
 
     return case
@@ -58,9 +61,23 @@ def test_what_the_file_holds_is_part_of_what_is_made_from_it(load, tmp_path) -> 
     case, other = load(SQUARE), load(SQUARE.replace("6,1,5", "6,1,4"))
     digests = [inputs_digest(section_inputs(each, ["scene"])) for each in (case, other)]
     assert digests[0] != digests[1]
-    assert case_of_text(case.text) == case  # without its folder
+    assert case_of_text(resolved_yaml(case)) == case  # without its folder
     with pytest.raises(CaseError, match=r"start\.csv has changed"):
-        load(SQUARE, sha256="0" * 64)
+        load(SQUARE, initial={"file": "start.csv", "sha256": "0" * 64})
+
+
+def test_a_case_written_elsewhere_names_the_same_files(load, tmp_path: Path) -> None:
+    """Behind a link too, and with an outline that is larger than a case may be."""
+    (tmp_path / "disc.wkt").write_text(shapely.Point(5.0, 5.0).buffer(2.0, 2000).wkt)
+    solids = {"hole": {"union": [{"file": "disc.wkt"}]}}
+    case = load(SQUARE, box={"upper": [10, 10], "periodic": ["x", "y"]}, solids=solids)
+    (tmp_path / "far" / "away").mkdir(parents=True)
+    (folder := tmp_path / "link").symlink_to(tmp_path / "far" / "away")
+    given = yaml.safe_dump(given_keys(tmp_path / "case.yaml", (), folder))
+    for text in (resolved_yaml(case, folder), given):
+        (folder / "other.yaml").write_text(text)
+        other = load_case(folder / "other.yaml")
+        assert section_inputs(other, ["scene"]) == section_inputs(case, ["scene"])
 
 
 @pytest.mark.parametrize(
@@ -86,4 +103,4 @@ def test_files_that_hold_no_start(load, content, words: str) -> None:
 
 def test_expressions_beside_a_file_are_refused(load) -> None:
     with pytest.raises(CaseError, match="file takes the place of u, v and p"):
-        load(SQUARE, u=1.0)
+        load(SQUARE, initial={"file": "start.csv", "u": 1.0})

@@ -7,7 +7,7 @@ from typing import Any
 import yaml
 
 from sphrom.case.loader import case_of_text, load_case
-from sphrom.case.models import Case
+from sphrom.case.models import Case, resolved_yaml
 
 SCENE: dict[str, Any] = {
     "kind": "custom",
@@ -44,7 +44,7 @@ def test_measurements_by_kind() -> None:
 
 def test_a_case_that_measures_is_written_in_full_and_read_back() -> None:
     case = case_of(MEASURE)
-    text = case.text
+    text = resolved_yaml(case)
     assert yaml.safe_load(text)["scene"]["measure"]["flux"]["flow_rate"] == {
         "from": [3.0, 0.0],
         "to": [3.0, 1.0],

@@ -12,6 +12,8 @@ import pytest
 
 from sphrom import __version__, errors
 from sphrom.case.points import ParameterPoint
+from sphrom.cli.cases import cases
+from sphrom.cli.stage_commands import stages as studies
 
 COMMANDS = ["fom", "map", "pod", "fit-psi", "operators", "rom", "compare", "trade", "sweep"]
 EVERY_COMMAND = [
@@ -172,7 +174,7 @@ def test_force_insists_on_an_unstable_step(sphrom, stages, case_file, command):
         (errors.CaseError("one\ntwo"), 2, "error: one\nerror: two\n"),
         (errors.ArtifactError("no pod.h5"), 3, "error: no pod.h5\n"),
         (errors.UnstableError("at 0.3 s"), 4, "error: at 0.3 s\n"),
-        (KeyboardInterrupt(), 130, "interrupted\n"),
+        (KeyboardInterrupt(), 130, "interrupted; finished artifacts and checkpoints are kept: `"),
         (MemoryError(), 5, "error: out of memory"),
         (PermissionError(errno.EACCES, "Denied", "runs/x"), 3, "error: runs/x: Denied\n"),
         (OSError(errno.ENOSPC, "No space", "runs/x"), 5, "error: runs/x: No space\n"),
@@ -210,6 +212,17 @@ def test_help_shows_an_example_that_parses(sphrom, stages, command, monkeypatch,
         assert example_result.exit_code == 0, example_result.output
 
 
+def test_help_fits_a_terminal(sphrom, monkeypatch):
+    """No line is longer, no word is split, and no summary is cut."""
+    monkeypatch.setenv("COLUMNS", "80")
+    names = [c.name for c in studies.registered_commands]
+    names += [f"case {c.name or c.callback.__name__}" for c in cases.registered_commands]
+    for command in ("", "case", *names):
+        for line in sphrom(*command.split(), "--help").output.splitlines():
+            assert len(line) <= 80, (command, line)
+            assert not line.endswith(("-", "...")) or "Usage" in line
+
+
 def test_version(sphrom):
     assert sphrom("--version").output == f"sphrom {__version__}\n"
 
@@ -230,20 +243,18 @@ def test_new_case(sphrom, stages, tmp_path):
     assert (again.exit_code, "editor" in again.stdout) == (0, False)
 
 
-def test_log_is_where_it_is_asked_for(sphrom, stages, case_file, monkeypatch):
+def test_the_log_is_beside_the_artifacts(sphrom, stages, case_file, monkeypatch):
     def say(context):
         context.report.details.info("a detail")
         raise errors.ArtifactError("no pod.h5")
 
     monkeypatch.setattr(sys.modules["sphrom.recorder_fom"], "run", say)
-    result = sphrom("fom", case_file, "--log", "my.log")
+    Path("here").mkdir()
+    result = sphrom("fom", case_file, "--out", "here")
     assert (result.exit_code, result.stdout) == (3, "")
-    lines = [line.split("  ", 1)[1] for line in Path("my.log").read_text().splitlines()]
+    lines = [line.split("  ", 1)[1] for line in Path("here/sphrom.log").read_text().splitlines()]
     assert lines[0].startswith("$ sphrom")
     assert lines[1:] == ["a detail", "stopped: no pod.h5"]
-    refused = sphrom("fom", case_file, "--log", "no/such/folder.log")
-    assert refused.exit_code == 3
-    assert "no/such/folder.log: No such file" in refused.stderr
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["fom", "--help"], ["--version"]])

@@ -38,15 +38,3 @@ def complete(tmp_path, monkeypatch, case_file):
 )
 def test_words_are_completed(complete, line, expected):
     assert complete(line) == expected
-
-
-def test_case_files_here_and_below(complete, tmp_path):
-    below = tmp_path / "cases" / "more"
-    below.mkdir(parents=True)
-    (below / "one.yml").touch()
-    (tmp_path / "notes.txt").touch()
-    (tmp_path / ".hidden.yaml").touch()
-    assert complete("sphrom fom ") == ["cases/more/one.yml", "small.yaml"]
-    assert complete("sphrom fom ./sm") == ["./small.yaml"]
-    assert complete("sphrom fom cases/") == ["cases/more/one.yml"]
-    assert complete("sphrom fom nowhere/") == []

@@ -60,19 +60,34 @@ def test_other_exceptions_are_told_as_before(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("number", "code", "word"),
-    [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")],
+    ("number", "code", "asked", "told"),
+    [
+        (signal.SIGINT, 130, "fom C", "finished artifacts and checkpoints are kept: `C --resume`"),
+        (signal.SIGTERM, 143, "run C --out o", "and checkpoints are kept: `C --resume` goes on"),
+        (signal.SIGINT, 130, "trade C --force", "finished runs are kept: `C` goes on"),
+        (signal.SIGINT, 130, "fit C m.csv", "complete files are kept: `C` starts again"),
+        (signal.SIGINT, 130, "export C", "complete files are kept: `C --force` starts again"),
+    ],
 )
-def test_signals_have_exit_codes_of_their_own(sphrom, monkeypatch, number, code, word):
+def test_a_stopped_command_says_how_to_go_on(
+    sphrom, stages, case_file, monkeypatch, number, code, asked, told
+):
+    """With the exit code of its signal, and what is kept."""
+
     def work(*_, **__):
         os.kill(os.getpid(), number)
         time.sleep(10.0)
 
     before = signal.getsignal(signal.SIGTERM)
-    monkeypatch.setattr("sphrom.cli.options.run_stage", work)
-    result = sphrom("pod", "case.yaml")
+    stage, *others = asked.replace("C", str(case_file)).split()
+    monkeypatch.setattr("sphrom.stages.run_stage", work)
+    monkeypatch.setattr(sys, "argv", ["sphrom", stage, *others])
+    result = sphrom(stage, *others)
     assert result.exit_code == code
-    assert result.stderr == f"{word}\n"
+    command = f"sphrom {stage} {' '.join(o for o in others if o != '--force')}"
+    word = "terminated" if number == signal.SIGTERM else "interrupted"
+    assert result.stderr.startswith(f"{word}; ")
+    assert told.replace("C", command) in result.stderr
     assert signal.getsignal(signal.SIGTERM) is before
 
 

@@ -28,7 +28,9 @@ GO_ON = ("thousand-questions", "notebook")
 
 FENCE = re.compile(r"(?:`(?P<file>[\w.-]+)`:\n\n)?```(?P<kind>\w+)\n(?P<body>.*?)```\n", re.DOTALL)
 NUMBER = re.compile(r"\d[\d,]*(?:\.\d+)?(?:e[-+]?\d+)?")
-TIMED = re.compile(r"(?:about )?[\d,.]+(?:e[-+]?\d+)? (?:s|ms|µs|minutes|hours|times|runs on)\b")
+TIMED = re.compile(
+    r"(?:about )?[\d,.]+(?:e[-+]?\d+)?(?: \(.*\))? (?:s|ms|µs|minutes|hours|times|runs on)\b"
+)
 TOLERANCE = 0.1
 SECONDS = 240
 """What a command may take, kernels that have to be compiled included."""

@@ -159,7 +159,8 @@ def test_pressure_without_sounds_need_the_whole_window(cavity):
     late = compare(full, full, cavity, 1.0, PERIOD).without_sound
     assert len(late["pressure_line"].relative_l2) == 21 - (n_half - 1)
     assert compare(full, full, cavity, 0.0, 1.1).without_sound == {}
-    assert compare(full.until(6), full.until(6), cavity, 0.0, PERIOD).without_sound == {}
+    short = full.at(slice(6))
+    assert compare(short, short, cavity, 0.0, PERIOD).without_sound == {}
     assert compare(full, full, cavity, 0.0).without_sound == {}
 
 

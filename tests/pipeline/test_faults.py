@@ -22,8 +22,8 @@ NOBODY = 65534
 def missing(command):
     """Return what is said of a missing artifact: how to make it, and all others that are."""
     return (
-        f"is missing; make it with `sphrom {command} CASE`, or all that is missing with "
-        "`sphrom run CASE`"
+        f"is missing; make it with `sphrom {command} tiny.yaml`, or all that is missing with "
+        "`sphrom run tiny.yaml`"
     )
 
 
@@ -59,7 +59,7 @@ def test_an_input_is_missing_or_damaged(place, sphrom, refused, stage, damage):
         assert line == f"error: {place}/{name} {missing(command)}"
     else:
         assert line.startswith(f"error: {place}/{name} is ")
-        assert line.endswith(f"; make it again with `sphrom {command} CASE --force`")
+        assert line.endswith(f"; make it again with `sphrom {command} tiny.yaml --force`")
     assert sorted(place.iterdir()) == before
 
 
@@ -153,7 +153,7 @@ def test_large_files_may_go_once_they_are_used(place, sphrom, refused):
         result = sphrom(stage, "tiny.yaml")
         assert result.exit_code == 0, result.output
         assert "kept" in result.stdout
-    assert "make it with `sphrom fom CASE`" in refused(sphrom("compare", "tiny.yaml"))
+    assert "make it with `sphrom fom tiny.yaml`" in refused(sphrom("compare", "tiny.yaml"))
 
 
 def test_what_is_made_again_to_the_bit_changes_nothing(place, sphrom, digests):
@@ -175,9 +175,8 @@ def test_a_damaged_summary_is_told(place, sphrom, content):
         summary.write_text(content)
     result = sphrom("compare", "tiny.yaml")
     assert result.exit_code == 0
-    assert result.stderr == (
-        f"warning: {summary} is missing or damaged; `sphrom compare CASE --force` writes it again\n"
-    )
+    remedy = "`sphrom compare tiny.yaml --force` writes it again"
+    assert result.stderr == f"warning: {summary} is missing or damaged; {remedy}\n"
 
 
 def test_a_case_that_does_not_fit(empty, sphrom, refused):

@@ -55,7 +55,6 @@ EXPRESSIONS = [
 ARGUMENTS = [
     ("fom", "lid.yaml", "--out", ""),
     ("fom", ""),
-    ("fom", "lid.yaml", "--log", "pipe"),
     ("fom", "pipe"),
     ("fom", "lid.yaml", "--" + "x" * 5000),
     ("fom", "lid.yaml", "--only", "reynolds=" + "9" * 5000),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -90,7 +91,7 @@ def test_stages_go_on_from_what_pysph_wrote(case, sphrom) -> None:
     assert values[0] > 10.0 * values[1]
     with open_artifact(RUN, "sphrom/trajectory", made_by="import") as run:
         assert run.text("stage") == "import"
-        assert run.text("imported/files") == "taylor_green_00000.hdf5, ..., taylor_green_00040.hdf5"
+        assert run.text("imported/files").startswith(f"{PYSPH[0].parent}/taylor_green_*.hdf5 --")
         assert run.number("timing/integration") == 7.0
         found = run.read("measure/centre/velocity")
     flow = TaylorGreen(length=1.0, speed=1.0, reference_density=1.0, kinematic_viscosity=0.01)
@@ -294,20 +295,25 @@ def test_particles_in_another_order_are_not_interpolated(case, sphrom) -> None:
 @pytest.mark.parametrize("uneven", [False, True])
 def test_case_with_the_times_of_the_files_is_written_and_imported(case, sphrom, uneven) -> None:
     names = write_uneven() if uneven else write_npz()
-    end = 0.101 if uneven else 0.1
-    wrong = ("--set", "time.final_time=0.3")
-    assert sphrom("import", case, *names, *wrong).exit_code == 2
-    result = sphrom("import", case, *names, *wrong, "--write-case", "fitting.yaml")
-    assert result.exit_code == 0, result.output
+    end, says = 0.0948 if uneven else 0.1, "interpolated"
+    if not uneven:  # Many programs write a last file wherever they end.
+        names, says = [*names, "their_end.npz"], "1 of 4 snapshots are at no instant of the case"
+        np.savez(names[-1], **fields(0.1), time=0.113)
+    wrong = ("--set", "time.final_time=0.3", "--write-case", "fitting.yaml")
+    assert sphrom("import", case, *names, *wrong[:2]).exit_code == 2
+    assert sphrom("import", case, *names, *wrong, "--velocity", "a,b").exit_code == 3
+    assert not Path("fitting.yaml").exists()
+    result = sphrom("import", case, *names, *wrong)
+    assert (result.exit_code, says in result.stderr) == (0, True), result.output
     assert f"wrote fitting.yaml, with time.final_time={end} time.step=" in result.stdout
     written = yaml.safe_load(Path("fitting.yaml").read_text())
     assert written["time"]["final_time"] == end
     kept = {key: value for key, value in CASE.items() if key not in ("time", "snapshots")}
     assert {key: written[key] for key in kept} == kept
-    np.testing.assert_allclose(imported()["time"], np.linspace(0.0, end, len(names)), atol=1e-12)
+    np.testing.assert_allclose(imported()["time"], np.linspace(0.0, end, 7 if uneven else 3))
     again = sphrom("import", case, *names, "--write-case", "fitting.yaml")
     assert again.exit_code == 2
-    assert "fitting.yaml: is there already; --force writes over it" in again.stderr
+    assert "fitting.yaml: must be a new case, or one that --force writes over" in again.stderr
 
 
 def test_case_is_fitted_to_the_particles_of_the_files_and_has_no_spin_up(case, sphrom) -> None:
@@ -368,9 +374,11 @@ def test_particles_that_come_and_go_are_refused(case, sphrom) -> None:
         ({}, ("--density", "rho", "--pressure", "p"), 2, "--density, --pressure"),
         ({}, ("--units", "length=furlong"), 2, "--units: got 'length=furlong'"),
         ({}, ("--units", "density=g/cm3"), 2, "check the density or pressure of --units"),
-        ({}, ("--units", "time=ms"), 2, "--write-case FILE writes a case that fits them"),
+        ({}, ("--units", "time=ms"), 2, "writes a case that fits them; time=s of --units would"),
+        ({}, ("--units", "velocity=1000"), 2, "this scene's about 1 m/s; velocity=m/s of --units"),
+        ({}, ("--units", "length=1000"), 2, "the scene's size; length=m of --units would fit"),
         ({}, ("--origin", "0.5,0", "--set", "scene={kind: lid-driven-cavity}"), 2,
-         "50 particles are outside the scene, such as one at (-0.45, 0.05) m"),
+         "50 of the particles are outside the scene; all span -0.45 to 0.45 m and 0.05 to 0.95 m"),
         ({}, ("--time-step", "0"), 2, "--time-step"),
         ({}, ("--start", "nan"), 2, "--start"),
         ({}, ("--set", "discretization.resolution=20"), 2, "discretization.resolution=10 is near"),
@@ -415,13 +423,51 @@ def test_files_without_particles_say_so(case, sphrom) -> None:
     assert (result.exit_code, result.stderr) == (3, f"error: {names[0]} holds no particles\n")
 
 
+def test_import_of_another_flow_than_the_case_says_so(case, sphrom) -> None:
+    cavity = {
+        "name": "cavity",
+        "scene": {"kind": "lid-driven-cavity", "lid": "uniform"},
+        "discretization": {"resolution": 20},
+        "time": {"final_time": 1.0, "step": 0.005},
+        "snapshots": {"every": 20},
+        "parameters": {"train": {"reynolds": [100]}, "test": {"reynolds": []}},
+        "rom": [{"name": "fast", "n_modes": 2, "evaluation": "operators"}],
+        "compare": {"plots": False},
+    }
+    case.write_text(yaml.safe_dump(cavity))
+    assert sphrom("fom", case, "--threads", 1).exit_code == 0
+    with open_artifact("runs/cavity/fom-reynolds100.h5", None, made_by="fom") as run:
+        for k, time in enumerate(run.read("time")):
+            names = {"points": "position", "velocity": "velocity", "rho": "density_fluctuation"}
+            own = {name: run.read(stored)[k] for name, stored in names.items()}
+            np.savez(f"own_{k}.npz", **{**own, "rho": 1.0 + own["rho"]}, time=time)
+    files = (
+        *Path().glob("own_*.npz"),
+        "--position",
+        "points.x,points.y",
+        "--force",
+        "--threads",
+        1,
+    )
+    for change, says in (
+        ("scene.lid=uniform", None),
+        ("scene.lid=regularised", "within 0.5 s from t = 0.5 s the case's own full model departs"),
+        ("parameters.train.reynolds=[200]", "own full model departs from it by"),
+    ):
+        result = sphrom("import", case, *files, "--set", change)
+        assert result.exit_code == 0, result.output
+        assert (says is None and "departs" not in result.stderr) or says in result.stderr
+        answer = sphrom("run", case, "--threads", 1, "--force", "--set", change).stdout
+        assert ("was imported, and the case may not be its own" in answer) == (says is not None)
+
+
 def test_run_that_is_there_is_kept_unless_forced(case, sphrom) -> None:
     names = write_npz()
     assert sphrom("fom", case).exit_code == 0
     ours = RUN.read_bytes()
     other_origin = sphrom("import", case, *names)
     assert other_origin.exit_code == 3
-    assert "is there, and not of these files; `--force` writes over it" in other_origin.stderr
+    assert "is there, computed here, and not from ./their_*.npz" in other_origin.stderr
     assert RUN.read_bytes() == ours
     assert sphrom("import", case, *names, "--force").exit_code == 0
     theirs = RUN.read_bytes()
@@ -429,3 +475,26 @@ def test_run_that_is_there_is_kept_unless_forced(case, sphrom) -> None:
     assert again.exit_code == 0
     assert "there, and of this case: kept" in again.stdout
     assert ours != RUN.read_bytes() == theirs
+    # Other options, or other files, are another import.
+    other = sphrom("import", case, *names, "--velocity", "v,u")
+    assert (other.exit_code, "imported from ./their_*.npz --only" in other.stderr) == (3, True)
+    other = sphrom("import", case, *write_npz(u=HIGH))
+    assert (other.exit_code, "imported from ./their_*.npz --only" in other.stderr) == (3, True)
+
+
+def test_force_replaces_no_imported_run(case, sphrom) -> None:
+    """What no stage can make, none writes over; the command that does is given."""
+    names = write_npz(id=np.arange(N))
+    assert sphrom("import", case, *names, "--sort-by", "id", "--units", "time=1.0").exit_code == 0
+    theirs, again = RUN.read_bytes(), ("./their_*.npz", "--sort-by=id", "--units=time=1.0")
+    assert "fom-reynolds100.h5: there" in sphrom("fom", case, "--force").stdout
+    other = ("--set", "fluid.mach_number=0.09")
+    for command in ("map", "run", "fom"):
+        for force in ((), ("--force",)):
+            refused = sphrom(command, case, *force, *other)
+            assert refused.exit_code == 3
+            assert all(part in refused.stderr for part in again), refused.stderr
+            assert RUN.read_bytes() == theirs
+    words = shlex.split(refused.stderr.split("`")[1])
+    assert sphrom(*words[1:3], *other, *names, *words[6:]).exit_code == 0
+    assert theirs != RUN.read_bytes()

@@ -85,7 +85,7 @@ def test_missing_and_damaged_tables_are_said(
         (place / path).write_bytes(content)
     line = refused(sphrom("report", "tiny.yaml"))
     assert line.startswith(f"error: {place / path} is ")
-    assert f"`sphrom {command} CASE" in line
+    assert f"`sphrom {command} tiny.yaml" in line
     assert not (place / "report.html").exists()
 
 

@@ -220,3 +220,14 @@ def test_what_can_not_be_done_is_told_before_anything_runs(
     result = train(*arguments, code=2)
     assert message in result.output
     assert not list(PLACE.glob("*.h5"))
+
+
+def test_a_flow_that_starts_from_a_file_is_trained_and_told_of_no_range(case, train, sphrom):
+    Path("start.csv").write_text("x,y,u,v\n0,0,0.1,0\n1,0,0.1,0\n0,1,0.2,0\n1,1,0.2,0\n")
+    box = {"upper": [1, 1], "periodic": ["x", "y"]}
+    case(scene={"kind": "custom", "box": box, "initial": {"file": "start.csv"}})
+    result = train("--tolerance", "50%", "--workers", "2", "--out", "made")
+    assert "outside of the trained range" not in result.output
+    again = sphrom("fom", "made/training/case.yaml", "--out", "made", "--only", "reynolds=50")
+    assert "fom-reynolds50.h5: there, and of this case: kept" in again.output
+    assert "next: sphrom run made/training/case.yaml --out made" in result.output

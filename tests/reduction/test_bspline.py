@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline, RectBivariateSpline
 from scipy.ndimage import map_coordinates
 
 from sphrom.reduction.lattice_splines import fit_lattice_splines
-from sphrom.sph.box_domain import BoxDomain, Rectangle
+from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
 
 Array = NDArray[np.float64]
@@ -172,6 +172,3 @@ def test_points_off_a_lattice_are_refused() -> None:
     few = CLOSED.fill(0.5)
     with pytest.raises(ValueError, match="B-splines need 4 points along each edge, not 3"):
         fit_lattice_splines(few, np.ones((len(few), 1)), CLOSED)
-    union = BoxDomain((0.0, 0.0), (0.4, 0.2), (True, False), (Rectangle((0.0, 0.1), (0.4, 0.2)),))
-    with pytest.raises(ValueError, match="fluid that fills its box"):
-        fit_lattice_splines(points, values, union)

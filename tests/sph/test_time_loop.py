@@ -118,20 +118,6 @@ def test_a_run_stops_at_the_step_that_leads_beyond_a_wall():
     assert sum(done) == 3
 
 
-def test_a_disturbed_block_of_steps_does_not_count(monkeypatch):
-    """Ten steps of 1 s, ten of 3 s while another program runs, ten of 2 s."""
-    lasting = np.repeat([1.0, 3.0, 2.0], 10)
-    ticks = iter(np.stack((np.zeros(30), lasting), axis=1).ravel().tolist())
-    monkeypatch.setattr("sphrom.sph.time_loop.time.perf_counter", lambda: next(ticks))
-    clock = Clock()
-    for _ in lasting:
-        with clock.running():
-            pass
-    assert clock.seconds == 60.0
-    assert clock.undisturbed(30) == 30.0
-    assert Clock(seconds=7.0).undisturbed(5) == 7.0
-
-
 def integrate(functional, state: np.ndarray, time: float, n_steps: int) -> np.ndarray:
     step = time / n_steps
     for n in range(n_steps):

@@ -286,8 +286,8 @@ def test_fronts_are_steps_through_the_models_on_them(tmp_path):
         lines = {line.get_label(): line for line in axes.get_lines()}
         steps = [tuple(point) for point in lines["Pareto front"].get_xydata()]
         assert steps == [(1e-4, fast), (3.0, fast), (3.0, slow)]
-        assert [text.get_text() for text in axes.texts] == ["M 5", "50 across"]
-        assert set(lines["full run"].get_xdata()) == {5.0}
+        assert {text.get_text() for text in axes.texts} == {"M 5", "50 across"}
+        assert set(lines["the case's full run"].get_xdata()) == {5.0}
         (level,) = set(lines[NEAREST].get_ydata())
         assert axes.get_ylim()[0] < level < axes.get_ylim()[1]
     save(figure, tmp_path / "trade.png")
@@ -297,5 +297,5 @@ def test_fronts_are_steps_through_the_models_on_them(tmp_path):
 def test_a_picture_without_errors_or_seconds(tmp_path, others):
     rows = weighed([full(OWN, None), *others], [], MEASURE)
     figure = draw_trade(Results(rows, NOTHING, [], MEASURE))
-    assert "full run" not in {line.get_label() for line in figure.axes[0].get_lines()}
+    assert "the case's full run" not in {line.get_label() for line in figure.axes[0].get_lines()}
     save(figure, tmp_path / "trade.png")

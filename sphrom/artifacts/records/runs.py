@@ -142,10 +142,13 @@ class Trajectory(Snapshots, Settings, kind="sphrom/trajectory"):
     status_detail: str | None = attribute("", "what went wrong, where and when", default=None)
     memory_length: float | None = attribute("s", "tau of Eq. 3.22, of a reduced run", default=None)
     imported_files: str | None = attribute(
-        "", "another program's, that it is from", at="imported/files", default=None
+        "", "another program's, that it is from, and options", at="imported/files", default=None
+    )
+    imported_doubts: str | None = attribute(
+        "", "why the case may not be its own, a line each", at="imported/doubts", default=None
     )
     imported_sha256: str | None = attribute(
-        "", "digest of those files", at="imported/sha256", default=None
+        "", "digest of both", at="imported/sha256", default=None
     )
 
 
