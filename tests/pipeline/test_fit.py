@@ -171,7 +171,7 @@ def test_a_bad_fit_says_so(study, columns):
     found = study.model("fast", **TRUE).fit(swapped, noise=1.0)
     assert any(p.startswith("the fit is bad: chi^2 per degree") for p in found.problems)
     for factor in (1.0, 1.3, 1.5, 2.0, 4.0):
-        other = {**table, "there_u": factor * table["there_u"]}
+        other = {**table, U: factor * table[U]}
         found = study.model("fast", **TRUE).fit(other, noise=1.0)
         *_, last = ("", *found.problems)
         assert (found.chi_square > found.bound) == ("above the" in last), factor
