@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -62,7 +63,11 @@ def load_case(
     except ValidationError as error:
         problems = problems_of(error, document.value)
     if problems:
-        cause = changed if changed and _is_valid(source, force) else ()
+        cause = ""
+        if changed:
+            with suppress(CaseError):  # what is wrong without the changes isn't their fault
+                load_case(source, (), force)
+                cause = f"because of {OVERRIDE} {', '.join(map(show_path, changed))}: "
         raise _error(name, document, problems, changed, cause)
     if "rom" in case.model_fields_set:
         return case
@@ -70,13 +75,6 @@ def load_case(
     (model,) = case.rom
     most = min(model.size, case.basis.n_modes or model.size, case.plan.n_basis_snapshots(ALL))
     return case.model_copy(update={"rom": (model.model_copy(update={"n_modes": most}),)})
-
-
-def _is_valid(source: str | os.PathLike[str] | Mapping[str, Any], force: bool) -> bool:
-    try:
-        return bool(load_case(source, (), force))
-    except CaseError:
-        return False
 
 
 def given_keys(source: FilePath, overrides: Sequence[str], folder: FilePath) -> dict[str, Any]:
@@ -192,14 +190,9 @@ def _error(
     document: Document,
     problems: Sequence[Problem],
     changed: Sequence[Path] = (),
-    cause: Sequence[Path] = (),
+    cause: str = "",
 ) -> CaseError:
-    """Return all problems, of a case whose changed keys may be the cause of those of others."""
-    lines = [_line(name, document, problem, changed) for problem in problems[:MAX_PROBLEMS]]
-    if cause:
-        keys = ", ".join(dict.fromkeys(map(show_path, cause)))
-        due = f"because of {OVERRIDE} {keys}: "
-        lines = [line if line.startswith(OVERRIDE) else due + line for line in lines]
+    lines = [_line(cause + name, document, problem, changed) for problem in problems[:MAX_PROBLEMS]]
     if len(problems) > MAX_PROBLEMS:
         lines.append(f"{name}: and {len(problems) - MAX_PROBLEMS} more problems")
     return CaseError("\n".join(lines))

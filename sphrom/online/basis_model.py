@@ -219,7 +219,12 @@ class BasisModel:
         """Return the model's equations and start alone."""
         case = self.workspace.case
         viscosity = case.plan.kinematic_viscosity(point)
-        coordinates, mean = self._initial_state(self._start(point))
+        fields = self._start(point)
+        # The same for all points where they start alike.
+        if self._last is None or self._last[0] is not fields:
+            left_out = float(mean_density_fluctuation(self.basis, fields[0]))
+            self._last = fields, (project(self.basis, *fields), left_out)
+        coordinates, mean = self._last[1]
         rates = self.operators.at(viscosity, point.factors)
         found = ReferenceModel(
             polynomial=rates,
@@ -242,14 +247,6 @@ class BasisModel:
         if closure is not None:
             rates = rates.plus(closure)
         return replace(found, polynomial=rates, closure=closure, memory_length=length)
-
-    def _initial_state(self, fields: Fields) -> tuple[Array, float]:
-        """Return coordinates (n_modes,) of mapped fields, and the separate mean density."""
-        # The same for all points where they start alike.
-        if self._last is None or self._last[0] is not fields:
-            mean = float(mean_density_fluctuation(self.basis, fields[0]))
-            self._last = fields, (project(self.basis, *fields), mean)
-        return self._last[1]
 
     def taught(
         self, found: ReferenceModel, point: ParameterPoint, *, held_out: bool = False
