@@ -56,9 +56,6 @@ def run(context: StageContext) -> None:
     """
     workspace, case = Workspace(context), context.case
     if not (case.rom or case.scene.domain.has_walls or _exact_flows(case)):
-        context.report.info(
-            "nothing to compare: no reduced models, and no solution to compare with"
-        )
         tell_answer(workspace, Tables())
         return
     _tell_unseen(workspace)
@@ -211,8 +208,7 @@ class _PointComparison:
     def _describe_flow(self, name: str, run: StoredRun, samples: Samples) -> None:
         """Describe the flow of a run in a scene with walls; one that failed at once has none."""
         if self.case.scene.domain.has_walls and len(samples.time):
-            described = {"run": name, "parameters": self.point.label}
-            row = flow_row(self.case, run, samples, self.probes, **described)
+            row = flow_row(self.case, name, self.point, run, samples, self.probes)
             self.tables.flow.append(row)
 
     def _measure(

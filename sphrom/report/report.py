@@ -78,11 +78,8 @@ QUANTITIES: dict[str, Any] = {
 def run(context: StageContext) -> None:
     """Write the page beside the artifacts.
 
-    Raises
-    ------
-    ArtifactError
-        When the comparison or a table is missing, damaged or no longer that of the case, or the
-        page can't be written.
+    Raises ArtifactError when the comparison or a table is missing, damaged or no longer that of the
+    case, or the page can't be written.
     """
     workspace = Workspace(context)
     workspace.require(workspace.comparison())

@@ -266,8 +266,7 @@ def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None)
     """Write tables and the plot, and show the table and its conclusions."""
     report, folder = workspace.context.report, workspace.folder(FOLDER)
     rows, without, measure = results.rows, results.without, results.measure
-    tables: dict[str, Sequence[Any]] = {"models": rows, "runs": results.runs}
-    tables["doing_nothing"] = without
+    tables = {"models": rows, "runs": results.runs, "doing_nothing": without}
     for name, each in tables.items():
         write_csv(folder / f"{name}.csv", each)
     words = ""
@@ -299,14 +298,13 @@ def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None)
 
 def timed_words(case: Case) -> str:
     """Return how the seconds of a run are measured, in words."""
-    text = (
+    spin_up = "; the spin-up counts as offline where models learn and nowhere else"
+    return (
         f"online is a run of {case.plan.recorded_time:g} s on one thread, without reading and "
         f"writing: the least of {counted(case.trade.repeats, 'time')}, of full runs by "
         f"{N_TIMED_STEPS} steps, the case's own at its largest stable step"
+        f"{spin_up if case.time.spin_up > 0.0 else ''}"
     )
-    if case.time.spin_up == 0.0:
-        return text
-    return f"{text}; the spin-up counts as offline where models learn and nowhere else"
 
 
 def _cells(row: ModelRow, measure: Measure) -> tuple[str, ...]:

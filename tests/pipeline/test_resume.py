@@ -258,7 +258,7 @@ def test_a_disk_that_is_full_at_a_checkpoint_does_not_end_a_run(
 
     before = digests(place)
     (place / FULL).unlink()
-    monkeypatch.setattr(Checkpoints, "_write_state", refuse)
+    monkeypatch.setattr(checkpoints, "write_record", refuse)
     monkeypatch.setattr(checkpoints, "MOST_PENDING", most_pending)
     result = again("full", "--checkpoint-every", 0)
     assert result.exit_code == 0
