@@ -77,7 +77,7 @@ class Answer:
         yield from self._cost()
 
     def _compared(self) -> Iterator[str]:
-            parts = []
+        parts = []
         if self.best is not None:
             parts.append(f"the nearest state in its basis: {_both(self.best)}")
         if self.estimate is not None:
