@@ -63,8 +63,8 @@ def new_case(kind: str | None, *, full: bool = False) -> str:
     titles = {kind_of_section(section): section.title for section in get_args(AnyScene)}
     if kind not in titles:
         kinds = "\n".join(f"  {name:18} {title}" for name, title in titles.items())
-        hint = f"got {quoted(kind)}; {nearest(kind, titles)}" if kind else "is missing;"
-        raise CaseError(f"KIND: {hint} the kinds are\n{kinds}")
+        hint = f"got {quoted(kind)}; {nearest(kind, titles)}" if kind else "is missing"
+        raise CaseError(f"KIND: {hint}\nthe kinds are\n{kinds}")
     if not full:
         return (FOLDER / "new" / f"{kind}.yaml").read_text(encoding="utf-8")
     values = _example(kind).model_dump(mode="json")
