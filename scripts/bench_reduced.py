@@ -32,7 +32,7 @@ from rich.table import Table
 from sphrom.case.loader import load_case
 from sphrom.case.models import Case
 from sphrom.case.sections import ReducedModelSection
-from sphrom.compare.costs import full_run_timer, largest_step, reduced_run_timer, taking_turns
+from sphrom.compare.costs import full_run_timer, largest_step, particle_run_timer, taking_turns
 from sphrom.console import SilentReporter
 from sphrom.kernels.jit import set_threads
 from sphrom.machine import one_blas_thread, seconds_of
@@ -97,16 +97,16 @@ def prepare(
 def timers(
     workspace: Workspace, modes: list[int], faithful: bool
 ) -> dict[str | int, Callable[[], float]]:
-    """Return what times a full step, models on the reference points, and steps on particles."""
+    """Return what times full runs, models on the reference points, and runs on particles."""
     case = workspace.case
     (point,) = case.plan.train_points
-    whole = case.plan.recorded_time  # a run in one step takes what a step takes
-    found: dict[str | int, Callable[[], float]] = {"full": full_run_timer(workspace, point, whole)}
+    step = case.plan.steps.time_step
+    found: dict[str | int, Callable[[], float]] = {"full": full_run_timer(workspace, point, step)}
     for n_modes in modes:
         found[n_modes] = partial(seconds_of, integrator_of(workspace, n_modes)[1].run)
     for model in case.rom if faithful else ():
         if not model.from_operators:
-            found[model.projection] = reduced_run_timer(workspace, model, point, whole)
+            found[model.projection] = particle_run_timer(workspace, model, point, step)
     return found
 
 
@@ -277,6 +277,8 @@ def measure(arguments: argparse.Namespace) -> None:
         faithful = resolution in arguments.faithful
         turns = taking_turns(timers(workspace, arguments.modes, faithful), arguments.repeats)
         seconds = {name: float(each.min()) for name, each in turns.items()}
+        for name in seconds.keys() - set(arguments.modes):  # of runs in the case's own steps
+            seconds[name] /= workspace.case.plan.steps.n_steps
         full = full_row(workspace.case, seconds["full"])
         results["full"].append(full)
         for n_modes in arguments.modes:

@@ -451,7 +451,9 @@ def hours_of_steps(case: Case, tables: Mapping[str, Any]) -> str:
         return ""
     plan, names = case.plan.steps, {model.name for model in case.rom if not model.from_operators}
     full = {row["parameters"]: row["full_seconds"] for row in timings}
-    steps = (plan.n_steps + plan.n_spin_up_steps) / plan.n_steps
+    # Full runs are timed at their largest stable step; these took the case's own.
+    longer = timings[0]["full_step"] / plan.time_step
+    steps = longer * (plan.n_steps + plan.n_spin_up_steps) / plan.n_steps
     hours = float(np.mean(list(full.values()))) * steps * len(case.plan.points) / 3600.0
     told = f"{_counted(len(case.plan.points), 'full run')} {format_figure(hours)}"
     reduced = [row["reduced_seconds"] for row in timings if row["model"] in names]

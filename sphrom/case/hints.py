@@ -91,6 +91,7 @@ def _of_numerics(case: Case) -> Iterator[str]:
 
 def few_snapshots(case: Case) -> Iterator[str]:
     """Warn where a basis keeps most of what its snapshots hold: the last modes are their noise."""
+    how = "with a lower snapshots.every" if case.plan.steps.every > 1 else "of more training runs"
     needed = max((model.size for model in case.rom if model.n_modes != AUTO), default=0)
     for name in dict.fromkeys(name for m in case.rom for name in case.plan.bases_for(m)):
         number = case.plan.n_basis_snapshots(name)
@@ -98,7 +99,7 @@ def few_snapshots(case: Case) -> Iterator[str]:
             yield (
                 f"snapshots.every: {needed} modes from {number} snapshots (basis {name}): the last "
                 f"modes fit what is particular to these snapshots; keep {SNAPSHOTS_PER_MODE} a "
-                "mode or more, with a lower snapshots.every, or ask for fewer modes"
+                f"mode or more, {how}, or ask for fewer modes"
             )
 
 

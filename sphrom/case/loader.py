@@ -57,17 +57,25 @@ def load_case(
     name, document, changed = _given(source, overrides)
     try:
         case = Case.model_validate(document.value, context={"folder": FilePath(name).parent})
+        problems = case_problems(case, force=force)
     except ValidationError as error:
         problems = problems_of(error, document.value)
-        raise _error(name, document, problems, changed) from error
-    if problems := case_problems(case, force=force):
-        raise _error(name, document, problems, changed)
+    if problems:
+        cause = changed if changed and _is_valid(source, force) else ()
+        raise _error(name, document, problems, changed, cause)
     if "rom" in case.model_fields_set:
         return case
     # The model of a case that lists none has no more modes than there are snapshots.
     (model,) = case.rom
     most = min(model.size, case.basis.n_modes or model.size, case.plan.n_basis_snapshots(ALL))
     return case.model_copy(update={"rom": (model.model_copy(update={"n_modes": most}),)})
+
+
+def _is_valid(source: str | os.PathLike[str] | Mapping[str, Any], force: bool) -> bool:
+    try:
+        return bool(load_case(source, (), force))
+    except CaseError:
+        return False
 
 
 def given_keys(source: FilePath, overrides: Sequence[str], folder: FilePath) -> dict[str, Any]:
@@ -179,9 +187,18 @@ def _key_in(container: Any, segment: str, path: Path) -> str | int:
 
 
 def _error(
-    name: str, document: Document, problems: Sequence[Problem], changed: Sequence[Path] = ()
+    name: str,
+    document: Document,
+    problems: Sequence[Problem],
+    changed: Sequence[Path] = (),
+    cause: Sequence[Path] = (),
 ) -> CaseError:
+    """Return all problems, of a case whose changed keys may be the cause of those of others."""
     lines = [_line(name, document, problem, changed) for problem in problems[:MAX_PROBLEMS]]
+    if cause:
+        keys = ", ".join(dict.fromkeys(map(show_path, cause)))
+        due = f"because of {OVERRIDE} {keys}: "
+        lines = [line if line.startswith(OVERRIDE) else due + line for line in lines]
     if len(problems) > MAX_PROBLEMS:
         lines.append(f"{name}: and {len(problems) - MAX_PROBLEMS} more problems")
     return CaseError("\n".join(lines))

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -30,8 +30,6 @@ from sphrom.sph.time_loop import Model, runge_kutta_step
 from sphrom.store.trained_models import memory_timing
 from sphrom.store.trajectory import snapshot_fields
 from sphrom.store.workspace import Target, Workspace
-
-Key = TypeVar("Key")
 
 SECONDS = {"unit": "s"}
 N_REPEATS = 5
@@ -90,7 +88,7 @@ def largest_step(case: Case) -> float:
     return max(case.plan.limits.least, case.plan.steps.time_step)
 
 
-def taking_turns(timed: Mapping[Key, Callable[[], float]], repeats: int) -> dict[Key, Array]:
+def taking_turns(timed: Mapping[Any, Callable[[], float]], repeats: int) -> dict[Any, Array]:
     """Return the seconds (n_repeats,) that functions return in turns, on one thread.
 
     They are called once before, for all to be compiled.
@@ -113,28 +111,28 @@ def full_run_timer(workspace: Workspace, point: ParameterPoint, step: float) -> 
     with workspace.open(workspace.full_run(point)) as run:
         position, *fields = snapshot_fields(run, run.length("time") // 2)
     state = np.vstack((position.T, fields[0], fields[1].T))
-    return _steps_timer(workspace.case, particles.functional(workspace.case, point), state, step)
+    model, own = particles.functional(workspace.case, point), workspace.case.plan.steps.time_step
+    return _steps_timer(workspace.case, model, state, own, step)
 
 
-def reduced_run_timer(
+def particle_run_timer(
     workspace: Workspace, model: ReducedModelSection, point: ParameterPoint, step: float
 ) -> Callable[[], float]:
-    """Return what times a reduced run, on particles by some of its steps of a length [s]."""
-    if model.from_operators:
-        fast = FastModel(workspace, model)
-        return partial(seconds_of, fast.at_point(point).integrator(fast.at(point)).run)
+    """Return what times steps of a model on particles, as `full_run_timer` does."""
     reduced, state = build_model(workspace, model, point)
     close(workspace.case, model, reduced, state, workspace.case.plan.steps.start_time)
-    return _steps_timer(workspace.case, reduced, state, step)
+    return _steps_timer(workspace.case, reduced, state, step, step)
 
 
-def _steps_timer(case: Case, model: Model, state: Array, step: float) -> Callable[[], float]:
-    steps, n_steps = case.plan.steps, case.plan.recorded_time / step
+def _steps_timer(
+    case: Case, model: Model, state: Array, step: float, counted: float
+) -> Callable[[], float]:
+    begin, n_steps = case.plan.steps.start_time, case.plan.recorded_time / counted
 
     def seconds() -> float:
         now, started = model.wrapped(state), time.process_time()
         for number in range(N_TIMED_STEPS):
-            now = runge_kutta_step(model.rates, now, steps.time(number), steps.time_step)
+            now = runge_kutta_step(model.rates, now, begin + number * step, step)
         return (time.process_time() - started) / N_TIMED_STEPS * n_steps
 
     return seconds
@@ -147,6 +145,7 @@ def run_timings(workspace: Workspace) -> Iterator[RunTiming]:
     """
     case, plan, found = workspace.case, workspace.case.plan, []
     timers: dict[object, Callable[[], float]] = {}
+    fast = {m.name: FastModel(workspace, m) for m in case.rom if m.from_operators}
     for point, model in product(plan.points, case.rom):
         if point not in plan.rom_points(model) or not plan.ends_with_case(model):
             continue
@@ -162,8 +161,11 @@ def run_timings(workspace: Workspace) -> Iterator[RunTiming]:
             timers[full] = partial(float, known)
         elif not imported and full not in timers:
             timers[full] = full_run_timer(workspace, point, largest_step(case))
-        if own not in timers:
-            timers[own] = reduced_run_timer(workspace, model, point, step)
+        if (quick := fast.get(model.name)) is not None:
+            run_again = quick.at_point(point).integrator(quick.at(point)).run
+            timers[own] = partial(seconds_of, run_again)
+        elif own not in timers:
+            timers[own] = particle_run_timer(workspace, model, point, step)
         sizes = plan.n_particles, n_modes
         factors = compression_factor(*sizes), field_compression_factor(*sizes)
         longest = None if imported else largest_step(case)

@@ -23,6 +23,7 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.answer import Answer, find_answer, percent
 from sphrom.compare.comparison_tables import RECORDS, SpectrumRow, Tables
+from sphrom.compare.costs import DIGITS
 from sphrom.compare.mode_figures import frame_of
 from sphrom.plots.canvas import (
     DIFFERENCE_MAP,
@@ -140,7 +141,8 @@ def _headline(answer: Answer) -> Html:
     if timing is not None and timing.reduced_seconds is not None:
         figures.append(("a run takes", duration(timing.reduced_seconds)))
     if timing is not None and timing.speed_up is not None:
-        figures.append(("the full run takes as long as", f"{timing.times} runs"))
+        runs = f"{format_figure(timing.speed_up, DIGITS)} runs"
+        figures.append(("the full run takes as long as", runs))
     if answer.pays_from is not None:
         figures.append(("it pays from", f"{answer.pays_from} runs on"))
     return headline(figures, list(answer.sentences()))

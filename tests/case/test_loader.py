@@ -91,6 +91,7 @@ def test_override(load):
         ("name.x=1", "--set: name.x: name holds no keys; got 'small'"),
         ("rom.1.n_modes=3", "--set: rom.1: rom is a list of 1, counted from 0"),
         ("rom.²=3", "--set: rom.'\\u00b2': rom is a list of 1, counted from 0"),
+        ("basis.n_modes=2", "because of --set basis.n_modes: "),
         ("time.step=0.02", "--set: time.step: 0.02 s is beyond the acoustic limit of 0.006 s"),
     ],
 )

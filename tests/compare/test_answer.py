@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from sphrom.compare.answer import Answer
 from sphrom.compare.comparison_tables import ErrorRow
-from sphrom.compare.costs import RunTiming
+from sphrom.compare.costs import RunTiming, taking_turns
 from sphrom.metrics.histories import NO_ERRORS
 
 TIMING = RunTiming("fast", "reynolds=150", 5, 0.01, 0.01, None, 0.1, 1e-5, 1e4, 1.0, 1.0)
@@ -33,6 +33,16 @@ def test_it_says_how_far_off_how_fast_and_when_it_pays() -> None:
                  "estimate: 0.19 %", "10,000 times as long", "takes 10 µs, the full run 100 ms",
                  "from 4 runs on"):  # fmt: skip
         assert part in text
+    spread = replace(TIMING, least_speed_up=9.1e3, greatest_speed_up=1.23e4)
+    several = "10,000 (9,100 to 12,000 over 5 repeats) times as long"
+    assert several in told(replace(ANSWER, timing=spread))
+
+
+def test_runs_are_timed_in_turns() -> None:
+    calls: list[str] = []
+    timers = {name: lambda name=name: calls.append(name) or len(calls) for name in "ab"}
+    found = {name: each.tolist() for name, each in taking_turns(timers, 2).items()}
+    assert (calls, found) == (list("ababab"), {"a": [3, 5], "b": [4, 6]})
 
 
 def test_it_says_how_far_off_measured_forces_are() -> None:
