@@ -19,7 +19,7 @@ import pytest
 from hypothesis import settings
 from numpy.typing import NDArray
 
-from sphrom.artifacts import inspection
+from sphrom.artifacts import reader
 from sphrom.case.models import Case
 from sphrom.reduction.mode_fields import mode_fields, mode_gradients, weighted_rows
 
@@ -297,7 +297,7 @@ def same_on_threads() -> Iterator[Callable[..., Any]]:
 def fine_clock() -> Iterator[None]:
     """Take a file for settled soon, as the local disk's clock is fine: artifacts are just made."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(inspection, "SETTLED", 0.1)
+        patch.setattr(reader, "SETTLED", 0.1)
         yield
 
 

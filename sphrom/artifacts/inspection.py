@@ -8,8 +8,6 @@ as HDF5 would load and run a plugin for one that it doesn't know.
 from __future__ import annotations
 
 import contextlib
-import os
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,13 +23,9 @@ from sphrom.errors import ArtifactError
 CASE = "case"
 DIGEST = "sha256"
 """The attribute with the digest of a dataset's values."""
-SETTLED = 2.0
-"""Age [s] from which a file's times tell whether it changes: clocks of file systems are coarse."""
 LOCKINGS = (None, False, True)
 """How a file is locked. HDF5 refuses another way than that in which this process has it open, and
 so the default comes first. An artifact never changes: it needs no lock where none can be had."""
-FileKey = tuple[int, ...]
-"""What changes when a file does."""
 # What h5py raises when the file's own structures are damaged, depending on which.
 DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, OverflowError)
 
@@ -73,17 +67,6 @@ def open_file(path: Path) -> h5py.File:
         except (OSError, RuntimeError, ValueError) as error:
             fault = error
     raise Fault("is damaged, truncated, or not an HDF5 file") from fault
-
-
-def file_key(file: h5py.File) -> FileKey:
-    """Return what changes when an open file does; its last entry is a time [ns]."""
-    status = os.fstat(file.id.get_vfd_handle())
-    return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
-
-
-def is_settled(key: FileKey) -> bool:
-    """Whether a file is so old that its key tells whether it changes."""
-    return time.time() - 1e-9 * key[-1] > SETTLED
 
 
 @dataclass

@@ -30,9 +30,7 @@ HOW_TO_OPEN = (
     "ParaView 5.12, VTK 9.3 and later open this file; pyvista.read(path, force_ext='.vtkhdf'), as "
     "it takes .h5 for another format. `sphrom export` writes files for any version."
 )
-_VERSION = (2, 0)
 _NO_CELLS = ("Lines", "Polygons", "Strips")
-_N_KINDS_OF_CELLS = 4
 
 
 @dataclass(frozen=True)
@@ -102,7 +100,7 @@ def add_view(file: h5py.File, schema: str, given: Mapping[str, Shape]) -> None:
     if view is None:
         return
     group = file.create_group(VIEW)
-    group.attrs["Version"] = np.array(_VERSION)
+    group.attrs["Version"] = np.array((2, 0))
     group.attrs["Type"] = np.bytes_("PolyData")
     group.attrs["HowToOpen"] = np.bytes_(HOW_TO_OPEN)
     group["NumberOfPoints"] = np.array([view.n_points])
@@ -135,7 +133,7 @@ def _write_steps(group: h5py.Group, view: View) -> None:
     else:
         _map(steps, "Values", view, view.times)
     nothing = np.zeros(view.n_steps, dtype=np.int64)
-    by_kind = np.zeros((view.n_steps, _N_KINDS_OF_CELLS), dtype=np.int64)
+    by_kind = np.zeros((view.n_steps, 1 + len(_NO_CELLS)), dtype=np.int64)
     steps["NumberOfParts"] = nothing + 1
     steps["PartOffsets"] = nothing
     steps["CellOffsets"] = by_kind

@@ -12,6 +12,8 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import math
+import os
+import time
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
@@ -25,13 +27,10 @@ from sphrom.artifacts.inspection import (
     CASE,
     Contents,
     Fault,
-    FileKey,
     attributes_at,
     damage,
     explained_faults,
-    file_key,
     inspect,
-    is_settled,
     open_file,
     plain_text,
 )
@@ -71,10 +70,13 @@ SHOWN_KEYS = 4
 MOST_CHARACTERS = 60
 """Of a value that is shown: whoever wrote the file may have written anything."""
 
+SETTLED = 2.0
+"""Age [s] from which a file's times tell whether it changes: clocks of file systems are coarse."""
+
 R = TypeVar("R", bound=Record)
 
-_known: dict[FileKey, Contents] = {}
-"""The contents of files, of the one opened last at the end."""
+_known: dict[tuple[int, ...], Contents] = {}
+"""The contents of files by what changes when they do, of the one opened last at the end."""
 
 
 @contextlib.contextmanager
@@ -245,9 +247,11 @@ def _contents(file: h5py.File) -> Contents:
 
     A process looks through a file once, and again when it has changed since.
     """
-    key = file_key(file)
+    status = os.fstat(file.id.get_vfd_handle())
+    changed = status.st_mtime_ns, status.st_ctime_ns
+    key = status.st_dev, status.st_ino, status.st_size, *changed
     contents = _known.pop(key, None) or _looked_through(file)
-    if is_settled(key):
+    if time.time() - 1e-9 * status.st_ctime_ns > SETTLED:
         _known[key] = contents
         if len(_known) > MOST_KNOWN:
             del _known[next(iter(_known))]

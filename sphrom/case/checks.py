@@ -141,6 +141,10 @@ def _check_geometry(case: Case) -> Found:
         if getattr(section.walls, key) != field.default:
             reason = f"a scene of kind {case.scene.kind} has no walls"
             yield f"discretization.walls.{key}", reason
+    for key, along_axes in {"no_slip": "paper", "continuity": "normal"}.items():
+        shapes = domain.has_walls and not plan.walls_fit_lattice
+        if shapes and getattr(section.walls, key) == along_axes:
+            yield f"discretization.walls.{key}", f"{along_axes} is for walls that follow the axes"
     most = min(0.5 * domain.narrowest_gap, domain.thinnest_solid)
     for name, smoothing_length in (
         ("discretization", plan.smoothing_length),

@@ -135,7 +135,7 @@ class CustomScene(SceneSection):
         None, "L of the Reynolds number; null is the width of the box", unit="m"
     )
     measure: Measures = measures()
-    _factors: Mapping[str, float] = PrivateAttr(default_factory=dict)
+    _values: Mapping[str, float] = PrivateAttr(default_factory=dict)
 
     @model_validator(mode="after")
     def _consistent(self) -> CustomScene:
@@ -204,7 +204,7 @@ class CustomScene(SceneSection):
         return CustomFlow(
             here.domain,
             {name: here._wall_velocity(name) for name in here.walls},
-            here._drive,
+            here._force,
             lambda at: here._initial[0](at),
             lambda at: here._initial[1](at),
         )
@@ -215,31 +215,16 @@ class CustomScene(SceneSection):
         return lru_cache(MOST_KNOWN)(lambda values: self._changed(dict(values)))
 
     def _at(self, values: Mapping[str, float]) -> CustomScene:
-        """Return the scene with other constants and rates of rotation, and factors of the rest."""
+        """Return the scene at values of its parameters, its own where none is given."""
         return self._known(tuple(values.items())) if values else self
 
     def _changed(self, values: Mapping[str, float]) -> CustomScene:
         _ = self.domain, self._shapes  # they are the same, and needn't be built again
-        constants = {name: values.get(name, own) for name, own in self.constants.items()}
-        walls = {
-            name: wall.model_copy(update={"rotation": values.get(name, wall.rotation)})
-            if wall.velocity is None
-            else wall
-            for name, wall in self.walls.items()
-        }
-        other = self.model_copy(update={"constants": constants, "walls": walls})
-        other._factors = values
+        other = self.model_copy()
+        other._values = values
         for built in ("_force", "_initial", "_known"):
             other.__dict__.pop(built, None)
         return other
-
-    @property
-    def _drive(self) -> Drive | None:
-        """The body force, times the factor that parameters give."""
-        drive, factor = self._force, self._factors.get(BODY_FORCE, 1.0)
-        if drive is None or factor == 1.0:
-            return drive
-        return Drive(drive.field, lambda time: factor * drive.amplitude(time))
 
     def parameters(self, reference_speed: float) -> dict[str, float]:
         """Return constants, rates of rotation, and factors of velocities and of the body force."""
@@ -310,7 +295,8 @@ class CustomScene(SceneSection):
     def _expression(self, where: str, value: float | str, *variables: str) -> Expression:
         text = value if isinstance(value, str) else repr(value)
         try:
-            expression = Expression(text, variables, self.constants)
+            constants = {name: self._values.get(name, own) for name, own in self.constants.items()}
+            expression = Expression(text, variables, constants)
             if "t" not in variables:  # of the body force, parts are compiled
                 _ = expression.compiled
             return expression
@@ -354,12 +340,12 @@ class CustomScene(SceneSection):
         """Return the velocity (n_points, 2) [m/s] of a wall at places on it (n_points, 2) [m]."""
         wall = self.walls[name]
         if wall.velocity is None:
-            rate = wall.rotation or 0.0
+            rate = self._values.get(name, wall.rotation or 0.0)
             centre = shapely.get_coordinates(self._shapes[name].centroid)[0]
             return lambda at: rate * np.stack((centre[1] - at[:, 1], at[:, 0] - centre[0]), axis=1)
         where = f"walls.{name}.velocity"
         parts = [self._expression(where, value, "x", "y") for value in wall.velocity]
-        factor = self._factors.get(name, 1.0)
+        factor = self._values.get(name, 1.0)
         return lambda at: factor * np.stack([e(x=at[:, 0], y=at[:, 1]) for e in parts], axis=1)
 
     def _edge(self, name: str) -> Array:
@@ -401,7 +387,7 @@ class CustomScene(SceneSection):
 
     @cached_property
     def _force(self) -> Drive | None:
-        """The body force as a field times an amplitude; None where there is none."""
+        """The body force as a field times an amplitude, of which parameters give a factor."""
         if all(value == 0.0 for value in self.body_force):
             return None
         fields, moving = list[Expression | None](), dict[str, Expression]()
@@ -428,8 +414,9 @@ class CustomScene(SceneSection):
             return np.stack([np.zeros_like(x) if f is None else f(x=x, y=y) for f in fields])
 
         _require_finite("body_force", field(self._samples.T).T, self._samples)
+        factor = self._values.get(BODY_FORCE, 1.0)
         # All runs of a case ask for it at the same snapshots.
-        return Drive(field, lru_cache(N_TIMES)(lambda time: float(amplitude(t=time))))
+        return Drive(field, lru_cache(N_TIMES)(lambda time: factor * float(amplitude(t=time))))
 
     @property
     def force_changes(self) -> bool:
@@ -441,7 +428,7 @@ class CustomScene(SceneSection):
 
     def largest_head(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
         """Return what the body force's head along the box doesn't exceed until a time [m2/s2]."""
-        drive = self._at(values)._drive
+        drive = self._at(values)._force
         if drive is None:
             return 0.0
         field = drive.field(self._samples.T)

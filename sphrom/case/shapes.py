@@ -171,12 +171,9 @@ def checked(shape: BaseGeometry) -> BaseGeometry:
 
 def _combinable(shapes: Iterable[BaseGeometry]) -> list[BaseGeometry]:
     """Return shapes that are combined within seconds. Raises ValueError where they are not."""
-    found, corners = list[BaseGeometry](), 0
-    for shape in shapes:
-        found.append(shape)
-        corners += shapely.get_num_coordinates(shape)
-        if corners > MOST_CORNERS:
-            raise ValueError(f"shapes of more than {MOST_CORNERS} corners together: simplify them")
+    found = list(shapes)
+    if np.sum(shapely.get_num_coordinates(found)) > MOST_CORNERS:
+        raise ValueError(f"shapes of more than {MOST_CORNERS} corners together: simplify them")
     require_few_crossings(found)
     return found
 

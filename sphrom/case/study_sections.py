@@ -47,11 +47,8 @@ class TradeSection(Section):
     repeats: Whole = key(5, "how often a run is timed; the least time counts", ge=1, le=1000)
 
 
-MOST_STARTS = 1000
-"""Of one search."""
 LEAST_PERCENT, MOST_PERCENT = 1e-6, 1e3
 """Noise over a history's range."""
-Percent = Annotated[Number, Field(ge=LEAST_PERCENT, le=MOST_PERCENT)]
 
 
 class FitSection(Section):
@@ -66,15 +63,13 @@ class FitSection(Section):
         "vary in the case are looked for in their trained range",
         unit="as the parameter",
     )
-    noise: Percent | None = key(
+    noise: Annotated[Number, Field(ge=LEAST_PERCENT, le=MOST_PERCENT)] | None = key(
         None,
         "standard deviation of the noise over the range of each history, where the measurements "
         "say none",
         unit="%",
     )
-    starts: Whole = key(
-        8, "how many starts the search has, spread over the ranges", ge=1, le=MOST_STARTS
-    )
+    starts: Whole = key(8, "how many starts the search has, spread over the ranges", ge=1, le=1000)
 
 
 def percentage(given: str | float) -> float:
@@ -143,7 +138,6 @@ class TrainingSection(Section):
 
 FULL = "full"
 """What the full model is called among the runs of a figure."""
-Quantity = Literal["speed", "pressure"]
 Runs = Annotated[tuple[Annotated[tuple[SafeName, ...], Field(min_length=1)], ...],
                  Field(min_length=1)]  # fmt: skip
 _RUNS = "rows of panels, each a list of reduced models by name"
@@ -162,7 +156,7 @@ class _OfRuns(_Figure):
 
     runs: Runs = key(..., _RUNS)
     reynolds: ReynoldsValues | None = key(None, _VALUES, unit="-")
-    quantities: Annotated[tuple[Quantity, ...], Field(min_length=1)] = key(
+    quantities: Annotated[tuple[Literal["speed", "pressure"], ...], Field(min_length=1)] = key(
         ("speed", "pressure"), "a column of panels each"
     )
 

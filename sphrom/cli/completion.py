@@ -15,13 +15,6 @@ def kinds(incomplete: str) -> list[str]:
     return [kind for kind in scene_kinds() if kind.startswith(incomplete)]
 
 
-def examples(incomplete: str) -> list[str]:
-    """Return the names of the cases that come with the program and begin so."""
-    from sphrom.case import template as packaged
-
-    return [name for name in packaged.examples() if name.startswith(incomplete)]
-
-
 def keys(incomplete: str) -> list[str]:
     """Return the keys of a case that begin so, as far as their names are fixed."""
     from sphrom.case.schema import is_section, key_paths, node_at

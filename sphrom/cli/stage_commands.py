@@ -233,7 +233,7 @@ def fit(
         Path,
         typer.Argument(
             metavar="MEASUREMENTS",
-            help="Measured histories (CSV), a column for each, such as time, wake_u, drag_x.",
+            help="Measured histories (CSV), a column for each, such as time, drag_force_x.",
             show_default=False,
         ),
     ],
@@ -252,8 +252,8 @@ def fit(
     """Find parameters from measured histories: fit-<name>.h5, .csv and .png.
 
     A model with evaluation: operators is fitted to histories of probes, forces and flow rates: the
-    case's own (time, wake_u, wake_v, drag_x, ...), or of any place (time, x, y, u, v, pressure).
-    The section fit of the case says which parameters are looked for, and in which ranges.
+    case's own (time, wake_velocity_x, drag_force_x, ...), or of any place (time, x, y, velocity_x,
+    ...). The section fit of the case says which parameters are looked for, and in which ranges.
 
     \b
     Example, with noise of 1 % of each history's range, the lid's speed known:

@@ -20,11 +20,10 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import Row, place_of
 from sphrom.case.study_sections import FULL
 from sphrom.compare.comparison_tables import BEST, Tables
-from sphrom.compare.measured import named_components
 from sphrom.compare.mode_figures import draw_modes, draw_spectrum, frame_of, model_sizes
 from sphrom.compare.stored_comparison import StoredComparison
 from sphrom.metrics.histories import without_mean
-from sphrom.metrics.measures import UNITS
+from sphrom.metrics.measures import UNITS, components
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Field, Panel, Role, draw_grid
@@ -231,7 +230,7 @@ class _PointFigures:
             with StoredRun.opened(self.workspace, self.point, model) as run:
                 quantities = run.measured(name)
             for quantity, values in quantities.items():
-                for component, one in named_components(quantity, values).items():
+                for component, one in components(quantity, values).items():
                     label = f"{component.replace('_', ' ')} [{UNITS[quantity]}]"
                     # A flow rate is over time alone, a probe's fields are at one place.
                     shown = one[-1] if is_line else one.reshape(len(x))

@@ -79,16 +79,12 @@ class Weights:
         scaled = values / self.deviation.reshape(shape)
         if not len(self.samples):
             return scaled
-        modes, shares = self._modes
+        errors = self.samples / self.deviation / np.sqrt(len(self.samples))
+        # Their principal axes, and what these are lowered by.
+        _, sizes, modes = np.linalg.svd(errors, full_matrices=False)
+        shares = 1.0 - 1.0 / np.sqrt(1.0 + sizes**2)
         along = np.tensordot(modes, scaled, 1)
         return np.asarray(scaled - np.tensordot(modes.T, shares.reshape(shape) * along, 1))
-
-    @property
-    def _modes(self) -> tuple[Array, Array]:
-        """The principal axes (n_samples, n_values) of errors, and what they are lowered by."""
-        scaled = self.samples / self.deviation / np.sqrt(len(self.samples))
-        _, sizes, modes = np.linalg.svd(scaled, full_matrices=False)
-        return modes, 1.0 - 1.0 / np.sqrt(1.0 + sizes**2)
 
     def without(self, k: int) -> Weights:
         """Return the weights that don't know a sample."""

@@ -117,8 +117,12 @@ class _Projection:
     def stored(self, artifact: ArtifactWriter) -> BasisOperators:
         """Project everything, report it, and return what is stored; times go to the artifact."""
         closures = self._closures(artifact)
+        states = []
+        for _, densities, velocities in mapped_runs(self.workspace, self.name):
+            every = max(1, (len(densities) - 1) // N_STATES)
+            states.append(project(self.basis, densities[::every], velocities[::every]))
         # Around them steps have to be stable.
-        self.states = self._training_states()
+        self.states = np.concatenate(states)
         taught = None
         if self.name in self.case.plan.taught_bases:
             taught = training_runs(self.workspace, self.basis, self.name)
@@ -160,14 +164,6 @@ class _Projection:
                 artifact.annotate(memory_timing(self.name, n_modes), taken)
                 advance(1)
         return found
-
-    def _training_states(self) -> Array:
-        """Return coordinates (n_states, n_modes) of some training snapshots."""
-        states = []
-        for _, densities, velocities in mapped_runs(self.workspace, self.name):
-            every = max(1, (len(densities) - 1) // N_STATES)
-            states.append(project(self.basis, densities[::every], velocities[::every]))
-        return np.concatenate(states)
 
     def _wall_forces(self) -> dict[str, WallForce]:
         """Project the forces that a case measures, beside those that training runs recorded."""

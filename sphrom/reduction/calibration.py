@@ -70,10 +70,6 @@ class Slope:
     largest: float
     """Of the runs' values, either sign; one where all are zero."""
 
-    def offset(self, value: float) -> float:
-        """Return the share of a value in corrections."""
-        return (value - self.mean) / self.largest
-
 
 @dataclass(frozen=True)
 class Calibration:
@@ -94,7 +90,8 @@ class Calibration:
         """Return the correction of the rates at a viscosity [m2/s] and values of what varies."""
         found = self.mean.plus(self.slope, kinematic_viscosity / self.mean_viscosity - 1.0)
         for name, other in self.others.items():
-            found = found.plus(other.slope, other.offset((factors or {})[name]))
+            offset = ((factors or {})[name] - other.mean) / other.largest
+            found = found.plus(other.slope, offset)
         return found
 
 

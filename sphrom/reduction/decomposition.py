@@ -94,7 +94,10 @@ def decompose(
             modes[name][:, places] = to_modes @ rows
     bases = {}
     for name, (singular_values, _) in spectra.items():
-        orthonormal = _orthonormalised(modes.pop(name))
+        orthonormal = modes.pop(name)
+        if _gram_error(orthonormal) > GRAM_TOLERANCE:  # the division lost digits
+            q, triangle = np.linalg.qr(orthonormal.T)
+            orthonormal = np.ascontiguousarray((q * np.sign(np.diag(triangle))).T)
         density, velocity = np.split(orthonormal, [n_points], axis=1)
         bases[name] = TrialBasis(
             density_modes=density / root,
@@ -157,11 +160,3 @@ def _spectrum(
 
 def _gram_error(modes: Array) -> float:
     return float(np.abs(modes @ modes.T - np.eye(len(modes))).max())
-
-
-def _orthonormalised(modes: Array) -> Array:
-    """Return the modes, orthonormalised from the first on where the division lost digits."""
-    if _gram_error(modes) <= GRAM_TOLERANCE:
-        return modes
-    orthonormal, triangle = np.linalg.qr(modes.T)
-    return np.ascontiguousarray((orthonormal * np.sign(np.diag(triangle))).T)

@@ -103,30 +103,25 @@ class Propagation:
         return self._known[multiple - 1]
 
 
-@dataclass(frozen=True)
-class StepMatrices:
-    """The matrices of steps of one length, in the form that `sphrom.kernels.exponential` takes."""
+Matrices = tuple[Array, Array, Array]
+"""Of steps of one length: stages, links and ends, as `sphrom.kernels.exponential` takes them."""
 
-    stages: Array
-    links: Array
-    ends: Array
 
-    @classmethod
-    def of(cls, halves: Propagation, time_step: float, n_states: int) -> StepMatrices:
-        """Return the matrices of steps of a length [s] that reach some states, equally far apart.
+def _matrices(halves: Propagation, time_step: float, n_states: int) -> Matrices:
+    """Return the matrices of steps of a length [s] that reach some states, equally far apart.
 
-        `halves` are at multiples of half the time between two states.
-        """
-        reached = [halves.at(2 * k) for k in range(1, n_states + 1)]
-        stages, links = _krogstad(halves.at(n_states), reached[-1], time_step)
-        ends = _parabola(np.stack(reached, axis=1), time_step)
-        # Kernels sum up columns: the index of the result comes last.
-        n_modes = ends.shape[-1]
-        return cls(
-            np.ascontiguousarray(stages.transpose(1, 3, 0, 2)).reshape(2, n_modes, -1),
-            np.ascontiguousarray(links.transpose(0, 2, 1)),
-            np.ascontiguousarray(ends.transpose(0, 3, 1, 2)).reshape(4, n_modes, -1),
-        )
+    `halves` are at multiples of half the time between two states.
+    """
+    reached = [halves.at(2 * k) for k in range(1, n_states + 1)]
+    stages, links = _krogstad(halves.at(n_states), reached[-1], time_step)
+    ends = _parabola(np.stack(reached, axis=1), time_step)
+    # Kernels sum up columns: the index of the result comes last.
+    n_modes = ends.shape[-1]
+    return (
+        np.ascontiguousarray(stages.transpose(1, 3, 0, 2)).reshape(2, n_modes, -1),
+        np.ascontiguousarray(links.transpose(0, 2, 1)),
+        np.ascontiguousarray(ends.transpose(0, 3, 1, 2)).reshape(4, n_modes, -1),
+    )
 
 
 def _parabola(at: Array, step: float) -> Array:
@@ -156,16 +151,16 @@ class LinearPart:
     def __init__(self, matrix: Array) -> None:
         self.matrix = matrix
         self._halves: dict[float, Propagation] = {}
-        self._matrices: dict[tuple[float, StepRatio], StepMatrices] = {}
+        self._matrices: dict[tuple[float, StepRatio], Matrices] = {}
 
-    def steps(self, interval: float, ratio: StepRatio) -> StepMatrices:
+    def steps(self, interval: float, ratio: StepRatio) -> Matrices:
         """Return the matrices of steps, from the time between snapshots [s]."""
         if (key := (interval, ratio)) not in self._matrices:
             half = 0.5 * interval / ratio.steps_per_snapshot
             if half not in self._halves:
                 self._halves[half] = Propagation(self.matrix, half)
             about = ratio.time_step(interval), ratio.snapshots_per_step
-            self._matrices[key] = StepMatrices.of(self._halves[half], *about)
+            self._matrices[key] = _matrices(self._halves[half], *about)
         return self._matrices[key]
 
 
@@ -211,11 +206,11 @@ class ExponentialModel(PolynomialModel):
         driven: tuple[Array, Indices, Array],
         out: Array,
     ) -> int:
-        m, ratio = self._method(n_steps, output_times)
+        matrices, ratio = self._method(n_steps, output_times)
         return kernels.integrate(
-            *driven, m.stages, m.links, m.ends, ratio.n_steps(len(out) - 1),
+            *driven, *matrices, ratio.n_steps(len(out) - 1),
             ratio.steps_per_snapshot, self._degree, output_times.largest_square,
-            np.empty(driven[0].shape[2]), np.empty(8 * out.shape[1] + m.ends.shape[2]), out,
+            np.empty(driven[0].shape[2]), np.empty(8 * out.shape[1] + matrices[2].shape[2]), out,
         )  # fmt: skip
 
     def tangents(
@@ -243,7 +238,7 @@ class ExponentialModel(PolynomialModel):
         """
         from sphrom.kernels import tangent  # few commands need it
 
-        m, ratio = self._method(n_steps, output_times)
+        matrices, ratio = self._method(n_steps, output_times)
         taken = ratio.n_steps(output_times.n_snapshots - 1)
         start_time, time_step = output_times.start_time, ratio.time_step(output_times.interval)
         coefficients, used, amplitudes = self._driven(start_time, taken, time_step, amplitude)
@@ -264,13 +259,13 @@ class ExponentialModel(PolynomialModel):
         n_monomials = coefficients.shape[2]
         tangent.integrate(
             coefficients, by_amplitude, by_parameter, used, amplitudes, amplitude_changes,
-            m.stages, m.links, m.ends, taken, ratio.steps_per_snapshot, self._degree,
+            *matrices, taken, ratio.steps_per_snapshot, self._degree,
             np.empty(n_monomials), np.empty(n_monomials), np.empty(start.size),
-            np.empty((len(out), 8 * start.size + m.ends.shape[2])), out,
+            np.empty((len(out), 8 * start.size + matrices[2].shape[2])), out,
         )  # fmt: skip
         return out[0], out[1:]
 
-    def _method(self, n_steps: int, output_times: OutputTimes) -> tuple[StepMatrices, StepRatio]:
+    def _method(self, n_steps: int, output_times: OutputTimes) -> tuple[Matrices, StepRatio]:
         """Return the matrices of a run's steps, and how long steps are."""
         ratio = StepRatio.of(n_steps, output_times.n_snapshots - 1)
         return self._linear.steps(output_times.interval, ratio), ratio

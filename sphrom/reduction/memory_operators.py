@@ -146,7 +146,9 @@ def project_memory(
     for some in blocks(len(pairs), BLOCK_VALUES // (9 * points.n_points)):
         for power in range(rates.n_powers):
             left = _left_over(rates, states, pairs[some], power, weights, fields)
-            residuals = _with_terms(points, left)
+            q, velocity = np.ascontiguousarray(left[0]), np.ascontiguousarray(left[1:])
+            slopes = np.stack([points.gradients(field) for field in (q, *velocity)])
+            residuals = _States(q, velocity, slopes, points.terms(q, velocity))
             for m in range(n):
                 change = rates.products(states.only(m), residuals)
                 sums[power, :, m, some] += _projected(weights, change)
@@ -191,13 +193,6 @@ def _left_over(
     out[0] -= fields.scaled_density[:, modes] @ coordinates
     out[1:] -= fields.velocity[..., modes] @ coordinates
     return out
-
-
-def _with_terms(points: FixedPoints, fields: Array) -> _States:
-    """Return states from their fields (3, n_points, n_states)."""
-    q, velocity = np.ascontiguousarray(fields[0]), np.ascontiguousarray(fields[1:])
-    slopes = np.stack([points.gradients(field) for field in (q, *velocity)])
-    return _States(q, velocity, slopes, points.terms(q, velocity))
 
 
 def _projected(weights: Array, rates: Array) -> Array:

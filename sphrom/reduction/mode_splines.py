@@ -137,10 +137,5 @@ def basis_columns(basis: TrialBasis) -> Array:
 
 
 def first_modes(splines: ModeSplines, basis: TrialBasis, n_modes: int) -> ModeSplines:
-    """Return the splines of a basis's first modes.
-
-    Raises ValueError where the splines are not those of the basis.
-    """
-    if splines.n_columns != 3 * basis.n_modes:
-        raise ValueError(f"splines of {splines.n_columns} columns, not of {3 * basis.n_modes}")
+    """Return the splines of a basis's first modes."""
     return splines.select(np.arange(3 * len(kept_modes(basis, n_modes))))

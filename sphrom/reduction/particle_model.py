@@ -82,9 +82,6 @@ class Projector:
         return remainder
 
 
-Advection = Literal["consistent", "paper"]
-
-
 @dataclass(frozen=True)
 class ReducedFields:
     """The fields that the generalized coordinates represent at the particles."""
@@ -114,7 +111,7 @@ class ParticleModel:
         modes: ModeSplines,
         product: InnerProduct,
         *,
-        advection: Advection = "consistent",
+        advection: Literal["consistent", "paper"] = "consistent",
         separate_mean: bool = False,
         memory_length: float | None = None,
     ) -> None:

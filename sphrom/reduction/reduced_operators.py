@@ -169,8 +169,11 @@ class ResidualFactor(Record):
 
         Its rows hold the rates of the other modes too, and are as few as give the same norms.
         """
-        kept, left_out = _kept(operators.n_modes, modes)
-        parts: list[Array] = []
+        n_modes, parts = operators.n_modes, list[Array]()
+        first, second = np.triu_indices(n_modes)
+        products = np.flatnonzero(np.isin(first, modes) & np.isin(second, modes))
+        kept = np.concatenate(([0], 1 + modes, 1 + n_modes + products))
+        left_out = np.setdiff1d(np.arange(n_modes), modes)
 
         def restricted(own: Any, rates: Any) -> Any:
             if own is None:
@@ -289,11 +292,3 @@ def residual_norm(
         return np.asarray(np.sqrt(squares))
 
     return norm
-
-
-def _kept(n_modes: int, modes: Indices) -> tuple[Indices, Indices]:
-    """Return the places of the monomials of some modes, and the modes that are left out."""
-    first, second = np.triu_indices(n_modes)
-    products = np.flatnonzero(np.isin(first, modes) & np.isin(second, modes))
-    kept = np.concatenate(([0], 1 + modes, 1 + n_modes + products))
-    return kept, np.setdiff1d(np.arange(n_modes), modes)

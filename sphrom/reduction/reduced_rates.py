@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from sphrom.arrays import Array, Indices
 from sphrom.declaration import Tensors
 
-HIGHEST_DEGREE = 3
 STABLE_RADIUS = 4.0
 """Beyond it no ray of the left half-plane is stable for Runge-Kutta's fourth-order scheme."""
 NEUTRAL = 1e-12
@@ -39,10 +38,6 @@ class Polynomial:
 
     powers: tuple[Tensors, ...]
     """The tensors that the amplitude's powers 0, 1, ... multiply."""
-
-    def __post_init__(self) -> None:
-        if max(len(tensors) for tensors in self.powers) > HIGHEST_DEGREE + 1:
-            raise ValueError(f"a polynomial has at most degree {HIGHEST_DEGREE}")
 
     @property
     def n_modes(self) -> int:

@@ -84,7 +84,11 @@ def needs(case: Case, points: Sequence[ParameterPoint] | None = None) -> dict[st
     found["map"] = Need(BASELINE, BYTES * number * (3 * n_snapshots + 2) * len(at), ("map-*.h5",))
     modes = sum(plan.basis_size(name) for name in plan.bases) * N_FIELD_VALUES * number
     kept = modes * (1 + case.basis.lagrangian)
-    copies = _decomposition(case) + (MODE_COPIES - 1) * modes + kept
+    n_learnt = len(plan.train_points) * n_snapshots
+    least = decomposition_bytes(n_learnt, smallest_block(n_learnt))
+    # All points are one block if the limit allows it.
+    whole = min(decomposition_bytes(n_learnt, number), decomposition_ram_limit())
+    copies = max(least, whole) / BYTES + (MODE_COPIES - 1) * modes + kept
     found["pod"] = Need(_ram(copies), BYTES * (kept + 6 * number), ("pod.h5",))
     if plan.reference_bases:
         found["operators"] = Need(_ram(_operators(case)))
@@ -100,14 +104,6 @@ def needs(case: Case, points: Sequence[ParameterPoint] | None = None) -> dict[st
 
 def _ram(numbers: float) -> int:
     return BASELINE + int(BYTES * numbers)
-
-
-def _decomposition(case: Case) -> float:
-    """Return the numbers of a decomposition: all points are one block if the limit allows it."""
-    n_snapshots = len(case.plan.train_points) * case.plan.steps.n_snapshots
-    least = decomposition_bytes(n_snapshots, smallest_block(n_snapshots))
-    whole = decomposition_bytes(n_snapshots, case.plan.n_particles)
-    return max(least, min(whole, decomposition_ram_limit())) / BYTES
 
 
 def _operators(case: Case) -> float:

@@ -160,10 +160,6 @@ class Domain(ABC):
         """Return the distance (n_points,) [m] to the nearest wall, zero within one."""
         return np.maximum(self.distance_and_normal(position)[0], 0.0)
 
-    def fluid_distance(self, position: Array) -> Array:
-        """Return the distance (n_points,) [m] of positions to the nearest fluid, zero within it."""
-        return np.maximum(-self.distance_and_normal(position)[0], 0.0)
-
     @abstractmethod
     def distance_and_normal(self, position: Array) -> tuple[Array, Array]:
         """Return signed distances (n_points,) [m] from walls, and normals (n_points, 2).

@@ -85,10 +85,10 @@ class PolygonDomain(Domain):
                 raise ValueError(f"solid {name}: it is so small that it gets lost in the box")
             for other, theirs in seen.items():
                 shared = shapely.area(shapely.intersection(shape, theirs))
-                if shared > ROUNDING * self.area_of_box:
+                if shared > ROUNDING * math.prod(self.lengths):
                     raise ValueError(f"solids {other} and {name} overlap by {shared:.3g} m2")
             seen[name] = shape
-        if self.area <= ROUNDING * self.area_of_box:
+        if self.area <= ROUNDING * math.prod(self.lengths):
             raise ValueError("the solids leave nothing for the fluid")
         if (length := shapely.length(self.fluid)) > LONGEST * max(self.lengths):
             raise ValueError(
@@ -100,11 +100,6 @@ class PolygonDomain(Domain):
         shapes = ", ".join(f"{name}: {digest(shape)}" for name, shape in self.solids)
         return f"PolygonDomain({self.lower}, {self.upper}, {self.periodic}, {{{shapes}}})"
 
-    @property
-    def area_of_box(self) -> float:
-        """The area of the box, fluid and solids together [m2]."""
-        return math.prod(self.lengths)
-
     @cached_property
     def fluid(self) -> BaseGeometry:
         """What fluid fills of the box."""
@@ -114,7 +109,8 @@ class PolygonDomain(Domain):
     def separate_areas(self) -> list[float]:
         """The areas [m2] of the parts that solids cut the fluid into, the largest first."""
         areas = joined_areas(self.fluid, self.lengths, self.periodic)
-        return sorted(areas[areas > ROUNDING * self.area_of_box].tolist(), reverse=True)
+        kept = areas[areas > ROUNDING * math.prod(self.lengths)]
+        return sorted(kept.tolist(), reverse=True)
 
     @property
     def solid_names(self) -> tuple[str, ...]:

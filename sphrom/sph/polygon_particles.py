@@ -37,32 +37,23 @@ def ghost_rows(fluid: BaseGeometry, frame: BaseGeometry, spacing: float, n_layer
     fluid : with its images, as far as rows reach beyond the frame.
     frame : the part of the plane that ghosts are wanted in: one period of the fluid.
     """
-    found = [np.empty((0, 2))]
+    found, (lower, upper) = [np.empty((0, 2))], np.reshape(shapely.bounds(frame), (2, 2))
     for layer in range(n_layers):
         depth = (layer + 0.5) * spacing
         grown = shapely.buffer(fluid, depth, join_style="mitre", mitre_limit=MITRE_LIMIT)
         grown = shapely.simplify(grown, TINY * spacing)
         for ring in shapely.get_rings(shapely.get_parts(grown)):
             place = shapely.get_coordinates(ring)[:-1]
-            corners = np.flatnonzero(_turns(place) > CORNER)
-            found.append(place[corners][_within(place[corners], frame)])
+            along = np.roll(place, -1, axis=0) - place
+            heading = np.arctan2(along[:, 1], along[:, 0])
+            turn = np.abs(np.angle(np.exp(1j * (heading - np.roll(heading, 1)))))
+            corners = np.flatnonzero(turn > CORNER)
+            # The frame's lower edges are part of it.
+            inside = np.all((place >= lower) & (place < upper), axis=1)
+            found.append(place[corners][inside[corners]])
             for stretch in _stretches(place, corners):
                 found += [_divided(part, place[corners], spacing) for part in _cut(stretch, frame)]
     return np.concatenate(found)
-
-
-def _turns(place: Array) -> Array:
-    """Return by how much a closed line turns at its points (n_points, 2)."""
-    along = np.roll(place, -1, axis=0) - place
-    heading = np.arctan2(along[:, 1], along[:, 0])
-    return np.abs(np.angle(np.exp(1j * (heading - np.roll(heading, 1)))))
-
-
-def _within(place: Array, frame: BaseGeometry) -> NDArray[np.bool_]:
-    """Return which points lie in a frame, its lower edges included."""
-    left, low, right, high = shapely.bounds(frame)
-    inside = (place >= (left, low)) & (place < (right, high))
-    return np.asarray(inside.all(axis=1))
 
 
 def _stretches(place: Array, corners: NDArray[np.int64]) -> Iterator[BaseGeometry]:

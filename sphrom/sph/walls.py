@@ -42,7 +42,7 @@ def ghost_depths(domain: Domain, ghost: Array, discretization: Discretization) -
     so that one number makes up for it: d (1 + 3 tan^2(turn / 2) W(r) / W(0)), r from the corner.
     Where ghosts' velocities count in continuity, that would be a source: they keep their distance.
     """
-    depth = domain.fluid_distance(ghost)
+    depth = np.maximum(-domain.distance_and_normal(ghost)[0], 0.0)
     if discretization.wall_continuity != "adjoint":
         return depth
     corner, sharpness = jutting_corners(domain.fluid_with_images, discretization.particle_spacing)
@@ -72,7 +72,9 @@ class GhostParticles:
             self._depth = ghost_depths(domain, walls.position, discretization)
         self._mass = fluid.reference_density * spacing**2
         self._position = np.ascontiguousarray(walls.position.T)
-        self._normal = _axes_of_normals(walls, discretization)
+        # Walls that follow no axis are as corners are: normal to both.
+        normal = np.ones_like(walls.position) if walls.normal is None else walls.normal
+        self._normal = np.ascontiguousarray(normal.T)
         # Fluid may have left the box along a periodic axis since it was last wrapped.
         margin = discretization.support_radius + 2.0 * MOVE_RATIO * spacing
         self._near = sort_sources(self._position, domain, margin, spacing)
@@ -146,18 +148,6 @@ class GhostParticles:
         source = np.empty((len(fields), near.particle.size))
         gather(near.particle, near.image, fields, X, source)
         return source
-
-
-def _axes_of_normals(walls: Walls, discretization: Discretization) -> Array:
-    """Return the axes (2, n_ghosts) that ghosts' walls are normal to; all, where none is asked for.
-
-    Raises ValueError for readings of the paper that need axis-parallel walls, where walls aren't.
-    """
-    if walls.normal is not None:
-        return np.ascontiguousarray(walls.normal.T)
-    if discretization.wall_continuity == "normal" or discretization.no_slip == "paper":
-        raise ValueError("where walls follow no axis, ghosts' velocities can't be split by axis")
-    return np.ones_like(walls.position.T)
 
 
 class WallTerms:

@@ -17,7 +17,7 @@ from sphrom.errors import ArtifactError, ResourceError
 
 SCHEMA = "sphrom/trajectory"
 MADE_BY = "sphrom fom CASE"
-SETTLED = "sphrom.artifacts.inspection.SETTLED"
+SETTLED = "sphrom.artifacts.reader.SETTLED"
 
 
 def test_reads_back_what_was_written(write_trajectory, fields) -> None:

@@ -222,21 +222,6 @@ def test_the_expansion_is_of_the_order_that_it_says(setting) -> None:
     assert errors[1, 1e-2] / errors[1, 1e-3] == pytest.approx(100.0, rel=0.1)
 
 
-def test_nothing_depends_on_the_reference_density(setting) -> None:
-    here = setting("lid")
-    dense = FixedPoints(
-        here.position,
-        replace(FLUID, reference_density=1.0),
-        here.discretization,
-        here.domain,
-        here.walls(1.0),
-    )
-    around = {"viscosity": FLUID.kinematic_viscosity, "amplitude": 0.0}
-    state = (here.q, np.stack((here.u, here.v)), np.zeros((3, 2, here.q.size)), around)
-    first, second = (here.at_points(each, *state) for each in (here.points, dense))
-    assert np.array_equal(first, second)
-
-
 @pytest.mark.parametrize(
     ("name", "options", "words"),
     [

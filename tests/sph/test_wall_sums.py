@@ -91,12 +91,6 @@ def test_walls_of_any_shape(scenes: dict, wall_sums: Callable, options: dict) ->
         assert np.max(np.abs(found - expected)) <= 2e-9 * np.max(np.abs(expected))
 
 
-@pytest.mark.parametrize("options", [{"no_slip": "paper"}, {"wall_continuity": "normal"}], ids=str)
-def test_velocities_are_split_by_axis_only_at_walls_along_axes(scenes: dict, options: dict) -> None:
-    with pytest.raises(ValueError, match="follow no axis"):
-        scenes["shapes"].functional(**options)
-
-
 @pytest.mark.parametrize("name", ["lid", "forced cavity"])
 @pytest.mark.parametrize("ratio", [1.5, 4.0])
 @pytest.mark.parametrize("continuity", ["adjoint", "paper"])
