@@ -95,7 +95,9 @@ def run(context: StageContext, files: Sequence[Path], about: ImportOptions) -> N
             "--set time.spin_up=0; --start leaves earlier snapshots out"
         )
     target = replace(
-        workspace.full_run(points[0]), stage="import", made_by="sphrom import CASE FILES"
+        workspace.full_run(points[0]),
+        stage="import",
+        made_by=f"sphrom import {context.words} FILES",
     )
     found = find_sources(files, about)
     choices = choose(found, case.plan.steps, about)
