@@ -335,7 +335,8 @@ def import_(
     text, keys = fitted_case(options.case, overrides, files, about, write_case.parent)
     options = replace(options, overrides=[*overrides, *keys])
     run_stage("import", options, files=files, about=about)
-    next_step = f", with {' '.join(keys)}; next: sphrom run {write_case}"
+    words = replace(options, case=write_case, overrides=None).words
+    next_step = f", with {' '.join(keys)}; next: sphrom run {words}"
     write_new(write_case, text, next_step, force=options.force)
 
 
