@@ -38,6 +38,7 @@ MAX_BYTES = 256 * 1024
 OVERRIDE = "--set"
 CONTENT = "case"
 """The name of a case without a file in messages."""
+_REYNOLDS, _OTHER = TypeAdapter[float](Positive), TypeAdapter[float](Coordinate)
 
 
 def load_case(
@@ -261,12 +262,11 @@ def parameter_point(case: Case, values: Mapping[str, Any]) -> ParameterPoint:
             raise CaseError(f"{quoted(name)}: {reason}; {nearest(name, names)}")
     if REYNOLDS not in values and (len(names) == 1 or len(case.parameters.train.reynolds) > 1):
         raise CaseError(f"{REYNOLDS}: is missing; give its value, such as {REYNOLDS}=100")
-    kinds = {name: Positive if name == REYNOLDS else Coordinate for name in values}
-    return case.plan.point({name: _checked(name, values[name], kinds[name]) for name in values})
+    return case.plan.point({name: _checked(name, value) for name, value in values.items()})
 
 
-def _checked(name: str, value: Any, kind: Any) -> float:
-    adapter = TypeAdapter[float](kind)
+def _checked(name: str, value: Any) -> float:
+    adapter = _REYNOLDS if name == REYNOLDS else _OTHER
     try:
         return adapter.validate_python(plain_values(value, name))
     except ValidationError as error:

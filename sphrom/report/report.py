@@ -113,7 +113,7 @@ def run(context: StageContext) -> None:
         *((study["title"], _study(context, study)) for study in contents["studies"]),
         ("Uncertainty", list(_pictures(out, sweep))),
         ("Costs", list(_tables(out / "tables", contents["costs"], made_by))),
-        ("The case", _case_parts(case, workspace.case_text)),
+        ("The case", _case_parts(case, case.text)),
     ]
     footer = (
         f"{about.get('software', 'sphrom')}, compared {about.get('date', '')} on "

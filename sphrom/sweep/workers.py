@@ -125,7 +125,7 @@ class Workers:
         """Make runs of a case at points, in tasks of a size, and return the runs that failed."""
         alone = self.number == 1 and self._client is None
         task = Task(
-            case_text=workspace.case_text,
+            case_text=workspace.case.text,
             case_folder=str(workspace.case.folder),
             out=str(workspace.out.resolve()),
             points=(),

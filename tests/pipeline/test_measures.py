@@ -14,6 +14,7 @@ import yaml
 
 from sphrom.api.study import Study
 from sphrom.artifacts import Artifact, open_artifact
+from sphrom.artifacts.labelled import open_labelled
 from sphrom.case.loader import load_case
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.stored_comparison import StoredComparison
@@ -215,9 +216,11 @@ def test_sweeps_have_columns_for_what_is_measured(made: Path, sphrom) -> None:
     last = dict(zip(headings, rows[-1], strict=True))
     study = Study(made / "body.yaml", out=made / "runs", quiet=True)
     measures = study.model("fast", reynolds=15).run().measures
-    assert float(last["drag_x_mean [N/m]"]) == float(measures.drag_force[:, 0].mean())
+    assert float(last["drag_force_x_mean [N/m]"]) == float(measures.drag_force[:, 0].mean())
     assert float(last["flux_flow_rate_last [m2/s]"]) == float(measures.flux_flow_rate[-1])
-    assert float(last["wake_u_greatest [m/s]"]) == float(measures.wake_velocity[:, 0, 0].max())
+    assert float(last["wake_velocity_x_greatest [m/s]"]) == float(
+        measures.wake_velocity.sel(component="x").max()
+    )
     assert not any(heading.startswith("profile") for heading in headings)
     with open_artifact(made / "runs" / "sweep-fast.h5", "sphrom/sweep", made_by="") as sweep:
         final = sweep.read("measure/profile/final_velocity")
@@ -229,7 +232,15 @@ def test_measures_in_python_have_axes_and_units(made: Path) -> None:
     model = study.model("fast", reynolds=20)
     result = model.run()
     found = result.measures
-    assert found.drag_force.dims == ("snapshot", "component")
+    many, slopes = model.run_many({"reynolds": [20, 12]}), model.sensitivities().measures
+    with open_labelled(made / "runs" / f"rom-fast-{RATE}.h5") as stored:
+        for name, values in found.items():
+            assert stored[name].dims == values.dims
+            np.testing.assert_allclose(stored[name], values, rtol=1e-12)
+            np.testing.assert_array_equal(many[name].isel(run=0), values)
+            assert slopes[name].dims == ("parameter", *values.dims)
+            assert (many[f"error_estimate_{name}"].isel(run=1, snapshot=-1) > 0.0).all()
+    assert found.drag_force.dims == found.wake_velocity.dims == ("snapshot", "component")
     assert found.flux_flow_rate.attrs["units"] == "m2/s"
     assert found.profile_pressure.dims == ("snapshot", "profile_place")
     once, late = model.measures(result.coordinates[-1]), found.sel(time=0.3)
