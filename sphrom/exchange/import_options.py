@@ -29,7 +29,10 @@ def _option(metavar: str | None, text: str) -> object:
 class ImportOptions:
     """What files mean; each field is an option of the command line, with its help."""
 
-    array: Annotated[str | None, _option("NAME", "PySPH's name of the particles to take.")] = None
+    array: Annotated[
+        str | None,
+        _option("NAME", "Particles to take: PySPH's name, or a field's value such as Type=3."),
+    ] = None
     position: Annotated[
         str, _option("A,B", "Two fields; of a vector such as points.x,points.y.")
     ] = "x,y"
@@ -106,12 +109,12 @@ class ImportOptions:
                 raise CaseError(f"--units: got {part!r}; must be a number, or of {allowed}")
         return scales
 
-    def fitting(self, quantity: str, least: float, most: float) -> str:
-        """Return advice on the unit that is this much larger than the given one, if one is."""
-        now = self.scales[quantity]
-        units = UNITS[quantity].items()
-        fits = next((unit for unit, scale in units if least <= scale / now <= most), None)
-        return "" if fits is None else f"; {quantity}={fits} of --units would fit"
+    def fitting(self, quantity: str, factor: float) -> str:
+        """Return advice on the unit that is about a factor larger than the given one, if one is."""
+        units = {u: scale / self.scales[quantity] / factor for u, scale in UNITS[quantity].items()}
+        unit = min(units, key=lambda u: abs(math.log(units[u])))
+        fits = 0.2 < units[unit] < 5.0 and not 0.2 < factor * units[unit] < 5.0
+        return f"; {quantity}={unit} of --units would fit" if fits else ""
 
 
 def pair(option: str, text: str) -> tuple[str, str]:
