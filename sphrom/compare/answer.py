@@ -190,7 +190,6 @@ def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
 def _force_errors(
     tables: Tables, point: str, which: Literal["relative_l2", "estimated"]
 ) -> dict[tuple[str, str], float]:
-    """Return true or estimated errors of whole forces [%], by run and measurement."""
     found: dict[tuple[str, str], float] = {}
     for row in tables.measures:
         error = getattr(row, which)

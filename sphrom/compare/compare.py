@@ -89,7 +89,6 @@ def run(context: StageContext) -> None:
 
 
 def _exact_flows(case: Case) -> list[tuple[ParameterPoint, TaylorGreen]]:
-    """Return the exact solutions that full runs are compared with, and their points."""
     flows = ((point, case.plan.flow(point).exact) for point in case.plan.points)
     return [(point, flow) for point, flow in flows if flow is not None and case.compare.exact]
 
@@ -104,7 +103,6 @@ def _decay(workspace: Workspace, point: ParameterPoint, flow: TaylorGreen) -> De
 
 
 def _tell_unseen(workspace: Workspace) -> None:
-    """Tell which reduced runs have no full run to compare with."""
     plan = workspace.case.plan
     for model in workspace.case.rom:
         unseen = [point.label for point in plan.rom_points(model) if point not in plan.points]

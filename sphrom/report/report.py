@@ -128,7 +128,6 @@ def run(context: StageContext) -> None:
 
 
 def _headline(answer: Answer) -> Html:
-    """Return the answer as figures that stand out, and sentences."""
     figures = [
         ("velocity is off by", percent(answer.error[0])),
         ("pressure is off by", percent(answer.error[1])),
@@ -217,7 +216,6 @@ def _pictures(
 
 
 def _study(context: StageContext, study: Mapping[str, Any]) -> list[Html]:
-    """Return figures and tables of a study, if it was made."""
     folder, made_by = context.out / study["folder"], f"{study['made_by']} {context.words}"
     tables = _tables(folder, study["tables"], made_by)
     return [*_pictures(folder, study["figures"]), *tables]

@@ -164,7 +164,6 @@ class _Trade:
         return Results(rows, without, [run for _, runs in each for run in runs], measure)
 
     def _full(self, label: str, variant: Case) -> Rows:
-        """Make the full runs of a variant, and return its rows."""
         workspace = weighed_models.workspace_of(self.workspace, variant)
         unstable = weighed_models.make(workspace, label, list(self.full))
         runs, step = [], variant.plan.steps.time_step
@@ -211,7 +210,6 @@ class _Trade:
         return row, runs
 
     def _fast(self, fast: FastModel, label: str, factor: int, point: ParameterPoint) -> RunRow:
-        """Run and time a model at a point."""
         measure, role = self.case.trade.measure, role_of(self.case, fast.basis_at(point), point)
         reduced = fast.at(point)
         steps = reference_model.automatic(reduced).with_steps(factor)
@@ -251,7 +249,6 @@ class _Trade:
         return {**errors_of(history), **self._measured_errors(point, samples)}
 
     def _measured_errors(self, point: ParameterPoint, samples: Samples) -> Errors:
-        """Return the errors of the measurement that models are judged by, if there is one."""
         found = dict(NO_MEASURED)
         counted_ones = self.full[point].time >= self.case.compare.from_time
         for quantity, reference in self.full[point].measured.items():
