@@ -263,6 +263,7 @@ def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None)
     """Write tables and the plot, and show the table and its conclusions."""
     report, folder = workspace.context.report, workspace.folder(FOLDER)
     rows, without, measure = results.rows, results.without, results.measure
+    tables: dict[str, Sequence[Any]]
     tables = {"models": rows, "runs": results.runs, "doing_nothing": without}
     for name, each in tables.items():
         write_csv(folder / f"{name}.csv", each)
