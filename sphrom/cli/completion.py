@@ -10,9 +10,9 @@ import typer
 
 def kinds(incomplete: str) -> list[str]:
     """Return the kinds of scene that begin so."""
-    from sphrom.case.template import scene_kinds
+    from sphrom.case.scenes import DEFAULTS
 
-    return [kind for kind in scene_kinds() if kind.startswith(incomplete)]
+    return [kind for kind in DEFAULTS if kind.startswith(incomplete)]
 
 
 def keys(incomplete: str) -> list[str]:

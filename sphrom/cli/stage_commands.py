@@ -324,19 +324,18 @@ def import_(
       sphrom import vortex.yaml *.vtp --write-case theirs.yaml --units length=mm
     """
     about = ImportOptions(**own)
-    if write_case is None:
-        run_stage("import", options, files=files, about=about)
-        return
-    from sphrom.exchange.import_ import fitted_case
+    if write_case is not None:
+        from sphrom.exchange.import_ import fitted_case
 
-    if write_case.suffix not in (".yaml", ".yml") or (write_case.exists() and not options.force):
-        raise CaseError(f"{write_case}: must be a new case, or one that --force writes over")
-    overrides = options.overrides or []
-    text, keys = fitted_case(options.case, overrides, files, about, write_case.parent)
-    options = replace(options, overrides=[*overrides, *keys])
+        if write_case.suffix not in (".yaml", ".yml") or write_case.exists() > options.force:
+            raise CaseError(f"{write_case}: must be a new case, or one that --force writes over")
+        overrides = options.overrides or []
+        text, keys = fitted_case(options.case, overrides, files, about, write_case.parent)
+        options = replace(options, overrides=[*overrides, *keys])
     run_stage("import", options, files=files, about=about)
-    next_step = f", with {' '.join(keys)}; next: sphrom run {write_case}"
-    write_new(write_case, text, next_step, force=options.force)
+    if write_case is not None:
+        next_step = f", with {' '.join(keys)}; next: sphrom run {write_case}"
+        write_new(write_case, text, next_step, force=options.force)
 
 
 @stage_command(stages, "export", OF_FILES)

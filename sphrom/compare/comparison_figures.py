@@ -61,11 +61,11 @@ def draw_comparison(workspace: Workspace, tables: Tables, *, again: bool) -> Non
     """Draw the figures of a comparison into the folder `plots`: all `again`, or those not there."""
     folder = workspace.folder("plots")
     with StoredComparison.of(workspace) as comparison:
-        figures = [(folder / f"{n}.png", d) for n, d in _figures(workspace, tables, comparison)]
-        missing = [(path, draw) for path, draw in figures if again or not path.exists()]
-        with workspace.context.report.details.progress("pictures", len(missing)) as advance:
-            for path, draw in missing:
-                save(draw(), path)
+        figures = list(_figures(workspace, tables, comparison))
+        with workspace.context.report.details.progress("pictures", len(figures)) as advance:
+            for name, draw in figures:
+                if again or not (folder / f"{name}.png").exists():
+                    save(draw(), folder / f"{name}.png")
                 advance(1)
 
 
