@@ -368,8 +368,8 @@ def runs(process: Path) -> bool:
 @pytest.mark.parametrize(
     ("number", "code", "words"),
     [
-        (signal.SIGINT, 130, "interrupted\n"),
-        (signal.SIGTERM, 143, "terminated\n"),
+        (signal.SIGINT, 130, "interrupted; finished runs are kept"),
+        (signal.SIGTERM, 143, "terminated; finished runs are kept"),
         (signal.SIGKILL, -9, None),
     ],
 )
@@ -395,7 +395,7 @@ def test_a_sweep_that_is_ended_goes_on_where_it_was(empty, case_text, sphrom, nu
         assert time.monotonic() < deadline
         time.sleep(0.05)
     if code > 0:
-        assert stderr == words
+        assert stderr.startswith(words)
         assert not list(empty.glob("**/.*.tmp"))
     kept = {path: path.stat().st_mtime_ns for path in empty.glob("fom-*.h5")}
     assert len(kept) >= len(parts)
