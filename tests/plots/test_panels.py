@@ -107,7 +107,7 @@ def test_a_model_looks_alike_beside_others_and_without_them_and_no_data_look_lik
 
 @pytest.mark.parametrize("ends", [(2.1, 4.9), (0.42, 0.46), (0.003, 0.9), (1e-9, 1.0)])
 def test_logarithmic_axes_have_numbers_wherever_they_lie(ends) -> None:
-    panel = replace(PANEL, curves=[Curve("", np.arange(2), np.array(ends))], axes="logarithmic")
+    panel = replace(PANEL, curves=[Curve("a", np.arange(2), np.array(ends))], axes="logarithmic")
     (axes,) = draw_grid([[panel]]).axes
     low, high = axes.get_ylim()
     assert 3 <= sum(low <= y <= high for y in axes.get_yticks()) <= 12
