@@ -73,7 +73,6 @@ def draw_comparison(workspace: Workspace, tables: Tables, *, again: bool) -> Non
 def _figures(
     workspace: Workspace, tables: Tables, comparison: StoredComparison
 ) -> Iterator[tuple[str, Callable[[], Figure]]]:
-    """Yield the names of all figures, and the functions that draw them."""
     case, probes = workspace.case, probes_of(workspace.case)
     for point in case.plan.points:
         figures = _PointFigures(workspace, tables, comparison, probes, point)
@@ -251,7 +250,6 @@ class _PointFigures:
 
 
 def _curve(case: Case, name: str, x: Array, y: Array) -> Curve:
-    """Return the curve of a reduced run, or of the full one."""
     return (
         Curve(name, x, y, "full") if name == FULL else Curve(name, x, y, place=place_of(case, name))
     )

@@ -201,7 +201,6 @@ class BasisModel:
         return replace(found, leading=replace(leading, basis=self.basis))
 
     def _nearest(self, point: ParameterPoint) -> int:
-        """Return which training point is the nearest."""
         places = places_of(self.workspace.case, [*self.points, point])
         distances = np.linalg.norm(places[:-1] - places[-1], axis=1)
         # Rounded: of points as near as each other, the first on any machine.
@@ -209,7 +208,6 @@ class BasisModel:
 
     @cached_property
     def _linear_parts(self) -> list[LinearPart | None]:
-        """The linear parts of exponential steps, by training point."""
         models = [self._equations(point, in_training=True) for point in self.points]
         return [model.around(self.states).linear for model in models]
 

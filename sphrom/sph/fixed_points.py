@@ -94,11 +94,8 @@ class FixedPoints:
     density_scale : c0/rho0, q over the density fluctuation [m4/(kg s)].
     fixed_volume : whether the mean of continuity is taken out.
 
-    Raises
-    ------
-    ValueError
-        For readings of the paper that these sums are not: pair viscosity, and at walls ghosts whose
-        velocities count in continuity, or aren't extrapolated.
+    Raises ValueError for readings of the paper that these sums are not: pair viscosity, and at
+    walls ghosts whose velocities count in continuity, or aren't extrapolated.
     """
 
     def __init__(

@@ -58,12 +58,9 @@ class PolygonDomain(Domain):
     ----------
     solids : names, and the polygons that each names, which may touch but not overlap [m].
 
-    Raises
-    ------
-    ValueError
-        When a name is that of a side or given twice, a solid is empty, not a valid polygon or
-        outside of the box, two overlap, outlines cross too often to tell, nothing is left for the
-        fluid, or walls are too long.
+    Raises ValueError when a name is that of a side or given twice, a solid is empty, not a valid
+    polygon or outside of the box, two overlap, outlines cross too often to tell, nothing is left
+    for the fluid, or walls are too long.
     """
 
     lower: tuple[float, float]

@@ -340,7 +340,6 @@ def _cheapest(rows: Sequence[ModelRow]) -> ModelRow | None:
 
 
 def _best(rows: Sequence[ModelRow], quantity: str, measure: Measure) -> str:
-    """Return the least error of a quantity in words."""
     found = [(e, row.model) for row in rows if (e := measure.of(row.errors, quantity)) is not None]
     error, model = min(found, default=(None, "none"))
     return f"{quantity} {format_figure(error)} % by {model}"
