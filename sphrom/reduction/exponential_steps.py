@@ -20,12 +20,7 @@ import numpy as np
 
 from sphrom.arrays import Array, Indices
 from sphrom.kernels import exponential as kernels
-from sphrom.reduction.polynomial_model import (
-    EXPONENTIAL,
-    Amplitude,
-    OutputTimes,
-    PolynomialModel,
-)
+from sphrom.reduction.polynomial_model import EXPONENTIAL, Amplitude, OutputTimes, PolynomialModel
 from sphrom.reduction.reduced_rates import Polynomial
 
 N_INTEGRALS = 3
