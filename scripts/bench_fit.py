@@ -64,9 +64,9 @@ def recorded(study: sphrom.Study, point: dict[str, float]) -> Columns:
     path = study.folder / f"fom-{label}.h5"
     found = {"time": sphrom.open(path).time.values[1:]}
     for name in PROBES:
-        velocity = sphrom.open(path, f"measure/{name}").measure_velocity.values
-        for k, component in enumerate("uv"):
-            found[f"{name}_{component}"] = velocity[1:, 0, k]
+        for axis in "xy":
+            velocity = sphrom.open(path)[f"{name}_velocity"].sel(component=axis)
+            found[f"{name}_velocity_{axis}"] = velocity.values[1:]
     return found
 
 

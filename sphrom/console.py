@@ -6,6 +6,7 @@ else wrote, so that control characters are shown as escapes.
 
 from __future__ import annotations
 
+import re
 import shutil
 import sys
 import textwrap
@@ -33,6 +34,8 @@ LONGEST_LINE = 500
 """Characters of an error or a warning: what they quote may be of any length."""
 PROSE = 100
 """Characters of a line of sentences where there is no terminal."""
+TOGETHER = re.compile("`[^`]{,76}`| %")
+"""What stands in one line: a command to copy, a figure and its percent sign."""
 WHOLE_WORDS: Any = {"break_long_words": False, "break_on_hyphens": False}
 _ERASE = "\r\x1b[K"
 
@@ -49,7 +52,9 @@ def tell(text: str, *, error: bool = False, indent: int = 0) -> None:
     stream = sys.stderr if error else sys.stdout
     text = shortened(text, LONGEST_LINE) if error else visible(text)
     if stream.isatty():
+        text = TOGETHER.sub(lambda found: found[0].replace(" ", "\xa0"), text)
         text = textwrap.fill(text, _columns(), subsequent_indent=" " * indent, **WHOLE_WORDS)
+        text = text.replace("\xa0", " ")
     print(text, file=stream, flush=True)
 
 
@@ -228,13 +233,12 @@ class Reporter:
         self._running.append(progress)
 
         def show() -> None:
-            if self._terminal and self._least <= Level.INFO:
+            if self._terminal and self._least <= Level.INFO and progress.is_stale():
                 _show_status("; ".join(map(str, self._running)))
 
         def advance(done: int) -> None:
             progress.count(done)
-            if progress.is_stale():
-                show()
+            show()
             if progress.is_due():
                 self._show(str(progress), Level.DETAIL if self._terminal else Level.INFO)
 
@@ -264,7 +268,8 @@ class _Progress:
 
     def __init__(self, description: str, total: int) -> None:
         self._description, self._total = description, total
-        self.start = self._since = self._shown = time.monotonic()
+        self.start = self._since = time.monotonic()
+        self._shown = -REFRESHED
         self.done = self._first = 0
         self._interval = LINE_INTERVAL
         self._next = self.start + self._interval
@@ -278,10 +283,10 @@ class _Progress:
 
     def is_stale(self) -> bool:
         """Return whether a terminal's line of it is old; it counts as new from now on."""
-        now, before = time.monotonic(), self._shown
-        if now >= before + REFRESHED:
-            self._shown = now
-        return self._shown > before
+        if (now := time.monotonic()) < self._shown + REFRESHED:
+            return False
+        self._shown = now
+        return True
 
     def is_due(self) -> bool:
         """Return whether to write a line: the more seldom the longer it takes."""

@@ -8,10 +8,14 @@ has.
 from __future__ import annotations
 
 import os
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import lru_cache
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 _ROOT = Path("/")
 LEAST_TIMED = 5e-4
@@ -43,10 +47,15 @@ def one_blas_thread() -> Iterator[None]:
     With more of them the last bits of results differ.
     """
     import scipy.linalg  # noqa: F401 - it brings a library of its own, and loads it late
-    from threadpoolctl import threadpool_limits
 
-    with threadpool_limits(1, user_api="blas"):
+    with _thread_pools(len(sys.modules)).limit(limits=1, user_api="blas"):
         yield
+
+
+@lru_cache(maxsize=1)
+def _thread_pools(n_modules: int) -> Any:
+    """Find libraries with threads, again once there are more modules: that takes milliseconds."""
+    return import_module("threadpoolctl").ThreadpoolController()
 
 
 def physical_ram(root: Path = _ROOT) -> int:

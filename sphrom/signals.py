@@ -14,7 +14,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
-from queue import SimpleQueue
 from types import CodeType, FrameType
 from typing import Any
 
@@ -93,7 +92,7 @@ def interrupts_come_again() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    lost: SimpleQueue[signal.Signals | None] = SimpleQueue()  # which may be written to at any time
+    lost: list[signal.Signals] = []  # which may be changed at any time
     late: list[signal.Signals] = []
     ending: list[bool] = []
     hook_before = sys.unraisablehook
@@ -103,38 +102,40 @@ def interrupts_come_again() -> Iterator[None]:
         if number is None:
             hook_before(unraisable)
         else:
-            lost.put(number)
+            send_again(number)
+
+    def send_again(number: signal.Signals) -> None:
+        lost.append(number)
+        # Threads of `threading` hold a lock while they start, and a signal may arrive then.
+        _thread.start_new_thread(send, (number,))
+
+    def send(number: signal.Signals) -> None:
+        time.sleep(MOMENT)
+        _thread.interrupt_main(number)
+        lost.pop()
 
     def guarded(handler: Handler) -> Handler:
         def handle(number: int, frame: FrameType | None) -> None:
             if ending:
                 late.append(signal.Signals(number))
             elif _runs(hook.__code__, frame):
-                lost.put(signal.Signals(number))  # what is raised within the hook is lost as well
+                send_again(signal.Signals(number))  # what is raised within the hook is lost as well
             else:
                 handler(number, frame)
 
         return handle
 
-    def send_again() -> None:
-        while (number := lost.get()) is not None:
-            time.sleep(MOMENT)
-            _thread.interrupt_main(number)
-
     handlers = {number: signal.getsignal(number) for number in STOPPING.values()}
-    sender = threading.Thread(target=send_again, daemon=True)
     try:
         for number, handler in handlers.items():
             if callable(handler):
                 signal.signal(number, guarded(handler))
         sys.unraisablehook = hook
-        sender.start()
         yield
     finally:
         ending.append(True)  # in one step that nothing can interrupt: cleaning up is left alone
-        lost.put(None)
-        if sender.is_alive():
-            sender.join()
+        while lost:
+            time.sleep(MOMENT)
         sys.unraisablehook = hook_before
         for number, handler in handlers.items():
             if callable(handler):

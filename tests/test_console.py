@@ -106,13 +106,11 @@ def test_lines_of_a_terminal_have_whole_words(monkeypatch):
     terminal = Terminal()
     monkeypatch.setattr(sys, "stdout", terminal)
     monkeypatch.setenv("COLUMNS", "20")
-    console.tell("a well-known name  and what it is", indent=4)
-    Reporter().prose("five words of a sentence")
-    Reporter().table("t", ["run", "velocity", "pressure", "role"], [["full", "1", "2", "own"]])
+    console.tell("a well-known name  or `what it is`", indent=4)
+    Reporter().table("five words of a title", ["run", "speed", "pressure"], [["full", "1", "2"]])
     assert terminal.text.splitlines() == [
-        "a well-known name", "    and what it is", "five words of a", "sentence", "t",
-        "run   velocity", "  pressure  role", "----  --------", "  --------  ----",
-        "full         1", "         2   own",
+        "a well-known name", "    or `what it is`", "five words of a", "title",
+        "run   speed", "  pressure", "----  -----", "  --------", "full      1", "         2",
     ]  # fmt: skip
 
 

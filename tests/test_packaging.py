@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from pathlib import Path
 
@@ -33,6 +34,20 @@ def test_package_carries_the_cases_and_the_constraints() -> None:
 def test_version_is_told_once() -> None:
     assert PROJECT["project"]["dynamic"] == ["version"]
     assert CITATION["version"] == sphrom.__version__
+
+
+def test_authors_and_addresses_agree_and_the_paper_has_a_journal_s_length() -> None:
+    project = PROJECT["project"]
+    names = [author["name"] for author in project["authors"]]
+    _, head, body = (ROOT / "paper" / "paper.md").read_text().split("---\n", 2)
+    for authors in (CITATION["authors"], yaml.safe_load(head)["authors"]):
+        assert [author["name"] for author in authors] == names
+    assert CITATION["repository-code"] == project["urls"]["Repository"]
+    for page in ("README.md", "CONTRIBUTING.md"):
+        assert project["urls"]["Issues"] in (ROOT / page).read_text()
+    assert 750 <= len(body.split()) <= 1750
+    cited = set(re.findall(r"@(\w+)\]", body))
+    assert cited == set(re.findall(r"@\w+\{(\w+),", (ROOT / "paper" / "paper.bib").read_text()))
 
 
 def test_cases_are_listed_with_what_they_are(sphrom_command) -> None:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sphrom.api.result import Result, Sensitivities, finite_array, labelled_measures
+from sphrom.api.result import Labels, Result, Sensitivities, finite_array, rows_of
 from sphrom.arrays import Array
 from sphrom.case.checks import steady_problem
 from sphrom.case.hints import beyond_training, extrapolation
@@ -55,24 +55,28 @@ class Model:
     ArtifactError when artifacts that they need are missing, damaged, or of another case.
     """
 
-    def __init__(
-        self, context: StageContext, section: ReducedModelSection, point: ParameterPoint
-    ) -> None:
+    _point: ParameterPoint
+    _reduced: ReferenceModel | None = None
+
+    def __init__(self, context: StageContext, section: ReducedModelSection) -> None:
         self._workspace, self._section = Workspace(context), section
+        self._labels = Labels(context.case)
         self._errors: TrainingDifferences = {}
         self._fast: FastModel | None = None
-        self._move(point)
-
-    def _move(self, point: ParameterPoint) -> None:
-        case = self._workspace.case
-        require_basis(case, self._section, point)
-        if (warning := extrapolation(case, point)) is not None:
-            self._warn(warning)
-        if self._section.from_operators and self._fast is None:
+        if section.from_operators:
             self._workspace.require(self._workspace.operators())
-            self._fast = FastModel(self._workspace, self._section)
-        self._point = point
-        self._reduced = None if self._fast is None else self._fast.at(point)
+            self._fast = FastModel(self._workspace, section)
+
+    def _points(self, rows: Iterable[Mapping[str, float]]) -> list[ParameterPoint]:
+        """Return points of the model by their values; warn of the first that extrapolates."""
+        case = self._workspace.case
+        points = [parameter_point(case, values) for values in rows]
+        for point in points:
+            require_basis(case, self._section, point)
+        for warning in filter(None, (extrapolation(case, point) for point in points)):
+            self._warn(warning)
+            break
+        return points
 
     def _warn(self, text: str) -> None:
         self._workspace.context.report.warn(f"{self.name}: {text}")
@@ -93,13 +97,14 @@ class Model:
     @property
     def start(self) -> Array:
         """The coordinates (n_modes,) that a run starts from."""
-        return self._by_operators("start").start.copy()
+        return self._by_operators("start")[1].start.copy()
 
     @guarded()
     def at(self, **parameters: float) -> Model:
         """Return the same model at other parameter values; nothing is read again."""
-        point, other = parameter_point(self._workspace.case, parameters), copy(self)
-        other._move(point)
+        other = copy(self)
+        (other._point,) = self._points([parameters])
+        other._reduced = None if self._fast is None else self._fast.at(other._point)
         return other
 
     @guarded()
@@ -118,8 +123,8 @@ class Model:
             if final_time is not None:
                 raise CaseError("final_time: is for models on the reference points")
             return self._run_on_particles()
-        reduced = self._lengthened(self._by_operators("run"), final_time)
-        run = self._fast.run(self._point, reduced)
+        fast, reduced = self._by_operators("run")
+        run = fast.run(self._point, self._lengthened(reduced, final_time))
         if run.failure is not None:
             raise UnstableError(f"{run.name}: {run.failure}")
         return Result(
@@ -129,11 +134,33 @@ class Model:
             coordinates=run.coordinates,
             correction=run.correction,
             time_step=run.time_step,
-            error_estimate=run.estimate,
-            _case=self._workspace.case,
+            _labels=self._labels,
             _sample=run.sampled,
-            _measured=run.measured,
+            _measured=lambda: run.measured,
+            _estimate=lambda: run.estimate,
         )
+
+    @guarded()
+    def run_many(self, points: Mapping[str, ArrayLike]) -> xarray.Dataset:
+        """Run the model at many points, and return what the case measures with estimated errors.
+
+        Parameters
+        ----------
+        points : values (n_runs,) by parameter, in a dictionary, or a table of pandas or xarray; a
+            number is for all runs.
+
+        Returns
+        -------
+        The variables of `Result.measures` with a first axis `run`, along which the parameters are
+        coordinates; their estimated errors, such as `error_estimate_drag_force`, where the model
+        estimates any; `error_estimate_velocity` and `error_estimate_pressure` (run), of the fields
+        over their root mean squares [%]; `error_estimate_extrapolated` (run), one outside of what
+        the model was trained on, else zero; and `status` (run). A run that became `unstable` has
+        NaN for its values.
+        """
+        fast, _ = self._by_operators("run_many")
+        at = self._points(rows_of(points))
+        return self._labels.runs(map(fast.run, at), [p.as_dict() for p in at], self.name)
 
     @guarded()
     def sensitivities(
@@ -152,9 +179,7 @@ class Model:
         final_time : as for `run`.
         step_factor : length of the steps over that of automatic ones.
         """
-        case, reduced = self._workspace.case, self._by_operators("sensitivities")
-        fast = self._fast
-        assert fast is not None
+        case, (fast, reduced) = self._workspace.case, self._by_operators("sensitivities")
         self._require_names(names)
         if not (np.isfinite(step_factor) and step_factor > 0.0):
             raise CaseError(f"step_factor: must be above zero; got {step_factor:g}")
@@ -164,15 +189,18 @@ class Model:
         wanted = tuple(dict.fromkeys(names)) or case.plan.parameter_names
         found = tangents(fast, self._point, wanted, longer, step_factor)
 
-        def fields(points: Array) -> list[Samples]:
+        def changes(points: Array) -> Samples:
             mean, run = reduced.mean_density_fluctuation, found.run
             moved = zip(run + found.coordinates, mean + found.mean_changes, strict=True)
             sampled = partial(fast.at_point(self._point).sampled, points, found.time)
-            return [sampled(*state) for state in ((run, mean), *moved)]
+            own, *others = (sampled(*state) for state in ((run, mean), *moved))
+            velocity = np.stack([each.velocity - own.velocity for each in others])
+            return Samples(
+                own.time, velocity, np.stack([each.pressure - own.pressure for each in others])
+            )
 
-        return Sensitivities(
-            **vars(found), model=self.name, at=self.parameters, _case=case, _samples=fields
-        )
+        own: Any = {"model": self.name, "at": self.parameters}
+        return Sensitivities(**vars(found), **own, _labels=self._labels, _sample=changes)
 
     @guarded()
     def fit(
@@ -196,9 +224,7 @@ class Model:
         Estimates with 95 % intervals, in which the model's own errors count beside the noise:
         `found["reynolds"].value`, `.low`, `.high`, and `found.problems` to read first.
         """
-        case, section = self._workspace.case, self._section
-        self._by_operators("fit")
-        assert self._fast is not None
+        case, section, (fast, _) = self._workspace.case, self._section, self._by_operators("fit")
         self._require_names(names)
         share = case.fit.noise if noise is None else percent(noise, "noise")
         source = measurements if isinstance(measurements, Mapping) else Path(measurements)
@@ -208,7 +234,7 @@ class Model:
             trained = trained_ranges(case, section)
             ranges = {name: ranges.get(name, trained[name]) for name in dict.fromkeys(names)}
             values = {n: v for n, v in self.parameters.items() if n not in ranges}
-        return fit(self._fast, box_of(ranges, values), data, self._errors)
+        return fit(fast, box_of(ranges, values), data, self._errors)
 
     def _require_names(self, names: Sequence[str]) -> None:
         known = self._workspace.case.plan.parameter_names
@@ -263,15 +289,15 @@ class Model:
         times = np.array([at])
         found = quantities_of(self._workspace.case, reduced, times, state[None])
         about = {"model": self.name, **self.parameters}
-        return labelled_measures(self._workspace.case, found, times, about)
+        return self._labels.dataset(found, times, about)
 
-    def _by_operators(self, what: str) -> ReferenceModel:
-        if self._reduced is None:
+    def _by_operators(self, what: str) -> tuple[FastModel, ReferenceModel]:
+        if self._fast is None or self._reduced is None:
             raise CaseError(
                 f"{what}: {self.name} is evaluated on particles, and has no equations in its "
                 "coordinates alone; choose a model with evaluation: operators"
             )
-        return self._reduced
+        return self._fast, self._reduced
 
     def _lengthened(self, reduced: ReferenceModel, final_time: float | None) -> ReferenceModel:
         """Return the model with the snapshots of a run that ends at another time [s]."""
@@ -289,7 +315,7 @@ class Model:
         self, what: str, coordinates: ArrayLike, time: float | None = None
     ) -> tuple[ReferenceModel, Array, float, float]:
         """Return the model, coordinates as an array, and amplitude and time of what drives it."""
-        reduced = self._by_operators(what)
+        _, reduced = self._by_operators(what)
         state, shape = finite_array(coordinates, "coordinates"), reduced.start.shape
         if state.shape != shape:
             raise CaseError(f"coordinates: must have the shape {shape}; got {state.shape}")
@@ -318,7 +344,7 @@ class Model:
                 time=trajectory.read("time"),
                 coordinates=trajectory.read("generalized_coordinates"),
                 time_step=trajectory.number("time_step"),
-                _case=workspace.case,
+                _labels=self._labels,
                 _sample=sampled,
-                _measured=measured_of(workspace.case, trajectory),
+                _measured=partial(dict, measured_of(workspace.case, trajectory)),
             )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike
 from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
-from sphrom.metrics.measures import COMPONENTS, UNITS, Quantities
-from sphrom.online.error_estimates import ErrorEstimate
+from sphrom.metrics.measures import AXES, PLACED, UNITS, VECTORS, Quantities
+from sphrom.online.error_estimates import ErrorEstimate, measured_errors
+from sphrom.online.fast_model import FastRun
 from sphrom.online.sensitivities import Tangents
 from sphrom.setup.assembly import field_measures
 from sphrom.signals import guarded
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
 Variable = tuple[object, ...]
 """Axes, values and attributes."""
+Measured = Mapping[str, Quantities]
+"""Quantities of each measurement by its name."""
 
 
 def labelled(dims: str, values: Array, units: str, meaning: str) -> Variable:
@@ -31,26 +34,115 @@ def labelled(dims: str, values: Array, units: str, meaning: str) -> Variable:
     return dims.split(), values, {"units": units, "long_name": meaning}
 
 
-def labelled_measures(
-    case: Case, measured: Mapping[str, Quantities], time: Array, attributes: Mapping[str, Any]
-) -> xarray.Dataset:
-    """Return what a case measures at times (n_snapshots,) [s], by name and quantity."""
-    import xarray
+ERROR = "error_estimate_"
+"""Begins the names of estimated errors."""
 
-    variables = {}
-    for name, quantities in measured.items():
-        for quantity, values in quantities.items():
-            vector = " component" if quantity in COMPONENTS else ""
-            places = f" {name}_place" if values.ndim == 2 + bool(vector) else ""
-            axes, meaning = f"snapshot{places}{vector}", f"{quantity} of {name}"
-            variables[f"{name}_{quantity}"] = labelled(axes, values, UNITS[quantity], meaning)
-    coordinates = {"time": labelled("snapshot", time, "s", "time of each snapshot")}
-    for name, measure in field_measures(case).items():
-        if measure.normal is None:
-            coordinates[f"{name}_position"] = labelled(
-                f"{name}_place component", measure.position, "m", f"places of {name}"
-            )
-    return xarray.Dataset(variables, coordinates, dict(attributes)).set_xindex("time")
+
+class Labels:
+    """What variables of a case's measurements are called, with their axes and coordinates."""
+
+    def __init__(self, case: Case) -> None:
+        self.case = case
+        fields = case.scene.measured_fields.items()
+        self._lines = {name: f" {name}_place" for name, m in fields if m.line is not None}
+        self._known: dict[bytes, xarray.Coordinates] = {}
+
+    def dataset(
+        self, measured: Measured, time: Array, about: Mapping[str, Any], axes: str = "snapshot"
+    ) -> xarray.Dataset:
+        """Return what is measured at times (n_snapshots,) [s], with some axes in front."""
+        import xarray
+
+        variables = {}
+        for name, quantities in measured.items():
+            line = self._lines.get(name.removeprefix(ERROR), "")
+            for quantity, values in quantities.items():
+                is_vector = quantity in VECTORS
+                if quantity in PLACED and not line:  # a probe has one place
+                    values = np.squeeze(values, axis=-1 - is_vector)
+                dims, meaning = f"{axes}{line}{' component' * is_vector}", f"{quantity} of {name}"
+                variables[f"{name}_{quantity}"] = labelled(dims, values, UNITS[quantity], meaning)
+        if (key := time.tobytes()) not in self._known:
+            known = axes_of(time)
+            for name, measure in field_measures(self.case).items():
+                if measure.normal is None:
+                    dims = f"{self._lines.get(name, '')} component"
+                    where = measure.position if name in self._lines else measure.position[0]
+                    known[f"{name}_position"] = labelled(dims, where, "m", f"position of {name}")
+            self._known[key] = xarray.Dataset(coords=known).set_xindex("time").coords
+        return xarray.Dataset(variables, self._known[key], dict(about))
+
+    def fields(
+        self,
+        points: ArrayLike,
+        sampled: Callable[[Array], Samples],
+        time: Array,
+        about: Mapping[str, Any],
+        axes: str = "snapshot",
+    ) -> xarray.Dataset:
+        """Return fields at points (n_points, 2) [m]; raise CaseError where they are not."""
+        import xarray
+
+        position, domain = finite_array(points, "points"), self.case.scene.domain
+        if position.ndim != 2 or position.shape[1] != 2 or not len(position):
+            raise CaseError(f"points: must have the shape (n_points, 2); got {position.shape}")
+        for x, y in position[~domain.contains(position)][:1]:
+            raise CaseError(f"points: ({x:g}, {y:g}) m is not in the fluid")
+        samples, dims = sampled(domain.wrap(position)), f"{axes} point"
+        where = labelled("point component", position, "m", "position of each point")
+        variables = {
+            "velocity": labelled(f"{dims} component", samples.velocity, "m/s", "velocity"),
+            "pressure": labelled(dims, samples.pressure, "Pa", "pressure"),
+        }
+        known = axes_of(time) | {"position": where}
+        return xarray.Dataset(variables, known, dict(about)).set_xindex("time")
+
+    def runs(
+        self, runs: Iterable[FastRun], points: Sequence[Mapping[str, float]], model: str
+    ) -> xarray.Dataset:
+        """Return what runs at points measured, with estimated errors: NaN where one is unstable."""
+        n_runs, measured, time = len(points), dict[str, dict[str, Array]](), np.zeros(0)
+        status, errors = np.full(n_runs, "unstable"), np.full((3, n_runs), np.nan)
+        for k, run in enumerate(runs):
+            time = run.time
+            if run.failure is not None:
+                continue
+            status[k] = "complete"
+            if (found := run.estimate) is not None:
+                errors[:, k] = found.velocity_percent, found.pressure_percent, found.extrapolates
+            estimates = {f"{ERROR}{name}": each for name, each in measured_errors(run).items()}
+            for name, quantities in {**run.measured, **estimates}.items():
+                known = measured.setdefault(name, {})
+                for quantity, values in quantities.items():
+                    if quantity not in known:
+                        known[quantity] = np.full((n_runs, *values.shape), np.nan)
+                    known[quantity][k] = values
+        names = ("velocity", "%"), ("pressure", "%"), ("extrapolated", "1")
+        figures = {
+            f"{ERROR}{name}": labelled("run", each, unit, f"estimated error: {name}")
+            for (name, unit), each in zip(names, errors, strict=True)
+        }
+        whole = self.dataset(measured, time, {"model": model}, "run snapshot")
+        along = {name: ("run", [point[name] for point in points]) for name in points[0]}
+        return whole.assign(figures | {"status": ("run", status)}).assign_coords(along)
+
+
+def rows_of(points: Mapping[str, ArrayLike]) -> list[dict[str, float]]:
+    """Return the points of a table with a column (n_runs,), or a number, for each parameter."""
+    try:
+        columns = {str(name): finite_array(each, str(name)) for name, each in dict(points).items()}
+        rows = np.stack(np.broadcast_arrays(*columns.values()), axis=-1).reshape(-1, len(columns))
+    except (TypeError, ValueError) as error:
+        raise CaseError("points: must be values by parameter, as many of each") from error
+    if not len(rows):
+        raise CaseError("points: there are none")
+    return [dict(zip(columns, row, strict=True)) for row in rows.tolist()]
+
+
+def axes_of(time: Array) -> dict[str, Variable]:
+    """Return the coordinates of snapshots and components."""
+    times = labelled("snapshot", time, "s", "time of each snapshot")
+    return {"time": times, "component": ("component", list(AXES))}
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
@@ -70,28 +162,37 @@ class Result:
     from the model's own; None of a model without. The rest is what its rates integrate to."""
     time_step: float
     """[s]."""
-    error_estimate: ErrorEstimate | None = None
-    """None where the case wants none, and for models that are evaluated otherwise than by
-    operators."""
-    _case: Case
+    _labels: Labels
     _sample: Callable[[Array], Samples]
-    _measured: Mapping[str, Quantities]
+    _measured: Callable[[], Measured]
+    _estimate: Callable[[], ErrorEstimate | None] = lambda: None
 
     def __repr__(self) -> str:
         values = ", ".join(f"{name}={value:g}" for name, value in self.parameters.items())
         return f"Result({self.model!r}, {values}, {len(self.time)} snapshots)"
 
     @property
+    @guarded()
+    def error_estimate(self) -> ErrorEstimate | None:
+        """The estimated errors of the run.
+
+        None where the case wants none, and for models that are evaluated otherwise than by
+        operators.
+        """
+        return self._estimate()
+
+    @property
+    @guarded()
     def measures(self) -> xarray.Dataset:
         """What the case measures, over time.
 
         Variables are called by the measurement and the quantity: `drag_force` (snapshot, component)
-        [N/m] and `drag_torque` (snapshot) [N], `flux_flow_rate` (snapshot) [m2/s], and of places
-        `wake_velocity` (snapshot, wake_place, component) [m/s] and `wake_pressure` (snapshot,
-        wake_place) [Pa], with their `wake_position` (wake_place, component) [m].
+        [N/m] and `drag_torque` (snapshot) [N], `flux_flow_rate` (snapshot) [m2/s], of a probe
+        `wake_velocity` (snapshot, component) [m/s] and `wake_pressure` (snapshot) [Pa], and of a
+        line the same with an axis `profile_place`. Places are in `wake_position` [m].
         """
-        attributes = {"model": self.model, **self.parameters}
-        return labelled_measures(self._case, self._measured, self.time, attributes)
+        about = {"model": self.model, **self.parameters}
+        return self._labels.dataset(self._measured(), self.time, about)
 
     @guarded()
     def fields(self, points: ArrayLike) -> xarray.Dataset:
@@ -113,20 +214,8 @@ class Result:
         ArtifactError
             When artifacts that the run was made from have changed since.
         """
-        position = fluid_positions(self._case, points)
-        samples = self._sample(self._case.scene.domain.wrap(position))
-        attributes = {"model": self.model, **self.parameters}
-        return _labelled_fields(self.time, position, samples.velocity, samples.pressure, attributes)
-
-
-def fluid_positions(case: Case, points: ArrayLike) -> Array:
-    """Return points of the fluid (n_points, 2) [m]; raise CaseError where they are none."""
-    position, domain = finite_array(points, "points"), case.scene.domain
-    if position.ndim != 2 or position.shape[1] != 2 or not len(position):
-        raise CaseError(f"points: must have the shape (n_points, 2); got {position.shape}")
-    for x, y in position[~domain.contains(position)][:1]:
-        raise CaseError(f"points: ({x:g}, {y:g}) m is not in the fluid")
-    return position
+        about = {"model": self.model, **self.parameters}
+        return self._labels.fields(points, self._sample, self.time, about)
 
 
 def finite_array(given: ArrayLike, name: str) -> Array:
@@ -140,32 +229,6 @@ def finite_array(given: ArrayLike, name: str) -> Array:
     return values
 
 
-def _labelled_fields(
-    time: Array,
-    position: Array,
-    velocity: Array,
-    pressure: Array,
-    attributes: Mapping[str, Any],
-    parameters: Sequence[str] = (),
-) -> xarray.Dataset:
-    """Return velocity and pressure at points over time, or their derivatives by parameters."""
-    import xarray
-
-    axes = "parameter snapshot point" if parameters else "snapshot point"
-    per = " per unit" if parameters else ""
-    variables = {
-        "velocity": labelled(f"{axes} component", velocity, f"m/s{per}", "velocity"),
-        "pressure": labelled(axes, pressure, f"Pa{per}", "pressure"),
-    }
-    coordinates: dict[str, Variable] = {
-        "time": labelled("snapshot", time, "s", "time of each snapshot"),
-        "position": labelled("point component", position, "m", "position of each point"),
-    }
-    if parameters:
-        coordinates["parameter"] = ("parameter", list(parameters))
-    return xarray.Dataset(variables, coordinates, attributes).set_xindex("time")
-
-
 @dataclass(frozen=True, repr=False, kw_only=True)
 class Sensitivities(Tangents):
     """The derivatives of a run; made by `Model.sensitivities`. Each is per unit of a parameter."""
@@ -174,14 +237,20 @@ class Sensitivities(Tangents):
     """Name of the model."""
     at: dict[str, float]
     """Values of the run's parameters."""
-    _case: Case
-    _samples: Callable[[Array], list[Samples]]
-    """At points: the run, and for each parameter the run plus its derivative."""
+    _labels: Labels
+    _sample: Callable[[Array], Samples]
 
     def __repr__(self) -> str:
         values = ", ".join(f"{name}={value:g}" for name, value in self.at.items())
         names = ", ".join(self.parameters)
         return f"Sensitivities({self.model!r}, {values}, by {names}, {len(self.time)} snapshots)"
+
+    @property
+    def measures(self) -> xarray.Dataset:
+        """The derivatives of `Result.measures`, with a first axis `parameter`."""
+        about = {"model": self.model, **self.at}
+        found = self._labels.dataset(self.measured, self.time, about, "parameter snapshot")
+        return self._by_parameter(found)
 
     @guarded()
     def fields(self, points: ArrayLike) -> xarray.Dataset:
@@ -189,13 +258,11 @@ class Sensitivities(Tangents):
 
         Parameters, errors and result are those of `Result.fields`, with a first axis `parameter`.
         """
-        position = fluid_positions(self._case, points)
-        own, *moved = self._samples(self._case.scene.domain.wrap(position))
-        return _labelled_fields(
-            self.time,
-            position,
-            np.stack([each.velocity - own.velocity for each in moved]),
-            np.stack([each.pressure - own.pressure for each in moved]),
-            {"model": self.model, **self.at},
-            self.parameters,
-        )
+        about, axes = {"model": self.model, **self.at}, "parameter snapshot"
+        found = self._labels.fields(points, self._sample, self.time, about, axes)
+        return self._by_parameter(found)
+
+    def _by_parameter(self, found: xarray.Dataset) -> xarray.Dataset:
+        for values in found.values():
+            values.attrs["units"] += " per unit"
+        return found.assign_coords(parameter=list(self.parameters))

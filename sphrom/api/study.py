@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from sphrom import stages
 from sphrom.api.model import Model
-from sphrom.case.loader import load_case, parameter_point
+from sphrom.case.loader import load_case
 from sphrom.case.models import Case
 from sphrom.console import Reporter
 from sphrom.errors import CaseError
@@ -73,6 +73,9 @@ class Study:
             force=force,
             threads=threads,
         )
+
+        # The last one, by its name and how many artifacts had been written: each may change it.
+        self._models: dict[tuple[str, int], Model] = {}
 
     def __repr__(self) -> str:
         return f"Study({self.case.name!r}, out={str(self.folder)!r}, models={[*self.models]})"
@@ -155,8 +158,11 @@ class Study:
         sections = {section.name: section for section in self.case.rom}
         if name not in sections:
             raise CaseError(f"no model has the name {quoted(name)}; {nearest(str(name), sections)}")
-        context = replace(self._context, keep_valid=True)
-        return Model(context, sections[name], parameter_point(self.case, parameters))
+        key = name, len(self._context.known.written)
+        if key not in self._models:
+            context = replace(self._context, keep_valid=True)
+            self._models = {key: Model(context, sections[name])}
+        return self._models[key].at(**parameters)
 
 
 @guarded(computes=False)

@@ -7,6 +7,7 @@ the others: xarray takes longer to load than a reduced run.
 from __future__ import annotations
 
 import contextlib
+import re
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,10 @@ from sphrom.artifacts.reader import Artifact, open_artifact
 from sphrom.artifacts.records import SCHEMAS
 from sphrom.declaration import Field
 from sphrom.errors import CaseError
+from sphrom.metrics.measures import AXES
+
+_MEASURED = re.compile("((?:error_estimate|steady)/)?(measure|force)/([^/]+)/([^/]+)")
+"""A path of what is measured: what begins it, the kind, the measurement and the quantity."""
 
 
 def open_labelled(path: str | Path, group: str = "") -> xarray.Dataset:
@@ -45,6 +50,11 @@ def open_labelled(path: str | Path, group: str = "") -> xarray.Dataset:
             for name, field in fields.items()
             if _home(field, name) in ("", group)
         }
+        for wall in {name.split("/")[1] for name in fields if name.startswith("force/")}:
+            for load in ("force", "torque"):
+                one, other = (variables[f"{wall}_{p}_{load}"] for p in ("pressure", "viscous"))
+                variables[f"{wall}_{load}"] = whole = one + other
+                whole.attrs = {"units": one.attrs["units"], "long_name": f"{load} on the wall"}
         others = tuple(f"{other}/" for other in (*groups, "lineage") if other != group)
         attributes: dict[str, Any] = {
             _short(name, group): value
@@ -54,6 +64,8 @@ def open_labelled(path: str | Path, group: str = "") -> xarray.Dataset:
         if groups:
             attributes["groups"] = groups
         found = xarray.Dataset(variables, attrs=attributes)
+        if "component" in found.dims:
+            found = found.assign_coords(component=list(AXES))
         if "time" in found and found["time"].dims == ("snapshot",):
             found = found.set_coords("time").set_xindex("time")
         found.set_close(stack.pop_all().close)
@@ -66,17 +78,29 @@ def _variable(artifact: Artifact, name: str, field: Field) -> xarray.Variable:
         for i, axis in enumerate(field.axes)
     ]
     labels = {key: text for key, text in field.labels.items() if text}
-    return xarray.Variable(dims, indexing.LazilyIndexedArray(_Lazy(artifact, name)), labels)
+    found = xarray.Variable(dims, indexing.LazilyIndexedArray(_Lazy(artifact, name)), labels)
+    if (measured := _MEASURED.fullmatch(name)) is None or "place" not in dims:
+        return found
+    if found.sizes["place"] == 1:  # a probe's
+        return found.squeeze("place")
+    return found._replace(dims=[dim.replace("place", f"{measured[3]}_place") for dim in dims])
 
 
 def _home(field: Field, name: str) -> str:
     """Return the innermost group of several of a kind that a dataset is in, `""` for none."""
+    if _MEASURED.fullmatch(name):
+        return ""
     above = field.name.rpartition("/")[0]
     depth = above.rpartition("*")[0].count("/") + 1 if "*" in above else 0
     return "/".join(name.split("/")[:depth])
 
 
 def _short(name: str, home: str) -> str:
+    """Return what a variable is called: what is measured by the measurement and the quantity."""
+    if found := _MEASURED.fullmatch(name):
+        begin, kind, measured, quantity = found.groups("")
+        force = "_force" if kind == "force" and not quantity.endswith("_torque") else ""
+        return f"{begin.replace('/', '_')}{measured}_{quantity}{force}"
     return name.removeprefix(f"{home}/").replace("/", "_")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -37,6 +38,7 @@ MAX_BYTES = 256 * 1024
 OVERRIDE = "--set"
 CONTENT = "case"
 """The name of a case without a file in messages."""
+_REYNOLDS, _OTHER = TypeAdapter[float](Positive), TypeAdapter[float](Coordinate)
 
 
 def load_case(
@@ -61,7 +63,11 @@ def load_case(
     except ValidationError as error:
         problems = problems_of(error, document.value)
     if problems:
-        cause = changed if changed and _is_valid(source, force) else ()
+        cause = ""
+        if changed:
+            with suppress(CaseError):  # what is wrong without the changes isn't their fault
+                load_case(source, (), force)
+                cause = f"because of {OVERRIDE} {', '.join(map(show_path, changed))}: "
         raise _error(name, document, problems, changed, cause)
     if "rom" in case.model_fields_set:
         return case
@@ -69,13 +75,6 @@ def load_case(
     (model,) = case.rom
     most = min(model.size, case.basis.n_modes or model.size, case.plan.n_basis_snapshots(ALL))
     return case.model_copy(update={"rom": (model.model_copy(update={"n_modes": most}),)})
-
-
-def _is_valid(source: str | os.PathLike[str] | Mapping[str, Any], force: bool) -> bool:
-    try:
-        return bool(load_case(source, (), force))
-    except CaseError:
-        return False
 
 
 def given_keys(source: FilePath, overrides: Sequence[str], folder: FilePath) -> dict[str, Any]:
@@ -190,14 +189,9 @@ def _error(
     document: Document,
     problems: Sequence[Problem],
     changed: Sequence[Path] = (),
-    cause: Sequence[Path] = (),
+    cause: str = "",
 ) -> CaseError:
-    """Return all problems, of a case whose changed keys may be the cause of those of others."""
-    lines = [_line(name, document, problem, changed) for problem in problems[:MAX_PROBLEMS]]
-    if cause:
-        keys = ", ".join(dict.fromkeys(map(show_path, cause)))
-        due = f"because of {OVERRIDE} {keys}: "
-        lines = [line if line.startswith(OVERRIDE) else due + line for line in lines]
+    lines = [_line(cause + name, document, problem, changed) for problem in problems[:MAX_PROBLEMS]]
     if len(problems) > MAX_PROBLEMS:
         lines.append(f"{name}: and {len(problems) - MAX_PROBLEMS} more problems")
     return CaseError("\n".join(lines))
@@ -267,12 +261,11 @@ def parameter_point(case: Case, values: Mapping[str, Any]) -> ParameterPoint:
             raise CaseError(f"{quoted(name)}: {reason}; {nearest(name, names)}")
     if REYNOLDS not in values and (len(names) == 1 or len(case.parameters.train.reynolds) > 1):
         raise CaseError(f"{REYNOLDS}: is missing; give its value, such as {REYNOLDS}=100")
-    kinds = {name: Positive if name == REYNOLDS else Coordinate for name in values}
-    return case.plan.point({name: _checked(name, values[name], kinds[name]) for name in values})
+    return case.plan.point({name: _checked(name, value) for name, value in values.items()})
 
 
-def _checked(name: str, value: Any, kind: Any) -> float:
-    adapter = TypeAdapter[float](kind)
+def _checked(name: str, value: Any) -> float:
+    adapter = _REYNOLDS if name == REYNOLDS else _OTHER
     try:
         return adapter.validate_python(plain_values(value, name))
     except ValidationError as error:

@@ -108,7 +108,8 @@ class Case(Section):
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Case:
         """Return a copy with keys changed, and with a plan of its own."""
         copied = super().model_copy(update=update, deep=deep)
-        copied.__dict__.pop("plan", None)
+        for worked_out in ("plan", "text"):
+            copied.__dict__.pop(worked_out, None)
         return copied
 
     @cached_property
@@ -120,6 +121,11 @@ class Case(Section):
     def plan(self) -> Plan:
         """What follows from the keys."""
         return Plan(self)
+
+    @cached_property
+    def text(self) -> str:
+        """The case as `resolved_yaml` has it."""
+        return resolved_yaml(self)
 
 
 VERSIONS: Mapping[str, int] = {

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import shapely
 
+from sphrom.arrays import Array
 from sphrom.case.points import REYNOLDS, GivenPoints, ParameterPoint, Values, nearest_point
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection, SubsetSection
 from sphrom.errors import CaseError
@@ -397,6 +398,11 @@ class Plan:
                 for name, (low, high) in bounds.items()
             )
         ]
+
+    @cached_property
+    def largest_values(self) -> Array:
+        """The largest size of each parameter (n_parameters,) that is trained."""
+        return np.abs([[*p.as_dict().values()] for p in self.train_points]).max(axis=0)
 
     @cached_property
     def n_modes(self) -> int:

@@ -13,7 +13,7 @@ from typing import Any, get_args
 
 from sphrom.case import schema
 from sphrom.case.models import Case
-from sphrom.case.scenes import DEFAULTS, AnyScene, kind_of_section
+from sphrom.case.scenes import AnyScene, kind_of_section
 from sphrom.case.yaml_reader import Path, dump_yaml, show_path
 from sphrom.errors import CaseError
 from sphrom.text import nearest, quoted
@@ -22,12 +22,10 @@ WIDTH = 80
 INDENT = "  "
 NAME = "NAME"
 """Stands in a path for a key that the case names."""
-SCHEMA_FILE = "sphrom.schema.json"
-"""What a new case calls the schema, beside it, that an editor reads."""
 FOLDER = FilePath(__file__).parent.parent / "cases"
 _END_OF_CLAUSE = re.compile(r"(?<!et al)\.(?:\s|$)|;")
 _FULL_HEAD = """\
-# yaml-language-server: $schema={schema}
+# yaml-language-server: $schema=sphrom.schema.json
 # A case of sphrom: {kind}.
 # Every key but name and scene.kind may be left out: it then has the value here,
 # except for parameters, rom and sweep, which hold an example. Units are in
@@ -57,32 +55,20 @@ def title(path: FilePath) -> str:
     return _END_OF_CLAUSE.split(comment, maxsplit=1)[0]
 
 
-def scene_kinds() -> tuple[str, ...]:
-    """Return the kinds of scene that a case can have."""
-    return tuple(DEFAULTS)
-
-
-def require_kind(kind: str | None) -> str:
-    """Return a known kind of scene. Raises CaseError, with the kinds, for another one or none."""
-    titles = {kind_of_section(section): section.title for section in get_args(AnyScene)}
-    if kind in titles:
-        return str(kind)
-    kinds = "\n".join(f"  {name:18} {title}" for name, title in titles.items())
-    wrong = "KIND: is missing" if kind is None else f"no scene is of kind {quoted(kind)}"
-    hint = "" if kind is None else f"{nearest(kind, titles)} "
-    raise CaseError(f"{wrong}; {hint}the kinds are\n{kinds}")
-
-
 def new_case(kind: str | None, *, full: bool = False) -> str:
     """Return a commented case file for a kind of scene: a short one, or with every key.
 
-    Raises CaseError for a kind that isn't known.
+    Raises CaseError, with the kinds, for another one or none.
     """
-    kind = require_kind(kind)
+    titles = {kind_of_section(section): section.title for section in get_args(AnyScene)}
+    if kind not in titles:
+        kinds = "\n".join(f"  {name:18} {title}" for name, title in titles.items())
+        hint = f"got {quoted(kind)}; {nearest(kind, titles)}" if kind else "is missing"
+        raise CaseError(f"KIND: {hint}\nthe kinds are\n{kinds}")
     if not full:
         return (FOLDER / "new" / f"{kind}.yaml").read_text(encoding="utf-8")
     values = _example(kind).model_dump(mode="json")
-    head = _FULL_HEAD.format(schema=SCHEMA_FILE, kind=kind)
+    head = _FULL_HEAD.format(kind=kind)
     return "\n".join([head, *_section(values, (), "", kind)]) + "\n"
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+import shlex
 import signal
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Annotated, Any
@@ -44,8 +46,25 @@ class Commands(TyperGroup):
             raise typer.Exit(error.exit_code) from None
         except KeyboardInterrupt as interrupt:
             terminated = isinstance(interrupt, Terminated)
-            tell(str(interrupt) or ("terminated" if terminated else "interrupted"), error=True)
+            stopped = "terminated" if terminated else "interrupted"
+            tell(f"{stopped}{_way_on(str(ctx.invoked_subcommand))}", error=True)
             raise typer.Exit(128 + (signal.SIGTERM if terminated else signal.SIGINT)) from None
+
+
+def _way_on(command: str) -> str:
+    """Return what is kept of a command that was stopped, and how to go on."""
+    words, kept, does = ["sphrom", *sys.argv[1:]], "complete files are kept", "starts again"
+    if command == "case":
+        return ""
+    if command in ("trade", "train", "sweep"):  # which start anew if they are forced to
+        words = [word for word in words if word != "--force"]
+        kept, does = "finished runs are kept", "goes on"
+    elif command in ("fom", "rom", "run"):
+        words += ["--resume"] * ("--resume" not in words)
+        kept, does = "finished artifacts and checkpoints are kept", "goes on from them"
+    elif command == "export":
+        words += ["--force"] * ("--force" not in words)
+    return f"; {kept}: `{shlex.join(words)}` {does}"
 
 
 @contextmanager

@@ -18,9 +18,7 @@ cases = typer.Typer(
     no_args_is_help=True, rich_markup_mode=None, help="Write, check and describe case files."
 )
 KINDS = "One of taylor-green, lid-driven-cavity, open-cavity, or custom: a flow of your own."
-Output = Annotated[
-    Path | None, option("FILE", "Write there, not to the terminal.", "--output", "-o")
-]
+Output = Annotated[Path | None, option("FILE", "Write there.", "--output", "-o")]
 Force = Annotated[bool, typer.Option("--force", help="Write over a file.")]
 
 
@@ -109,9 +107,6 @@ def new(
         print(text, end="")
         return
     write_new(output, text, f"; next: sphrom case check {output}", force=force)
-    schema = output.with_name(template.SCHEMA_FILE)
-    if not schema.exists():
-        tell(f"for completion and checks in an editor: sphrom case schema -o {schema}")
 
 
 @cases.command(cls=Command)
@@ -122,15 +117,12 @@ def examples(
             metavar="[NAME]",
             help="The case to write; without it, all are listed.",
             show_default=False,
-            autocompletion=completion.examples,
         ),
     ] = None,
-    output: Annotated[
-        Path | None, option("FILE", "Write there.  [default: NAME.yaml]", "--output", "-o")
-    ] = None,
+    output: Output = None,
     force: Force = False,
 ) -> None:
-    """List the cases that come with sphrom, or write one into a file.
+    """List the cases that come with sphrom, or write one into a file, by default NAME.yaml.
 
     \b
     Example:

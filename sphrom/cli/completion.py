@@ -10,16 +10,9 @@ import typer
 
 def kinds(incomplete: str) -> list[str]:
     """Return the kinds of scene that begin so."""
-    from sphrom.case.template import scene_kinds
+    from sphrom.case.scenes import DEFAULTS
 
-    return [kind for kind in scene_kinds() if kind.startswith(incomplete)]
-
-
-def examples(incomplete: str) -> list[str]:
-    """Return the names of the cases that come with the program and begin so."""
-    from sphrom.case import template as packaged
-
-    return [name for name in packaged.examples() if name.startswith(incomplete)]
+    return [kind for kind in DEFAULTS if kind.startswith(incomplete)]
 
 
 def keys(incomplete: str) -> list[str]:

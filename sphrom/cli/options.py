@@ -18,12 +18,9 @@ from typer.core import TyperCommand
 from sphrom import stages
 from sphrom.cli import completion
 from sphrom.console import LOG, LogFile, Reporter
-from sphrom.signals import Terminated
 
 WITHOUT_LOG = ("check", "draw")
 """Stages that leave nothing beside the artifacts."""
-GOES_ON = ("trade", "extremes", "train", "sweep")
-"""Stages that go on from their finished runs, unless they are forced to start anew."""
 
 
 def option(metavar: str, text: str, *names: str, **more: Any) -> Any:
@@ -49,7 +46,8 @@ class Options:
     out: Annotated[
         Path | None,
         option(
-            "DIR", "Folder of the artifacts.  [default: runs/<name of the case> below this one]"
+            "DIR",
+            "Folder of the artifacts.  [default: runs/<name of the case> in the current folder]",
         ),
     ] = None
     overrides: Annotated[
@@ -189,25 +187,7 @@ def run_stage(stage: str, options: Options, **asked: object) -> None:
         )
         context = stages.selected(context, stage, options.only or ())
         context = replace(context, words=options.words)
-        try:
-            if stage == "run":
-                stages.run_all(context)
-            else:
-                stages.run_stage(stage, context, **asked)
-        except KeyboardInterrupt as interrupt:
-            stopped = "terminated" if isinstance(interrupt, Terminated) else "interrupted"
-            raise type(interrupt)(f"{stopped}; {_way_on(stage)}") from None
-
-
-def _way_on(stage: str) -> str:
-    """Return what is kept of a stage that was stopped, and the command to go on with."""
-    words, kept, does = ["sphrom", *sys.argv[1:]], "complete files are kept", "starts again"
-    if stage in GOES_ON:
-        words = [word for word in words if word != "--force"]
-        kept, does = "finished runs are kept", "goes on"
-    elif stage in ("fom", "rom", "run"):
-        words += ["--resume"] * ("--resume" not in words)
-        kept, does = "finished artifacts and checkpoints are kept", "goes on from them"
-    elif stage == "export":
-        words += ["--force"] * ("--force" not in words)
-    return f"{kept}: `{shlex.join(words)}` {does}"
+        if stage == "run":
+            stages.run_all(context)
+        else:
+            stages.run_stage(stage, context, **asked)

@@ -233,7 +233,7 @@ def fit(
         Path,
         typer.Argument(
             metavar="MEASUREMENTS",
-            help="Measured histories (CSV), a column for each, such as time, wake_u, drag_x.",
+            help="Measured histories (CSV), a column for each, such as time, drag_force_x.",
             show_default=False,
         ),
     ],
@@ -252,8 +252,8 @@ def fit(
     """Find parameters from measured histories: fit-<name>.h5, .csv and .png.
 
     A model with evaluation: operators is fitted to histories of probes, forces and flow rates: the
-    case's own (time, wake_u, wake_v, drag_x, ...), or of any place (time, x, y, u, v, pressure).
-    The section fit of the case says which parameters are looked for, and in which ranges.
+    case's own (time, wake_velocity_x, drag_force_x, ...), or of any place (time, x, y, velocity_x,
+    ...). The section fit of the case says which parameters are looked for, and in which ranges.
 
     \b
     Example, with noise of 1 % of each history's range, the lid's speed known:
@@ -324,19 +324,18 @@ def import_(
       sphrom import vortex.yaml *.vtp --write-case theirs.yaml --units length=mm
     """
     about = ImportOptions(**own)
-    if write_case is None:
-        run_stage("import", options, files=files, about=about)
-        return
-    from sphrom.exchange.import_ import fitted_case
+    if write_case is not None:
+        from sphrom.exchange.import_ import fitted_case
 
-    if write_case.suffix not in (".yaml", ".yml") or (write_case.exists() and not options.force):
-        raise CaseError(f"{write_case}: must be a new case, or one that --force writes over")
-    overrides = options.overrides or []
-    text, keys = fitted_case(options.case, overrides, files, about, write_case.parent)
-    options = replace(options, overrides=[*overrides, *keys])
+        if write_case.suffix not in (".yaml", ".yml") or write_case.exists() > options.force:
+            raise CaseError(f"{write_case}: must be a new case, or one that --force writes over")
+        overrides = options.overrides or []
+        text, keys = fitted_case(options.case, overrides, files, about, write_case.parent)
+        options = replace(options, overrides=[*overrides, *keys])
     run_stage("import", options, files=files, about=about)
-    next_step = f", with {' '.join(keys)}; next: sphrom run {write_case}"
-    write_new(write_case, text, next_step, force=options.force)
+    if write_case is not None:
+        next_step = f", with {' '.join(keys)}; next: sphrom run {write_case}"
+        write_new(write_case, text, next_step, force=options.force)
 
 
 @stage_command(stages, "export", OF_FILES)

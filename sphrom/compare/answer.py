@@ -11,12 +11,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 from sphrom.compare.comparison_tables import ErrorRow, Tables, best_name
-from sphrom.compare.costs import DIGITS, RunTiming, break_even, offline_seconds
+from sphrom.compare.costs import N_REPEATS, RunTiming, break_even, offline_seconds
 from sphrom.plots.tables import format_figure
 from sphrom.store.trained_models import basis_used
 from sphrom.store.workspace import Workspace
 from sphrom.text import counted, duration
 
+DIGITS = 2
+"""Significant digits of the figures in a sentence."""
 DEFINITION = (
     "the root mean square of the difference, over the whole field and all instants, in percent of "
     "the full run's own; a pressure is less its mean"
@@ -112,7 +114,10 @@ class Answer:
             yield f"{took} It is not faster; {FASTER}."
             return
         yield took
-        yield f"That is {timing.times} times as long."
+        gains = timing.speed_up, timing.least_speed_up, timing.greatest_speed_up
+        times, low, high = (format_figure(each, DIGITS) for each in gains)
+        spread = "" if gains[1] is None else f" ({low} to {high} over {N_REPEATS} repeats)"
+        yield f"That is {times}{spread} times as long."
         if self.offline_seconds is None or self.pays_from is None:
             yield "What making it took is unknown, and so is from when on it pays."
             return

@@ -20,11 +20,10 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import Row, place_of
 from sphrom.case.study_sections import FULL
 from sphrom.compare.comparison_tables import BEST, Tables
-from sphrom.compare.measured import named_components
 from sphrom.compare.mode_figures import draw_modes, draw_spectrum, frame_of, model_sizes
 from sphrom.compare.stored_comparison import StoredComparison
 from sphrom.metrics.histories import without_mean
-from sphrom.metrics.measures import UNITS
+from sphrom.metrics.measures import UNITS, components
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Field, Panel, Role, draw_grid
@@ -62,11 +61,11 @@ def draw_comparison(workspace: Workspace, tables: Tables, *, again: bool) -> Non
     """Draw the figures of a comparison into the folder `plots`: all `again`, or those not there."""
     folder = workspace.folder("plots")
     with StoredComparison.of(workspace) as comparison:
-        figures = [(folder / f"{n}.png", d) for n, d in _figures(workspace, tables, comparison)]
-        missing = [(path, draw) for path, draw in figures if again or not path.exists()]
-        with workspace.context.report.details.progress("pictures", len(missing)) as advance:
-            for path, draw in missing:
-                save(draw(), path)
+        figures = list(_figures(workspace, tables, comparison))
+        with workspace.context.report.details.progress("pictures", len(figures)) as advance:
+            for name, draw in figures:
+                if again or not (folder / f"{name}.png").exists():
+                    save(draw(), folder / f"{name}.png")
                 advance(1)
 
 
@@ -230,7 +229,7 @@ class _PointFigures:
             with StoredRun.opened(self.workspace, self.point, model) as run:
                 quantities = run.measured(name)
             for quantity, values in quantities.items():
-                for component, one in named_components(quantity, values).items():
+                for component, one in components(quantity, values).items():
                     label = f"{component.replace('_', ' ')} [{UNITS[quantity]}]"
                     # A flow rate is over time alone, a probe's fields are at one place.
                     shown = one[-1] if is_line else one.reshape(len(x))

@@ -24,7 +24,6 @@ from sphrom.machine import seconds_of
 from sphrom.metrics.histories import compression_factor, field_compression_factor
 from sphrom.online.fast_model import FastModel
 from sphrom.online.particle_runs import build_model, close
-from sphrom.plots.tables import format_figure
 from sphrom.setup import particles
 from sphrom.sph.time_loop import Model, runge_kutta_step
 from sphrom.store.trained_models import memory_timing
@@ -36,8 +35,6 @@ N_REPEATS = 5
 """Of what is timed, in turns: the least counts, and all of them show the spread."""
 N_TIMED_STEPS = 10
 """Steps that are timed at once: neighbours are searched in some of them only."""
-DIGITS = 2
-"""Significant digits of the figures in a sentence."""
 
 
 @dataclass(frozen=True)
@@ -63,14 +60,6 @@ class RunTiming:
     least_speed_up: float | None = None
     """Of one repeat; the greatest likewise."""
     greatest_speed_up: float | None = None
-
-    @property
-    def times(self) -> str:
-        """How many times as long the full run takes, with the spread, in words."""
-        some = (self.speed_up, self.least_speed_up, self.greatest_speed_up)
-        middle, low, high = (format_figure(each, DIGITS) for each in some)
-        spread = f" ({low} to {high} over {N_REPEATS} repeats)"
-        return middle + (spread if self.least_speed_up is not None else "")
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ values from the bases.
 from __future__ import annotations
 
 from itertools import product
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -45,22 +45,14 @@ FOLDER = "figures"
 OVER = {"line": "the line's range", "field": "the field's range"}
 
 
-class _Snapshot(NamedTuple):
-    """The fields of a run at one instant."""
-
-    time: float
-    """[s]"""
-    last: bool
-    """Whether the run became unstable before the instant that was asked for."""
-    position: Array
-    """(n_points, 2) [m]"""
-    values: dict[str, Array]
-    """(n_points,) `speed` [m/s] and `pressure` [Pa]."""
+Snapshot = tuple[float, bool, Array, dict[str, Array]]
+"""Time [s], whether the run became unstable before the instant that was asked for, its points
+(n_points, 2) [m], and there `speed` [m/s] and `pressure` [Pa]."""
 
 
 def _snapshot(
     workspace: Workspace, model: Model, point: ParameterPoint, time: float
-) -> _Snapshot | None:
+) -> Snapshot | None:
     """Return the fields of a run nearest to an instant [s]; None where it was unstable at once."""
     with StoredRun.opened(workspace, point, model) as run:
         if not len(run.time):
@@ -69,7 +61,7 @@ def _snapshot(
         last = not run.is_complete and time > run.time[-1]
         velocity, pressure = run.fields(index)
         values = {"speed": np.hypot(*velocity.T), "pressure": pressure}
-        return _Snapshot(float(run.time[index]), last, run.position(index), values)
+        return float(run.time[index]), last, run.position(index), values
 
 
 def run(context: StageContext) -> None:
@@ -112,7 +104,7 @@ def _draw(workspace: Workspace, comparison: StoredComparison, figure: FigureSect
 def _draw_fields(workspace: Workspace, figure: FieldFigure) -> Figure:
     """Return fields at an instant, one that has become unstable at its last."""
     rows, frame = rows_of(workspace.case, figure), frame_of(workspace.case)
-    full: dict[ParameterPoint, _Snapshot] = {}
+    full: dict[ParameterPoint, Snapshot] = {}
     for point in dict.fromkeys(point for _, some in rows for point in some):
         if (found := _snapshot(workspace, None, point, figure.time)) is None:
             raise ArtifactError(f"{point.label}: the full run has no snapshot")
@@ -124,21 +116,20 @@ def _draw_fields(workspace: Workspace, figure: FieldFigure) -> Figure:
             found = full[point]
             if model is not None:
                 found = _snapshot(workspace, model, point, figure.time)
-            told, shown = FULL if model is None else model.name, found or full[point]
-            told += f"\n{point.label}"
-            values = shown.values[quantity]
+            time, unstable, position, fields = found or full[point]
+            told = f"{FULL if model is None else model.name}\n{point.label}"
+            values = fields[quantity]
             if found is None:
                 told, values = f"{told}\nunstable at the start", np.full(len(values), np.nan)
-            elif found.last:
-                told += f"\nunstable, its last: t = {found.time:.3g} s"
-            picture = frame.raster(shown.position)(values)
-            row.append(Field(told, LABELS[quantity], picture))
+            elif unstable:
+                told += f"\nunstable, its last: t = {time:.3g} s"
+            row.append(Field(told, LABELS[quantity], frame.raster(position)(values)))
         panels.append(row)
     scales = {}
     for quantity in figure.quantities:
-        values = np.concatenate([found.values[quantity] for found in full.values()])
+        values = np.concatenate([fields[quantity] for *_, fields in full.values()])
         scales[LABELS[quantity]] = (float(values.min()), float(values.max()))
-    times = {f"{found.time:.4g}" for found in full.values()}
+    times = {f"{time:.4g}" for time, *_ in full.values()}
     title = f"t = {' and '.join(sorted(times))} s"
     return draw_grid(panels, frame, scales=scales, title=title)
 

@@ -40,7 +40,7 @@ class MeasureRow:
 
     measured: str
     quantity: str
-    """`force_x`, `force_y`, `torque`, `flow_rate`, `u`, `v` or `pressure`."""
+    """`force_x`, `force_y`, `torque`, `flow_rate`, `velocity_x`, `velocity_y` or `pressure`."""
     unit: str
     compared: str
     parameters: str
@@ -58,12 +58,6 @@ class MeasureRow:
     """At the worst instant."""
     estimated: float | None = field(metadata={"unit": "%"})
     """The error that the model itself estimates, over time and places as `relative_l2`."""
-
-
-def named_components(quantity: str, values: Array) -> dict[str, Array]:
-    """Return values by component as tables name them: `u`, but `force_x`."""
-    prefix = "force_" if quantity == "force" else ""
-    return {f"{prefix}{name}": each for name, each in components(quantity, values).items()}
 
 
 def measured_of_map(case: Case, mapped: Artifact) -> Measured:
@@ -117,11 +111,11 @@ def measure_rows(
         for quantity, values in quantities.items():
             reference = full[measured][quantity][counted]
             square = mean_square(quantity, reference)
-            others = named_components(quantity, reference)
-            for component, found in named_components(quantity, values[counted]).items():
+            others = components(quantity, reference)
+            for component, found in components(quantity, values[counted]).items():
                 estimated = None
                 if quantity in estimates.get(measured, {}) and square > 0.0:
-                    expected = named_components(quantity, estimates[measured][quantity])
+                    expected = components(quantity, estimates[measured][quantity])
                     estimated = 100.0 * math.sqrt(np.mean(expected[component] ** 2) / square)
                 errors: tuple[float | None, float | None] = (None, None)
                 if own is not full:

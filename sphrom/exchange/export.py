@@ -249,8 +249,8 @@ class ProbeRow:
     time: float = field(metadata={"unit": "s"})
     x: float = field(metadata={"unit": "m"})
     y: float = field(metadata={"unit": "m"})
-    u: float = field(metadata={"unit": "m/s"})
-    v: float = field(metadata={"unit": "m/s"})
+    velocity_x: float = field(metadata={"unit": "m/s"})
+    velocity_y: float = field(metadata={"unit": "m/s"})
     pressure: float = field(metadata={"unit": "Pa"})
 
 

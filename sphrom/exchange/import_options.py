@@ -106,12 +106,12 @@ class ImportOptions:
                 raise CaseError(f"--units: got {part!r}; must be a number, or of {allowed}")
         return scales
 
-    def fitting(self, quantity: str, least: float, most: float) -> str:
-        """Return advice on the unit that is this much larger than the given one, if one is."""
-        now = self.scales[quantity]
-        units = UNITS[quantity].items()
-        fits = next((unit for unit, scale in units if least <= scale / now <= most), None)
-        return "" if fits is None else f"; {quantity}={fits} of --units would fit"
+    def fitting(self, quantity: str, factor: float) -> str:
+        """Return advice on the unit that is about a factor larger than the given one, if one is."""
+        units = {u: scale / self.scales[quantity] / factor for u, scale in UNITS[quantity].items()}
+        unit = min(units, key=lambda u: abs(math.log(units[u])))
+        fits = 0.2 < units[unit] < 5.0 and not 0.2 < factor * units[unit] < 5.0
+        return f"; {quantity}={unit} of --units would fit" if fits else ""
 
 
 def pair(option: str, text: str) -> tuple[str, str]:

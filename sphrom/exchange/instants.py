@@ -124,12 +124,11 @@ def choose(sources: Sequence[Source], steps: TimeSteps, about: ImportOptions) ->
         choices.append((source.time, [source]) if gap <= tolerance else around)
     n_within = int((times <= instants[-1] + slack).sum())
     if times[-1] < instants[-1] - slack or 2 * n_within <= len(instants):
-        ratio = instants[-1] / times[-1]
         raise CaseError(
             f"the files hold {series(sources)}; the case keeps {len(instants)}, every {apart:g} s "
             f"until {instants[-1]:g} s; --units time, --time-step or --start may be others, or "
             "--write-case FILE writes a case that fits them"
-            + about.fitting("time", 0.9 * ratio, 1.1 * ratio)
+            + about.fitting("time", instants[-1] / times[-1])
         )
     return choices
 
@@ -173,8 +172,6 @@ def interpolated(
 
 def _offset(domain: Domain, position: Array, base: Array) -> Array:
     """Return the way from `base` to `position` (2, n_particles) [m], the shortest one."""
-    offset = position - base
-    for axis, (length, periodic) in enumerate(zip(domain.lengths, domain.periodic, strict=True)):
-        if periodic:
-            offset[axis] -= length * np.round(offset[axis] / length)
-    return offset
+    offset, length = position - base, np.array(domain.lengths)[:, None]
+    periodic = np.array(domain.periodic)[:, None]
+    return np.asarray(offset - np.where(periodic, length * np.round(offset / length), 0.0))

@@ -12,11 +12,18 @@ import re
 import resource
 import signal
 import threading
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+READERS = {
+    "vtu": ("IOXML", "XMLUnstructuredGrid"),
+    "vtp": ("IOXML", "XMLPolyData"),
+    "vtk": ("IOLegacy", "GenericDataObject"),
+}
+"""The module and the name of VTK's readers, by endings; others are of its HDF5 format."""
 TIMES = -1
 """The step that asks for the times of all steps."""
 
@@ -83,22 +90,12 @@ def _read(path: str, step: int) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
 def _reader_of(path: str) -> Any:
     """Return VTK's reader of a file, by how its name ends."""
     ending = path.rpartition(".")[2].lower()
-    if ending in ("vtu", "vtp"):
-        from vtkmodules import vtkIOXML
-
-        kind = "UnstructuredGrid" if ending == "vtu" else "PolyData"
-        reader = getattr(vtkIOXML, f"vtkXML{kind}Reader")()
-    elif ending == "vtk":
+    module, kind = READERS.get(ending, ("IOHDF", "HDF"))
+    reader = getattr(import_module(f"vtkmodules.vtk{module}"), f"vtk{kind}Reader")()
+    if ending == "vtk":
         _require_last_line(path)
-        from vtkmodules.vtkIOLegacy import vtkGenericDataObjectReader
-
-        reader = vtkGenericDataObjectReader()
-        for kind in ("Scalars", "Vectors", "Normals", "Tensors", "TCoords", "Fields"):
-            getattr(reader, f"ReadAll{kind}On")()
-    else:
-        from vtkmodules.vtkIOHDF import vtkHDFReader
-
-        reader = vtkHDFReader()
+        for of in ("Scalars", "Vectors", "Normals", "Tensors", "TCoords", "Fields"):
+            getattr(reader, f"ReadAll{of}On")()
     reader.SetFileName(path)
     return reader
 

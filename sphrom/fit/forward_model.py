@@ -192,9 +192,7 @@ class FittedModel:
 
 def _changes(run: Tangents, k: int) -> dict[str, Quantities]:
     """Return the derivatives of measured quantities with respect to the k-th parameter."""
-    loads = {name: each[k].sum(axis=1) for name, each in run.forces.items()}
-    forces = {n: {"force": each[:, :2], "torque": each[:, 2]} for n, each in loads.items()}
-    return {**forces, **{n: {q: v[k] for q, v in m.items()} for n, m in run.measured.items()}}
+    return {n: {q: v[k] for q, v in m.items()} for n, m in run.measured.items()}
 
 
 def error_samples(model: FittedModel, place: Array, known: TrainingDifferences) -> Array | None:

@@ -1,15 +1,15 @@
 """Measured histories from a CSV file, with one header row and one row for each instant.
 
-    time [s], wake_u [m/s], wake_u_noise, drag_x [N/m]
-    0.1,      0.213,        0.002,        1.31
-    0.2,      0.215,        0.002,
+    time [s], wake_velocity_x [m/s], wake_velocity_x_noise, drag_force_x [N/m]
+    0.1,      0.213,                 0.002,                 1.31
+    0.2,      0.215,                 0.002,
 
-Beside `time` a column is called as a measurement of the case and its component: u, v and pressure
-of a probe, x, y and torque of a force, flow_rate of a flow rate. With columns `x` and `y` those
-called u, v and pressure are of that place in the fluid, in the row's instant, such as the table of
-`sphrom export --to csv` has them. Units, in brackets, may be left out. A column with `_noise` at
-the end of its name holds standard deviations. Empty cells and NaN are values that weren't measured;
-lines that begin with # are comments. All else must be numbers.
+Beside `time` a column is called by the measurement of the case, the quantity, and its component if
+it has any. With columns `x` and `y` those called velocity_x, velocity_y and pressure are of that
+place in the fluid, in the row's instant, such as the table of `sphrom export --to csv` has them.
+Units, in brackets, may be left out. A column with `_noise` at the end of its name holds standard
+deviations. Empty cells and NaN are values that weren't measured; lines that begin with # are
+comments. All else must be numbers.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import csv
 import hashlib
 import io
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,7 +31,7 @@ from sphrom.case.fields import LARGEST
 from sphrom.case.models import Case
 from sphrom.case.plan import TimeSteps
 from sphrom.errors import CaseError
-from sphrom.metrics.measures import COMPONENTS, UNITS
+from sphrom.metrics.measures import PLACED, UNITS, VECTORS, component_names
 from sphrom.text import nearest, quoted, repeated, shortened, visible
 from sphrom.whole_files import read_whole
 
@@ -41,8 +41,6 @@ MOST_BYTES = 16 * 1024 * 1024
 """The largest file that is read."""
 NOISE = "_noise"
 """The end of the names of columns with standard deviations."""
-AT_PLACE = {"u": ("velocity", 0), "v": ("velocity", 1), "pressure": ("pressure", None)}
-"""Columns of rows with a place: quantity and component."""
 UNNAMED = ""
 """The measurement that fields at places of the rows are of."""
 AXES = {"time": "s", "x": "m", "y": "m"}
@@ -65,6 +63,19 @@ class Column:
     """A measurement of the case; empty for fields at places of the rows."""
     quantity: str
     component: int | None
+
+    @classmethod
+    def named(cls, measure: str, quantities: Iterable[str]) -> dict[str, Column]:
+        """Return the columns of a measurement by their names."""
+        return {
+            "_".join(filter(None, (measure, name))): cls(measure, q, k if q in VECTORS else None)
+            for q in quantities
+            for k, name in enumerate(component_names(q))
+        }
+
+
+AT_PLACE = Column.named(UNNAMED, PLACED)
+"""Columns of rows with a place."""
 
 
 @dataclass(frozen=True)
@@ -199,8 +210,8 @@ def _names(head: Sequence[str], case: Case) -> Iterator[str]:
     names = [name for name, _ in given]
     if "time" not in names or ("x" in names) != ("y" in names) or repeated(names):
         raise ValueError(
-            "its first row must name the columns, each once: time, measurements such as wake_u, "
-            "and x and y where rows have places"
+            "its first row must name the columns, each once: time, measurements such as "
+            "drag_force_x, and x and y where rows have places"
         )
     for name, stated in given:
         base = name.removesuffix(NOISE)
@@ -215,7 +226,7 @@ def _names(head: Sequence[str], case: Case) -> Iterator[str]:
 
 
 def _name_and_unit(cell: str) -> tuple[str, str | None]:
-    """Return what the head of a column says: `wake_u [m/s]`; None where it has no unit."""
+    """Return what the head of a column says: `wake_pressure [Pa]`; None where it has no unit."""
     name, bracket, unit = cell.strip().partition("[")
     if not bracket or not unit.endswith("]"):
         return cell.strip(), None
@@ -224,19 +235,13 @@ def _name_and_unit(cell: str) -> tuple[str, str | None]:
 
 def column_of(case: Case, name: str) -> Column:
     """Return what a column's values are. Raises ValueError for a name of nothing measured."""
-    if name in AT_PLACE:
-        return Column(UNNAMED, *AT_PLACE[name])
-    known = {
-        f"{measured}_{component}": Column(measured, quantity, k if quantity in COMPONENTS else None)
-        for measured, section in case.scene.measure.items()
-        for quantity in section.quantities
-        for k, component in enumerate(COMPONENTS.get(quantity, (quantity,)))
-    }
+    known = dict(AT_PLACE)
+    for measured, section in case.scene.measure.items():
+        known |= Column.named(measured, section.quantities)
     if name not in known:
-        hint = nearest(name, known) if known else "scene.measure of the case names none"
         raise ValueError(
-            f"column {quoted(name)} is nothing that the case measures over time; {hint}; for "
-            "values at other places or along a line give u, v and pressure with columns x and y"
+            f"column {quoted(name)} is nothing that the case measures over time; "
+            f"{nearest(name, known)}; {', '.join(AT_PLACE)} go with columns x and y, the place"
         )
     return known[name]
 

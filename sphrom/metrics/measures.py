@@ -28,12 +28,14 @@ UNITS = {
     "velocity": "m/s",
     "pressure": "Pa",
 }
-COMPONENTS = {"force": ("x", "y"), "velocity": ("u", "v")}
-"""Names along the last axis of vectors."""
+VECTORS = ("force", "velocity")
+"""Quantities with an axis of components, the last."""
+AXES = ("x", "y")
+"""Names of components."""
 PLACED = ("velocity", "pressure")
 """Quantities with an axis of places."""
-N_GAUSS = 3
-"""Points of Gauss's rule on each piece of a section."""
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(3)
+"""Gauss's rule on each piece of a section."""
 
 
 @dataclass(frozen=True)
@@ -50,9 +52,8 @@ class FieldMeasure:
         """Return a section from start to end (2,) [m], in pieces of a length [m] at most."""
         way = np.subtract(end, start)
         n_pieces = max(1, math.ceil(float(np.hypot(*way)) / longest))
-        node, weight = np.polynomial.legendre.leggauss(N_GAUSS)
-        along = (np.arange(n_pieces)[:, None] + 0.5 * (1.0 + node)).ravel() / n_pieces
-        share = np.tile(0.5 * weight / n_pieces, n_pieces)
+        along = (np.arange(n_pieces)[:, None] + 0.5 * (1.0 + NODES)).ravel() / n_pieces
+        share = np.tile(0.5 * WEIGHTS / n_pieces, n_pieces)
         to_the_right = np.array([way[1], -way[0]])
         return cls(start + along[:, None] * way, share[:, None] * to_the_right)
 
@@ -69,11 +70,15 @@ class FieldMeasure:
         return {"flow_rate": np.sum(velocity * self.normal, axis=(-2, -1))}
 
 
+def component_names(quantity: str) -> tuple[str, ...]:
+    """Return what columns call the components of a quantity, such as `force_x` and `force_y`."""
+    return tuple(f"{quantity}_{axis}" for axis in AXES) if quantity in VECTORS else (quantity,)
+
+
 def components(quantity: str, values: Array) -> dict[str, Array]:
-    """Return values (n_snapshots, ...) by component, such as `u` and `v` of a velocity."""
-    if quantity not in COMPONENTS:
-        return {quantity: values}
-    return {name: values[..., i] for i, name in enumerate(COMPONENTS[quantity])}
+    """Return values (n_snapshots, ...) by the names of components."""
+    each = np.moveaxis(values, -1, 0) if quantity in VECTORS else (values,)
+    return dict(zip(component_names(quantity), each, strict=True))
 
 
 def of_a_run(quantities: Quantities) -> Quantities:
@@ -94,7 +99,7 @@ STATISTICS = ("last", "mean", "fluctuation", "least", "greatest")
 
 
 def statistics(quantities: Quantities) -> dict[str, Array]:
-    """Return the statistics (n_runs,) of series (n_runs, n_snapshots[, 2]), such as `u_mean`.
+    """Return the statistics (n_runs,) of series (n_runs, n_snapshots[, 2]), such as `torque_mean`.
 
     Of a line there are none.
     """
@@ -108,7 +113,7 @@ def statistics(quantities: Quantities) -> dict[str, Array]:
 
 def mean_square(quantity: str, values: Array) -> float:
     """Return the mean square of values (n_snapshots, ...) over time and places, of vectors too."""
-    squares = np.sum(values**2, axis=-1) if quantity in COMPONENTS else values**2
+    squares = np.sum(values**2, axis=-1) if quantity in VECTORS else values**2
     return float(squares.mean())
 
 

@@ -28,6 +28,7 @@ from sphrom.online.error_estimates import TrainedErrors
 from sphrom.reduction import reference_model
 from sphrom.reduction.calibration import Calibration
 from sphrom.reduction.correction import Correction, learn_correction
+from sphrom.reduction.error_calibration import OutputErrors, output_errors
 from sphrom.reduction.exponential_steps import LinearPart
 from sphrom.reduction.held_out import FieldProducts
 from sphrom.reduction.polynomial_model import Run
@@ -70,6 +71,7 @@ class BasisModel:
     ----------
     section : the model in the case, with its number of modes.
     basis : the model's modes.
+    places : (n_points, n_parameters) of the training points, as `places_of` has them.
     modes : (n_modes,) their places among all modes of the basis.
     states : (n_states, n_modes) training states, around which steps have to be stable.
     n_integrated : modes that are integrated as long as training runs are.
@@ -81,6 +83,7 @@ class BasisModel:
         case, section = workspace.case, sized_in(workspace, section, name)
         self.workspace, self.section, self.name = workspace, section, name
         self.points = case.plan.bases[name]
+        self.places = places_of(case, self.points)
         self._start = start
         self._last: tuple[Fields, tuple[Array, float]] | None = None
         whole = read_basis(workspace, name)
@@ -201,8 +204,7 @@ class BasisModel:
         return replace(found, leading=replace(leading, basis=self.basis))
 
     def _nearest(self, point: ParameterPoint) -> int:
-        places = places_of(self.workspace.case, [*self.points, point])
-        distances = np.linalg.norm(places[:-1] - places[-1], axis=1)
+        distances = np.linalg.norm(self.places - places_of(self.workspace.case, [point]), axis=1)
         # Rounded: of points as near as each other, the first on any machine.
         return int(np.round(distances, 9).argmin())
 
@@ -277,8 +279,7 @@ class BasisModel:
             return None
         coordinates = np.stack([coordinates for _, coordinates in self.trained])
         leading, others = np.split(np.arange(self.basis.n_modes), [self.n_integrated])
-        places = places_of(self.workspace.case, self.points)
-        return learn_correction(places, self._projected - coordinates, (leading, others))
+        return learn_correction(self.places, self._projected - coordinates, (leading, others))
 
     def _added(self, point: ParameterPoint, held_out: bool = False) -> Array | None:
         """Return what is added to coordinates (n_trained_snapshots, n_modes), if anything is."""
@@ -346,6 +347,15 @@ class BasisModel:
         }
 
     @cached_property
+    def output_errors(self) -> dict[str, dict[str, OutputErrors]]:
+        """The errors of any run by measurement and quantity, from `measured_differences`."""
+        averages = sound_averages(self.workspace.case)
+        return {
+            name: {q: output_errors(each, self.places, averages) for q, each in quantities.items()}
+            for name, quantities in self.measured_differences.items()
+        }
+
+    @cached_property
     def force_corrections(self) -> dict[str, Correction | None]:
         """What training runs add to forces, from the model's runs at the trained points.
 
@@ -361,7 +371,7 @@ class BasisModel:
             bare = replace(reduced, forces=self._forces_at(point, {}))
             states = run if added is None else run + added
             own.append(forces_of(bare, reduced.output_times.time, states))
-        places, weights = places_of(case, self.points), sound_averages(case)
+        places, weights = self.places, sound_averages(case)
         for name, (_, recorded) in self._forces.items():
             defects = recorded - np.stack([each[name] for each in own])
             defects = defects.reshape(*defects.shape[:2], -1)

@@ -28,12 +28,11 @@ from sphrom.reduction.error_calibration import (
     LocalErrorCalibration,
     calibrate_errors,
     compared_snapshots,
-    output_errors,
 )
 from sphrom.reduction.held_out import UnheldShares
 from sphrom.reduction.reduced_operators import ResidualFactor, residual_norm
 from sphrom.reduction.reference_model import ReferenceModel
-from sphrom.setup.assembly import places_of, sound_averages
+from sphrom.setup.assembly import places_of
 from sphrom.store.trained_models import read_operators
 
 if TYPE_CHECKING:
@@ -86,7 +85,7 @@ def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
     trained, fitted = _fitted(run)
     if trained is None:
         return
-    found = estimate(run)
+    found = run.estimate
     if fitted is None or found is None:
         artifact.write(
             "residual", trained.residual(run.point, run.reduced, run.time, run.coordinates)
@@ -169,18 +168,14 @@ def measured_errors(run: FastRun) -> dict[str, Quantities]:
 
     Nothing where the run has no estimates.
     """
-    model, found = run.model.at_point(run.point), estimate(run)
+    model, found = run.model.at_point(run.point), run.estimate
     if model.trained_errors is None or found is None:
         return {}
-    case = model.workspace.case
-    places, place = places_of(case, model.points), places_of(case, [run.point])[0]
-    averages, variance = sound_averages(case), np.array(interpolation_variance(places, place))
+    place = places_of(model.workspace.case, [run.point])[0]
+    variance = np.array(interpolation_variance(model.places, place))
     return {
-        name: {
-            q: output_errors(each, places, averages).at(variance, found.errors)
-            for q, each in quantities.items()
-        }
-        for name, quantities in model.measured_differences.items()
+        name: {q: known.at(variance, found.errors) for q, known in quantities.items()}
+        for name, quantities in model.output_errors.items()
     }
 
 
@@ -234,7 +229,7 @@ class TrainedErrors:
             self._factor = factor.of_model(whole, model.modes)
             unheld = read_record(artifact, UnheldShares, f"{group}/unheld")
         self.products = model.products
-        correction, places = model.correction, places_of(self._case, points)
+        correction, places = model.correction, model.places
         coordinates, residuals, errors = [], [], []
         for k, (reduced, found) in enumerate(model.trained):
             held_out = model.held_out[k][1]

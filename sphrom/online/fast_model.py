@@ -108,13 +108,13 @@ class FastRun(Run):
             f"largest trained ones; {'other modes' if chosen else 'a smaller time step'} may help"
         )
 
-    @property
+    @cached_property
     def measured(self) -> dict[str, Quantities]:
         """All that the case measures, by name and quantity (n_snapshots, ...)."""
         case = self.model.workspace.case
         return quantities_of(case, self.reduced, self.time, self.coordinates)
 
-    @property
+    @cached_property
     def estimate(self) -> ErrorEstimate | None:
         """The estimated errors of the run; None where the case wants none or can't have them."""
         return estimate(self)

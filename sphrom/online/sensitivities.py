@@ -25,11 +25,13 @@ import numpy as np
 from sphrom.arrays import Array
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
+from sphrom.metrics.measures import Quantities
 from sphrom.online.basis_model import fields_of, forces_of
 from sphrom.online.fast_model import FastModel
 from sphrom.reduction import reference_model
 from sphrom.reduction.exponential_steps import Change, ExponentialModel
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
+from sphrom.store.trajectory import totals
 
 STEP = 1e-5
 """Of central differences of coefficients, over the size of a parameter."""
@@ -51,11 +53,8 @@ class Tangents:
     """(n_parameters,) of the mean density fluctuation that is carried apart [kg/m3]."""
     kinetic_energy: Array
     """(n_parameters, n_snapshots) [J/m]."""
-    forces: Mapping[str, Array]
-    """By measurement (n_parameters, n_snapshots, 2, 3): the pressure's and the viscous force along
-    x and y [N/m] and torque [N]."""
-    measured: Mapping[str, Mapping[str, Array]]
-    """By measurement and quantity (n_parameters, n_snapshots, ...): probes, lines, flow rates."""
+    measured: Mapping[str, Quantities]
+    """By measurement and quantity (n_parameters, n_snapshots, ...)."""
 
 
 @dataclass(frozen=True)
@@ -127,6 +126,8 @@ def tangents(
     modes = reduced.basis.velocity_modes.reshape(reduced.basis.n_modes, -1)
     gradient = run @ (modes @ modes.T)  # of the kinetic energy
     means = np.array([s.slope(lambda model: model.mean_density_fluctuation) for s in sides])
+    measured = _forces(reduced, sides, run, changes, means)
+    measured |= _fields(reduced, run, changes, means)
     return Tangents(
         tuple(names),
         times.time,
@@ -134,8 +135,7 @@ def tangents(
         changes,
         means,
         np.asarray(case.plan.mass * np.einsum("sm,psm->ps", gradient, changes)),
-        _forces(reduced, sides, run, changes, means),
-        _measured(reduced, run, changes, means),
+        {name: measured[name] for name in (*case.scene.measure, *measured)},
     )
 
 
@@ -180,9 +180,9 @@ def _sides(model: FastModel, point: ParameterPoint, name: str, basis: str) -> _S
     return _Sides(below, above, high.as_dict()[name] - low.as_dict()[name])
 
 
-def _measured(
+def _fields(
     reduced: ReferenceModel, run: Array, changes: Array, means: Array
-) -> dict[str, dict[str, Array]]:
+) -> dict[str, Quantities]:
     """Return the derivatives of flow rates, probes and lines, which are linear in the state."""
     mean = reduced.mean_density_fluctuation
     here = fields_of(reduced.measures, mean, run)
@@ -198,8 +198,8 @@ def _measured(
 
 def _forces(
     reduced: ReferenceModel, sides: Sequence[_Sides], run: Array, changes: Array, means: Array
-) -> dict[str, Array]:
-    """Return the derivatives (n_parameters, n_snapshots, 2, 3) of the forces, by measurement."""
+) -> dict[str, Quantities]:
+    """Return the derivatives of the forces and torques."""
     times, mean = reduced.output_times.time, reduced.mean_density_fluctuation
     found: dict[str, list[Array]] = {name: [] for name in reduced.forces}
     for side, change, of_mean in zip(sides, changes, means, strict=True):
@@ -209,4 +209,4 @@ def _forces(
         )
         for name, loads in found.items():
             loads.append((high[name] - low[name]) / side.width)
-    return {name: np.stack(each) for name, each in found.items()}
+    return {name: totals(np.stack(each)) for name, each in found.items()}

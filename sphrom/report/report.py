@@ -21,9 +21,8 @@ from numpy.typing import NDArray
 from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.compare.answer import Answer, find_answer, percent
+from sphrom.compare.answer import DIGITS, Answer, find_answer, percent
 from sphrom.compare.comparison_tables import RECORDS, SpectrumRow, Tables
-from sphrom.compare.costs import DIGITS
 from sphrom.compare.mode_figures import frame_of
 from sphrom.plots.canvas import (
     DIFFERENCE_MAP,
@@ -114,7 +113,7 @@ def run(context: StageContext) -> None:
         *((study["title"], _study(context, study)) for study in contents["studies"]),
         ("Uncertainty", list(_pictures(out, sweep))),
         ("Costs", list(_tables(out / "tables", contents["costs"], made_by))),
-        ("The case", _case_parts(case, workspace.case_text)),
+        ("The case", _case_parts(case, case.text)),
     ]
     footer = (
         f"{about.get('software', 'sphrom')}, compared {about.get('date', '')} on "

@@ -107,9 +107,8 @@ def output_times_of(
     It diverges beyond MOST_GROWTH times the largest of training states (n_states, n_modes), and as
     many times more as a parameter or the time is beyond the largest that is trained.
     """
-    values = np.abs([list(each.as_dict().values()) for each in (*case.plan.train_points, point)])
-    largest = values[:-1].max(axis=0)
-    beyond = np.divide(values[-1], largest, out=np.ones_like(largest), where=largest > 0.0)
+    values, largest = np.abs([*point.as_dict().values()]), case.plan.largest_values
+    beyond = np.divide(values, largest, out=np.ones_like(largest), where=largest > 0.0)
     norm = np.linalg.norm(states, axis=1).max() * max(1.0, beyond.max())
     trained, times = case.plan.recorded_time, (steps.n_snapshots, steps.start_time)
     return OutputTimes(steps.snapshot_interval, *times, MOST_GROWTH * float(norm), trained)
@@ -123,8 +122,7 @@ def places_of(case: Case, points: Sequence[ParameterPoint]) -> Array:
     places = np.log([[point.reynolds] for point in points])
     if len(case.plan.parameter_names) == 1:
         return places
-    trained = np.array([list(point.factors.values()) for point in case.plan.train_points])
-    sizes = np.abs(trained).max(axis=0)
+    sizes = case.plan.largest_values[1:]
     others = np.array([list(point.factors.values()) for point in points])
     return np.hstack((places, others / np.where(sizes > 0.0, sizes, 1.0)))
 

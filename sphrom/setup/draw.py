@@ -53,8 +53,7 @@ def run(context: StageContext, output: Path | None = None, folder: Path | None =
     if path.is_dir() or (path.exists() and not context.force):
         what = "is a folder" if path.is_dir() else "is there already; --force writes over it"
         raise CaseError(f"{path}: {what}")
-    if folder is not None:
-        folder.mkdir(parents=True, exist_ok=True)
+    (folder or Path()).mkdir(parents=True, exist_ok=True)
     save(draw(case), path)
     context.report.info(f"wrote {path}")
 

@@ -23,7 +23,7 @@ from sphrom.artifacts import (
 )
 from sphrom.artifacts.inspection import Fault, inspect, open_file
 from sphrom.case.fields import Section
-from sphrom.case.models import VERSIONS, inputs_digest, resolved_yaml, section_inputs, stated
+from sphrom.case.models import VERSIONS, inputs_digest, section_inputs, stated
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import fast_model, sweep_model, sweep_name
@@ -89,7 +89,6 @@ class Workspace:
     def __init__(self, context: StageContext) -> None:
         self.context = context
         self.case, self.out = context.case, context.out
-        self.case_text = resolved_yaml(self.case)
         ask_for_threads(context.threads)
         # Figures that a case asks for change no artifact.
         self._without_figures = self.case.model_copy(
@@ -234,7 +233,7 @@ class Workspace:
         """Return what an artifact is made with, and from those parents that are still there."""
         there = [item for item in target.parents.items() if item[1].path.exists()]
         lineage = {role: self._identity(parent) for role, parent in there}
-        return Origin(target.inputs_digest, self.case_text, target.sections, lineage)
+        return Origin(target.inputs_digest, self.case.text, target.sections, lineage)
 
     def _identity(self, target: Target) -> Identity:
         if target.path not in self._identities:

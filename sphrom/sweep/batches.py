@@ -31,15 +31,12 @@ from sphrom.online import rom
 from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.online.sensitivities import tangents
 from sphrom.reduction.trial_basis import KineticEnergy, SpeedBounds
-from sphrom.setup.assembly import places_of
 from sphrom.store.checkpoints import remove_checkpoints
 from sphrom.store.sampling import sample_run
 from sphrom.store.trajectory import measured_of
 from sphrom.store.workspace import Target, Workspace
 from sphrom.sweep.workers import Failure, Task
 
-LOADS = ("force_x", "force_y", "torque")
-"""What columns call the loads on a wall."""
 COMPLETE, UNSTABLE, FAILED, NOT_RUN = 0, 1, 2, 3
 STATES = ("complete", "unstable", "failed", "not run")
 """Words for them."""
@@ -134,9 +131,8 @@ class SweptModel:
         for name in dict.fromkeys(map(self._fast.basis_at, points)):
             if (basis := self._fast.on_basis(name)).trained_errors is None:
                 return []
-            places = places_of(self.workspace.case, basis.points)
             for k, (reduced, run) in enumerate(basis.held_out):
-                values = {PLACE: places[k]}
+                values = {PLACE: basis.places[k]}
                 measured = basis.measured_differences.items()
                 values |= _kept({n: {q: each[k] for q, each in m.items()} for n, m in measured})
                 target = self.workspace.full_run(basis.points[k])
@@ -224,15 +220,11 @@ def _derivatives(run: FastRun) -> dict[str, float]:
     case = run.model.workspace.case
     found = tangents(run.model, run.point, case.plan.parameter_names, run.reduced)
     columns = {"kinetic_energy": found.kinetic_energy[:, -1]}
-    for name, loads in found.forces.items():
-        for load, values in zip(LOADS, loads[:, -1].sum(axis=1).T, strict=True):
-            columns[f"{name}_{load}"] = values
-    for name, section in case.scene.measured_fields.items():
+    for name, section in case.scene.measure.items():
         for quantity in section.quantities:  # of a line there is none
             at_end = found.measured[name][quantity][:, -1]
-            at_probe = at_end[:, 0] if quantity in PLACED else at_end
-            for component, values in components(quantity, at_probe).items():
-                columns[f"{name}_{component}"] = values
+            at_end = at_end[:, 0] if quantity in PLACED else at_end
+            columns |= {f"{name}_{c}": v for c, v in components(quantity, at_end).items()}
     return {
         f"{column}_by_{parameter}": float(value)
         for column, values in columns.items()

@@ -8,7 +8,7 @@ M U^2 / 2 is off by at most M (U e_u + e_u^2 / 2).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -264,16 +264,16 @@ def _index_rows(found: Statistics, names: Sequence[str], time: Array) -> Iterato
 
 def draw_quantiles(found: Statistics, time: Array) -> Figure:
     """Return a panel of quantiles over time, or along a line, for every output."""
-    panels = []
-    for name, each in _over_instants(found):
-        x = _instants(each.along, len(each.mean), time)
-        levels = zip(found.levels, each.quantiles, strict=True)
-        curves = [Curve(f"{100.0 * level:g} %", x, values) for level, values in levels]
-        curves += [Curve("mean", x, each.mean, "full")]
+
+    def curves(name: str, x: Array) -> Iterator[Curve]:
+        each = found.outputs[name]
+        for level, values in zip(found.levels, each.quantiles, strict=True):
+            yield Curve(f"{100.0 * level:g} %", x, values)
+        yield Curve("mean", x, each.mean, "full")
         for end, values in (("lowest", each.interval[0, 0]), ("highest", each.interval[1, -1])):
-            curves.append(Curve(f"{end} end of the quantiles' intervals", x, values, "level"))
-        panels.append(Panel(_words(name), _along(each), f"[{each.unit}]", curves))
-    return draw_grid([panels[k : k + COLUMNS] for k in range(0, len(panels), COLUMNS)])
+            yield Curve(f"{end} end of the quantiles' intervals", x, values, "level")
+
+    return _draw(found, time, curves)
 
 
 def draw_indices(found: Statistics, parameters: Sequence[str], time: Array) -> Figure:
@@ -281,34 +281,38 @@ def draw_indices(found: Statistics, parameters: Sequence[str], time: Array) -> F
 
     Grey lines are the share of the model's error in the variance of full runs.
     """
-    panels = []
-    for name, output in _over_instants(found):
-        each = found.indices[name]
-        x = _instants(output.along, each.first.shape[1], time)
+
+    def curves(name: str, x: Array) -> Iterator[Curve]:
+        each, share = found.indices[name], found.outputs[name].error_share
         first = "first order", each.first, each.first_interval
         total = "total", each.total, each.total_interval
-        curves = [
-            Curve(f"{parameter}, {order}", x, values[k], interval=interval[:, k])
-            for k, parameter in enumerate(parameters)
-            for order, values, interval in (first, total)
-        ]
-        if output.error_share is not None:
-            curves.append(Curve("the model's error", x, output.error_share, "level"))
-        panels.append(Panel(_words(name), _along(output), "Sobol index [–]", curves))
+        for k, parameter in enumerate(parameters):
+            for order, values, interval in (first, total):
+                yield Curve(f"{parameter}, {order}", x, values[k], interval=interval[:, k])
+        if share is not None:
+            yield Curve("the model's error", x, share, "level")
+
+    return _draw(found, time, curves, "Sobol index [–]")
+
+
+def _draw(
+    found: Statistics,
+    time: Array,
+    curves: Callable[[str, Array], Iterator[Curve]],
+    label: str | None = None,
+) -> Figure:
+    panels = []
+    for name, each in found.outputs.items():
+        if each.along != MEAN:
+            x = _instants(each.along, len(each.mean), time)
+            along = "place along the line [–]" if each.along == LINE else "time [s]"
+            panels.append(Panel(_words(name), along, label or f"[{each.unit}]", [*curves(name, x)]))
     return draw_grid([panels[k : k + COLUMNS] for k in range(0, len(panels), COLUMNS)])
 
 
 def _shown(output: OutputStatistics) -> int:
     """Return the instant that is printed: the end, or the middle of a line."""
     return len(output.mean) // 2 if output.along == LINE else -1
-
-
-def _over_instants(found: Statistics) -> list[tuple[str, OutputStatistics]]:
-    return [(name, each) for name, each in found.outputs.items() if each.along != MEAN]
-
-
-def _along(output: OutputStatistics) -> str:
-    return "place along the line [–]" if output.along == LINE else "time [s]"
 
 
 def _words(name: str) -> str:

@@ -23,7 +23,7 @@ from sphrom.case.studies import sweep_model, sweep_name, sweep_points
 from sphrom.console import Reporter
 from sphrom.errors import ArtifactError, CaseError, UnstableError, error_of
 from sphrom.metrics import measures
-from sphrom.metrics.measures import COMPONENTS, STATISTICS, UNITS
+from sphrom.metrics.measures import STATISTICS, UNITS, component_names
 from sphrom.offline.fom import ensure_packed
 from sphrom.plots.tables import format_figure, rows_of_columns, write_csv
 from sphrom.setup.context import StageContext
@@ -32,7 +32,6 @@ from sphrom.store.workspace import Target, Workspace
 from sphrom.sweep import statistics
 from sphrom.sweep.batches import (
     COMPLETE,
-    ERROR,
     FAILED,
     NOT_RUN,
     STATES,
@@ -55,14 +54,15 @@ BATCHES_EACH = 4
 MOST_SHOWN = 10
 """Runs without a result that are shown one by one."""
 FIGURES = {
-    "time_step": ("time_step", "s"),
-    "kinetic_energy": ("kinetic_energy", "J/m"),
-    "largest_speed": ("largest_speed", "m/s"),
-    "velocity_error_estimate": (f"{ERROR}velocity", "%"),
-    "pressure_error_estimate": (f"{ERROR}pressure", "%"),
+    "time_step": "s",
+    "kinetic_energy": "J/m",
+    "largest_speed": "m/s",
+    "error_estimate_velocity": "%",
+    "error_estimate_pressure": "%",
 }
-"""Figures of a run, with their datasets and units: energy at the end, the largest speed of all
-points and snapshots, and root mean squares of estimated errors over those of the fields."""
+"""Figures of a run with their units, called as in `sphrom.open`: energy at the end, the largest
+speed of all points and snapshots, root mean squares of estimated errors over those of the fields.
+"""
 
 Cells = dict[str, str | float | None]
 """The cells of a run's row in the table, by column; None without a result, or an estimate."""
@@ -170,13 +170,12 @@ def columns_of(case: Case, records: Sequence[RunRecord]) -> dict[str, str | None
     """
     derivatives = next((record.derivative_names for record in records if record.values), ())
     names = {**dict.fromkeys(case.plan.parameter_names), "status": None}
-    names |= {name: unit for name, (_, unit) in FIGURES.items()}
-    names |= dict.fromkeys((*derivatives, "extrapolated", "reason"))
+    names |= FIGURES | dict.fromkeys((*derivatives, "extrapolated", "reason"))
     return names | {
         f"{name}_{component}_{statistic}": UNITS[quantity]
         for name, section in case.scene.measure.items()
         for quantity in section.quantities
-        for component in COMPONENTS.get(quantity, (quantity,))
+        for component in component_names(quantity)
         for statistic in STATISTICS
     }
 
@@ -299,30 +298,26 @@ class Results:
         return locked(self._workspace.folder() / parts_folder(self._workspace).name, wait=True)
 
 
-def _cells(record: RunRecord, names: Iterable[str]) -> Cells:
-    """Return the cells of a run's row, without those of what is measured."""
-    values = record.values
-    cells: Cells = {**dict.fromkeys(names), **record.point.as_dict()}
-    cells |= {"status": STATES[record.status], "reason": record.reason, "extrapolated": ""}
-    cells |= {n: float(values[path]) for n, (path, _) in FIGURES.items() if path in values}
-    if values:
-        derivatives = values["derivatives"].tolist() if record.derivative_names else ()
-        cells |= zip(record.derivative_names, derivatives, strict=True)
-    if f"{ERROR}extrapolated" in values:
-        cells["extrapolated"] = "yes" if values[f"{ERROR}extrapolated"] else "no"
-    return cells
-
-
 def _rows(records: Sequence[RunRecord], names: Iterable[str]) -> list[Cells]:
     """Return the rows of runs, by the names of columns."""
-    rows = [_cells(record, names) for record in records]
+    rows: list[Cells] = []
+    for record in records:
+        values = {path.replace("/", "_"): value for path, value in record.values.items()}
+        row: Cells = {**dict.fromkeys(names), **record.point.as_dict()}
+        row |= {"status": STATES[record.status], "reason": record.reason, "extrapolated": ""}
+        row |= {name: float(values[name]) for name in FIGURES if name in values}
+        derivatives = values.get("derivatives", np.zeros(0)).tolist()
+        row |= zip(record.derivative_names, derivatives, strict=True)
+        if (beyond := values.get("error_estimate_extrapolated")) is not None:
+            row["extrapolated"] = "yes" if beyond else "no"
+        rows.append(row)
     complete = [k for k, record in enumerate(records) if record.values]
     for path in records[complete[0]].values if complete else ():
         if path.startswith("measure/"):
             _, name, quantity = path.split("/")
             series = np.stack([records[k].values[path] for k in complete])
-            for figure, values in measures.statistics({quantity: series}).items():
-                for k, value in zip(complete, values.tolist(), strict=True):
+            for figure, found in measures.statistics({quantity: series}).items():
+                for k, value in zip(complete, found.tolist(), strict=True):
                     rows[k][f"{name}_{figure}"] = value
     return rows
 
@@ -331,24 +326,18 @@ def _summary(
     records: Sequence[RunRecord], rows: Sequence[Cells], names: Mapping[str, str | None]
 ) -> Iterator[tuple[str, ...]]:
     """Yield a row for each figure: its extremes, where they are, and its mean."""
+    points = [record.point for record in records]
     for name, unit in names.items():
         if name == "time_step" or not (name in FIGURES or name.endswith("_mean")):
             continue
-        found = [
-            (value, record.point)
-            for record, row in zip(records, rows, strict=True)
-            if isinstance(value := row[name], float)
-        ]
-        if found:
-            (least, first), (most, last) = min(found), max(found)
-            at_least, at_most = (
-                ", ".join(f"{n} {v:.6g}" for n, v in point.as_dict().items())
-                for point in (first, last)
-            )
+        cells = zip([row[name] for row in rows], points, strict=True)
+        if found := [(value, point) for value, point in cells if isinstance(value, float)]:
             mean = sum(value for value, _ in found) / len(found)
-            cells = (least, at_least, mean, most, at_most)
-            words = f"{name.replace('_', ' ')} [{unit}]"
-            yield (words, *(format_figure(cell) for cell in cells))
+            least, most = (
+                (format_figure(value), ", ".join(f"{n} {v:.6g}" for n, v in at.as_dict().items()))
+                for value, at in (min(found), max(found))
+            )
+            yield (f"{name.replace('_', ' ')} [{unit}]", *least, format_figure(mean), *most)
 
 
 def show_lost(report: Reporter, runs: Sequence[RunRecord | Failure]) -> None:

@@ -67,14 +67,12 @@ class Task:
     """Whether runs that are there are made again."""
     command: str
     """The call of the program that it belongs to: a process reads shared data once a call."""
-    words: str = "CASE"
-    """The arguments by which another command finds the same artifacts."""
 
     def context(self, **given: Any) -> StageContext:
         """Return the context in which it is done, with other settings that are given."""
         case = case_of_text(self.case_text, self.case_folder)
         about = Path(self.out), self.force, self.threads, SilentReporter()
-        return StageContext(case, *about, bitwise=True, words=self.words, **given)
+        return StageContext(case, *about, bitwise=True, **given)
 
 
 @dataclass(frozen=True)
@@ -127,14 +125,13 @@ class Workers:
         """Make runs of a case at points, in tasks of a size, and return the runs that failed."""
         alone = self.number == 1 and self._client is None
         task = Task(
-            case_text=workspace.case_text,
+            case_text=workspace.case.text,
             case_folder=str(workspace.case.folder),
             out=str(workspace.out.resolve()),
             points=(),
             threads=workspace.threads if alone else 1,
             force=workspace.context.force,
             command=str(uuid.uuid4()),
-            words=workspace.context.words,
         )
         shares = (tuple(points[k : k + size]) for k in range(0, len(points), size))
         tasks = [replace(task, points=share) for share in shares]

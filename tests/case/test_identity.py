@@ -10,9 +10,10 @@ import sphrom
 from sphrom.case.hints import case_warnings
 from sphrom.case.loader import load_case
 from sphrom.case.models import VERSIONS, Case, inputs_digest, resolved_yaml, section_inputs
+from sphrom.case.scenes import DEFAULTS
 from sphrom.case.schema import json_schema, key_paths, node_at
 from sphrom.case.studies import sweep_model, sweep_points
-from sphrom.case.template import new_case, scene_kinds
+from sphrom.case.template import new_case
 from sphrom.errors import CaseError
 
 CASES = sorted((Path(sphrom.__file__).parents[1] / "cases").glob("*.yaml"))
@@ -58,7 +59,7 @@ def test_resolved_case_loads_back_equal(path, tmp_path):
     assert resolved_yaml(again) == resolved_yaml(case)
 
 
-@pytest.mark.parametrize("kind", scene_kinds())
+@pytest.mark.parametrize("kind", DEFAULTS)
 def test_template_loads_and_explains_every_key(kind, tmp_path):
     text = new_case(kind, full=True)
     (tmp_path / "case.yaml").write_text(text, encoding="utf-8")
@@ -92,7 +93,7 @@ EXAMPLES = {"name": True, "parameters": True, "rom": True, "sweep": {"reynolds"}
 """What a template has no defaults for."""
 
 
-@pytest.mark.parametrize("kind", scene_kinds())
+@pytest.mark.parametrize("kind", DEFAULTS)
 def test_template_holds_the_defaults(kind, tmp_path):
     (tmp_path / "case.yaml").write_text(new_case(kind, full=True), encoding="utf-8")
     given = load_case(tmp_path / "case.yaml").model_dump(exclude=EXAMPLES)
@@ -100,7 +101,7 @@ def test_template_holds_the_defaults(kind, tmp_path):
     assert given == default.model_dump(exclude=EXAMPLES)
 
 
-@pytest.mark.parametrize("kind", scene_kinds())
+@pytest.mark.parametrize("kind", DEFAULTS)
 def test_short_template_is_short_and_leads_to_the_fast_model(kind, tmp_path):
     text = new_case(kind)
     assert len(text.splitlines()) <= 32
@@ -122,10 +123,10 @@ def test_short_template_is_short_and_leads_to_the_fast_model(kind, tmp_path):
 def test_unknown_kind():
     with pytest.raises(CaseError, match=r"did you mean taylor-green\?") as error:
         new_case("taylor_green")
-    assert all(kind in str(error.value) for kind in scene_kinds())
+    assert all(kind in str(error.value) for kind in DEFAULTS)
 
 
-@pytest.mark.parametrize("kind", scene_kinds())
+@pytest.mark.parametrize("kind", DEFAULTS)
 def test_schema_describes_every_key_and_gives_numbers_a_unit(kind):
     for path in own_paths(kind):
         node = node_at(path, kind)
@@ -144,7 +145,7 @@ def test_every_key_is_set_somewhere():
     files = (f for name in ("cases", "docs", "scripts", "tests") for f in (root / name).rglob("*"))
     others = {here, here.with_name("test_defaults.py"), root / "docs" / "case-file.md"}
     text = "\n".join(f.read_text("utf-8") for f in files if f.suffix in kinds and f not in others)
-    keys = {str(path[-1]) for kind in scene_kinds() for path in key_paths(kind=kind)}
+    keys = {str(path[-1]) for kind in DEFAULTS for path in key_paths(kind=kind)}
     keys |= {key for section in json_schema()["$defs"].values() for key in section["properties"]}
     given = set(re.findall(r"(?<!\w)(\w+)\\?[\"']?(?:=|\s*:)", text))
     assert sorted(keys - given) == []
@@ -173,7 +174,7 @@ def test_a_value_that_is_the_default_says_nothing(load):
     assert digest(load("psi: {order: 5}\n"), ["psi"]) != digest(given, ["psi"])
 
 
-@pytest.mark.parametrize("kind", scene_kinds())
+@pytest.mark.parametrize("kind", DEFAULTS)
 def test_a_default_that_changed_has_a_version(kind):
     """Digests leave defaults out. A default that changes makes what there is of another case only
     if VERSIONS counts its section up; then the table in `defaults.json` is to be changed too."""

@@ -239,8 +239,7 @@ def test_new_case(sphrom, stages, tmp_path):
     assert Path(named).read_text() == sphrom("case", "schema").stdout
     assert "discretization" in json.loads(Path(named).read_text())["properties"]
     assert sphrom("case", "schema", "--output", named).exit_code == 2
-    again = sphrom("case", "new", "taylor-green", "-o", "mine.yaml", "--force")
-    assert (again.exit_code, "editor" in again.stdout) == (0, False)
+    assert sphrom("case", "new", "taylor-green", "-o", "mine.yaml", "--force").exit_code == 0
 
 
 def test_the_log_is_beside_the_artifacts(sphrom, stages, case_file, monkeypatch):

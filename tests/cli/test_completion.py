@@ -30,7 +30,6 @@ def complete(tmp_path, monkeypatch, case_file):
         ("sphrom fit-", ["fit-psi"]),
         ("sphrom sweep small.yaml --sc", ["--scheduler"]),
         ("sphrom case new open", ["open-cavity"]),
-        ("sphrom case examples cyl", ["cylinder", "cylinder_array"]),
         ("sphrom fom small.yaml --set time.s", ["time.spin_up=", "time.step="]),
         ("sphrom fom small.yaml --only r", [f"reynolds={r}" for r in (100, 200, 150)]),
         ("sphrom fom missing.yaml --only r", []),

@@ -43,11 +43,11 @@ def read(tmp_path: Path, text: str, noise: float | None = None) -> Measurements:
 def test_columns_are_measurements_of_the_case(tmp_path):
     text = (
         "# the first run\n"
-        "time [s], wake_u [m/s],wake_u_noise,drag_torque [N],flux_flow_rate [m2/s]\n"
+        "time [s], wake_velocity_x [m/s],wake_velocity_x_noise,drag_torque [N],flux_flow_rate\n"
         "0.2,0.3,0.01,1.0,nan\n\n0.1,0.1,0.02,3.0,0.7\n0.3,,,2.0,0.9\n"
     )
     found = read(tmp_path, text, noise=10.0)
-    assert [h.name for h in found.histories] == ["wake_u", "drag_torque", "flux_flow_rate"]
+    assert [h.name for h in found.histories] == ["wake_velocity_x", "drag_torque", "flux_flow_rate"]
     wake, torque, flux = found.histories
     assert (wake.measure, wake.quantity, wake.component) == ("wake", "velocity", 0)
     assert wake.time.tolist() == [0.1, 0.2]
@@ -61,43 +61,46 @@ def test_columns_are_measurements_of_the_case(tmp_path):
 
 def test_rows_may_have_places(tmp_path):
     text = (
-        "time [s],x [m],y [m],u [m/s],v [m/s],pressure [Pa],u_noise\n"
+        "time [s],x [m],y [m],pressure [Pa],velocity_y [m/s],velocity_x [m/s],pressure_noise\n"
         "0.1,0.2,0.3,1,2,,0.1\n0.2,0.2,0.3,1.5,2.5,7,0.1\n0.1,0.4,0.3,1,,,0.1\n"
     )
     found = read(tmp_path, text.replace(",7,", ",,"), noise=1.0).histories
-    assert [h.name for h in found] == ["u at (0.2, 0.3)", "v at (0.2, 0.3)", "u at (0.4, 0.3)"]
+    names = ("pressure", 0.2), ("velocity_y", 0.2), ("pressure", 0.4)
+    assert [h.name for h in found] == [f"{q} at ({x}, 0.3)" for q, x in names]
     assert [h.place for h in found] == [(0.2, 0.3), (0.2, 0.3), (0.4, 0.3)]
     assert {h.measure for h in found} == {""}
     assert found[1].noise == pytest.approx(np.full(2, 0.005))
 
 
 def test_columns_from_python_are_those_of_a_file(tmp_path):
-    columns = {"time": [0.1, 0.2], "wake_v": np.array([1.0, np.nan]), "wake_v_noise": [0.1, 0.2]}
+    value = np.array([1.0, np.nan])
+    columns = {"time": [0.1, 0.2], "drag_torque": value, "drag_torque_noise": [0.1, 0.2]}
     (found,) = read_measurements(columns, CASE, CASE.plan.steps, None).histories
     assert (found.time.tolist(), found.noise.tolist()) == ([0.1], [0.1])
     with pytest.raises(CaseError, match="of one length"):
-        read_measurements({"time": [0.1], "wake_u": [1.0, 2.0]}, CASE, CASE.plan.steps, 1.0)
+        read_measurements({"time": [0.1], "wake_pressure": [1.0, 2.0]}, CASE, CASE.plan.steps, 1.0)
 
 
 @pytest.mark.parametrize(
     ("text", "said"),
     [
         ("", "its first row must name the columns"),
-        ("time,wake_u\n0.1,\n0.2,NaN\n", "holds no values"),
-        ("time,wake_u,wake_u\n0,1,1\n", "each once"),
-        ("time,x,u\n0,1,1\n", "x and y where rows have places"),
-        ("time,wakes_u\n0,1\n", "did you mean wake_u"),
-        ("time,profile_u\n0,1\n", "along a line give u, v and pressure with columns x and y"),
-        ("time,u\n0,1\n", "column u needs a place"),
-        ("time [ms],wake_u\n0,1\n", "column time must be in s; got [ms]"),
-        ("time,wake_u,wake_v_noise\n0,1,1\n", "'wake_v_noise' is of none of the others"),
-        ("time,wake_u\n0.1,1\n0.2,fast\n", "line 3: wake_u must be a number"),
-        ("time,x,y,u\n0.1,0.5,,1\n", "line 2: has a value but no time, or no place"),
-        ("time,wake_u\n0,1,2\n", "line 2: has 3 cells for 2 columns"),
-        ("time,wake_u\n0.1,1\n0.7,2\n", "wake_u at 0.7 s is outside of the model's times"),
-        ("time,wake_u\n0.1,1\n0.2,1\n", "give a column wake_u_noise"),
-        ("time,x,y,u\n0.1,0.5,1.5,1\n", "(0.5, 1.5) m is outside of the box"),
-        ("time,wake_u\n0.1,1\x00\x1b[31m\n", "line 2: wake_u must be a number"),
+        ("time,wake_pressure\n0.1,\n0.2,NaN\n", "holds no values"),
+        ("time,wake_pressure,wake_pressure\n0,1,1\n", "each once"),
+        ("time,x,pressure\n0,1,1\n", "x and y where rows have places"),
+        ("time,wakes_pressure\n0,1\n", "did you mean wake_pressure"),
+        ("time,profile_velocity_x\n0,1\n", "pressure go with columns x and y"),
+        ("time,velocity_x\n0,1\n", "column velocity_x needs a place"),
+        ("time,x,y,u\n0,1,1,1\n", "known: velocity_x, velocity_y, pressure, wake_velocity_x"),
+        ("time [ms],wake_pressure\n0,1\n", "column time must be in s; got [ms]"),
+        ("time,wake_pressure,drag_torque_noise\n0,1,1\n", "is of none of the others"),
+        ("time,wake_pressure\n0.1,1\n0.2,fast\n", "line 3: wake_pressure must be a number"),
+        ("time,x,y,pressure\n0.1,0.5,,1\n", "line 2: has a value but no time, or no place"),
+        ("time,wake_pressure\n0,1,2\n", "line 2: has 3 cells for 2 columns"),
+        ("time,wake_pressure\n0.1,1\n0.7,2\n", "at 0.7 s is outside of the model's times"),
+        ("time,wake_pressure\n0.1,1\n0.2,1\n", "give a column wake_pressure_noise"),
+        ("time,x,y,pressure\n0.1,0.5,1.5,1\n", "(0.5, 1.5) m is outside of the box"),
+        ("time,wake_pressure\n0.1,1\x00\x1b[31m\n", "line 2: wake_pressure must be a number"),
     ],
 )
 def test_what_is_refused(tmp_path, text, said):
@@ -108,8 +111,8 @@ def test_what_is_refused(tmp_path, text, said):
 
 
 def test_noise_has_to_be_known(tmp_path):
-    with pytest.raises(CaseError, match="give a column wake_u_noise, or --noise"):
-        read(tmp_path, "time,wake_u,wake_u_noise\n0.1,1,0.1\n0.2,2,\n")
+    with pytest.raises(CaseError, match="give a column wake_pressure_noise, or --noise"):
+        read(tmp_path, "time,wake_pressure,wake_pressure_noise\n0.1,1,0.1\n0.2,2,\n")
 
 
 def test_files_that_can_not_be_read(tmp_path):
@@ -119,20 +122,21 @@ def test_files_that_can_not_be_read(tmp_path):
             read_measurements(path, CASE, CASE.plan.steps, 1.0)
         path.mkdir(exist_ok=True)
     path.rmdir()
-    path.write_bytes(b"time,wake_u\n0,\xff\xfe\n")
+    path.write_bytes(b"time,wake_pressure\n0,\xff\xfe\n")
     with pytest.raises(CaseError, match="is not UTF-8"):
         read_measurements(path, CASE, CASE.plan.steps, 1.0)
 
 
 CELLS = st.sampled_from(
-    ["", "nan", "0.1", "0.2", "1e300", "x", '"', "-1", "wake_u", "time", "\x00"]
+    ["", "nan", "0.1", "0.2", "1e300", "x", '"', "-1", "wake_pressure", "time", "\x00"]
 )
 ROWS = st.lists(st.lists(CELLS, min_size=1, max_size=5).map(",".join), max_size=6)
 
 
 @settings(max_examples=200, deadline=None)
 @given(
-    st.sampled_from(["time,wake_u\n", "time,x,y,u,u_noise\n", ""]), ROWS | st.text().map(str.split)
+    st.sampled_from(["time,wake_pressure\n", "time,x,y,pressure,pressure_noise\n", ""]),
+    ROWS | st.text().map(str.split),
 )
 def test_any_text_is_read_or_refused_in_words(tmp_path_factory, head, rows):
     path = tmp_path_factory.getbasetemp() / "any.csv"

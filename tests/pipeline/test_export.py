@@ -134,7 +134,8 @@ def test_runs_are_tabled_at_points(place, sphrom) -> None:
     assert result.exit_code == 0, result.output
     with (place / "export" / "fom-reynolds100.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert list(rows[0]) == ["time [s]", "x [m]", "y [m]", "u [m/s]", "v [m/s]", "pressure [Pa]"]
+    columns = ["velocity_x [m/s]", "velocity_y [m/s]"]
+    assert list(rows[0]) == ["time [s]", "x [m]", "y [m]", *columns, "pressure [Pa]"]
     with h5py.File(place / "fom-reynolds100.h5") as file:
         times = file["time"][...]
     assert [float(row["time [s]"]) for row in rows] == list(np.repeat(times, 2))
@@ -142,7 +143,7 @@ def test_runs_are_tabled_at_points(place, sphrom) -> None:
     flow = TaylorGreen(length=1.0, speed=1.0, reference_density=1000.0, kinematic_viscosity=0.01)
     for step in (0, len(times) - 1):
         pair = rows[2 * step : 2 * step + 2]
-        found = [[float(row["u [m/s]"]), float(row["v [m/s]"])] for row in pair]
+        found = [[float(row[name]) for name in columns] for row in pair]
         np.testing.assert_allclose(found, flow.velocity(points, times[step]), atol=0.02)
     tables = {path.stem for path in (place / "export").glob("*.csv")}
     assert tables == {

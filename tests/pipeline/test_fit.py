@@ -37,6 +37,7 @@ CASE: dict[str, Any] = {
     "fit": {"starts": 2},
 }
 TRUE = {"reynolds": 120.0, "lid": 0.7}
+U, V = "there_velocity_x", "there_velocity_y"
 
 
 @pytest.fixture(scope="module")
@@ -56,9 +57,9 @@ def again(study: sphrom.Study, **values: Any) -> sphrom.Study:
 def columns(study: sphrom.Study) -> dict[str, np.ndarray]:
     """What the model has at some parameters, at its snapshots, without noise."""
     measured = study.model("fast", **TRUE).run().measures
-    there, time = measured.there_velocity.values[:, 0], measured.time.values
-    names = ["time", "there_u", "there_v", "there_pressure", "drag_x", "flux_flow_rate"]
-    values = [time, there[:, 0], there[:, 1], measured.there_pressure.values[:, 0]]
+    there, time = measured.there_velocity.values, measured.time.values
+    names = ["time", U, V, "there_pressure", "drag_force_x", "flux_flow_rate"]
+    values = [time, there[:, 0], there[:, 1], measured.there_pressure.values]
     values += [measured.drag_force.values[:, 0], measured.flux_flow_rate.values]
     return {name: each[1:] for name, each in zip(names, values, strict=True)}
 
@@ -94,7 +95,7 @@ def test_gradients_are_differences(study, columns):
     workspace = Workspace(study._context)
     fast = FastModel(workspace, study.case.rom[0])
     instants = np.linspace(0.01, 0.49, 7)  # between snapshots
-    table = {"time": instants, "x": np.full(7, 0.3), "y": np.full(7, 0.6), "u": instants}
+    table = {"time": instants, "x": np.full(7, 0.3), "y": np.full(7, 0.6), "velocity_x": instants}
     table |= {name: instants for name in columns if name != "time"}
 
     data = read_measurements(table, study.case, study.case.plan.steps, 1.0)
@@ -114,17 +115,17 @@ def test_gradients_are_differences(study, columns):
 
 def test_a_place_is_what_its_probe_is(study, columns):
     model, time = study.model("fast", **TRUE), columns["time"]
-    named = {"time": time, "there_u": columns["there_u"], "there_v": columns["there_v"]}
+    named = {"time": time, U: columns[U], V: columns[V]}
     place = {"time": time, "x": np.full(len(time), 0.5), "y": np.full(len(time), 0.8)}
-    place |= {"u": columns["there_u"], "v": columns["there_v"]}
+    place |= {"velocity_x": columns[U], "velocity_y": columns[V]}
     one, other = (model.fit(each, noise=1.0) for each in (named, place))
     assert one.point == pytest.approx(other.point, rel=1e-6)
     assert other["lid"].by_model == pytest.approx(one["lid"].by_model, rel=1e-4)
-    assert other.histories[0].name == "u at (0.5, 0.8)"
+    assert other.histories[0].name == "velocity_x at (0.5, 0.8)"
 
 
 def test_known_parameters_keep_their_values(study, columns):
-    drag = {"time": columns["time"], "drag_x": columns["drag_x"]}
+    drag = {"time": columns["time"], "drag_force_x": columns["drag_force_x"]}
     found = study.model("fast", reynolds=80, lid=0.7).fit(drag, "reynolds", noise=1.0)
     assert (found.free, found.point["lid"]) == (("reynolds",), 0.7)
     assert found.point["reynolds"] == pytest.approx(120.0, rel=1e-2)
@@ -137,8 +138,8 @@ def test_known_parameters_keep_their_values(study, columns):
 def test_what_the_data_do_not_determine_is_said(study, columns, change):
     """All points of a curve fit three equal values exactly; rounding doesn't choose among them."""
     model, last = study.model("fast", **TRUE), {n: v[[-1, -1, -1]] for n, v in columns.items()}
-    one = {"time": last["time"], "there_u": last["there_u"], "there_u_noise": [1e-4] * 3}
-    one["there_u"][1] += change
+    one = {"time": last["time"], U: last[U], f"{U}_noise": [1e-4] * 3}
+    one[U][1] += change
     found = model.fit(one)
     only, other, good = found.problems
     assert only.startswith("the data determine a combination of reynolds and lid only")
@@ -146,14 +147,14 @@ def test_what_the_data_do_not_determine_is_said(study, columns, change):
     assert "the noise is smaller than stated" in good
     assert {each.remark for each in found.estimates} == {"not determined"}
     if not change:
-        nothing = model.fit({**one, "there_u_noise": [10.0] * 3}).problems
+        nothing = model.fit({**one, f"{U}_noise": [10.0] * 3}).problems
         assert nothing[:2] == tuple(
             f"the data don't determine {name} within its range" for name in ("reynolds", "lid")
         )
 
 
 def test_an_estimate_at_a_bound_says_so(study, columns):
-    table = {name: columns[name] for name in ("time", "there_u", "drag_x")}
+    table = {name: columns[name] for name in ("time", U, "drag_force_x")}
     narrow = again(study, **{"fit.parameters": {"lid": [0.5, 0.6]}})
     found = narrow.model("fast", **TRUE).fit(table, noise="2%")
     assert found["lid"].remark == "at its bound"
@@ -165,19 +166,19 @@ def test_an_estimate_at_a_bound_says_so(study, columns):
 
 
 def test_a_bad_fit_says_so(study, columns):
-    table = {name: columns[name] for name in ("time", "there_u", "there_v")}
-    swapped = {**table, "there_u": columns["there_v"], "there_v": columns["there_u"]}
+    table = {name: columns[name] for name in ("time", U, V)}
+    swapped = {**table, U: columns[V], V: columns[U]}
     found = study.model("fast", **TRUE).fit(swapped, noise=1.0)
     assert any(p.startswith("the fit is bad: chi^2 per degree") for p in found.problems)
     for factor in (1.0, 1.3, 1.5, 2.0, 4.0):
-        other = {**table, "there_u": factor * table["there_u"]}
+        other = {**table, U: factor * table[U]}
         found = study.model("fast", **TRUE).fit(other, noise=1.0)
         *_, last = ("", *found.problems)
         assert (found.chi_square > found.bound) == ("above the" in last), factor
 
 
 def test_without_full_runs_intervals_are_of_the_noise_alone(study, columns):
-    table = {name: columns[name] for name in ("time", "there_u", "there_v")}
+    table = {name: columns[name] for name in ("time", U, V)}
     unnamed = {name.removeprefix("there_"): values for name, values in table.items()}
     unnamed |= {axis: np.full(len(table["time"]), 0.4) for axis in ("x", "y")}
     full = study.folder / "fom-reynolds50-lid0.5.h5"
@@ -196,7 +197,7 @@ def test_without_full_runs_intervals_are_of_the_noise_alone(study, columns):
     [
         ({}, ("length",), None, 1.0, "'length': does not vary in the case"),
         ({}, (), None, "little", "noise: must be a percentage"),
-        ({}, (), {"time": [0.1, 0.2], "there_u": [0.1, 0.3]}, 1.0, "2 values can't tell 2"),
+        ({}, (), {"time": [0.1, 0.2], U: [0.1, 0.3]}, 1.0, "2 values can't tell 2"),
         ({"lid": 0.7, "reynolds": 100.0}, (), None, 1.0, "nothing to look for"),
     ],
 )
@@ -209,13 +210,13 @@ def test_what_a_fit_refuses(study, columns, known, names, given, noise, said):
 def test_the_command_writes_what_it_found(study, columns, tmp_path):
     case, table = tmp_path / "lid.yaml", tmp_path / "lab.csv"
     case.write_text(dump_yaml(CASE))
-    names = ("time", "there_u", "drag_x")
+    names = ("time", U, "drag_force_x")
     rows = [",".join(names), *(",".join(map(str, r)) for r in zip(*(columns[n] for n in names)))]  # noqa: B905
     table.write_text("\n".join(rows) + "\n")
     command = ["fit", str(case), str(table), "--out", str(study.folder)]
     result = CliRunner().invoke(app, command)
     assert result.exit_code == 2
-    assert "there_u has no noise" in result.output
+    assert f"{U} has no noise" in result.output
     result = CliRunner().invoke(app, [*command, "--noise", "1%"])
     assert result.exit_code == 0, result.output
     assert "kinematic_viscosity [m2/s]" in result.output
@@ -242,7 +243,7 @@ def test_the_command_writes_what_it_found(study, columns, tmp_path):
 def test_a_fit_needs_operators(columns, tmp_path):
     study = sphrom.Study(CASE, out=tmp_path, quiet=True)
     table = tmp_path / "lab.csv"
-    table.write_text("time,there_u,there_u_noise\n0.1,1,1\n0.2,1,1\n0.3,1,1\n")
+    table.write_text(f"time,{U},{U}_noise\n0.1,1,1\n0.2,1,1\n0.3,1,1\n")
     with pytest.raises(CaseError, match="measurements: a fit needs some"):
         study.run_stage("fit")
     with pytest.raises(ArtifactError, match=r"operators.h5 is missing"):
@@ -263,7 +264,7 @@ def test_after_a_spin_up_the_start_counts_as_fixed(tmp_path, capsys):
     assert "fast: derivatives leave out how the spin-up changes" in capsys.readouterr().err
     assert np.abs(found.coordinates[:, 0]).max() < 1e-12  # rounding
     measured = model.run().measures
-    data = {"time": measured.time.values, "there_u": measured.there_velocity.values[:, 0, 0]}
+    data = {"time": measured.time, U: measured.there_velocity.sel(component="x")}
     fit = model.fit(data, noise=1.0)
     assert any(p.startswith("runs start from the end of the nearest") for p in fit.problems)
     assert fit.point["reynolds"] == pytest.approx(60.0, rel=2e-2)

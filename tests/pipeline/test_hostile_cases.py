@@ -71,8 +71,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     found = tmp_path_factory.mktemp("hostile")
     (found / "lid.yaml").write_text(yaml.safe_dump(LID))
     (found / "own.yaml").write_text(yaml.safe_dump(OWN))
-    (found / "tiny_noise.csv").write_text("time,wake_u,wake_u_noise\n0.1,1,1e-300\n0.2,2,1\n")
-    (found / "huge.csv").write_text("time,wake_u\n0.1,1e300\n0.2,2\n")
+    tiny = "time,wake_pressure,wake_pressure_noise\n0.1,1,1e-300\n0.2,2,1\n"
+    (found / "tiny_noise.csv").write_text(tiny)
+    (found / "huge.csv").write_text("time,wake_pressure\n0.1,1e300\n0.2,2\n")
     os.mkfifo(found / "pipe")
     return found
 

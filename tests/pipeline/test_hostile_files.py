@@ -89,7 +89,7 @@ CIRCLE = np.stack((3.0 + np.cos(TURN), 2.0 + np.sin(TURN)), axis=1)
         (2, "case check case.yaml", "a.wkt", huge()),
         (2, "case check a.yaml", "a.yaml", huge(b"name: a\n")),
         (2, "fit case.yaml a.csv", "a.csv", lambda path: path.write_text("time," + "x" * 100_000)),
-        (2, "fit case.yaml a.csv", "a.csv", huge(b"time,wake_u\n")),
+        (2, "fit case.yaml a.csv", "a.csv", huge(b"time,wake_velocity_x\n")),
     ],
 )
 def test_hostile_file_ends_quickly_in_one_short_line(

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from sphrom.artifacts import open_artifact
-from sphrom.case.template import scene_kinds
+from sphrom.case.scenes import DEFAULTS
 
 STAGES = ("fom", "map", "pod", "fit-psi", "rom", "compare")
 
@@ -111,7 +111,7 @@ def test_only_one_value(empty, sphrom, refused):
     assert f"{empty}/map-reynolds200.h5 is missing" in refused(sphrom("pod", "tiny.yaml"))
 
 
-@pytest.mark.parametrize("kind", scene_kinds())
+@pytest.mark.parametrize("kind", DEFAULTS)
 def test_every_kind_of_scene_can_be_started_from(tmp_path, monkeypatch, sphrom, kind):
     monkeypatch.chdir(tmp_path)
     described = " ".join(sphrom("case", "new", "--help").stdout.split())

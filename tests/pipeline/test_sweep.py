@@ -122,8 +122,8 @@ def test_the_table_has_a_row_for_each_value(sweep, ready):
         decay = math.exp(-4.0 * (2.0 * math.pi) ** 2 / float(row["reynolds"]) * 0.08)
         assert float(row["kinetic_energy"]) == pytest.approx(250.0 * decay, rel=0.026)
         assert float(row["largest_speed"]) == pytest.approx(1.0, rel=0.02)
-        assert 0.04 < float(row["velocity_error_estimate"]) < 0.18
-        assert 0.7 < float(row["pressure_error_estimate"]) < 2.8
+        assert 0.04 < float(row["error_estimate_velocity"]) < 0.18
+        assert 0.7 < float(row["error_estimate_pressure"]) < 2.8
         assert (row["status"], row["reason"]) == ("complete", "")
 
 
@@ -264,7 +264,7 @@ def test_full_runs_are_those_of_the_stage(sphrom, ready, digests, tmp_path):
         energy = 0.5 * run.number("mass") * np.sum(run.read("velocity")[-1] ** 2)
     row = rows_of(ready / "sweep-full.csv")[1]
     assert float(row["kinetic_energy"]) == pytest.approx(energy, rel=1e-12)
-    assert row["velocity_error_estimate"] == ""
+    assert row["error_estimate_velocity"] == ""
 
 
 def test_a_sweep_never_writes_over_runs_of_the_case(sphrom, ready):

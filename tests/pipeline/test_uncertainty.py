@@ -118,7 +118,7 @@ def test_statistics_are_those_of_the_runs(swept):
     mean = found.outputs["kinetic_energy_mean"]
     assert (mean.along, mean.mean.shape) == ("mean", (1,))
     np.testing.assert_allclose(mean.mean, energies[:128].mean(), rtol=1e-12)
-    line = found.outputs["middle_final_u"]
+    line = found.outputs["middle_final_velocity_x"]
     assert (line.along, line.mean.shape) == ("line", (5,))
 
 
@@ -179,7 +179,7 @@ def test_tables_are_beside_the_artifact(swept, folder):
 
 def test_figures_are_drawn_of_all_outputs(swept, tmp_path):
     found = read(swept("whole"))[0]
-    names = ("kinetic_energy", "middle_final_u")
+    names = ("kinetic_energy", "middle_final_velocity_x")
     outputs, indices = ({n: part[n] for n in names} for part in (found.outputs, found.indices))
     few = replace(found, outputs=outputs, indices=indices)
     time = np.linspace(0.0, 0.3, len(outputs["kinetic_energy"].mean))
@@ -205,7 +205,7 @@ def test_draws_go_on_where_they_were(swept, counted):
     assert len(counted) == 60
     one, other = read(more), read(swept("anew", sample={**few, "count": 60}))
     assert one[1].tobytes() == other[1].tobytes()
-    ends = [found[0].outputs["there_u"].interval.tobytes() for found in (one, other)]
+    ends = [found[0].outputs["there_velocity_x"].interval.tobytes() for found in (one, other)]
     assert ends[0] == ends[1]
 
 
@@ -226,8 +226,8 @@ def test_draws_outside_of_training_are_counted_and_told(swept, told):
     said = f"{found.n_extrapolated} of 40 draws are outside of the trained range"
     assert any(said in text for text in told)
     (named,) = (text for text in told if "full runs may have other quantiles" in text)
-    assert "there_u (" in named
-    assert "load_x (" not in named
+    assert "there_velocity_x (" in named
+    assert "load_force_x (" not in named
     assert not found.indices
 
 
@@ -269,7 +269,7 @@ def test_noise_has_its_share_of_the_variance_and_means_are_free_of_it():
     trained = [run(noise, place) for place in range(4)]
     runs = [run(np.full((200, 1, 2), drawn), 1.5) for drawn in random.standard_normal(500)]
     found = {each.name: each for each in outputs_of(case, runs, trained)}
-    for name, share in (("probe1_v", 0.2), ("probe1_v_mean", 0.0)):
+    for name, share in (("probe1_velocity_y", 0.2), ("probe1_velocity_y_mean", 0.0)):
         output = found[name]
         shares = spread(output.values, output.errors, (0.5,)).error_share
         assert shares[len(shares) // 2] == pytest.approx(share, abs=0.05)

@@ -81,16 +81,17 @@ def test_shapes_are_measured_in_supports_and_runs_in_seconds(tmp_path: Path) -> 
 
 
 def test_few_snapshots_are_warned_of(tmp_path: Path) -> None:
-    def warned(n_modes: int) -> list[str]:
+    def warned(n_modes: int, **more: object) -> list[str]:
         reporter = Mock()
         model = {"name": "fast", "evaluation": "operators", "n_modes": n_modes}
-        case = make("taylor-green", discretization={"resolution": 16}, rom=[model])
+        case = make("taylor-green", discretization={"resolution": 16}, rom=[model], **more)
         run(StageContext(case, tmp_path, False, None, reporter))
         return [call.args[0] for call in reporter.warn.call_args_list]
 
     assert warned(2) == []
     (line,) = warned(10)
     assert line.startswith("snapshots.every: 10 modes from ")
+    assert warned(10, training={"reynolds": [50, 200]}) == []
 
 
 def fast(kind: str = "taylor-green", **model: object) -> Case:

@@ -8,7 +8,7 @@ from matplotlib.quiver import Quiver
 from typer.testing import CliRunner
 
 from sphrom.case.models import Case
-from sphrom.case.template import scene_kinds
+from sphrom.case.scenes import DEFAULTS
 from sphrom.cli.app import app
 from sphrom.setup.draw import draw
 
@@ -40,7 +40,7 @@ def test_walls_have_their_names_within_the_solid_and_their_velocities() -> None:
     )
 
 
-@pytest.mark.parametrize("kind", scene_kinds())
+@pytest.mark.parametrize("kind", DEFAULTS)
 def test_every_scene_can_be_drawn(kind: str) -> None:
     case = make({"kind": kind})
     axes = draw(case).axes[0]
