@@ -357,10 +357,7 @@ class BasisModel:
 
     @cached_property
     def force_corrections(self) -> dict[str, Correction | None]:
-        """What training runs add to forces, from the model's runs at the trained points.
-
-        Nothing where these take steps without end.
-        """
+        """What training runs add to forces; nothing where the model takes steps without end there."""
         case, found, own = self.workspace.case, dict[str, Correction | None](), []
         try:
             runs = self.trained if self._forces else []

@@ -128,8 +128,6 @@ def run(context: StageContext) -> None:
     or the operators are missing.
     """
     case = context.case
-    if not case.rom:
-        raise CaseError("rom: the case has no reduced models, so there is nothing to weigh")
     models, closed = _models(case, "galerkin"), []
     if not case.plan.driving:
         closed = [model for model in _models(case, "apg") if model.size <= MOST_CLOSED_MODES]

@@ -101,8 +101,6 @@ def run(context: StageContext, tolerance: str | None = None) -> None:
     ArtifactError when a full run, the basis, its splines or the operators are missing.
     """
     allowed = None if tolerance is None else Tolerance.of_text(tolerance)
-    if not context.case.rom:
-        raise CaseError("rom: the case has no reduced models, so there is nothing to weigh")
     trade = _Trade(context)
     publish(trade.workspace, trade.results(), allowed)
 
