@@ -34,7 +34,7 @@ LONGEST_LINE = 500
 """Characters of an error or a warning: what they quote may be of any length."""
 PROSE = 100
 """Characters of a line of sentences where there is no terminal."""
-TOGETHER = re.compile("`[^`]{,76}`| %")
+TOGETHER = re.compile("`[^`]{,76}`|sphrom [^`]{,68}$| %")
 """What stands in one line: a command to copy, a figure and its percent sign."""
 WHOLE_WORDS: Any = {"break_long_words": False, "break_on_hyphens": False}
 _ERASE = "\r\x1b[K"

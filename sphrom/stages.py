@@ -49,8 +49,6 @@ STAGES = {
     "report": "report.report",
 }
 """The module of each stage, which has a function `run`."""
-UNTRAINED = ("check", "draw", "train")
-"""Stages before which a model may have nothing to learn from."""
 
 
 def context_of(
@@ -60,13 +58,12 @@ def context_of(
     out: Path | None,
     force: bool,
     threads: int | None,
-    stage: str = "",
 ) -> StageContext:
     """Return what a stage needs to know to run on a case, and report the case's warnings."""
     from sphrom.case.hints import case_warnings
     from sphrom.setup.context import StageContext
 
-    for warning in case_warnings(case, trained=stage not in UNTRAINED):
+    for warning in case_warnings(case):
         report.warn(warning)
     return StageContext(case, folder_of(case, out), force, threads, report)
 

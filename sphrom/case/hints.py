@@ -14,39 +14,33 @@ SNAPSHOTS_PER_MODE = 2
 """Fewer snapshots are few for so many modes."""
 
 
-def case_warnings(case: Case, trained: bool = True) -> list[str]:
-    """Return what a user should know about a valid case.
-
-    `trained` is false where `train` is still to choose what models learn from.
-    """
+def case_warnings(case: Case) -> list[str]:
+    """Return what a user should know about a valid case."""
     return [
         *(f"scene.{key}: {reason}" for key, reason in case.scene.warnings()),
         *(f"time.step: {reason}" for reason in beyond_limits(case)),
-        *_extrapolations(case, "parameters.test", case.plan.test_points, trained),
-        *_of_models(case, trained),
+        *_extrapolations(case, "parameters.test", case.plan.test_points),
+        *_of_models(case),
         *_of_numerics(case),
     ]
 
 
-def _extrapolations(
-    case: Case, key: str, points: Iterable[ParameterPoint], trained: bool
-) -> Iterator[str]:
+def _extrapolations(case: Case, key: str, points: Iterable[ParameterPoint]) -> Iterator[str]:
+    region = Region(case) if case.training.ranges else None
     for point in points:
-        inside = bool(case.training.ranges) and Region(case).contains(point)
-        warning = extrapolation(case, point) if trained or not inside else None
-        if warning is not None:
-            yield (
-                f"{key}: {warning}" + inside * "; `sphrom train` chooses runs in all of `training`"
-            )
+        # In its region `train` chooses what is learnt from.
+        known = region is not None and region.contains(point)
+        if not known and (warning := extrapolation(case, point)) is not None:
+            yield f"{key}: {warning}"
 
 
-def _of_models(case: Case, trained: bool) -> Iterator[str]:
-    trained_until = case.plan.steps.end_time
+def _of_models(case: Case) -> Iterator[str]:
+    trained = case.plan.steps.end_time
     for i, model in enumerate(case.rom):
-        if case.plan.model_steps(model).end_time > trained_until:
-            yield f"rom.{i}.until: {beyond_training(trained_until)}"
+        if case.plan.model_steps(model).end_time > trained:
+            yield f"rom.{i}.until: {beyond_training(trained)}"
         unseen = [point for point in case.plan.rom_points(model) if point not in case.plan.points]
-        yield from _extrapolations(case, f"rom.{i}.parameters", unseen, trained)
+        yield from _extrapolations(case, f"rom.{i}.parameters", unseen)
         for point in unseen:
             start = case.plan.start_point(point)
             if start != point:

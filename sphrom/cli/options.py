@@ -175,12 +175,7 @@ def run_stage(stage: str, options: Options, **asked: object) -> None:
         if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
             report.info("SIGINT is ignored here: stop this command with SIGTERM (`kill PID`)")
         context = stages.context_of(
-            case,
-            report,
-            out=options.out,
-            force=options.force,
-            threads=options.threads,
-            stage=stage,
+            case, report, out=options.out, force=options.force, threads=options.threads
         )
         context = stages.with_checkpoints(
             context, resume=options.resume, every=options.checkpoint_every

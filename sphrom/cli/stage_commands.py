@@ -334,7 +334,8 @@ def import_(
         options = replace(options, overrides=[*overrides, *keys])
     run_stage("import", options, files=files, about=about)
     if write_case is not None:
-        next_step = f", with {' '.join(keys)}; next: sphrom run {write_case}"
+        words = replace(options, case=write_case, overrides=None).words
+        next_step = f", with {' '.join(keys)}; next: sphrom run {words}"
         write_new(write_case, text, next_step, force=options.force)
 
 

@@ -59,8 +59,8 @@ class Answer:
     training_seconds: float | None
     n_training: int
     forces: tuple[Force, ...] = ()
-    doubts: tuple[tuple[str, str], ...] = ()
-    """Points of imported runs, and what lets doubt that the case describes them."""
+    doubts: tuple[str, ...] = ()
+    """Why the case may not be that of imported runs, in sentences."""
 
     @property
     def pays_from(self) -> int | None:
@@ -97,8 +97,7 @@ class Answer:
             own = "" if estimate is None else f"; the model estimates {percent(estimate)}"
             found = f"{percent(error)} over time{nearest}{own}"
             yield f"The measured force ({name}) differs by {found}."
-        for point, doubt in self.doubts:
-            yield f"The run at {point} was imported, and the case may not be its own: {doubt}."
+        yield from self.doubts
 
     def _cost(self) -> Iterator[str]:
         timing = self.timing
@@ -177,13 +176,7 @@ def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
             offline_seconds=offline,
             training_seconds=training,
             n_training=len(plan.bases[basis]),
-            doubts=tuple(
-                (each.label, doubt)
-                for each in plan.points
-                for doubt in workspace.imported(workspace.full_run(each))
-                .get("imported/doubts", "")
-                .splitlines()
-            ),
+            doubts=tuple(_doubts(workspace)),
             forces=tuple(
                 (name, force, forces.get((best, name)), expected.get((compared, name)))
                 for (compared, name), force in forces.items()
@@ -191,6 +184,14 @@ def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
             ),
         )
     return None
+
+
+def _doubts(workspace: Workspace) -> Iterator[str]:
+    """Yield why the case may not be that of imported runs, as their import found, in sentences."""
+    for point in workspace.case.plan.points:
+        said = workspace.imported(workspace.full_run(point)).get("imported/doubts", "")
+        for doubt in said.splitlines():
+            yield f"The run at {point.label} was imported, and may be of another flow: {doubt}."
 
 
 def _force_errors(
@@ -215,7 +216,7 @@ def tell_answer(workspace: Workspace, tables: Tables) -> None:
         )
         return
     answer = find_answer(workspace, tables)
-    sentences = ["No reduced model was compared over a whole run."]
+    sentences = ["No reduced model was compared over a whole run.", *_doubts(workspace)]
     for sentence in sentences if answer is None else answer.sentences():
         report.prose(sentence)
     pictures = f", pictures in {out / 'plots'}" if (out / "plots").is_dir() else ""

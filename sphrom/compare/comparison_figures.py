@@ -287,38 +287,24 @@ def draw_lines(
         for point in points:
             where, full = comparison.line(None, point)
             index = int(np.argmin(np.abs(full.time - time)))
-            time, exact = float(full.time[index]), None
-            if (flow := case.plan.flow(point).exact) is not None:
-                fields = flow.velocity(where, time), flow.pressure(where, time)
-                exact = Samples(np.array([time]), fields[0][None], fields[1][None])
+            time, y, row = float(full.time[index]), where[:, 1], []
             lines = {m.name: comparison.line(m.name, point)[1] for m in models if m is not None}
-            row = []
             for quantity in quantities:
-                each = {FULL: full, **lines}
-                drawn = _along_line(case, where[:, 1], each, index, quantity, exact)
-                row.append(Panel(point.label, "y [m]", LABELS[quantity], list(drawn)))
+                curves = []
+                if (flow := case.plan.flow(point).exact) is not None:
+                    fields = flow.velocity(where, time), flow.pressure(where, time)
+                    exact = Samples(np.array([time]), fields[0][None], fields[1][None])
+                    curves.append(Curve("exact", y, _along(exact, quantity)[0], "exact"))
+                for name, line in {FULL: full, **lines}.items():
+                    if index < len(line.time):
+                        curves.append(_curve(case, name, y, _along(line, quantity)[index]))
+                        continue
+                    before = f"after {line.time[-1]:.3g} s" if len(line.time) else "at the start"
+                    ended = _curve(case, name, y[:0], y[:0])
+                    curves.append(replace(ended, label=f"{name} (unstable {before})"))
+                row.append(Panel(point.label, "y [m]", LABELS[quantity], curves))
             panels.append(row)
     return draw_grid(panels, title=f"x = {where[0, 0]:.4g} m, t = {time:.4g} s")
-
-
-def _along_line(
-    case: Case,
-    y: Array,
-    lines: Mapping[str, Samples],
-    snapshot: int,
-    quantity: str,
-    exact: Samples | None,
-) -> Iterator[Curve]:
-    """Yield a quantity along a line at a snapshot; of a run that ended before, its name alone."""
-    if exact is not None:
-        yield Curve("exact", y, _along(exact, quantity)[0], "exact")
-    for name, line in lines.items():
-        if snapshot < len(line.time):
-            yield _curve(case, name, y, _along(line, quantity)[snapshot])
-        else:
-            before = f"after {line.time[-1]:.3g} s" if len(line.time) else "at the start"
-            ended = _curve(case, name, np.empty(0), np.empty(0))
-            yield replace(ended, label=f"{name} (unstable {before})")
 
 
 def _along(line: Samples, quantity: str) -> Array:

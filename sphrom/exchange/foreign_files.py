@@ -42,6 +42,8 @@ MOST_SNAPSHOT_BYTES = 2**30
 """Of a snapshot: some six million particles with twenty fields."""
 MOST_ARRAYS = 1000
 """Of one NumPy archive."""
+MOST_KINDS = 20
+"""Of particles, which a field tells apart."""
 MOST_STEPS = 100_000
 """Of one file."""
 VTK_SECONDS = (10.0, 1e-7)
@@ -134,7 +136,8 @@ def _listed(path: Path) -> list[Source]:
 def read_foreign(path: Path, array: str | None = None, step: int = 0) -> ForeignSnapshot:
     """Read a snapshot, of the set of particles `array` where a file holds several.
 
-    `step` is its number in a file that holds many snapshots.
+    In files that aren't PySPH's `array` is a field and its value, such as `Type=3`. `step` is the
+    number of the snapshot in a file that holds many.
 
     Raises
     ------
@@ -150,8 +153,19 @@ def read_foreign(path: Path, array: str | None = None, step: int = 0) -> Foreign
             time, values = _read_pysph(path, array)
         else:
             time, values = _read_numpy(path) if suffix == NUMPY else _read_vtk(path, step)
+            values = values if array is None else _chosen(values, array)
         require_snapshot_size(8 * sum(value.size for value in values.values()))
         return ForeignSnapshot(path, time, dict(_scalars(values)))
+
+
+def _chosen(values: Mapping[str, NDArray[Any]], chosen: str) -> dict[str, NDArray[Any]]:
+    """Return the fields of the particles that have a value of a field, such as `Type=3`."""
+    few = {name: np.unique(v) for name, v in values.items() if v.ndim == 1}
+    kinds = {f"{n}={one:g}": (n, one) for n, v in few.items() if len(v) <= MOST_KINDS for one in v}
+    if chosen not in kinds:
+        raise Fault(f"has no particles of --array {chosen}; there are {', '.join(kinds) or 'none'}")
+    name, value = kinds[chosen]
+    return {n: v[values[name] == value] for n, v in values.items()}
 
 
 def require_snapshot_size(n_bytes: int) -> None:

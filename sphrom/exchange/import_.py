@@ -68,6 +68,8 @@ at least, and per spacing over the scene's length. A finite-volume solution of t
 it, with another lid 22 and 18 %. Particles have 17 and 11 % added where the lid is another one."""
 LEAST_SPEED = 0.05
 """Over the scene's: differences count over it in slower flows."""
+Kept = dict[int, tuple[float, Snapshot]]
+"""Snapshots, and their times [s], by number."""
 COUNT_TOLERANCE = 0.05
 """How far the number of particles may be from the case's, relatively: edges are filled in many
 ways, but each particle has to stand for about the same area."""
@@ -153,7 +155,7 @@ def _write(
     crossing, last = case.scene.length_scale / plan.max_speed, len(choices) - 1
     begin = max(0, last - max(1, int(FOLLOWED * crossing / plan.steps.snapshot_interval)))
     with workspace.create(target, attributes) as artifact:
-        model, kept = particles.functional(case, point), dict[int, tuple[float, Snapshot]]()
+        model, kept = particles.functional(case, point), Kept()
         writer = TrajectoryWriter(
             artifact,
             len(choices),
@@ -180,11 +182,7 @@ def _write(
 
 
 def _doubts(
-    workspace: Workspace,
-    point: ParameterPoint,
-    model: Functional,
-    kept: Mapping[int, tuple[float, Snapshot]],
-    begin: int,
+    workspace: Workspace, point: ParameterPoint, model: Functional, kept: Kept, begin: int
 ) -> Iterator[str]:
     """Yield why a case may not be that of a run, of which some snapshots are given, in words.
 
@@ -229,10 +227,10 @@ def _doubts(
     departed, added = own[last][0], own[begin + 1][1] * crossing / plan.steps.snapshot_interval
     if max(departed, abs(added)) > most:
         yield (
-            f"from t = {time:.4g} s on, {name} departs from it by {format_figure(departed, 2)} % "
-            f"in velocity within {kept[last][0] - time:.3g} s, and at first makes it "
+            f"{name} departs from the files by {format_figure(departed, 2)} % in velocity from "
+            f"t = {time:.4g} to {kept[last][0]:.4g} s, and makes the flow "
             f"{format_figure(abs(added), 2)} % {'slower' if added < 0.0 else 'faster'} per "
-            f"{crossing:.3g} s, where other schemes do by {most:.2g} % at most: see walls that "
+            f"{crossing:.3g} s at first; other schemes do by {most:.2g} % at most: see walls that "
             "move, such as scene.lid, the Reynolds number, the body force and --units"
         )
 

@@ -29,7 +29,10 @@ def _option(metavar: str | None, text: str) -> object:
 class ImportOptions:
     """What files mean; each field is an option of the command line, with its help."""
 
-    array: Annotated[str | None, _option("NAME", "PySPH's name of the particles to take.")] = None
+    array: Annotated[
+        str | None,
+        _option("NAME", "Particles to take: PySPH's name, or a field's value such as Type=3."),
+    ] = None
     position: Annotated[
         str, _option("A,B", "Two fields; of a vector such as points.x,points.y.")
     ] = "x,y"

@@ -128,17 +128,6 @@ class Fit(records.Fit):
         return tuple(self.history[str(k)] for k in range(len(self.history)))
 
     @property
-    def bound(self) -> float:
-        """The largest chi^2 that the noise and the model's errors, as estimated, explain.
-
-        The noise stays below its part with a probability of 99.9 %.
-        """
-        from scipy.stats import chi2
-
-        dof = self.degrees_of_freedom
-        return float(chi2.ppf(SURE, dof)) + self.expected_chi_square - dof
-
-    @property
     def problems(self) -> tuple[str, ...]:
         """What to know before these figures are used, in words."""
         return tuple(self.warnings.splitlines())
@@ -239,7 +228,7 @@ def show(report: Reporter, fit: Fit) -> None:
     dof = fit.degrees_of_freedom
     report.info(
         f"chi^2 per degree of freedom is {fit.chi_square / dof:.3g}; noise and the model's errors "
-        f"explain up to {fit.bound / dof:.3g}; "
+        f"explain up to {fit.expected_chi_square / dof:.3g}; "
         f"{fit.starts_led_here} of {fit.starts} starts led here"
     )
     for problem in fit.problems:
@@ -283,7 +272,7 @@ def fit(fast: FastModel, box: Box, measurements: Measurements, known: TrainingDi
             f"({', '.join(box.names)}); give fit.parameters some of them"
         )
     model = FittedModel(fast, box, measurements.histories)
-    from scipy.stats import qmc
+    from scipy.stats import chi2, qmc
 
     exponent = int(np.ceil(np.log2(case.fit.starts)))
     starts = list(qmc.Sobol(len(box.names), rng=0).random_base2(exponent)[: case.fit.starts])
@@ -320,7 +309,7 @@ def fit(fast: FastModel, box: Box, measurements: Measurements, known: TrainingDi
         measurements=measurements.source,
         warnings="",
         chi_square=best.chi_square,
-        expected_chi_square=dof + weights.expected,
+        expected_chi_square=float(chi2.ppf(SURE, dof)) + weights.expected,
         degrees_of_freedom=dof,
         starts_led_here=first[0].n_starts,
         starts=case.fit.starts,
@@ -328,7 +317,7 @@ def fit(fast: FastModel, box: Box, measurements: Measurements, known: TrainingDi
     problems = (
         *_about_the_case(model, samples),
         *_about_the_search(box, likely, shares),
-        *_about_the_fit(fitted),
+        *_about_the_fit(fitted, weights.expected),
     )
     return replace(fitted, warnings="\n".join(problems))
 
@@ -428,20 +417,19 @@ def _about_the_search(box: Box, found: Sequence[Minimum], shares: Array) -> Iter
         yield f"other fits are nearly as good: {'; '.join(fits)}"
 
 
-def _about_the_fit(fitted: Fit) -> Iterator[str]:
+def _about_the_fit(fitted: Fit, by_model: float) -> Iterator[str]:
     from scipy.stats import chi2
 
     dof = fitted.degrees_of_freedom
-    ratio, beyond = fitted.chi_square / dof, fitted.chi_square - fitted.bound
-    if beyond > 0.0:
+    ratio, bound = fitted.chi_square / dof, fitted.expected_chi_square
+    if (beyond := fitted.chi_square - bound) > 0.0:
         worst = max(fitted.histories, key=lambda each: each.residual)
-        model = fitted.expected_chi_square - dof
-        bad = beyond > (TRUSTED - 1.0) * model
-        larger = "" if bad else f"{100.0 * (math.sqrt(1.0 + beyond / model) - 1.0):.2g} % "
+        bad = beyond > (TRUSTED - 1.0) * by_model
+        larger = "far" if bad else f"{100.0 * (math.sqrt(1.0 + beyond / by_model) - 1.0):.2g} %"
         yield (
             f"{'the fit is bad: ' * bad}chi^2 per degree of freedom is {ratio:.3g}, above the "
-            f"{fitted.bound / dof:.3g} that noise and the model's errors explain. The model's "
-            f"errors are {larger or 'far '}larger than estimated, the noise is larger than stated, "
+            f"{bound / dof:.3g} that noise and the model's errors explain. The model's "
+            f"errors are {larger} larger than estimated, the noise is larger than stated, "
             "or another flow was measured than the case's: the intervals are too narrow. "
             f"{worst.name} fits worst: check its unit, place and noise, or fit without it"
         )

@@ -135,10 +135,7 @@ class Workspace:
             self.context.report.info(f"{target.path.name}: there, and of this case: kept")
             return False
         if command is not None:
-            raise ArtifactError(
-                f"{target.path} {reason}; it was imported, and no simulation replaces it: import "
-                f"it again with `{command}`"
-            )
+            self.require(target)
         if target.path.exists() and not self.context.force:
             self._require_parents(target)
             raise ArtifactError(f"{target.path} {reason}; `--force` makes it anew")
@@ -153,8 +150,9 @@ class Workspace:
             everything = f"all that is missing with `sphrom run {self.context.words}`"
             remedy = f"make it with `{target.made_by}`, or {everything}"
             if target.path.exists():
-                command = self._import_command(target) or f"{target.made_by} --force"
-                remedy = f"make it again with `{command}`"
+                remedy = f"make it again with `{target.made_by} --force`"
+            if command := self._import_command(target):
+                remedy = f"no simulation replaces what was imported: import again with `{command}`"
             raise ArtifactError(f"{target.path} {reason}; {remedy}")
 
     def imported(self, target: Target) -> dict[str, str]:

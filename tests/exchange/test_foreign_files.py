@@ -87,6 +87,12 @@ def test_vtk_files_are_read(tmp_path: Path, name, kind, settings, version) -> No
     np.testing.assert_allclose(read.fields["vel.y"], given["vel"][:, 1], rtol=digits)
     np.testing.assert_allclose(read.fields["rho"], given["rho"], rtol=digits)
     np.testing.assert_array_equal(read.fields["id"], np.arange(N))
+    one = read_foreign(source.path, "id=2", source.step)
+    assert {field: values.tolist() for field, values in one.fields.items()} == {
+        field: [values[2]] for field, values in read.fields.items()
+    }
+    with pytest.raises(ArtifactError, match=r"has no particles of --array id=-1; .*id=0, id=1"):
+        read_foreign(source.path, "id=-1", source.step)
 
 
 HEAD = "# vtk DataFile Version 3.0\n\nASCII\nDATASET "

@@ -174,7 +174,7 @@ def test_a_bad_fit_says_so(study, columns):
         other = {**table, U: factor * table[U]}
         found = study.model("fast", **TRUE).fit(other, noise=1.0)
         *_, last = ("", *found.problems)
-        assert (found.chi_square > found.bound) == ("above the" in last), factor
+        assert (found.chi_square > found.expected_chi_square) == ("above the" in last), factor
 
 
 def test_without_full_runs_intervals_are_of_the_noise_alone(study, columns):

@@ -67,7 +67,7 @@ class Fit(Record, kind="sphrom/fit"):
     )
     chi_square: float = attribute("1", "chi^2 of the fit")
     expected_chi_square: float = attribute(
-        "1", "chi^2 that the noise and the model's errors explain"
+        "1", "chi^2 that noise, with a probability of 99.9 %, and the model's errors stay below"
     )
     degrees_of_freedom: int = attribute("", "values less estimated parameters")
     starts_led_here: int = attribute("", "starts of the search that led to this fit")
