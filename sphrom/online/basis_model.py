@@ -357,7 +357,7 @@ class BasisModel:
 
     @cached_property
     def force_corrections(self) -> dict[str, Correction | None]:
-        """What training runs add to forces; nothing where the model takes steps without end there."""
+        """What training runs add to forces; nothing where the model takes endless steps there."""
         case, found, own = self.workspace.case, dict[str, Correction | None](), []
         try:
             runs = self.trained if self._forces else []
