@@ -109,7 +109,6 @@ class _PointFigures:
         self.when = f"{point.label}, t = {self.time[self.middle]:.3g} s"
 
     def all(self) -> Iterator[tuple[str, Callable[[], Figure]]]:
-        """Yield names and the functions that draw."""
         if self.complete:
             yield "fields", self._fields
             yield "overview", self._overview
@@ -161,7 +160,6 @@ class _PointFigures:
         return draw_grid(rows, frame_of(self.case), scales=self._scales, title=self.when)
 
     def _overview(self) -> Figure:
-        """Return the fields and the errors of the fastest model."""
         fastest = next(m for m in self.case.plan.models_by_speed if m in self.complete)
         complete = {m.name: self._errors[m.name] for m in self.complete}
         label = "velocity, field, at all instants: relative L2 [%]"

@@ -346,7 +346,6 @@ def _best(rows: Sequence[ModelRow], quantity: str, measure: Measure) -> str:
 
 
 def _described(chosen: ModelRow, advice: Mapping[str, Any], measure: Measure) -> str:
-    """Return a model with its errors, its gain and the run from which it pays."""
     errors = ", ".join(
         f"{q} {format_figure(measure.of(chosen.errors, q))} %" for q in measure.quantities
     )
