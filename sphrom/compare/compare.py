@@ -129,11 +129,11 @@ class _PointComparison:
             self.measured = measured_of(self.case, trajectory)
         self.exact = None
         if (flow := plan.flow(point).exact) is not None and self.case.compare.exact:
-            each = [
-                [at(probes.all, t) for t in self.full.time.tolist()]
+            velocity, pressure = (
+                np.array([at(probes.all, t) for t in self.full.time.tolist()])
                 for at in (flow.velocity, flow.pressure)
-            ]
-            self.exact = Samples(self.full.time, *map(np.array, each))
+            )
+            self.exact = Samples(self.full.time, velocity, pressure)
         self.measures: list[MeasureRow] = []
 
     def compare(self) -> None:
