@@ -116,9 +116,11 @@ def prepared(context: StageContext, models: Sequence[ReducedModelSection]) -> Wo
 
     Operators are projected where the case's lack some.
 
-    Raises ArtifactError when artifacts of the case are missing.
+    Raises CaseError when the case has no reduced models, ArtifactError when artifacts are missing.
     """
     own, workspace = context.case, Workspace(context)
+    if not own.rom:
+        raise CaseError("rom: the case has no reduced models, so there is nothing to weigh")
     for target in (workspace.basis(), workspace.splines()):
         workspace.require(target)
     wider = replace(context, case=own.model_copy(update={"rom": (*own.rom, *models)}))

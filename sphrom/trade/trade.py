@@ -97,16 +97,10 @@ def run(context: StageContext, tolerance: str | None = None) -> None:
 
     With the errors allowed, such as `1%`, the cheapest model within them is named.
 
-    Raises
-    ------
-    CaseError
-        When the case has no reduced models, or can't have the listed ones.
-    ArtifactError
-        When a full run, the basis, its splines or the operators are missing.
+    Raises CaseError when the case has no reduced models, or can't have the listed ones,
+    ArtifactError when a full run, the basis, its splines or the operators are missing.
     """
     allowed = None if tolerance is None else Tolerance.of_text(tolerance)
-    if not context.case.rom:
-        raise CaseError("rom: the case has no reduced models, so there is nothing to weigh")
     trade = _Trade(context)
     publish(trade.workspace, trade.results(), allowed)
 
