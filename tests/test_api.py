@@ -233,6 +233,18 @@ def test_other_stages_run_as_their_commands(study):
         np.testing.assert_array_equal(swept.generalized_coordinates[0], at_120.coordinates)
 
 
+def test_tasks_of_a_sweep_are_as_short_as_their_points(study, monkeypatch):
+    """A list of points is longer than what a process reads."""
+    tasks: list[Any] = []
+    monkeypatch.setattr("sphrom.sweep.sweep.make_runs", lambda task: tasks.append(task) or ())
+    sweep = {"model": "fast", "name": "long", "points": [{"reynolds": 100 + k} for k in range(99)]}
+    long = sphrom.Study({**CASE, "sweep": sweep}, out=study.folder, threads=1, quiet=True)
+    with pytest.raises(sphrom.errors.ArtifactError, match="none of its 99 runs has been made"):
+        long.run_stage("sweep", workers=1)
+    assert not any(task.context().case.sweep.points for task in tasks)
+    assert sum(len(task.points) for task in tasks) == 99
+
+
 @pytest.mark.parametrize(
     ("call", "text"),
     [

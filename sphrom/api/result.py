@@ -69,7 +69,7 @@ class Labels:
                     dims = f"{self._lines.get(name, '')} component"
                     where = measure.position if name in self._lines else measure.position[0]
                     known[f"{name}_position"] = labelled(dims, where, "m", f"position of {name}")
-            self._known[key] = xarray.Dataset(coords=known).set_xindex("time").coords
+            self._known = {key: xarray.Dataset(coords=known).set_xindex("time").coords}
         return xarray.Dataset(variables, self._known[key], dict(about))
 
     def fields(

@@ -211,6 +211,12 @@ class SweepSection(Section):
         return self
 
     @property
+    def of_any_values(self) -> SweepSection:
+        """The same without its values, which say nothing of a single run."""
+        values = ("reynolds", "parameters", "points", "sample", "quantiles")
+        return SweepSection(**{name: each for name, each in self if name not in values})
+
+    @property
     def grid(self) -> Mapping[str, tuple[float, ...]]:
         """The values of each parameter, of which every combination is run."""
         reynolds = {} if self.reynolds is None else {REYNOLDS: self.reynolds}

@@ -321,8 +321,7 @@ class Workspace:
     def sweep(self) -> Target:
         """The runs of the case's sweep; which values it has is for who reads it to compare."""
         model, section = sweep_model(self.case), self.case.sweep
-        values = ("reynolds", "parameters", "points", "sample", "quantiles")
-        about: dict[str, object] = {"sweep": _without(section, "name", "model", *values)}
+        about: dict[str, object] = {"sweep": _without(section.of_any_values, "name", "model")}
         parents = self._packed() if model is None or self.case.time.spin_up == 0.0 else {}
         if model is None:
             about["steps"] = self._steps()
@@ -354,7 +353,6 @@ class Workspace:
         return {f"map-{point.file_label}": self.mapped(point) for point in points}
 
     def _steps(self) -> dict[str, float]:
-        """Return the full model's steps."""
         names = ("time_step", "n_steps", "every", "n_spin_up_steps")
         return {name: getattr(self.case.plan.steps, name) for name in names}
 

@@ -153,12 +153,16 @@ def _make(
     in_batches = model is not None and model.from_operators
     n_tasks = math.ceil(len(points) / (SMALLEST_BATCH if in_batches else 1))
     number = min(number or runs_that_fit(case, "fom" if model is None else "rom"), n_tasks)
+    # Tasks have points of their own: each process would read all values of a long list again.
+    bare = replace(
+        workspace.context, case=case.model_copy(update={"sweep": case.sweep.of_any_values})
+    )
     with start_workers(number, scheduler, report) as workers:
         size = 1
         if in_batches:
             share = math.ceil(len(points) / (BATCHES_EACH * workers.number))
             size = min(max(share, SMALLEST_BATCH), LARGEST_BATCH)
-        return workers.run(f"sweep {sweep_name(case)}", workspace, points, make_runs, size)
+        return workers.run(f"sweep {sweep_name(case)}", Workspace(bare), points, make_runs, size)
 
 
 def columns_of(case: Case, records: Sequence[RunRecord]) -> dict[str, str | None]:
