@@ -233,7 +233,9 @@ class Reporter:
         self._running.append(progress)
 
         def show() -> None:
-            if self._terminal and self._least <= Level.INFO and progress.is_stale():
+            now, is_seen = time.monotonic(), self._terminal and self._least <= Level.INFO
+            if is_seen and now >= progress.shown + REFRESHED:
+                progress.shown = now
                 _show_status("; ".join(map(str, self._running)))
 
         def advance(done: int) -> None:
@@ -269,7 +271,8 @@ class _Progress:
     def __init__(self, description: str, total: int) -> None:
         self._description, self._total = description, total
         self.start = self._since = time.monotonic()
-        self._shown = -REFRESHED
+        self.shown = -REFRESHED
+        """When a terminal's line last told of it."""
         self.done = self._first = 0
         self._interval = LINE_INTERVAL
         self._next = self.start + self._interval
@@ -280,13 +283,6 @@ class _Progress:
             # Kernels may be compiled in what is done first: it says nothing of the rest.
             self._first, self._since = done, time.monotonic()
         self.done += done
-
-    def is_stale(self) -> bool:
-        """Return whether a terminal's line of it is old; it counts as new from now on."""
-        if (now := time.monotonic()) < self._shown + REFRESHED:
-            return False
-        self._shown = now
-        return True
 
     def is_due(self) -> bool:
         """Return whether to write a line: the more seldom the longer it takes."""

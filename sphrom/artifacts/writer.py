@@ -30,13 +30,7 @@ from sphrom.artifacts.layout import (
 )
 from sphrom.artifacts.paraview import add_view
 from sphrom.artifacts.records import SCHEMAS
-from sphrom.declaration import (
-    SCHEMA_VERSION,
-    Field,
-    Record,
-    fields_of_record,
-    joined,
-)
+from sphrom.declaration import SCHEMA_VERSION, Field, Record, fields_of_record, joined
 from sphrom.errors import ArtifactError
 from sphrom.machine import computing_seconds
 from sphrom.version import __version__

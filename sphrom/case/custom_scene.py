@@ -21,7 +21,7 @@ from sphrom.arrays import Array
 from sphrom.case.expressions import CONSTANTS, FUNCTIONS, MOST_QUOTED, Expression
 from sphrom.case.fields import Coordinate, Place, Positive, SafeName, Section, key
 from sphrom.case.initial_file import read_start, start_fields
-from sphrom.case.scene_section import OF_WALLS, Defaults, Measures, SceneSection, measures
+from sphrom.case.scene_section import MEASURE, OF_WALLS, Defaults, Measures, SceneSection
 from sphrom.case.shapes import ShapeSection
 from sphrom.errors import CaseError
 from sphrom.scenes.flows import CustomFlow, Drive, Scales, Scene
@@ -134,7 +134,7 @@ class CustomScene(SceneSection):
     reference_length: Positive | None = key(
         None, "L of the Reynolds number; null is the width of the box", unit="m"
     )
-    measure: Measures = measures()
+    measure: Measures = MEASURE
     _values: Mapping[str, float] = PrivateAttr(default_factory=dict)
 
     @model_validator(mode="after")

@@ -44,10 +44,7 @@ class Expression:
     ----------
     depends_on : the variables that the value depends on.
 
-    Raises
-    ------
-    ValueError
-        When the text is no expression of these names, with what is wrong.
+    Raises ValueError, with what is wrong, when the text is no expression of these names.
     """
 
     def __init__(

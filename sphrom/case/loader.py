@@ -157,7 +157,6 @@ def _override(data: dict[str, Any], override: str) -> Path:
 
 
 def _assign(data: dict[str, Any], name: str, value: Any) -> Path:
-    """Change one key of the data, and return its path."""
     segments = name.split(".")
     if len(segments) > MAX_DEPTH or not all(segments):
         raise CaseError(f"{OVERRIDE}: must be a key such as time.step; got {quoted(name)}")

@@ -188,9 +188,5 @@ class MeasureSection(Section):
 
 Measures = dict[SafeName, MeasureSection]
 """Measurements by name."""
-
-
-def measures() -> Measures:
-    """Describe the key of a scene that says what is measured."""
-    measured: Measures = key({}, "what is measured over time, by name")
-    return measured
+MEASURE: Any = key({}, "what is measured over time, by name")
+"""The key of a scene for them."""

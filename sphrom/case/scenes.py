@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sphrom.arrays import Array
 from sphrom.case.custom_scene import CustomScene
 from sphrom.case.fields import Duration, Number, Positive, Section, key
-from sphrom.case.scene_section import OF_WALLS, Defaults, Measures, SceneSection, measures
+from sphrom.case.scene_section import MEASURE, OF_WALLS, Defaults, Measures, SceneSection
 from sphrom.scenes.flows import (
     Channel,
     LidDrivenCavity,
@@ -44,7 +44,7 @@ class TaylorGreenScene(SceneSection):
     pressure_sign: Literal["exact", "paper"] = key(
         "exact", "sign of the initial pressure: exact, or as printed in Eq. 4.4"
     )
-    measure: Measures = measures()
+    measure: Measures = MEASURE
 
     @property
     def domain(self) -> Domain:
@@ -84,7 +84,7 @@ class LidDrivenCavityScene(SceneSection):
         "sound with it; 3 length / c0 is silent",
         unit="s",
     )
-    measure: Measures = measures()
+    measure: Measures = MEASURE
 
     @property
     def domain(self) -> Domain:
@@ -158,7 +158,7 @@ class OpenCavityScene(SceneSection):
     body_force: BodyForceSection = key(
         BodyForceSection(), "what drives the flow, above the cavity (Eq. 4.5)"
     )
-    measure: Measures = measures()
+    measure: Measures = MEASURE
 
     @cached_property
     def _cavity(self) -> OpenCavity:

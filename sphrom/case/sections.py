@@ -253,8 +253,6 @@ class ReducedModelSection(Section):
 
         Raises ValueError while training runs have yet to choose it.
         """
-        if self.n_modes == AUTO:
-            raise ValueError(f"{self.name}: training runs choose n_modes")
         return int(self.n_modes)
 
     @property

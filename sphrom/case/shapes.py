@@ -123,10 +123,7 @@ class ShapeSection(Section):
     def geometry(self) -> BaseGeometry:
         """Return the polygon, or polygons, of the shape [m].
 
-        Raises
-        ------
-        ValueError
-            When it is empty, crosses itself, or is no area.
+        Raises ValueError when it is empty, crosses itself, or is no area.
         """
         kind = only_one(self, KINDS)
         given = getattr(self, kind)
@@ -192,10 +189,7 @@ def _rounding_corners(shape: BaseGeometry, distance: float) -> float:
 def read_outline(path: Path) -> BaseGeometry:
     """Read polygons from a file.
 
-    Raises
-    ------
-    ValueError
-        When it can't be read, is too large, or holds anything but polygons.
+    Raises ValueError when it can't be read, is too large, or holds anything but polygons.
     """
     reader = _READERS.get(path.suffix.lower())
     if reader is None:

@@ -6,16 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
-from sphrom.case.fields import (
-    Coordinate,
-    Duration,
-    Flag,
-    Number,
-    SafeName,
-    Section,
-    Whole,
-    key,
-)
+from sphrom.case.fields import Coordinate, Duration, Flag, Number, SafeName, Section, Whole, key
 from sphrom.case.points import Range, ReynoldsValues, viscous
 
 Modes = Annotated[tuple[Annotated[Whole, Field(ge=1, le=10_000)], ...], Field(min_length=1)]

@@ -168,8 +168,7 @@ def run_stage(stage: str, options: Options, **asked: object) -> None:
     from sphrom.case.loader import load_case
 
     case = load_case(options.case, options.overrides or (), options.force)
-    folder = stages.folder_of(case, options.out)
-    log = LogFile(None if stage in WITHOUT_LOG else folder / LOG)
+    log = LogFile(None if stage in WITHOUT_LOG else stages.folder_of(case, options.out) / LOG)
     report = Reporter(quiet=options.quiet, verbose=options.verbose, log=log)
     with log.recorded(["sphrom", *sys.argv[1:]]):
         if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

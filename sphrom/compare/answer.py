@@ -19,19 +19,12 @@ from sphrom.text import counted, duration
 
 DIGITS = 2
 """Significant digits of the figures in a sentence."""
-DEFINITION = (
-    "the root mean square of the difference, over the whole field and all instants, in percent of "
-    "the full run's own; a pressure is less its mean"
-)
-"""What the errors are."""
 ROLES = {
     "predicted": "which was not simulated for training",
     "extrapolated": "which was not simulated for training and lies outside of the trained values",
     "trained": "where it was trained",
 }
 """What the roles of parameter points are called."""
-FASTER = "a model with evaluation: operators is, such as {name: fast, evaluation: operators}"
-"""Advice for who has no fast model."""
 Pair = tuple[float, float]
 """Errors of velocity and pressure [%]."""
 Force = tuple[str, float, float | None, float | None]
@@ -77,13 +70,13 @@ class Answer:
             f"At {self.row.parameters}, {ROLES[self.row.role]}{one_of}, {self.row.compared} "
             f"({counted(self.row.n_modes or 0, 'mode')}) differs from the full run by "
             f"{percent(self.error[0])} in velocity and {percent(self.error[1])} in pressure: "
-            f"{DEFINITION}."
+            "the root mean square of the difference, over the whole field and all instants, in "
+            "percent of the full run's own; a pressure is less its mean."
         )
         yield from self._compared()
         yield from self._cost()
 
     def _compared(self) -> Iterator[str]:
-        """Yield what the errors would be at best, and what the model says that they are."""
         parts = []
         if self.best is not None:
             parts.append(f"the nearest state in its basis: {_both(self.best)}")
@@ -110,7 +103,8 @@ class Answer:
             f"the full run {duration(timing.full_seconds or 0.0)}{longest}."
         )
         if timing.speed_up <= 1.0:
-            yield f"{took} It is not faster; {FASTER}."
+            advice = "such as {name: fast, evaluation: operators}"
+            yield f"{took} It is not faster; a model with evaluation: operators is, {advice}."
             return
         yield took
         gains = timing.speed_up, timing.least_speed_up, timing.greatest_speed_up
@@ -197,7 +191,6 @@ def _doubts(workspace: Workspace) -> Iterator[str]:
 def _force_errors(
     tables: Tables, point: str, which: Literal["relative_l2", "estimated"]
 ) -> dict[tuple[str, str], float]:
-    """Return true or estimated errors of whole forces [%], by run and measurement."""
     found: dict[tuple[str, str], float] = {}
     for row in tables.measures:
         error = getattr(row, which)

@@ -56,9 +56,6 @@ def run(context: StageContext) -> None:
     """
     workspace, case = Workspace(context), context.case
     if not (case.rom or case.scene.domain.has_walls or _exact_flows(case)):
-        context.report.info(
-            "nothing to compare: no reduced models, and no solution to compare with"
-        )
         tell_answer(workspace, Tables())
         return
     _tell_unseen(workspace)
@@ -92,7 +89,6 @@ def run(context: StageContext) -> None:
 
 
 def _exact_flows(case: Case) -> list[tuple[ParameterPoint, TaylorGreen]]:
-    """Return the exact solutions that full runs are compared with, and their points."""
     flows = ((point, case.plan.flow(point).exact) for point in case.plan.points)
     return [(point, flow) for point, flow in flows if flow is not None and case.compare.exact]
 
@@ -107,7 +103,6 @@ def _decay(workspace: Workspace, point: ParameterPoint, flow: TaylorGreen) -> De
 
 
 def _tell_unseen(workspace: Workspace) -> None:
-    """Tell which reduced runs have no full run to compare with."""
     plan = workspace.case.plan
     for model in workspace.case.rom:
         unseen = [point.label for point in plan.rom_points(model) if point not in plan.points]
@@ -211,8 +206,7 @@ class _PointComparison:
     def _describe_flow(self, name: str, run: StoredRun, samples: Samples) -> None:
         """Describe the flow of a run in a scene with walls; one that failed at once has none."""
         if self.case.scene.domain.has_walls and len(samples.time):
-            described = {"run": name, "parameters": self.point.label}
-            row = flow_row(self.case, run, samples, self.probes, **described)
+            row = flow_row(self.case, name, self.point, run, samples, self.probes)
             self.tables.flow.append(row)
 
     def _measure(

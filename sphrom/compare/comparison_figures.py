@@ -72,7 +72,6 @@ def draw_comparison(workspace: Workspace, tables: Tables, *, again: bool) -> Non
 def _figures(
     workspace: Workspace, tables: Tables, comparison: StoredComparison
 ) -> Iterator[tuple[str, Callable[[], Figure]]]:
-    """Yield the names of all figures, and the functions that draw them."""
     case, probes = workspace.case, probes_of(workspace.case)
     for point in case.plan.points:
         figures = _PointFigures(workspace, tables, comparison, probes, point)
@@ -110,7 +109,6 @@ class _PointFigures:
         self.when = f"{point.label}, t = {self.time[self.middle]:.3g} s"
 
     def all(self) -> Iterator[tuple[str, Callable[[], Figure]]]:
-        """Yield names and the functions that draw."""
         if self.complete:
             yield "fields", self._fields
             yield "overview", self._overview
@@ -162,7 +160,6 @@ class _PointFigures:
         return draw_grid(rows, frame_of(self.case), scales=self._scales, title=self.when)
 
     def _overview(self) -> Figure:
-        """Return the fields and the errors of the fastest model."""
         fastest = next(m for m in self.case.plan.models_by_speed if m in self.complete)
         complete = {m.name: self._errors[m.name] for m in self.complete}
         label = "velocity, field, at all instants: relative L2 [%]"
@@ -250,7 +247,6 @@ class _PointFigures:
 
 
 def _curve(case: Case, name: str, x: Array, y: Array) -> Curve:
-    """Return the curve of a reduced run, or of the full one."""
     return (
         Curve(name, x, y, "full") if name == FULL else Curve(name, x, y, place=place_of(case, name))
     )

@@ -252,7 +252,6 @@ def show(report: Reporter, tables: Tables) -> None:
 def _show(
     report: Reporter, rows: Sequence[DataclassInstance], title: str, columns: Sequence[Column]
 ) -> None:
-    """Show columns of rows, if there are any."""
     if rows:
         cells = [
             [cell(r) if callable(cell) else format_figure(r[cell]) for _, cell in columns]

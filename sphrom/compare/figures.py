@@ -42,8 +42,6 @@ Model = ReducedModelSection | None
 
 FOLDER = "figures"
 """Where the pictures are, beside the artifacts."""
-OVER = {"line": "the line's range", "field": "the field's range"}
-
 
 Snapshot = tuple[float, bool, Array, dict[str, Array]]
 """Time [s], whether the run became unstable before the instant that was asked for, its points
@@ -155,7 +153,7 @@ def _draw_errors(case: Case, comparison: StoredComparison, figure: ErrorFigure) 
                         label += f" (unstable{after})"
                     look = place_of(case, model.name) + k * len(COLOURS)  # other dashes
                     runs.append(Curve(label, time, error, complete=complete, place=look))
-            label = f"Eq. 4.1 by {OVER[figure.range]} [%]"
+            label = f"Eq. 4.1 by the {figure.range}'s range [%]"
             row.append(Panel(quantity, "time [s]", label, runs, "from zero"))
         panels.append(row)
     return draw_grid(panels)

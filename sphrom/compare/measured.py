@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, read_record
 from sphrom.artifacts.records.coordinates import MeasuredOnce
 from sphrom.case.models import Case
@@ -172,43 +171,37 @@ def _bulk_velocity(case: Case, samples: Samples, probes: Probes) -> float | None
 
 
 def flow_row(
-    case: Case, stored: StoredRun, samples: Samples, probes: Probes, **described: str
+    case: Case,
+    name: str,
+    point: ParameterPoint,
+    run: StoredRun,
+    samples: Samples,
+    probes: Probes,
 ) -> FlowRow:
-    """Describe the flow of a run, full or reduced, from its fields and its samples at probes.
-
-    Run and parameters are `described` as in the row.
-    """
-    speed, energy, mean_pressure, deviations = _over_time(stored)
+    """Describe the flow of a run, full or reduced, from its fields and its samples at probes."""
+    figures = []
+    for snapshot in range(len(run.time)):
+        velocity, pressure = run.fields(snapshot)
+        fastest, energy = np.hypot(*velocity.T).max(), kinetic_energy(velocity, run.mass)
+        figures.append((fastest, energy, pressure.mean(), pressure.std()))
+    speed, energies, mean_pressure, deviations = np.stack(figures, axis=1)
     drift = float(np.abs(mean_pressure - mean_pressure[0]).max())
     deviation = float(deviations[len(deviations) // 2 :].mean())
     frequency = None
     if len(probes.stations):
-        velocity = samples.velocity[:, probes.at_stations][:, 0, 1]
+        crosswise = samples.velocity[:, probes.at_stations][:, 0, 1]
         with suppress(ValueError):
-            frequency = dominant_frequency(samples.time, velocity)
+            frequency = dominant_frequency(samples.time, crosswise)
     return FlowRow(
-        **described,
-        from_time=float(stored.time[0]),
-        to_time=float(stored.time[-1]),
+        run=name,
+        parameters=point.label,
+        from_time=float(run.time[0]),
+        to_time=float(run.time[-1]),
         largest_speed=float(speed.mean()),
-        kinetic_energy=float(energy.mean()),
+        kinetic_energy=float(energies.mean()),
         bulk_velocity=_bulk_velocity(case, samples, probes),
         mean_pressure_drift=drift,
         pressure_deviation=deviation,
         pressure_drift_ratio=drift / deviation if deviation > 0.0 else None,
         dominant_frequency=frequency,
     )
-
-
-def _over_time(run: StoredRun) -> Array:
-    """Return largest speed, energy, mean and deviation of the pressure (4, n_snapshots)."""
-    figures = np.empty((4, len(run.time)))
-    for snapshot in range(len(run.time)):
-        velocity, pressure = run.fields(snapshot)
-        figures[:, snapshot] = (
-            np.hypot(*velocity.T).max(),
-            kinetic_energy(velocity, run.mass),
-            pressure.mean(),
-            pressure.std(),
-        )
-    return figures

@@ -77,7 +77,6 @@ class ComparisonWriter:
 
 
 def _reference_name(row: ReferenceRow) -> str:
-    """Return an HDF5 group's name for a reference profile."""
     instant = "" if row.reference_time is None else f"-t{exact(row.reference_time)}"
     return f"{row.profile} {row.state}{instant} {row.source}".replace(" ", "-")
 

@@ -221,7 +221,7 @@ def _doubts(
                         *(to(s.position.T, s.density_fluctuation, s.velocity.T)[1] for s in both)
                     )
     except (UnstableError, ValueError) as error:
-        yield f"from t = {time:.4g} s on, {name} becomes unstable: {error}"
+        yield f"from t = {time:.4g} s on, {name} can't follow the files: {error}"
         return
     most = max(MODEL_OFF, PER_SPACING * plan.particle_spacing / case.scene.length_scale)
     departed, added = own[last][0], own[begin + 1][1] * crossing / plan.steps.snapshot_interval
@@ -370,10 +370,11 @@ class Converter:
         position = (np.stack(columns, axis=1) - self._origin) * self._scales["length"]
         low, high = position.min(axis=0), position.max(axis=0)
         spacing = self._case.plan.particle_spacing
-        apart = float(np.median(KDTree(position).query(position, 2)[0][:, 1]))
+        # Of the fourth neighbour, which is as near in lattices and, about, where particles pair.
+        apart = float(np.median(KDTree(position).query(position, 5)[0][:, 4]))
         position = domain.wrap(position)
         outside = int(np.sum(~domain.contains(position)))
-        if outside or not 0.25 < apart / spacing < 2.0:
+        if outside or not 0.7 < apart / spacing < 1.9:
             fitting = self.about.fitting("length", spacing / (apart or spacing))
             raise CaseError(
                 f"{given.path}: {outside} of the particles are outside the scene; all span "

@@ -83,8 +83,6 @@ class ImportOptions:
         for name, value in {"--time-step": self.time_step, "--seconds": self.seconds}.items():
             if value is not None and not 0.0 < value < math.inf:
                 raise CaseError(f"{name}: must be a finite number above zero; got {value:g}")
-        if not math.isfinite(self.start):
-            raise CaseError(f"--start: must be a finite number; got {self.start}")
 
     @property
     def words(self) -> list[str]:

@@ -67,7 +67,6 @@ SHOWN_SHARE = 0.01
 AT_BOUND, UNDETERMINED = "at its bound", "not determined"
 MOST_SHOWN = 12
 """Histories in the terminal, and in the figure."""
-FITTED = "fitted model, with the 95 % interval of the flow's own history"
 COLUMNS = 2
 """Histories beside one another in the figure."""
 NUMBERS = ("value", "standard_deviation", "by_noise", "by_model", "low", "high")
@@ -142,8 +141,9 @@ class Fit(records.Fit):
         panels = []
         for each in self.histories[:MOST_SHOWN]:
             ends = np.stack([each.curve - each.half_width, each.curve + each.half_width])
+            name = "fitted model and 95 % interval"
             curves = [
-                Curve(FITTED, self.time, each.curve, interval=ends, place=place),
+                Curve(name, self.time, each.curve, interval=ends, place=place),
                 Curve("measured", each.instant, each.measured, "reference"),
             ]
             panels.append(Panel(each.name, "time [s]", f"[{each.units}]", curves))

@@ -42,7 +42,6 @@ def run(context: StageContext) -> None:
 def _fit(
     workspace: Workspace, points: Array, basis: TrialBasis, name: str
 ) -> LocalSplines | LatticeSplines:
-    """Fit splines to the modes of a basis."""
     case, columns = workspace.case, basis_columns(basis)
     domain = case.scene.domain
     if case.plan.lattice_splines:

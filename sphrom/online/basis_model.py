@@ -204,14 +204,12 @@ class BasisModel:
         return replace(found, leading=replace(leading, basis=self.basis))
 
     def _nearest(self, point: ParameterPoint) -> int:
-        """Return which training point is the nearest."""
         distances = np.linalg.norm(self.places - places_of(self.workspace.case, [point]), axis=1)
         # Rounded: of points as near as each other, the first on any machine.
         return int(np.round(distances, 9).argmin())
 
     @cached_property
     def _linear_parts(self) -> list[LinearPart | None]:
-        """The linear parts of exponential steps, by training point."""
         models = [self._equations(point, in_training=True) for point in self.points]
         return [model.around(self.states).linear for model in models]
 
@@ -359,10 +357,7 @@ class BasisModel:
 
     @cached_property
     def force_corrections(self) -> dict[str, Correction | None]:
-        """What training runs add to forces, from the model's runs at the trained points.
-
-        Nothing where these take steps without end.
-        """
+        """What training runs add to forces; nothing where the model takes endless steps there."""
         case, found, own = self.workspace.case, dict[str, Correction | None](), []
         try:
             runs = self.trained if self._forces else []

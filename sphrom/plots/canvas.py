@@ -18,7 +18,6 @@ from sphrom.arrays import Array
 from sphrom.whole_files import write_whole
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
@@ -28,8 +27,6 @@ FORMATS = (".png", ".svg")
 """What the names of figures may end in."""
 TITLE = 9.5
 """Size of the letters of titles."""
-LETTER, MARGINS = 0.066, 0.6
-"""About the width of a letter of a legend, and of what stands beside its labels [inch]."""
 LABELLED, LEAST_LABELS = ((1.0,), (1.0, 2.0, 5.0), (1.0, 2.0, 3.0, 4.0, 5.0, 7.0)), 3
 """Multiples of decades that a logarithmic axis labels: the first that give it so many labels."""
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
@@ -114,15 +111,6 @@ def save(figure: Figure, path: Path) -> None:
     write_whole(path, content.getvalue())
 
 
-def label_axes(axes: Axes, x: str, y: str) -> None:
-    """Label axes; leave only the left and lower spine, and a light grid."""
-    axes.set_xlabel(x)
-    axes.set_ylabel(y)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.grid(True)
-    axes.set_axisbelow(True)
-
-
 def plain_logarithmic(axis: Axis, low: float, high: float) -> None:
     """Label a logarithmic axis with plain numbers: decades, or more where these are few."""
     from matplotlib.ticker import FuncFormatter, Locator, LogLocator, MaxNLocator, NullFormatter
@@ -136,14 +124,6 @@ def plain_logarithmic(axis: Axis, low: float, high: float) -> None:
     axis.set_major_locator(locator)
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
-
-
-def legend_below(figure: Figure, axes: Axes) -> None:
-    """Write the legend of one panel below a figure."""
-    handles, labels = axes.get_legend_handles_labels()
-    entry = LETTER * max(map(len, labels)) + MARGINS
-    columns = max(1, min(4, len(labels), int(figure.get_figwidth() / entry)))
-    figure.legend(handles, labels, loc="outside lower center", ncols=columns)
 
 
 def symmetric_limits(*fields: Array) -> tuple[float, float]:

@@ -28,8 +28,6 @@ from sphrom.plots.canvas import (
     SOLID_COLOUR,
     SPEED_MAP,
     TITLE,
-    label_axes,
-    legend_below,
     limits,
     line_of,
     new_figure,
@@ -58,8 +56,8 @@ X_TICKS = 4
 """At most, along a picture: labels of neighbours have to stay apart."""
 EDGE = 0.06
 """Left free below the labels of colour bars, which reach lower than they say [inch]."""
-LETTER = 0.07
-"""About the width of a letter of a title [inch]."""
+LETTER, MARGINS = 0.07, 0.6
+"""About the width of a letter of titles and legends, and of what stands beside a label [inch]."""
 BEYOND = 2.0
 """How far a shared scale follows runs beyond the given range, over that range."""
 SHOWN = (0.5, 99.5)
@@ -228,7 +226,10 @@ def draw_grid(
             _draw_curves(axes, panel)
         legends = {tuple(curve.label for curve in panel.curves) for _, panel in curves}
         if len(legends) == 1 and frame is None:
-            legend_below(figure, curves[0][0])
+            handles, labels = curves[0][0].get_legend_handles_labels()
+            fitting = int(width / (LETTER * max(map(len, labels)) + MARGINS))
+            columns = max(1, min(4, len(labels), fitting))
+            figure.legend(handles, labels, loc="outside lower center", ncols=columns)
         else:
             for axes, _ in curves:
                 axes.legend(fontsize=7.5)
@@ -357,8 +358,9 @@ def _draw_curves(axes: Axes, panel: Panel) -> None:
         axes.plot(curve.x, y, label=curve.label, **look)
         if curve.interval is not None:
             axes.fill_between(curve.x, *curve.interval, color=look["color"], alpha=0.15, lw=0.0)
-    label_axes(axes, panel.x_label, panel.y_label)
-    axes.set_title(panel.title)
+    axes.set(xlabel=panel.x_label, ylabel=panel.y_label, title=panel.title, axisbelow=True)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(True)
     axes.margins(x=0.01)
     if all(np.issubdtype(curve.x.dtype, np.integer) for curve in panel.curves):
         axes.locator_params(axis="x", integer=True)

@@ -59,8 +59,8 @@ def decompose(
     blocks and the factors, beyond the modes themselves. A mode's sign is such that the snapshot in
     which it is strongest has a positive coordinate.
 
-    Raises ValueError when a set has fewer independent snapshots than modes or a value is not
-    finite, ResourceError when the limit is too small for the number of snapshots.
+    Raises ValueError when a set has fewer independent snapshots than modes, ResourceError when the
+    limit is too small for the number of snapshots.
     """
     if mean_density is not None:
         product = product.without_mean()
@@ -81,8 +81,6 @@ def decompose(
     factor = np.empty((0, n_snapshots))
     for _, rows in blocks():
         factor = np.asarray(np.linalg.qr(np.concatenate((factor, rows.T)), mode="r"), dtype=float)
-    if not np.isfinite(factor).all():
-        raise ValueError("the snapshots contain values that are not finite")
     spectra = {
         name: _spectrum(name, factor, columns, n_modes[name]) for name, columns in snapshots.items()
     }

@@ -251,6 +251,8 @@ def calibrate_errors(
 ) -> ErrorCalibration | None:
     """Fit constants and rate to training runs.
 
+    None where nothing can be fitted: residuals or errors are zero, or no run went far enough.
+
     Parameters
     ----------
     time : (n_snapshots,) at equal intervals [s].
@@ -258,10 +260,6 @@ def calibrate_errors(
     residuals : (n_runs, n_snapshots).
     errors : (n_runs, n_compared, 2), those of the snapshots `compared` (n_compared,).
     places : (n_runs, n_parameters), as `interpolation_weights` measures distances.
-
-    Returns
-    -------
-    None where nothing can be fitted: residuals or errors are zero, or no run went far enough.
     """
     length = time[-1] - time[0]
     late = time[compared] - time[0] >= LEFT_OUT * length

@@ -20,12 +20,7 @@ import numpy as np
 
 from sphrom.arrays import Array, Indices
 from sphrom.kernels import exponential as kernels
-from sphrom.reduction.polynomial_model import (
-    EXPONENTIAL,
-    Amplitude,
-    OutputTimes,
-    PolynomialModel,
-)
+from sphrom.reduction.polynomial_model import EXPONENTIAL, Amplitude, OutputTimes, PolynomialModel
 from sphrom.reduction.reduced_rates import Polynomial
 
 N_INTEGRALS = 3
@@ -63,9 +58,7 @@ class StepRatio:
 def integrals(linear: Array, time_step: float) -> Array:
     """Return t^k phi_k(t L) of a linear part (n_modes, n_modes) at a time t [s], k = 0 to 3.
 
-    Returns
-    -------
-    (4, n_modes, n_modes) [s^k], of which the first is the exponential.
+    They are (4, n_modes, n_modes) [s^k], of which the first is the exponential.
     """
     n_modes = len(linear)
     chain = np.zeros(((N_INTEGRALS + 1) * n_modes,) * 2)
@@ -221,20 +214,15 @@ class ExponentialModel(PolynomialModel):
         changes: Sequence[Change],
         amplitude: Amplitude | None = None,
     ) -> tuple[Array, Array]:
-        """Return the run from coordinates (n_modes,), and its derivatives.
+        """Return the run from coordinates (n_modes,), and its derivatives, per unit of a parameter.
 
-        They are the exact derivatives of the steps that the run takes, and NaN or infinite where it
-        diverges.
+        These (n_parameters, n_snapshots, n_modes) are the exact derivatives of the steps that the
+        run takes, and NaN or infinite where it diverges.
 
         Parameters
         ----------
         changes : what changes with each parameter.
         amplitude : None where it is zero throughout, whatever the parameters are.
-
-        Returns
-        -------
-        Coordinates (n_snapshots, n_modes) and (n_parameters, n_snapshots, n_modes), the latter per
-        unit of each parameter.
         """
         from sphrom.kernels import tangent  # few commands need it
 

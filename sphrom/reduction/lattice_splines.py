@@ -27,8 +27,6 @@ from sphrom.sph.domain import Domain
 
 LATTICE_TOLERANCE = 1e-6
 """How far a point may be from the lattice, over its spacing."""
-LEAST_POINTS = 4
-"""Along an axis that is not periodic: as many as a cubic polynomial needs."""
 NOT_A_KNOT = (1.0, -4.0, 6.0, -4.0, 1.0)
 """Combination of five successive coefficients that vanishes: the jump of the third derivative."""
 
@@ -122,9 +120,6 @@ def _lattice_order(position: Array, domain: Domain) -> tuple[tuple[int, int], In
     n_columns = max(1, round(math.sqrt(len(position) * width / height)))
     n_rows = len(position) // n_columns
     shape = np.array((n_columns, n_rows))
-    for n, periodic in zip(shape, domain.periodic, strict=True):
-        if n < (1 if periodic else LEAST_POINTS):
-            raise ValueError(f"B-splines need {LEAST_POINTS} points along each edge, not {n}")
     place = (position - domain.lower) / domain.lengths * shape - 0.5
     nearest = np.rint(place).astype(np.int64)
     number = nearest[:, 1] * n_columns + nearest[:, 0]

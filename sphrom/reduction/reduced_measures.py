@@ -203,7 +203,6 @@ class PointForce:
 
 
 def _kept_terms(modes: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the places of the terms of some modes."""
     return np.concatenate((np.arange(N_OTHER_TERMS), N_OTHER_TERMS + modes))
 
 

@@ -192,17 +192,13 @@ class Steps:
 
 
 def accurate(first: Steps, tolerance: float) -> Steps:
-    """Return steps that are accurate, about the least that are enough.
+    """Return steps that are accurate, about the least that are enough; for a run that diverges at
+    any step the first, and `FINEST` times as many at most.
 
     Parameters
     ----------
     first : the least number that is tried.
     tolerance : see `step_tolerance`.
-
-    Returns
-    -------
-    For a run that diverges at any step, the first of these numbers; and `FINEST` times the first at
-    most.
     """
 
     def taken(n_steps: int) -> int:

@@ -63,14 +63,8 @@ def fitting_cells(domain: Domain, cell_width: float) -> tuple[int, int]:
 
 def cell_grid(domain: Domain, cell_shape: tuple[int, int]) -> Grid:
     """Return the grid that divides a domain into cells."""
-    return Grid(
-        x_origin=domain.lower[0],
-        y_origin=domain.lower[1],
-        cell_width=domain.lengths[0] / cell_shape[0],
-        cell_height=domain.lengths[1] / cell_shape[1],
-        n_columns=cell_shape[0],
-        n_rows=cell_shape[1],
-    )
+    width, height = (length / n for length, n in zip(domain.lengths, cell_shape, strict=True))
+    return Grid(*domain.lower, width, height, *cell_shape)
 
 
 def length_scale(grid: Grid) -> float:

@@ -66,14 +66,8 @@ class InnerProduct:
         return (first_field - self.density_offset) / self.density_scale
 
     def weights(self, volume: Array) -> Array:
-        """Return the weight of every point (n_points,) from its volume [m2].
-
-        Raises ValueError when a weight is not positive and finite.
-        """
-        weights = np.ones(len(volume)) if self.name == "raw" else np.array(volume, dtype=float)
-        if not np.all(np.isfinite(weights) & (weights > 0.0)):
-            raise ValueError("every point needs a positive, finite volume")
-        return weights
+        """Return the weight of every point (n_points,) from its volume [m2]."""
+        return np.ones(len(volume)) if self.name == "raw" else np.array(volume, dtype=float)
 
 
 class Modes(Record):

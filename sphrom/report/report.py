@@ -78,11 +78,8 @@ QUANTITIES: dict[str, Any] = {
 def run(context: StageContext) -> None:
     """Write the page beside the artifacts.
 
-    Raises
-    ------
-    ArtifactError
-        When the comparison or a table is missing, damaged or no longer that of the case, or the
-        page can't be written.
+    Raises ArtifactError when the comparison or a table is missing, damaged or no longer that of the
+    case, or the page can't be written.
     """
     workspace = Workspace(context)
     workspace.require(workspace.comparison())
@@ -131,7 +128,6 @@ def run(context: StageContext) -> None:
 
 
 def _headline(answer: Answer) -> Html:
-    """Return the answer as figures that stand out, and sentences."""
     figures = [
         ("velocity is off by", percent(answer.error[0])),
         ("pressure is off by", percent(answer.error[1])),
@@ -220,7 +216,6 @@ def _pictures(
 
 
 def _study(context: StageContext, study: Mapping[str, Any]) -> list[Html]:
-    """Return figures and tables of a study, if it was made."""
     folder, made_by = context.out / study["folder"], f"{study['made_by']} {context.words}"
     tables = _tables(folder, study["tables"], made_by)
     return [*_pictures(folder, study["figures"]), *tables]

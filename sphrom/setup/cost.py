@@ -180,7 +180,6 @@ def require_room(
 
 
 def _written(out: Path, need: Need, points: Sequence[ParameterPoint] | None) -> int:
-    """Return the size of the files of a stage that are there."""
     ends = [""] if points is None else [point.file_label for point in points]
     patterns = {name.replace("*", f"*{end}") for name in need.files for end in ends}
     return _size_of(path for pattern in patterns for path in out.glob(pattern))

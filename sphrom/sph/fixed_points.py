@@ -94,11 +94,8 @@ class FixedPoints:
     density_scale : c0/rho0, q over the density fluctuation [m4/(kg s)].
     fixed_volume : whether the mean of continuity is taken out.
 
-    Raises
-    ------
-    ValueError
-        For readings of the paper that these sums are not: pair viscosity, and at walls ghosts whose
-        velocities count in continuity, or aren't extrapolated.
+    Raises ValueError for readings of the paper that these sums are not: pair viscosity, and at
+    walls ghosts whose velocities count in continuity, or aren't extrapolated.
     """
 
     def __init__(
@@ -112,7 +109,12 @@ class FixedPoints:
         walls_driven: bool = False,
         drives: Mapping[str, Drive[Array]] | None = None,
     ) -> None:
-        _check_readings(discretization, walls is not None)
+        needed = {"viscosity": "laplacian"}
+        if walls is not None:
+            needed |= {"wall_continuity": "adjoint", "no_slip": "linear"}
+        for name, value in needed.items():
+            if getattr(discretization, name) != value:
+                raise ValueError(f"{name} must be {value} for models with evaluation: operators")
         self.position = domain.wrap(position)
         self.sound_speed = fluid.sound_speed
         self.reference_density = fluid.reference_density
@@ -296,12 +298,3 @@ class FixedPoints:
     def _beside_walls(self) -> GhostSums:
         assert self._ghosts is not None
         return self._ghosts
-
-
-def _check_readings(discretization: Discretization, has_walls: bool) -> None:
-    if discretization.viscosity != "laplacian":
-        raise ValueError("on fixed points the viscous operator must be the velocity's Laplacian")
-    if has_walls and discretization.wall_continuity != "adjoint":
-        raise ValueError("on fixed points walls must return the flux into them in continuity")
-    if has_walls and discretization.no_slip != "linear":
-        raise ValueError("on fixed points ghosts' velocities must be extrapolated")

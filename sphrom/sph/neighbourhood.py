@@ -102,10 +102,8 @@ class Neighbourhood:
     def update(self, position: Array) -> None:
         """Make the list right for positions (2, n_particles) [m].
 
-        Raises
-        ------
-        UnstableError
-            When a position is not finite, or beyond all walls by more than the list could cover.
+        Raises UnstableError when a position is not finite, or beyond all walls by more than the
+        list could cover.
         """
         if self.built_at is not None and self.built_at.shape == position.shape:
             offset = position - self.built_at

@@ -8,7 +8,7 @@ that no polygon is asked in the time loop (`sphrom.kernels.segments`).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -58,12 +58,9 @@ class PolygonDomain(Domain):
     ----------
     solids : names, and the polygons that each names, which may touch but not overlap [m].
 
-    Raises
-    ------
-    ValueError
-        When a name is that of a side or given twice, a solid is empty, not a valid polygon or
-        outside of the box, two overlap, outlines cross too often to tell, nothing is left for the
-        fluid, or walls are too long.
+    Raises ValueError when a name is that of a side or given twice, a solid is empty, not a valid
+    polygon or outside of the box, two overlap, outlines cross too often to tell, nothing is left
+    for the fluid, or walls are too long.
     """
 
     lower: tuple[float, float]
@@ -74,9 +71,11 @@ class PolygonDomain(Domain):
     def __post_init__(self) -> None:
         sides = {name for names in SIDES for name in names}
         seen: dict[str, BaseGeometry] = {}
+        box = shapely.box(*self.lower, *self.upper)
         shifts = periodic_shifts(self.lengths, self.periodic)
         require_few_crossings(translate(s, *shift) for _, s in self.solids for shift in shifts)
-        for name, shape in self._solids_in_box():
+        for name, whole in self.solids:
+            shape = shapely.intersection(self._with_images(whole), box)
             if name in sides or name in seen:
                 raise ValueError(f"solid {name}: the name is taken")
             if shape.is_empty:
@@ -116,14 +115,6 @@ class PolygonDomain(Domain):
     def solid_names(self) -> tuple[str, ...]:
         """What each solid is called."""
         return tuple(name for name, _ in self.solids)
-
-    def _solids_in_box(self) -> Iterator[tuple[str, BaseGeometry]]:
-        """Yield names and what lies of each solid and its images in the box."""
-        box = shapely.box(*self.lower, *self.upper)
-        for name, shape in self.solids:
-            if not shape.is_valid:
-                raise ValueError(f"solid {name}: {shapely.is_valid_reason(shape)}")
-            yield name, shapely.intersection(self._with_images(shape), box)
 
     def _with_images(self, shape: BaseGeometry, number: int = 1) -> BaseGeometry:
         """Return a shape with its periodic images, some boxes away on either side."""

@@ -145,10 +145,7 @@ def march(
         is yielded.
     reached : called after each step with where the run stands.
 
-    Raises
-    ------
-    UnstableError
-        When a step can't be taken, or leads out of what the model is for.
+    Raises UnstableError when a step can't be taken, or leads out of what the model is for.
     """
     first = 0
     if begin is not None:

@@ -162,11 +162,6 @@ class Checkpoints:
                     raise ArtifactError(f"{target.path} is another part; `--force` starts anew")
         return kept
 
-    def _write_state(self, kept: Checkpoint) -> None:
-        """Write a state, over the one before. Raises ArtifactError."""
-        with self._workspace.create_aside(self._state) as artifact:
-            write_record(artifact, kept)
-
     def _part(self, number: int) -> Target:
         return self._aside(f"part-{number}", "sphrom/trajectory-part")
 
@@ -247,7 +242,8 @@ class Checkpoints:
             seconds=run_state.seconds,
             wall_seconds=self._artifact.age,
         )
-        self._write_state(kept)
+        with self._workspace.create_aside(self._state) as artifact:
+            write_record(artifact, kept)
         self._book = _Book(kept.step, n_parts, book.pending[n_pending:])
         self._pending_bytes = 0
 

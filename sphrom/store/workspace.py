@@ -355,7 +355,6 @@ class Workspace:
         return {f"map-{point.file_label}": self.mapped(point) for point in points}
 
     def _steps(self) -> dict[str, float]:
-        """Return the full model's steps."""
         names = ("time_step", "n_steps", "every", "n_spin_up_steps")
         return {name: getattr(self.case.plan.steps, name) for name in names}
 

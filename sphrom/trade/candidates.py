@@ -49,8 +49,8 @@ def trade_points(case: Case) -> tuple[ParameterPoint, ...]:
 
 
 def global_basis(case: Case) -> str:
-    """Return the basis that models of a case have at any value: that of the first, or all."""
-    first = case.rom[0].basis if case.rom else ALL
+    """Return the basis that models of a case have at any value: that of the first."""
+    first = case.rom[0].basis
     return ALL if first == LOCAL else first
 
 
@@ -71,9 +71,8 @@ def candidates(case: Case, points: Sequence[ParameterPoint]) -> list[ReducedMode
 
     Raises CaseError when the basis has fewer modes than are listed, or there is no local one.
     """
-    basis = case.rom[0].basis if case.rom else ALL
-    asked = ReducedModelSection(name=basis, basis=basis)
-    available = min(case.plan.basis_size(case.plan.basis_for(asked, point)) for point in points)
+    first, basis = case.rom[0], case.rom[0].basis
+    available = min(case.plan.basis_size(case.plan.basis_for(first, point)) for point in points)
     if (most := max(case.trade.n_modes or (0,))) > available:
         raise CaseError(f"trade.n_modes: the basis {basis} has {available} modes; got {most}")
     models = models_of_sizes(case, "galerkin", basis, available)
@@ -117,9 +116,11 @@ def prepared(context: StageContext, models: Sequence[ReducedModelSection]) -> Wo
 
     Operators are projected where the case's lack some.
 
-    Raises ArtifactError when artifacts of the case are missing.
+    Raises CaseError when the case has no reduced models, ArtifactError when artifacts are missing.
     """
     own, workspace = context.case, Workspace(context)
+    if not own.rom:
+        raise CaseError("rom: the case has no reduced models, so there is nothing to weigh")
     for target in (workspace.basis(), workspace.splines()):
         workspace.require(target)
     wider = replace(context, case=own.model_copy(update={"rom": (*own.rom, *models)}))

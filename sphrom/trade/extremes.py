@@ -124,16 +124,10 @@ class Beside:
 def run(context: StageContext) -> None:
     """Run models at their extremes, and write a table and a map of their stability.
 
-    Raises
-    ------
-    CaseError
-        When the case has no reduced models, or none with operators are listed.
-    ArtifactError
-        When the basis, its splines or the operators are missing.
+    Raises CaseError when the case has no reduced models, ArtifactError when the basis, its splines
+    or the operators are missing.
     """
     case = context.case
-    if not case.rom:
-        raise CaseError("rom: the case has no reduced models, so there is nothing to weigh")
     models, closed = _models(case, "galerkin"), []
     if not case.plan.driving:
         closed = [model for model in _models(case, "apg") if model.size <= MOST_CLOSED_MODES]
@@ -201,7 +195,6 @@ def _full_run(workspace: Workspace, point: ParameterPoint) -> Beside:
 
 
 def _beside(made: Workspace, point: ParameterPoint) -> Beside:
-    """Return the full run of a variant."""
     samples = sampled(made, point, probes_of(made.case))
     return Beside(point, f"full run, {across(made.case)}", samples)
 
@@ -267,14 +260,8 @@ def coarser(
 def learnt(workspace: Workspace, variant: Case, label: str) -> Workspace:
     """Make a variant's full runs and the artifacts of its reduced models; return their workspace.
 
-    Raises
-    ------
-    UnstableError
-        When one of its full runs is unstable.
-    CaseError
-        When the case can't have that value.
-    ResourceError
-        When a run would not fit this machine.
+    Raises UnstableError when one of its full runs is unstable, CaseError when the case can't have
+    that value, ResourceError when a run would not fit this machine.
     """
     for problem in case_problems(variant):
         raise CaseError(str(problem))

@@ -97,16 +97,10 @@ def run(context: StageContext, tolerance: str | None = None) -> None:
 
     With the errors allowed, such as `1%`, the cheapest model within them is named.
 
-    Raises
-    ------
-    CaseError
-        When the case has no reduced models, or can't have the listed ones.
-    ArtifactError
-        When a full run, the basis, its splines or the operators are missing.
+    Raises CaseError when the case has no reduced models, or can't have the listed ones,
+    ArtifactError when a full run, the basis, its splines or the operators are missing.
     """
     allowed = None if tolerance is None else Tolerance.of_text(tolerance)
-    if not context.case.rom:
-        raise CaseError("rom: the case has no reduced models, so there is nothing to weigh")
     trade = _Trade(context)
     publish(trade.workspace, trade.results(), allowed)
 
@@ -164,7 +158,6 @@ class _Trade:
         return Results(rows, without, [run for _, runs in each for run in runs], measure)
 
     def _full(self, label: str, variant: Case) -> Rows:
-        """Make the full runs of a variant, and return its rows."""
         workspace = weighed_models.workspace_of(self.workspace, variant)
         unstable = weighed_models.make(workspace, label, list(self.full))
         runs, step = [], variant.plan.steps.time_step
@@ -211,7 +204,6 @@ class _Trade:
         return row, runs
 
     def _fast(self, fast: FastModel, label: str, factor: int, point: ParameterPoint) -> RunRow:
-        """Run and time a model at a point."""
         measure, role = self.case.trade.measure, role_of(self.case, fast.basis_at(point), point)
         reduced = fast.at(point)
         steps = reference_model.automatic(reduced).with_steps(factor)
@@ -251,7 +243,6 @@ class _Trade:
         return {**errors_of(history), **self._measured_errors(point, samples)}
 
     def _measured_errors(self, point: ParameterPoint, samples: Samples) -> Errors:
-        """Return the errors of the measurement that models are judged by, if there is one."""
         found = dict(NO_MEASURED)
         counted_ones = self.full[point].time >= self.case.compare.from_time
         for quantity, reference in self.full[point].measured.items():
@@ -266,8 +257,8 @@ def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None)
     """Write tables and the plot, and show the table and its conclusions."""
     report, folder = workspace.context.report, workspace.folder(FOLDER)
     rows, without, measure = results.rows, results.without, results.measure
-    tables: dict[str, Sequence[Any]] = {"models": rows, "runs": results.runs}
-    tables["doing_nothing"] = without
+    tables: dict[str, Sequence[Any]]
+    tables = {"models": rows, "runs": results.runs, "doing_nothing": without}
     for name, each in tables.items():
         write_csv(folder / f"{name}.csv", each)
     words = ""
@@ -299,14 +290,13 @@ def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None)
 
 def timed_words(case: Case) -> str:
     """Return how the seconds of a run are measured, in words."""
-    text = (
+    spin_up = "; the spin-up counts as offline where models learn and nowhere else"
+    return (
         f"online is a run of {case.plan.recorded_time:g} s on one thread, without reading and "
         f"writing: the least of {counted(case.trade.repeats, 'time')}, of full runs by "
         f"{N_TIMED_STEPS} steps, the case's own at its largest stable step"
+        f"{spin_up if case.time.spin_up > 0.0 else ''}"
     )
-    if case.time.spin_up == 0.0:
-        return text
-    return f"{text}; the spin-up counts as offline where models learn and nowhere else"
 
 
 def _cells(row: ModelRow, measure: Measure) -> tuple[str, ...]:

@@ -340,14 +340,12 @@ def _cheapest(rows: Sequence[ModelRow]) -> ModelRow | None:
 
 
 def _best(rows: Sequence[ModelRow], quantity: str, measure: Measure) -> str:
-    """Return the least error of a quantity in words."""
     found = [(e, row.model) for row in rows if (e := measure.of(row.errors, quantity)) is not None]
     error, model = min(found, default=(None, "none"))
     return f"{quantity} {format_figure(error)} % by {model}"
 
 
 def _described(chosen: ModelRow, advice: Mapping[str, Any], measure: Measure) -> str:
-    """Return a model with its errors, its gain and the run from which it pays."""
     errors = ", ".join(
         f"{q} {format_figure(measure.of(chosen.errors, q))} %" for q in measure.quantities
     )

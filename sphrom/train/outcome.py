@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.case.models import Case
-from sphrom.case.points import REYNOLDS, ParameterPoint
+from sphrom.case.points import ParameterPoint
 from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Panel, draw_grid
 from sphrom.plots.tables import (
@@ -231,7 +231,8 @@ def draw_training(outcome: Outcome) -> Figure:
     estimates = [np.where(np.isfinite(each), each, np.nan) for each in estimates]
     n_runs = np.array([len(stage.points) for stage in stages])
     worst = Curve("worst estimate", n_runs, np.array([each.max() for each in estimates]))
-    learnt = np.array([len(s.points) for s in stages for r in s.held_out if r.failure is None])
+    held = [len(s.points) for s in stages for r in s.held_out if r.failure is None]
+    learnt = np.array(held, dtype=int)
     curves = [worst, *_known_errors(outcome, learnt, n_runs)]
     panels = [Panel("", "full runs learnt from", error, curves, "logarithmic")]
     names = list(outcome.case.training.ranges)
@@ -246,10 +247,9 @@ def draw_training(outcome: Outcome) -> Figure:
             for k in dict.fromkeys((0, len(stages) - 1))
         ]
         curves += _known_errors(outcome, held_out, values)
-        axes: Literal["both logarithmic", "logarithmic"] = (
-            "both logarithmic" if names[0] == REYNOLDS else "logarithmic"
-        )
-        panels.insert(0, Panel("", LABELS.get(names[0], names[0]), error, curves, axes))
+        label, log = LABELS.get(names[0], names[0]), names[0] in LABELS
+        beside = Panel("", label, error, curves, "both logarithmic" if log else "logarithmic")
+        panels.insert(0, beside)
     return draw_grid([panels])
 
 

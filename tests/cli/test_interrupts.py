@@ -91,7 +91,6 @@ def test_where_interrupts_are_ignored_the_program_tells_what_stops_it(sphrom, st
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         result = sphrom("pod", case_file)
-        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
     finally:
         signal.signal(signal.SIGINT, before)
     assert (result.exit_code, result.stdout.count("stop this command with SIGTERM")) == (0, 1)

@@ -20,6 +20,7 @@ from sphrom.artifacts import open_artifact
 from sphrom.case.loader import load_case
 from sphrom.cli.app import app
 from sphrom.setup.context import StageContext
+from sphrom.sph import time_loop
 from sphrom.store.workspace import Workspace
 
 # Threads that spin while they wait for work starve each other where cores are busy.
@@ -193,6 +194,26 @@ def flip() -> Callable[..., None]:
         path.write_bytes(content)
 
     return change
+
+
+@pytest.fixture
+def stop_at(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Raise an exception within the step of a number, of the first run that comes to it."""
+    step_taken = time_loop.watched_step
+
+    def arrange(number: int, error: type[BaseException] = KeyboardInterrupt) -> None:
+        left = [number]
+
+        def stopped(rates: Any, state: Any, steps: Any, step: int) -> Any:
+            if left and step == left[0]:
+                left.clear()
+                rates(state * 1.0, steps.time(step))  # within the step: neighbours were searched
+                raise error
+            return step_taken(rates, state, steps, step)
+
+        monkeypatch.setattr(time_loop, "watched_step", stopped)
+
+    return arrange
 
 
 @pytest.fixture

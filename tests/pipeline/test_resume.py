@@ -50,26 +50,6 @@ def leftovers(folder: Path) -> list[str]:
 
 
 @pytest.fixture
-def stop_at(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    """Raise an exception within the step of a number, of the first run that comes to it."""
-    step_taken = time_loop.watched_step
-
-    def arrange(number: int, error: type[BaseException] = KeyboardInterrupt) -> None:
-        left = [number]
-
-        def stopped(rates: Any, state: Any, steps: Any, step: int) -> Any:
-            if left and step == left[0]:
-                left.clear()
-                rates(state * 1.0, steps.time(step))  # within the step: neighbours were searched
-                raise error
-            return step_taken(rates, state, steps, step)
-
-        monkeypatch.setattr(time_loop, "watched_step", stopped)
-
-    return arrange
-
-
-@pytest.fixture
 def killed(monkeypatch: pytest.MonkeyPatch) -> None:
     """A run that is stopped has no time for a checkpoint, as after SIGKILL."""
 
@@ -162,24 +142,18 @@ def test_run_passes_resume_on(empty, digests, finished, stop_at) -> None:
     assert leftovers(empty) == []
 
 
-def flipped(path: Path) -> None:
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 0x10
-    path.write_bytes(content)
-
-
 @pytest.mark.parametrize(
     ("ending", "damage"),
-    [("part-1", flipped), ("part-1", Path.unlink), ("checkpoint", flipped)],
+    [("part-1", "flipped"), ("part-1", "removed"), ("checkpoint", "flipped")],
 )
 def test_damaged_checkpoints_are_never_gone_on_from(
-    place, digests, stop_at, ending, damage
+    place, digests, stop_at, flip, ending, damage
 ) -> None:
     before = digests(place)
     (place / FULL).unlink()
     stop_at(8)
     again("full")
-    damage(place / f"{FULL}.{ending}")
+    (flip if damage == "flipped" else Path.unlink)(place / f"{FULL}.{ending}")
     refused = again("full", "--resume")
     assert refused.exit_code == 3
     assert f"{FULL}.{ending} is " in refused.stderr
@@ -258,7 +232,7 @@ def test_a_disk_that_is_full_at_a_checkpoint_does_not_end_a_run(
 
     before = digests(place)
     (place / FULL).unlink()
-    monkeypatch.setattr(Checkpoints, "_write_state", refuse)
+    monkeypatch.setattr(checkpoints, "write_record", refuse)
     monkeypatch.setattr(checkpoints, "MOST_PENDING", most_pending)
     result = again("full", "--checkpoint-every", 0)
     assert result.exit_code == 0

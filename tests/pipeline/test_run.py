@@ -91,17 +91,6 @@ def test_a_changed_model_remakes_what_depends_on_it(place, sphrom, refused, dige
     assert "rom-apg-reynolds100.h5: made again, because it was made with" in made.stdout
 
 
-def test_an_added_model_leaves_the_others(place, sphrom, case_text, digests):
-    before = digests(place)
-    models = [{"name": name, "n_modes": 3} for name in ("galerkin", "third")]
-    (place.parent.parent / "tiny.yaml").write_text(case_text(rom=models))
-    alone = sphrom("rom", "tiny.yaml", "--threads", 1)
-    assert alone.exit_code == 0, alone.output
-    assert alone.stdout.count("kept") == 3
-    after = digests(place)
-    assert after["rom-third-reynolds100.h5"] == before["rom-galerkin-reynolds100.h5"]
-
-
 def test_only_one_value(empty, sphrom, refused):
     one = ("tiny.yaml", "--threads", 1, "--only", "reynolds=100")
     for stage in ("fom", "map"):

@@ -101,18 +101,16 @@ def test_a_model_looks_alike_beside_others_and_without_them_and_no_data_look_lik
     both, alone = (axes.get_lines() for axes in draw_grid(rows).axes)
     assert both[1].get_color() == alone[0].get_color() != both[0].get_color()
     assert both[1].get_linestyle() == alone[0].get_linestyle()
-    data = replace(PANEL, curves=[first, Curve("measured", X, X, "reference")])
-    model, measured = draw_grid([[data]]).axes[0].get_lines()
-    assert model.get_color() != measured.get_color()
+    beside = replace(PANEL, curves=[first, Curve("measured", X, X, "reference")])
+    assert len({line.get_color() for line in draw_grid([[beside]]).axes[0].get_lines()}) == 2
 
 
 @pytest.mark.parametrize("ends", [(2.1, 4.9), (0.42, 0.46), (0.003, 0.9), (1e-9, 1.0)])
 def test_logarithmic_axes_have_numbers_wherever_they_lie(ends) -> None:
-    curve = Curve("run", np.arange(2), np.array(ends))
-    (axes,) = draw_grid([[replace(PANEL, curves=[curve], axes="logarithmic")]]).axes
-    shown = [y for y in axes.get_yticks() if axes.get_ylim()[0] <= y <= axes.get_ylim()[1]]
-    assert 3 <= len(shown) <= 12
-    assert set(axes.get_xticks()) <= set(range(-1, 3))
+    panel = replace(PANEL, curves=[Curve("a", np.arange(2), np.array(ends))], axes="logarithmic")
+    (axes,) = draw_grid([[panel]]).axes
+    low, high = axes.get_ylim()
+    assert 3 <= sum(low <= y <= high for y in axes.get_yticks()) <= 12
 
 
 def test_labels_of_marked_sizes_stay_apart() -> None:

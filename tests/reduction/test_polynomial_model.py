@@ -121,19 +121,6 @@ def test_a_cubic_in_time_is_exact_in_any_steps(n_steps: int) -> None:
     assert np.allclose(runs.coordinates, expected, rtol=1e-13)
 
 
-def test_snapshots_between_steps_are_of_fourth_order() -> None:
-    polynomial = Polynomial((damped().powers[0], tensors(1, 3)))
-    model, output_times = PolynomialModel(polynomial), OutputTimes(0.1, 12)
-    exact = model.run(2200, STATE, output_times, np.cos).coordinates
-    numbers = np.array([19, 31, 47, 71, 109])
-    errors = [
-        np.max(np.abs(model.run(n, STATE, output_times, np.cos).coordinates - exact))
-        for n in numbers
-    ]
-    order = -np.polyfit(np.log(numbers), np.log(errors), 1)[0]
-    assert 3.8 < order < 4.6
-
-
 def test_a_divergent_run_says_when() -> None:
     """da/dt = a^2 from 2 is infinite at 0.5; from -2 it decays."""
     quadratic = np.zeros((N_MODES,) * 3)

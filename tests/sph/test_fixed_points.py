@@ -225,10 +225,10 @@ def test_the_expansion_is_of_the_order_that_it_says(setting) -> None:
 @pytest.mark.parametrize(
     ("name", "options", "words"),
     [
-        ("periodic", {"viscosity": "pair"}, "Laplacian"),
-        ("box", {"wall_continuity": "normal"}, "return the flux"),
-        ("box", {"no_slip": "paper"}, "extrapolated"),
-        ("box", {"no_slip": "whole"}, "extrapolated"),
+        ("periodic", {"viscosity": "pair"}, "viscosity"),
+        ("box", {"wall_continuity": "normal"}, "continuity"),
+        ("box", {"no_slip": "paper"}, "no_slip"),
+        ("box", {"no_slip": "whole"}, "no_slip"),
     ],
 )
 def test_other_readings_are_refused(setting, name: str, options: dict, words: str) -> None:

@@ -6,8 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
@@ -27,14 +25,12 @@ from sphrom.trade.weighing import (
     ModelRow,
     Tolerance,
     alternatives,
-    pareto_front,
     recommend,
     weighed,
 )
 
 MEASURE = Measure("field")
 OWN = "full, as in the case"
-costs = st.lists(st.none() | st.tuples(st.integers(0, 6), st.integers(0, 6)), max_size=12)
 
 
 def errors(velocity: float, pressure: float) -> Errors:
@@ -160,19 +156,6 @@ def test_tolerances(text, tolerance):
 def test_other_texts_are_refused(text):
     with pytest.raises(CaseError, match="--tolerance"):
         Tolerance.of_text(text)
-
-
-@given(costs)
-def test_the_front_agrees_with_its_definition(found):
-    front = pareto_front(found)
-    for cost, on_front in zip(found, front, strict=True):
-        beaten = cost is not None and any(
-            other is not None and np.all(np.subtract(other, cost) <= 0) and other != cost
-            for other in found
-        )
-        assert on_front == (cost is not None and not beaten)
-    if any(cost is not None for cost in found):
-        assert any(front)
 
 
 def test_the_two_errors_have_fronts_of_their_own():
