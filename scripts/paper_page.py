@@ -295,10 +295,10 @@ def _phase(result: Result, claim: Mapping[str, Any], run: str | None) -> str:
 def _signals(result: Result, claim: Mapping[str, Any], run: str | None) -> Any:
     """Return time and v at the station of the full run, then of a reduced one; None without."""
     (point,) = _points(claim)
-    found = [result.comparison.samples("stations", name, point) for name in (None, run)]
-    if any(each is None or not len(each[1].time) for each in found):
+    found = [result.comparison.samples(name, point, "stations")[1] for name in (None, run)]
+    if not all(len(each.time) for each in found):
         return None
-    return [(each[1].time, each[1].velocity[:, 0, 1]) for each in found if each]
+    return [(each.time, each.velocity[:, 0, 1]) for each in found]
 
 
 def _reference(result: Result, claim: Mapping[str, Any], run: str | None) -> str:
@@ -333,7 +333,7 @@ def _trough(result: Result, claim: Mapping[str, Any], run: str | None) -> str:
     """Where the speed is least on a part of the line, and by how much that is off the full run."""
     told = []
     for point in _points(claim):
-        y = result.comparison.line(None, point)[0][:, 1]
+        y = result.comparison.samples(None, point)[0][:, 1]
         low, high = claim["between"]
         chosen = (y >= low) & (y <= high)
         pair = _profiles(result, claim, point, run)
@@ -356,7 +356,7 @@ def _profiles(
     result: Result, claim: Mapping[str, Any], point: ParameterPoint, run: str | None
 ) -> tuple[Array, Array] | None:
     """Return a quantity on the line of the full run and of a reduced one, at a claim's time."""
-    full, reduced = (result.comparison.line(name, point)[1] for name in (None, run))
+    full, reduced = (result.comparison.samples(name, point)[1] for name in (None, run))
     index = int(np.argmin(np.abs(full.time - claim["time"])))
     if index >= len(reduced.time):
         return None

@@ -12,7 +12,6 @@ from sphrom.compare.answer import tell_answer
 from sphrom.compare.comparison_figures import draw_comparison
 from sphrom.compare.comparison_tables import (
     ALONE,
-    FILE,
     DecayRow,
     Tables,
     best_name,
@@ -34,7 +33,7 @@ from sphrom.compare.measured import (
 from sphrom.compare.mode_figures import spectrum_rows
 from sphrom.compare.references import compare_with_references
 from sphrom.compare.stored_comparison import ComparisonWriter
-from sphrom.errors import ArtifactError, CaseError
+from sphrom.errors import CaseError
 from sphrom.metrics.histories import compare
 from sphrom.metrics.samples import Samples
 from sphrom.metrics.series import exponential_rate, kinetic_energy
@@ -42,7 +41,7 @@ from sphrom.scenes.flows import TaylorGreen
 from sphrom.setup.assembly import role_of
 from sphrom.setup.context import StageContext
 from sphrom.setup.particles import sampler
-from sphrom.store.sampling import probes_of, sample_best, sample_exact, sample_mapped
+from sphrom.store.sampling import probes_of, sample_best, sample_mapped
 from sphrom.store.stored_run import StoredRun
 from sphrom.store.trained_models import basis_used, read_modes
 from sphrom.store.trajectory import measured_of, require_complete
@@ -52,7 +51,7 @@ from sphrom.store.workspace import Workspace
 def run(context: StageContext) -> None:
     """Compare all runs of the case, write artifact, tables and plots, and tell the answer.
 
-    Where an artifact that was made before has damaged tables, it warns and tells nothing.
+    Raises ArtifactError where a run is missing, or tables that were made before are damaged.
     """
     workspace, case = Workspace(context), context.case
     if not (case.rom or case.scene.domain.has_walls or _exact_flows(case)):
@@ -73,15 +72,7 @@ def run(context: StageContext) -> None:
             tables.stages.extend(stage_timings(workspace))
             tables.write(workspace)
     else:
-        try:
-            tables, _ = Tables.read(workspace)
-        except ArtifactError:
-            # Other programs may have changed the file: nothing else protects it.
-            context.report.warn(
-                f"{workspace.out / FILE} is missing or damaged; "
-                f"`{target.made_by} --force` writes it again"
-            )
-            return
+        tables, _ = Tables.read(workspace)
     if case.compare.plots:
         draw_comparison(workspace, tables, again=is_new)
     show(context.report, tables)
@@ -136,8 +127,13 @@ class _PointComparison:
                 writer.profile(row, profile)
             self._describe_flow(FULL, run, self.full)
             self.measured = measured_of(self.case, trajectory)
-        flow = plan.flow(point).exact if self.case.compare.exact else None
-        self.exact = None if flow is None else sample_exact(flow, probes, self.full.time)
+        self.exact = None
+        if (flow := plan.flow(point).exact) is not None and self.case.compare.exact:
+            velocity, pressure = (
+                np.array([at(probes.all, t) for t in self.full.time.tolist()])
+                for at in (flow.velocity, flow.pressure)
+            )
+            self.exact = Samples(self.full.time, velocity, pressure)
         self.measures: list[MeasureRow] = []
 
     def compare(self) -> None:

@@ -104,7 +104,7 @@ class _PointFigures:
         self.best = max(best, key=lambda row: row.n_modes or 0).compared if best else None
         settled = (r for r in tables.reference if r.parameters == point.label and r.settled)
         self.references = list(settled)
-        self.time = comparison.line(None, point)[1].time
+        self.time = comparison.samples(None, point)[1].time
         self.middle = len(self.time) // 2
         self.when = f"{point.label}, t = {self.time[self.middle]:.3g} s"
 
@@ -239,9 +239,9 @@ class _PointFigures:
         x, y = self.probes.stations[0]
         curves = []
         for name in (None, *(model.name for model in self.complete)):
-            if (found := self.comparison.samples("stations", name, self.point)) is not None:
-                velocity = found[1].velocity[:, 0, 1]
-                curves.append(_curve(self.case, name or FULL, found[1].time, velocity))
+            found = self.comparison.samples(name, self.point, "stations")[1]
+            if len(found.time):
+                curves.append(_curve(self.case, name or FULL, found.time, found.velocity[:, 0, 1]))
         title = f"{self.point.label}, at x = {x:.4g} m, y = {y:.4g} m"
         return draw_grid([[Panel("", "time [s]", "v [m/s]", curves)]], title=title)
 
@@ -283,10 +283,10 @@ def draw_lines(
     panels, where = [], np.empty((0, 2))
     for models, points in rows:
         for point in points:
-            where, full = comparison.line(None, point)
+            where, full = comparison.samples(None, point)
             index = int(np.argmin(np.abs(full.time - time)))
             time, y, row = float(full.time[index]), where[:, 1], []
-            lines = {m.name: comparison.line(m.name, point)[1] for m in models if m is not None}
+            lines = {m.name: comparison.samples(m.name, point)[1] for m in models if m is not None}
             for quantity in quantities:
                 curves = []
                 if (flow := case.plan.flow(point).exact) is not None:

@@ -100,22 +100,17 @@ class StoredComparison:
         with workspace.open(workspace.comparison()) as artifact:
             yield cls(artifact)
 
-    def line(self, run: str | None, point: ParameterPoint) -> tuple[Array, Samples]:
-        """Return where the line is (n_points, 2) [m], and a run there.
+    def samples(
+        self, run: str | None, point: ParameterPoint, at: Literal["line", "stations"] = "line"
+    ) -> tuple[Array, Samples]:
+        """Return where the line or the stations are (n_points, 2) [m], and a run there.
 
         A run that became unstable has so many instants as it has. One that did at once has none.
         """
-        found = self.samples("centreline", run, point)
-        empty = np.empty((0, 2)), Samples(np.empty(0), np.empty((0, 0, 2)), np.empty((0, 0)))
-        return empty if found is None else found
-
-    def samples(
-        self, kind: Literal["centreline", "stations"], run: str | None, point: ParameterPoint
-    ) -> tuple[Array, Samples] | None:
-        """Return where the line or the stations are, and a run there; None where it has none."""
-        group = f"{kind}/{FULL if run is None else group_of(run)}/{point.file_label}"
+        place = "centreline" if at == "line" else at
+        group = f"{place}/{FULL if run is None else group_of(run)}/{point.file_label}"
         if f"{group}/time" not in self._artifact:
-            return None
+            return np.empty((0, 2)), Samples(np.empty(0), np.empty((0, 0, 2)), np.empty((0, 0)))
         stored = read_record(self._artifact, StoredSamples, group)
         return stored.position, Samples(stored.time, stored.velocity, stored.pressure)
 
@@ -139,7 +134,7 @@ class StoredComparison:
         `over` says whose range divides: that of the `line`, or of the whole `field`. Instants at
         which the full run has no range are left out.
         """
-        full, reduced = self.line(None, point)[1], self.line(run, point)[1]
+        full, reduced = self.samples(None, point)[1], self.samples(run, point)[1]
         n_common = len(reduced.time)
         if not n_common:
             return np.empty(0), np.empty(0)

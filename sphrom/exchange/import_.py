@@ -107,8 +107,8 @@ def run(context: StageContext, files: Sequence[Path], about: ImportOptions) -> N
     named = f"{_named(files)} {options}"
     origin = {"imported/files": named, "imported/sha256": _digest(choices, options)}
     there = workspace.imported(target)
-    differs = target.path.exists() and there.get("imported/sha256") != origin["imported/sha256"]
-    if differs and not context.force:
+    same = there.get("imported/sha256") == origin["imported/sha256"]
+    if target.path.exists() and not (same or context.force):
         before = f"imported from {there['imported/files']}" if there else "computed here"
         raise ArtifactError(
             f"{target.path} is there, {before}, and not from {named}; `--force` writes over it, "

@@ -39,40 +39,26 @@ class ImportOptions:
     velocity: Annotated[
         str | None, _option("A,B", "Two fields.  [default: u,v, or velocity.x,velocity.y]")
     ] = None
-    density: Annotated[
-        str | None,
-        _option("NAME", "Density; pressure follows.  [default: rho, or density_fluctuation]"),
-    ] = None
-    pressure: Annotated[str | None, _option("NAME", "Pressure; density follows.")] = None
+    density: Annotated[str | None, _option("NAME", "Density.  [default: rho]")] = None
+    pressure: Annotated[str | None, _option("NAME", "Pressure, in place of the density.")] = None
     zero_mean_pressure: Annotated[
         bool, typer.Option("--zero-mean-pressure", help="Take the mean out of each pressure.")
     ] = False
     sort_by: Annotated[str | None, _option("NAME", "Field that numbers the particles.")] = None
     units: Annotated[
-        str,
-        _option(
-            "UNITS",
-            "Of length, time, velocity, density and pressure, like length=mm,velocity=cm/s; a "
-            "number is one of SI units.  [default: SI]",
-        ),
+        str, _option("UNITS", "Those that aren't SI's, like length=mm,velocity=cm/s,time=0.1.")
     ] = ""
     origin: Annotated[str, _option("X,Y", "Where the scene's (0, 0) is, in the files' units.")] = (
         "0,0"
     )
     time_step: Annotated[
-        float | None,
-        _option(
-            "TIME",
-            "Time from file to file, in the order of their names.  [default: as files tell]",
-        ),
+        float | None, _option("TIME", "From file to file by name.  [default: as files tell]")
     ] = None
     start: Annotated[
-        float,
-        _option("TIME", "The files' time at which the case begins; earlier ones are left out."),
+        float, _option("TIME", "When the case begins; earlier files are left out.")
     ] = 0.0
     seconds: Annotated[
-        float | None,
-        _option("SECONDS", "Time that the run took; its speed-up is unknown without it."),
+        float | None, _option("SECONDS", "Time that the run took; without it no speed-up is known.")
     ] = None
 
     def __post_init__(self) -> None:

@@ -254,7 +254,7 @@ def _wall_split(
 ) -> dict[str, Array]:
     """Return the errors on both sides of a support radius; none unless there are points on both."""
     near, grid = probes.near_walls, probes.on_grid
-    if near is None or near.all() or not near.any():
+    if near.all() or not near.any():
         return {}
     fields = {
         "velocity": [v[:, grid] for v in velocities],

@@ -26,11 +26,11 @@ class Probes:
     """(n_grid, 2), those points of a regular grid that are in the fluid, row by row."""
     grid_shape: tuple[int, int]
     """Rows and columns of the whole grid."""
-    in_fluid: Mask | None = None
-    """(n_rows n_columns,) which points of the whole grid are in the fluid; None is all."""
-    near_walls: Mask | None = None
-    """(n_grid,) which points are nearer to a wall than a support radius; None without walls."""
-    stations: Array = field(default_factory=lambda: np.empty((0, 2)))
+    in_fluid: Mask
+    """(n_rows n_columns,) which points of the whole grid are in the fluid."""
+    near_walls: Mask
+    """(n_grid,) which points are nearer to a wall than a support radius."""
+    stations: Array
     """(n_stations, 2), where histories are kept; none in most scenes."""
 
     @property
@@ -55,8 +55,6 @@ class Probes:
 
     def picture(self, values: Array) -> Array:
         """Return values (n_grid,) as a picture (n_rows, n_columns), NaN outside of the fluid."""
-        if self.in_fluid is None:
-            return values.reshape(self.grid_shape)
         whole = np.full(self.in_fluid.size, np.nan)
         whole[self.in_fluid] = values
         return whole.reshape(self.grid_shape)

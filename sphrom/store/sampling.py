@@ -16,7 +16,6 @@ from sphrom.metrics.samples import Probes, Samples, grid_points, spread
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.trial_basis import TrialBasis, mean_density_fluctuation, project
-from sphrom.scenes.flows import TaylorGreen
 from sphrom.setup.particles import sampler
 from sphrom.sph.fluid import pressure_of
 from sphrom.store.trajectory import snapshot_fields
@@ -43,18 +42,15 @@ def probes_of(case: Case) -> Probes:
     n_columns, n_rows = (max(2, round(case.compare.grid * s / longer)) for s in domain.lengths)
     shape = n_rows, n_columns
     points = grid_points(domain.lower, domain.upper, shape)
-    in_fluid, near_walls = None, None
-    if domain.has_walls:
-        # A point on a wall, as a grid can have on edges within the box, is of no fluid.
-        distance = domain.wall_distance(points)
-        in_fluid = distance > ON_WALL * case.plan.particle_spacing
-        near_walls = distance[in_fluid] < SUPPORT_RATIO * case.plan.smoothing_length
+    distance = domain.wall_distance(points)
+    # A point on a wall, as a grid can have on edges within the box, is of no fluid.
+    in_fluid = distance > ON_WALL * case.plan.particle_spacing
     return Probes(
         line=np.stack((np.full(n_line, float(x)), spread(spans, n_line)), axis=1),
-        grid=points if in_fluid is None else points[in_fluid],
+        grid=points[in_fluid],
         grid_shape=shape,
         in_fluid=in_fluid,
-        near_walls=near_walls,
+        near_walls=distance[in_fluid] < SUPPORT_RATIO * case.plan.smoothing_length,
         stations=case.scene.stations(case.plan.probe_line),
     )
 
@@ -84,15 +80,6 @@ def sample_run(
         pressures[i] = pressure_of(density, case.plan.sound_speed)
         advance(1)
     return Samples(times[chosen], velocities, pressures)
-
-
-def sample_exact(flow: TaylorGreen, probes: Probes, times: Array) -> Samples:
-    """Evaluate an exact solution."""
-    return Samples(
-        times,
-        np.array([flow.velocity(probes.all, float(t)) for t in times]),
-        np.array([flow.pressure(probes.all, float(t)) for t in times]),
-    )
 
 
 def sample_mapped(case: Case, mapped: Artifact, sample: ReferenceMap) -> Samples:

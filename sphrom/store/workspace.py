@@ -8,7 +8,7 @@ are compared by a digest, the second by their content. How a single file is read
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -157,12 +157,10 @@ class Workspace:
 
     def imported(self, target: Target) -> dict[str, str]:
         """Return what an artifact says of its import; nothing where it was made here or damaged."""
-        try:
-            with open_file(target.path) as file:
-                said = inspect(file).attributes
-        except Fault:
-            return {}
-        return {name: str(value) for name, value in said.items() if name.startswith("imported/")}
+        with suppress(Fault), open_file(target.path) as file:
+            said = inspect(file).attributes.items()
+            return {name: str(value) for name, value in said if name.startswith("imported/")}
+        return {}
 
     def _import_command(self, target: Target) -> str | None:
         """Return the command that imports a full run again; None for what stages here make."""

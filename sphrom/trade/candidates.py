@@ -50,8 +50,15 @@ def trade_points(case: Case) -> tuple[ParameterPoint, ...]:
 
 def global_basis(case: Case) -> str:
     """Return the basis that models of a case have at any value: that of the first."""
-    first = case.rom[0].basis
+    first = _first(case).basis
     return ALL if first == LOCAL else first
+
+
+def _first(case: Case) -> ReducedModelSection:
+    """Return the first reduced model of a case. Raises CaseError where there is none."""
+    if not case.rom:
+        raise CaseError("rom: the case has no reduced models, so there is nothing to weigh")
+    return case.rom[0]
 
 
 def extreme_points(case: Case) -> tuple[ParameterPoint, ...]:
@@ -69,9 +76,10 @@ def extreme_points(case: Case) -> tuple[ParameterPoint, ...]:
 def candidates(case: Case, points: Sequence[ParameterPoint]) -> list[ReducedModelSection]:
     """Return the reduced models to weigh at parameter points, in the basis of the case's first one.
 
-    Raises CaseError when the basis has fewer modes than are listed, or there is no local one.
+    Raises CaseError when the basis has fewer modes than are listed, or there is no local one, or no
+    reduced model.
     """
-    first, basis = case.rom[0], case.rom[0].basis
+    first, basis = _first(case), _first(case).basis
     available = min(case.plan.basis_size(case.plan.basis_for(first, point)) for point in points)
     if (most := max(case.trade.n_modes or (0,))) > available:
         raise CaseError(f"trade.n_modes: the basis {basis} has {available} modes; got {most}")
@@ -116,11 +124,9 @@ def prepared(context: StageContext, models: Sequence[ReducedModelSection]) -> Wo
 
     Operators are projected where the case's lack some.
 
-    Raises CaseError when the case has no reduced models, ArtifactError when artifacts are missing.
+    Raises ArtifactError when artifacts of the case are missing.
     """
     own, workspace = context.case, Workspace(context)
-    if not own.rom:
-        raise CaseError("rom: the case has no reduced models, so there is nothing to weigh")
     for target in (workspace.basis(), workspace.splines()):
         workspace.require(target)
     wider = replace(context, case=own.model_copy(update={"rom": (*own.rom, *models)}))

@@ -157,16 +157,16 @@ def test_what_is_made_again_to_the_bit_changes_nothing(place, sphrom, digests):
 
 
 @pytest.mark.parametrize("content", [None, "", '{"errors": [{}]}'])
-def test_a_damaged_summary_is_told(place, sphrom, content):
+def test_a_damaged_summary_is_told(place, sphrom, refused, content):
     summary = place / "compare.json"
     if content is None:
         summary.unlink()
     else:
         summary.write_text(content)
     result = sphrom("compare", "tiny.yaml")
-    assert result.exit_code == 0
-    remedy = "`sphrom compare tiny.yaml --force` writes it again"
-    assert result.stderr == f"warning: {summary} is missing or damaged; {remedy}\n"
+    line = refused(result)
+    assert line.startswith(f"error: {summary} is ")
+    assert line.endswith("make it again with `sphrom compare tiny.yaml --force`")
 
 
 def test_a_case_that_does_not_fit(empty, sphrom, refused):

@@ -70,7 +70,7 @@ def test_stored_errors_and_fields_are_those_of_the_runs(place):
                 np.testing.assert_allclose(error, expected)
                 np.testing.assert_array_equal(time, series.time)
         assert stored.errors("unheard-of", point) is None
-        where, line = stored.line("galerkin", point)
+        where, line = stored.samples("galerkin", point)
     with StoredRun.opened(workspace, point, case.rom[0]) as run:
         some = run.sampled(where, [0, 2])
         np.testing.assert_array_equal(some.time, line.time[[0, 2]])

@@ -110,7 +110,7 @@ def test_all_ways_to_a_place_give_one_field(made: Path, sphrom, name: str | None
     model = next((model for model in case.rom if model.name == name), None)
     workspace = Workspace(StageContext(case, made / "runs", False, 1, None))
     with StoredComparison.of(workspace) as comparison:
-        line, compared = comparison.line(name, FULL)
+        line, compared = comparison.samples(name, FULL)
     wanted = np.dstack((compared.velocity, compared.pressure))
     asked = ("--to", "csv", "--into", made / "tables", "--force")
     assert sphrom("export", made / "body.yaml", *place, *asked).exit_code == 0
