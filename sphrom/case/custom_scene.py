@@ -336,6 +336,11 @@ class CustomScene(SceneSection):
         )
         return (lambda at: np.stack((u(at), v(at)), axis=1)), p
 
+    def starts_by(self, name: str) -> bool:
+        """Return whether the start of runs depends on a parameter beside the viscosity."""
+        given = [(f"initial.{field}", getattr(self.initial, field)) for field in ("u", "v", "p")]
+        return any(self._expression(*each, "x", "y").degree_in([name]) > 0.0 for each in given)
+
     def _wall_velocity(self, name: str) -> Callable[[Array], Array]:
         """Return the velocity (n_points, 2) [m/s] of a wall at places on it (n_points, 2) [m]."""
         wall = self.walls[name]
@@ -416,7 +421,8 @@ class CustomScene(SceneSection):
         _require_finite("body_force", field(self._samples.T).T, self._samples)
         factor = self._values.get(BODY_FORCE, 1.0)
         # All runs of a case ask for it at the same snapshots.
-        return Drive(field, lru_cache(N_TIMES)(lambda time: factor * float(amplitude(t=time))))
+        at = lru_cache(N_TIMES)(lambda time: factor * float(amplitude(t=time)))
+        return Drive(field, at, lambda times: factor * amplitude(t=times))
 
     @property
     def force_changes(self) -> bool:

@@ -116,6 +116,10 @@ class SceneSection(Section):
         """The measurements of velocity and pressure: flow rates, probes and lines, by name."""
         return {name: m for name, m in self.measure.items() if m.force_on is None}
 
+    def starts_by(self, name: str) -> bool:
+        """Return whether the start of runs depends on a parameter beside the viscosity."""
+        return False
+
     def reference_profiles(
         self, reynolds: float, reference_speed: float
     ) -> tuple[ReferenceProfile, ...]:

@@ -174,6 +174,11 @@ def _write(
                 if index in (0, begin, begin + 1, last):
                     kept[index] = time, snapshot
                 advance(1)
+        if converter.largest_fluctuation == 0.0:
+            raise CaseError(
+                "the density is the reference density everywhere, at all times, so that there is "
+                "no pressure: --density or --pressure names a field that has it"
+            )
         writer.finish(None, about.seconds)
         doubts = list(_doubts(workspace, point, model, kept, begin))
         for doubt in doubts:

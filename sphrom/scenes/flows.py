@@ -50,6 +50,8 @@ class Drive:
     field: Callable[[Array], Array]
     """(2, n_particles) [m/s2] at positions (2, n_particles) [m], for an amplitude of 1."""
     amplitude: Amplitude
+    series: Callable[[Array], Array] | None = None
+    """The amplitude at many times at once, where that is faster."""
 
     def __call__(self, position: Array, time: float) -> Array:
         """Return the acceleration (2, n_particles) [m/s2]."""

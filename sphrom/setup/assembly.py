@@ -76,8 +76,10 @@ def _measure(section: MeasureSection, spacing: float) -> FieldMeasure:
 
 def amplitude_of(case: Case, point: ParameterPoint) -> Amplitude | None:
     """Return how strongly a flow is driven, at times; None where that doesn't change."""
-    amplitude = case.plan.flow(point).amplitude
-    if amplitude is None:
+    flow = case.plan.flow(point)
+    if flow.body_force is not None and flow.body_force.series is not None:
+        return flow.body_force.series
+    if (amplitude := flow.amplitude) is None:
         return None
     return lambda times: np.array([amplitude(float(t)) for t in times])
 

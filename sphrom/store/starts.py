@@ -11,7 +11,6 @@ from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, read_record
 from sphrom.artifacts.records.reduced_models import Starts
 from sphrom.artifacts.records.runs import Start
-from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.setup import assembly
 from sphrom.store.trained_models import read_points
@@ -66,8 +65,8 @@ def starts_record(workspace: Workspace) -> Starts:
 class MappedStarts:
     """Starts of runs, mapped onto the reference points, and kept while they stay the same.
 
-    No start depends on the viscosity, so that points with the same other parameters start alike;
-    with a spin-up each has its own.
+    No start depends on the viscosity. Those of points with the same other parameters that the scene
+    starts by are alike; with a spin-up each has its own.
     """
 
     def __init__(self, workspace: Workspace, operators: Artifact | None = None) -> None:
@@ -78,34 +77,30 @@ class MappedStarts:
         if operators is not None and "starts/parameters" in operators:
             self._stored = read_record(operators, Starts, "starts")
         self._latest: tuple[object, Fields] | None = None
+        others = workspace.case.plan.parameter_names[1:]
+        self._names = list(filter(workspace.case.scene.starts_by, others))
 
     def at(self, point: ParameterPoint) -> Fields:
         """Return the fields at the start of a run at a parameter point."""
-        case = self._workspace.case
-        begin = case.plan.start_point(point)
-        key: object = begin if case.time.spin_up > 0.0 else begin.others
-        if self._latest is None or self._latest[0] != key:
-            self._latest = key, self._fields_at(begin)
+        begin = self._workspace.case.plan.start_point(point)
+        if self._latest is None or self._latest[0] != self._key(begin):
+            self._latest = self._key(begin), self._fields_at(begin)
         return self._latest[1]
 
+    def _key(self, begin: ParameterPoint) -> object:
+        """Return what starts differ by: the values that the scene's depends on, or all."""
+        if self._workspace.case.time.spin_up > 0.0:
+            return begin
+        return tuple(begin.factors[name] for name in self._names)
+
     def _fields_at(self, begin: ParameterPoint) -> Fields:
-        if self._stored is not None:
-            for k, values in enumerate(self._stored.parameters):
-                if _starts_alike(self._workspace.case, begin, values, self._points):
-                    return self._stored.density_fluctuation[k], self._stored.velocity[k]
+        plan, stored = self._workspace.case.plan, self._stored
+        if stored is not None:
+            for k, values in enumerate(stored.parameters.tolist()):
+                known = plan.point(dict(zip(plan.parameter_names, values, strict=True)))
+                if self._key(known) == self._key(begin):
+                    return stored.density_fluctuation[k], stored.velocity[k]
         from sphrom.setup.particles import map_onto
 
         to_points = map_onto(self._workspace.case, self._points)
         return to_points(**vars(start(self._workspace, begin)))
-
-
-def _starts_alike(case: Case, point: ParameterPoint, values: Array, positions: Array) -> bool:
-    """Return whether runs at a point start as runs at some values of the parameters do.
-
-    The scene is the start of both, unless there is a spin-up.
-    """
-    known = case.plan.point(dict(zip(case.plan.parameter_names, values.tolist(), strict=True)))
-    if point == known or case.time.spin_up > 0.0:
-        return point == known
-    one, other = (assembly.initial_fields(case, p, positions) for p in (point, known))
-    return all(map(np.array_equal, one, other))

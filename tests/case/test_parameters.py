@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from sphrom.case.hints import case_warnings
@@ -145,3 +146,12 @@ def test_a_point_beyond_training_is_named_with_the_range():
     assert warning.startswith(
         "parameters.test: reynolds=100, lid=1.2 is outside of the trained range, 0.5 to 1 of lid"
     )
+
+
+def test_a_start_depends_on_the_constants_that_it_names():
+    found = case({"train": {"omega": [2.0, 3.0]}}, CUSTOM)
+    names = (*CUSTOM["constants"], "top", "disc", "body_force")
+    assert [name for name in names if found.scene.starts_by(name)] == ["omega", "k"]
+    assert not any(map(case({}).scene.starts_by, ("lid", "reynolds")))
+    force, times = found.plan.flow(found.plan.train_points[0]).body_force, np.linspace(0, 3, 200)
+    assert force.series(times).tolist() == [force.amplitude(time) for time in times]

@@ -398,6 +398,13 @@ def test_what_does_not_fit_is_said(case, sphrom, changed, arguments, code, says)
     assert not RUN.exists()
 
 
+def test_files_without_pressure_are_refused(case, sphrom) -> None:
+    result = sphrom("import", case, *write_npz(p=np.zeros(N)), "--pressure", "p")
+    assert result.exit_code == 2
+    assert "there is no pressure: --density or --pressure names" in result.stderr
+    assert not RUN.exists()
+
+
 @pytest.mark.parametrize(
     ("name", "content"),
     [
