@@ -10,7 +10,6 @@ import numpy as np
 from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.compare.comparison_tables import SpectrumRow
-from sphrom.errors import ArtifactError
 from sphrom.metrics.histories import cumulative_singular_value_share, energy
 from sphrom.plots.panels import Curve, Field, Frame, Panel, draw_grid
 from sphrom.setup.draw import solids_within
@@ -103,10 +102,7 @@ def _share(share: float) -> str:
 def mode_fields(
     workspace: Workspace, basis: str, field: str, numbers: Sequence[int]
 ) -> dict[str, list[Field]]:
-    """Return one field of modes (from 1) by space; Lagrangian ones are kept where a case asks.
-
-    Raises ArtifactError for a mode that the basis doesn't have.
-    """
+    """Return one field of modes (from 1) by space; Lagrangian ones are kept where a case asks."""
     fields: dict[str, list[Field]] = {}
     unit = "1/m" if workspace.case.basis.inner_product == "acoustic" else "–"
     with workspace.open(workspace.basis()) as artifact:
@@ -114,8 +110,6 @@ def mode_fields(
             name = f"{parent}/{basis}/modes/{'velocity' if field in COMPONENTS else field}"
             if name not in artifact:
                 continue
-            if max(numbers) > artifact.length(name):
-                raise ArtifactError(f"{artifact.path} has no mode {max(numbers)} of {basis}")
             picture = frame_of(workspace.case).raster(artifact.read(position))
             for number in numbers:
                 values = np.asarray(artifact.dataset(name)[number - 1])

@@ -47,7 +47,6 @@ from sphrom.store.starts import Fields
 from sphrom.store.trained_models import (
     calibrated,
     read_basis,
-    read_measure,
     read_operators,
     read_recorded,
     read_wall_force,
@@ -110,8 +109,10 @@ class BasisModel:
                 for measured in case.scene.measured_walls
             }
             self._measures = {
-                measured: read_measure(artifact, name, measured, self.modes)
-                for measured in case.scene.measured_fields
+                each: read_record(artifact, ReducedMeasure, f"{group}/measure/{each}").of_modes(
+                    self.modes
+                )
+                for each in case.scene.measured_fields
             }
 
     def _calibrated_with(self, runs: Array) -> Calibration | None:

@@ -23,7 +23,7 @@ from sphrom.metrics.measures import UNITS, Quantities
 from sphrom.reduction.calibration import Calibration, TrainingRun, calibrate
 from sphrom.reduction.held_out import best_size
 from sphrom.reduction.mode_splines import ModeSplines, first_modes
-from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure
+from sphrom.reduction.reduced_measures import ReducedForce
 from sphrom.reduction.reduced_operators import ReducedOperators
 from sphrom.reduction.trial_basis import TrialBasis, project, truncate
 from sphrom.setup import assembly
@@ -148,13 +148,6 @@ def read_wall_force(
     group = f"bases/{basis}/wall_force/{name}"
     force = read_record(artifact, ReducedForce, group).of_modes(modes)
     return force, artifact.read(f"{group}/training_loads")
-
-
-def read_measure(
-    artifact: Artifact, basis: str, name: str, modes: NDArray[np.int64]
-) -> ReducedMeasure:
-    """Read a measurement of fields, in the coordinates of some modes of a basis."""
-    return read_record(artifact, ReducedMeasure, f"bases/{basis}/measure/{name}").of_modes(modes)
 
 
 def read_recorded(case: Case, artifact: Artifact, basis: str) -> dict[str, Quantities]:
