@@ -22,7 +22,7 @@ from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.answer import DIGITS, Answer, find_answer, percent
-from sphrom.compare.comparison_tables import RECORDS, SpectrumRow, Tables
+from sphrom.compare.comparison_tables import RECORDS, Tables
 from sphrom.compare.mode_figures import frame_of
 from sphrom.plots.canvas import (
     DIFFERENCE_MAP,
@@ -106,7 +106,7 @@ def run(context: StageContext) -> None:
     sections = [
         *shown.items(),
         ("Errors", list(_tables(out / "tables", contents["tables"], made_by))),
-        ("Modes", [*modes, *_spectrum(out / "tables" / "singular_values.csv", made_by)]),
+        ("Modes", [*modes, *_tables(out / "tables", contents["modes"], made_by)]),
         *((study["title"], _study(context, study)) for study in contents["studies"]),
         ("Uncertainty", list(_pictures(out, sweep))),
         ("Costs", list(_tables(out / "tables", contents["costs"], made_by))),
@@ -222,39 +222,24 @@ def _study(context: StageContext, study: Mapping[str, Any]) -> list[Html]:
 
 
 def _tables(folder: Path, captions: Mapping[str, str], made_by: str) -> Iterator[Html]:
+    """Yield tables with few digits, without columns that hold nothing."""
     for key, caption in captions.items():
         name, _, part = key.partition(" ")
-        path = folder / f"{name}.csv"
-        if path.exists():
-            headings, rows = read_csv(path, made_by, RECORDS.get(name))
-            kept = [i for i, heading in enumerate(headings) if (EQ41 in heading) == bool(part)]
-            described = range(headings.index("status") if part else 0)
-            yield _table(caption, headings, rows, [*described, *kept])
-
-
-def _spectrum(path: Path, made_by: str) -> Iterator[Html]:
-    if path.exists():
-        headings, rows = read_csv(path, made_by, SpectrumRow)
-        number = headings.index("n_modes")
-        shown = [row for row in rows if row[number] in map(str, SHOWN_VALUES)]
-        caption = "Singular values, and the share of the first modes."
-        yield _table(caption, headings, shown, range(len(headings)), SHARE_DIGITS)
-
-
-def _table(
-    caption: str,
-    headings: Sequence[str],
-    rows: Sequence[Sequence[str]],
-    columns: Iterable[int],
-    digits: int = 3,
-) -> Html:
-    """Return a table of some columns, with few digits, without those that hold nothing."""
-    kept = [i for i in columns if any(row[i] for row in rows)]
-    return table(
-        caption,
-        [headings[i].replace("_", " ") for i in kept],
-        [[_cell(row[i], digits) for i in kept] for row in rows],
-    )
+        path, digits = folder / f"{name}.csv", 3
+        if not path.exists():
+            continue
+        headings, rows = read_csv(path, made_by, RECORDS.get(name))
+        if name == "singular_values":
+            number, digits = headings.index("n_modes"), SHARE_DIGITS
+            rows = [row for row in rows if row[number] in map(str, SHOWN_VALUES)]
+        described = range(headings.index("status") if part else 0)
+        chosen = [i for i, heading in enumerate(headings) if (EQ41 in heading) == bool(part)]
+        kept = [i for i in (*described, *chosen) if any(row[i] for row in rows)]
+        yield table(
+            caption,
+            [headings[i].replace("_", " ") for i in kept],
+            [[_cell(row[i], digits) for i in kept] for row in rows],
+        )
 
 
 def _cell(text: str, digits: int) -> str:
