@@ -122,34 +122,33 @@ def test_each_prediction_comes_with_its_estimate(made) -> None:
         assert (estimate[1:] > 0.0).all()
 
 
-def test_outside_of_training_no_factor_of_training_is_claimed(made) -> None:
-    """And the estimate rises with what the basis doesn't hold of the change."""
-    folder = made(LID)
-    told = (folder.parents[1] / "stdout.txt").read_text()
-    (line,) = re.findall(r"^fast, reynolds=400: estimated errors: (.*)$", told, re.MULTILINE)
-    assert "factor" not in line
-    assert line.endswith(
-        "extrapolated, as the model was trained on reynolds 100 to 200 until 3 s only"
-    )
+@pytest.mark.parametrize(
+    ("case", "inside", "outside", "trained"),
+    [
+        (LID, "125", "400", "reynolds 100 to 200 until 3 s"),
+        (OPEN, "2400", "1800", "reynolds 2400 until 0.03 s"),
+    ],
+    ids=["lid", "spun up"],
+)
+def test_outside_of_training_no_factor_of_training_is_claimed(
+    made, case, inside, outside, trained
+) -> None:
+    told = (made(case).parents[1] / "stdout.txt").read_text()
+    found = dict(re.findall(r"^fast, reynolds=(\d+): estimated errors: (.*)$", told, re.MULTILINE))
+    assert "factor" in found[inside]
+    assert "factor" not in found[outside]
+    assert found[outside].endswith(f"extrapolated, as the model was trained on {trained} only")
+
+
+def test_estimates_rise_with_what_the_basis_does_not_hold_of_the_change(made) -> None:
     ends = {}
     for reynolds in (100, 125, 400):
-        with run_of(folder, f"fast-reynolds{reynolds}") as run:
+        with run_of(made(LID), f"fast-reynolds{reynolds}") as run:
             ends[reynolds] = run.read("error_estimate/velocity")[-1]
             where = run.text("error_estimate/training")
             assert where == ("outside" if reynolds == 400 else "inside")
             assert ("error_estimate/velocity_factor" in run.attributes) == (where == "inside")
     assert ends[400] > 2.0 * max(ends[100], ends[125])
-
-
-def test_a_spun_up_flow_of_another_value_claims_no_factor(made) -> None:
-    told = (made(OPEN).parents[1] / "stdout.txt").read_text()
-    lines = re.findall(r"^fast, reynolds=(\d+): estimated errors: (.*)$", told, re.MULTILINE)
-    found = dict(lines)
-    assert "factor" in found["2400"]
-    assert "factor" not in found["1800"]
-    assert found["1800"].endswith(
-        "extrapolated, as the model was trained on reynolds 2400 until 0.03 s only"
-    )
 
 
 def test_a_local_basis_is_estimated_from_its_own_training_runs(made) -> None:
