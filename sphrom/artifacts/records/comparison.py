@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from sphrom.arrays import Array
-from sphrom.artifacts.records.runs import TIME
 from sphrom.declaration import Record, attribute, dataset, part
 
 _PLACES = {"line": "on the line", "field": "over the whole field"}
@@ -21,7 +20,7 @@ _APART = {
 class Series(Record):
     """The errors of one run over time."""
 
-    time: Array = dataset("snapshot", *TIME)
+    time: Array = dataset("snapshot", "s", "time of each snapshot", "t", "Eq. 2.18")
     relative_l2: Mapping[str, Array] = dataset(
         "snapshot", "%", "relative L2 error of %s",
         names={
@@ -60,7 +59,7 @@ class Samples(Record):
     """What was sampled at some places over time."""
 
     position: Array = dataset("point component", "m", "the places", "x")
-    time: Array = dataset("snapshot", *TIME)
+    time: Array = dataset("snapshot", "s", "time of each snapshot", "t", "Eq. 2.18")
     velocity: Array = dataset("snapshot point component", "m/s", "velocity there", "u")
     pressure: Array = dataset("snapshot point", "Pa", "pressure there", "p")
 
@@ -68,7 +67,7 @@ class Samples(Record):
 class Ranges(Record):
     """Ranges of the full run over line and grid, which Eq. 4.1 divides by."""
 
-    time: Array = dataset("snapshot", *TIME)
+    time: Array = dataset("snapshot", "s", "time of each snapshot", "t", "Eq. 2.18")
     speed: Array = dataset("snapshot", "m/s", "largest less smallest speed", equation="Eq. 4.1")
     pressure: Array = dataset(
         "snapshot", "Pa", "largest less smallest pressure", equation="Eq. 4.1"
