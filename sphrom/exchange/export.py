@@ -12,7 +12,7 @@ import base64
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange.import_options import place
-from sphrom.plots.tables import write_csv
+from sphrom.plots.tables import rows_of_columns, write_csv
 from sphrom.setup.context import StageContext
 from sphrom.sph.fluid import pressure_of
 from sphrom.store.sampling import probes_of
@@ -41,6 +41,8 @@ FOLDER = "export"
 """Where files go unless another folder is named, beside the artifacts."""
 FIELDS, PROBES = "vtu", "csv"
 """The formats: fields for ParaView, and tables of runs at some points."""
+HEAD = {"time": "s", "x": "m", "y": "m", "velocity_x": "m/s", "velocity_y": "m/s", "pressure": "Pa"}
+"""Columns of a table of a run, with their units: one row for each point and time."""
 POINTS = "reference_position"
 _VERTEX = 1
 """VTK's number of a cell that is a single point."""
@@ -242,18 +244,6 @@ def _write_xml(path: Path, kind: str, body: str, force: bool) -> None:
         file.write(f'<?xml version="1.0"?>\n{_tag("VTKFile", _tag(kind, body), **about)}'.encode())
 
 
-@dataclass(frozen=True)
-class ProbeRow:
-    """Velocity and pressure at one point and time."""
-
-    time: float = field(metadata={"unit": "s"})
-    x: float = field(metadata={"unit": "m"})
-    y: float = field(metadata={"unit": "m"})
-    velocity_x: float = field(metadata={"unit": "m/s"})
-    velocity_y: float = field(metadata={"unit": "m/s"})
-    pressure: float = field(metadata={"unit": "Pa"})
-
-
 def _write_tables(workspace: Workspace, folder: Path, at: Sequence[str]) -> int:
     """Write a table of every run at points like `0.5,0.5`, or along the line, and return how many.
 
@@ -272,7 +262,7 @@ def _write_tables(workspace: Workspace, folder: Path, at: Sequence[str]) -> int:
         with StoredRun.opened(workspace, item.point, item.model) as run:
             samples = run.sampled(points)
         rows = [
-            ProbeRow(float(time), *values)
+            dict(zip(HEAD, (float(time), *values), strict=True))
             for time, velocity, pressure in zip(
                 samples.time, samples.velocity, samples.pressure, strict=True
             )
@@ -280,6 +270,6 @@ def _write_tables(workspace: Workspace, folder: Path, at: Sequence[str]) -> int:
         ]
         if rows:  # of a run that became unstable at once there are none
             make_folder(folder, "--into")
-            write_csv(path, rows)
+            write_csv(path, rows_of_columns(HEAD, rows))
             workspace.context.report.info(f"wrote {path}: {len(points)} points")
     return len(runs)

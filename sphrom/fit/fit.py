@@ -238,16 +238,11 @@ def show(report: Reporter, fit: Fit) -> None:
 def _shown(estimate: Estimate) -> tuple[str, ...]:
     unit = UNITS.get(estimate.parameter, "")
     name = f"{estimate.parameter} [{unit}]" if unit else estimate.parameter
-    values = (estimate.value, estimate.low, estimate.high)
-    parts = (estimate.standard_deviation, estimate.by_noise, estimate.by_model)
-    share = 100.0 * estimate.standard_deviation / abs(estimate.value) if estimate.value else None
-    return (
-        name,
-        *(format_figure(value, SHOWN_DIGITS) for value in values),
-        *(format_figure(part, 2) for part in parts),
-        format_figure(share, 2),
-        estimate.remark,
-    )
+    values, deviation = (estimate.value, estimate.low, estimate.high), estimate.standard_deviation
+    share = 100.0 * deviation / abs(estimate.value) if estimate.value else None
+    parts = (deviation, estimate.by_noise, estimate.by_model, share)
+    shown = *(format_figure(v, SHOWN_DIGITS) for v in values), *(format_figure(p, 2) for p in parts)
+    return name, *shown, estimate.remark
 
 
 def fit(fast: FastModel, box: Box, measurements: Measurements, known: TrainingDifferences) -> Fit:

@@ -18,6 +18,7 @@ import csv
 import hashlib
 import io
 import math
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -227,10 +228,8 @@ def _names(head: Sequence[str], case: Case) -> Iterator[str]:
 
 def _name_and_unit(cell: str) -> tuple[str, str | None]:
     """Return what the head of a column says: `wake_pressure [Pa]`; None where it has no unit."""
-    name, bracket, unit = cell.strip().partition("[")
-    if not bracket or not unit.endswith("]"):
-        return cell.strip(), None
-    return name.strip(), unit[:-1].strip()
+    found = re.fullmatch(r"(.*?)\[(.*)\]", cell.strip())
+    return (found[1].strip(), found[2].strip()) if found else (cell.strip(), None)
 
 
 def column_of(case: Case, name: str) -> Column:

@@ -306,17 +306,14 @@ def _draw(
         if each.along != MEAN:
             x = _instants(each.along, len(each.mean), time)
             along = "place along the line [–]" if each.along == LINE else "time [s]"
-            panels.append(Panel(_words(name), along, label or f"[{each.unit}]", [*curves(name, x)]))
+            title, shown = name.replace("_", " "), label or f"[{each.unit}]"
+            panels.append(Panel(title, along, shown, [*curves(name, x)]))
     return draw_grid([panels[k : k + COLUMNS] for k in range(0, len(panels), COLUMNS)])
 
 
 def _shown(output: OutputStatistics) -> int:
     """Return the instant that is printed: the end, or the middle of a line."""
     return len(output.mean) // 2 if output.along == LINE else -1
-
-
-def _words(name: str) -> str:
-    return name.replace("_", " ")
 
 
 def show(report: Reporter, found: Statistics) -> None:
@@ -329,7 +326,7 @@ def show(report: Reporter, found: Statistics) -> None:
         half = 0.5 * float(np.ptp(each.interval[:, middle, at]))
         cells = [each.mean[at], each.deviation[at], *each.quantiles[:, at], half]
         shown = [format_figure(float(cell)) for cell in cells]
-        rows.append((f"{_words(name)} [{each.unit}]", *shown))
+        rows.append((f"{name.replace('_', ' ')} [{each.unit}]", *shown))
     report.table(
         f"statistics of {found.n_runs} runs at the end (of a line, in its middle)",
         ("output", "mean", "deviation", *levels, f"{levels[middle]} within +-"),

@@ -134,7 +134,8 @@ def publish(
 
     `kept` names the files of the case that are still those of other training points.
     """
-    report, folder, points = workspace.context.report, workspace.folder(FOLDER), _last(outcome)
+    report, folder = workspace.context.report, workspace.folder(FOLDER)
+    points = outcome.stages[-1].points
     names = [f"{FIELDS[k]}_{figure}" for k in range(2) for figure in FIGURES]
     units = {"full_runs": None, "worst_estimate": "%", "factor": None, "floor": "%"}
     units |= {**dict.fromkeys(points[0].as_dict()), **dict.fromkeys(names, "%"), "failure": None}
@@ -166,10 +167,6 @@ def publish(
     if kept:
         following += f" --force, which makes {', '.join(kept)} again for them; full runs stay"
     report.info(f"the case with the {len(points)} points: {case_file}; next: {following}")
-
-
-def _last(outcome: Outcome) -> tuple[ParameterPoint, ...]:
-    return outcome.stages[-1].points
 
 
 def _rows(outcome: Outcome) -> Iterator[dict[str, Any]]:
@@ -207,11 +204,11 @@ def _percent(value: float) -> str:
 
 def _statement(outcome: Outcome) -> str:
     """Return what the training reached, and why it ended."""
-    worst, at = outcome.stages[-1].worst(outcome.fields)
-    tolerance = f"{outcome.case.training.percent:g} %"
-    floor = _percent(outcome.stages[-1].floor[outcome.fields].max())
+    last, tolerance = outcome.stages[-1], f"{outcome.case.training.percent:g} %"
+    worst, at = last.worst(outcome.fields)
+    floor = _percent(last.floor[outcome.fields].max())
     ends = {
-        "within": f"within {tolerance} everywhere with {len(_last(outcome))} full runs",
+        "within": f"within {tolerance} everywhere with {len(last.points)} full runs",
         "budget": f"not within {tolerance}: the budget of {outcome.case.training.budget} full runs "
         "is spent; --budget gives more, and the same command goes on",
         "floor": f"not within {tolerance}, and no further run would bring it there; give the model "

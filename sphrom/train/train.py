@@ -85,11 +85,9 @@ def run(
         When a full run became unstable: at once one of the first, after all other runs.
     """
     check_options(workers, scheduler)
-    changed: dict[str, object] = {}
-    if tolerance is not None:
-        changed["tolerance"] = f"{exact(percent(tolerance, '--tolerance'))}%"
-    if budget is not None:
-        changed["budget"] = budget
+    share = None if tolerance is None else f"{exact(percent(tolerance, '--tolerance'))}%"
+    given = {"tolerance": share, "budget": budget}
+    changed = {key: value for key, value in given.items() if value is not None}
     section = context.case.training.model_copy(update=changed)
     case = context.case.model_copy(update={"training": section})
     training = _Training(replace(context, case=case), workers, scheduler)
@@ -308,9 +306,7 @@ class StageModel:
 
     def estimate(self, point: ParameterPoint) -> Array:
         """Return the estimated errors (2,) of the model at a point, infinite if there are none."""
-        run = self._run(point)
-        found = None if run is None else run.estimate
-        if run is None or found is None:
+        if (run := self._run(point)) is None or (found := run.estimate) is None:
             return NONE
         late = self._counted(run.time)
         squares = np.sum(found.errors[late] ** 2, axis=0), np.sum(found.sizes[late] ** 2, axis=0)
@@ -347,13 +343,10 @@ class StageModel:
         error, floor, size = np.zeros((3, 2))
         with self.workspace.open(self.workspace.mapped(point)) as mapped:
             counted = np.flatnonzero(self._counted(mapped.read("time")))
-            densities, velocities = (
-                mapped.dataset("density_fluctuation"),
-                mapped.dataset("velocity"),
-            )
+            stored = [mapped.dataset(name) for name in ("density_fluctuation", "velocity")]
             for begin in range(counted[0], counted[-1] + 1, N_BLOCK_SNAPSHOTS):
                 some = slice(begin, min(begin + N_BLOCK_SNAPSHOTS, counted[-1] + 1))
-                density, velocity = densities[some], velocities[some]
+                density, velocity = (each[some] for each in stored)
                 fields = _fields(basis, density, velocity)
                 size += _squares(basis, *fields)
                 mean = mean_density_fluctuation(basis, density)
