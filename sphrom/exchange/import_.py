@@ -26,7 +26,7 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.yaml_reader import dump_yaml
 from sphrom.errors import ArtifactError, CaseError, UnstableError
-from sphrom.exchange.foreign_files import COMPONENTS, ForeignSnapshot, Source, read_foreign
+from sphrom.exchange.foreign_files import COMPONENTS, ForeignSnapshot, read_foreign
 from sphrom.exchange.import_options import ImportOptions, pair, place
 from sphrom.exchange.instants import (
     N_NODES,
@@ -123,7 +123,7 @@ def run(context: StageContext, files: Sequence[Path], about: ImportOptions) -> N
             f"the last of them {left_out[-1].path.name}, at t = {left_out[-1].time:.6g} s"
         )
     require_room(case, workspace.out, points)
-    converter = Converter(case, about, _read(choices[0][1][0], about))
+    converter = Converter(case, about, read_foreign(choices[0][1][0], about.array))
     ensure_packed(workspace)
     _write(workspace, target, points[0], choices, converter, origin)
     if any(len(nodes) > 1 for _, nodes in choices):
@@ -135,10 +135,6 @@ def run(context: StageContext, files: Sequence[Path], about: ImportOptions) -> N
         f"{len(found)} in the files; the largest speed is {converter.largest_speed:.4g} m/s, "
         f"|rho - rho_0| / rho_0 at most {converter.largest_fluctuation:.2g}"
     )
-
-
-def _read(source: Source, about: ImportOptions) -> ForeignSnapshot:
-    return read_foreign(source.path, about.array, source.step)
 
 
 def _write(
@@ -165,7 +161,9 @@ def _write(
             forces=particles.wall_forces(case, point, model),
             fields=MeasuredFields.of(case),
         )
-        read = lru_cache(maxsize=2 * N_NODES)(lambda source: converter(_read(source, about)))
+        read = lru_cache(maxsize=2 * N_NODES)(
+            lambda source: converter(read_foreign(source, about.array))
+        )
         with workspace.context.report.progress(f"import, {point.label}", len(choices)) as advance:
             for index, (time, nodes) in enumerate(choices):
                 near = [(node.time, read(node)) for node in nodes]
@@ -278,7 +276,7 @@ def fitted_case(
     """
     found = find_sources(files, about)
     case, keys = load_case(source, overrides), list[str]()
-    resolution = _fitting_resolution(case, _read(found[0], about).n_particles)
+    resolution = _fitting_resolution(case, read_foreign(found[0], about.array).n_particles)
     if resolution is not None:
         keys.append(f"discretization.resolution={resolution}")
     if case.time.spin_up > 0.0:

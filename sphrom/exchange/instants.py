@@ -75,7 +75,7 @@ def find_sources(files: Sequence[Path], about: ImportOptions) -> list[Source]:
 def _time_of(source: Source, about: ImportOptions) -> float:
     if not math.isnan(source.time):
         return source.time
-    time = read_foreign(source.path, about.array, source.step).time
+    time = read_foreign(source, about.array).time
     if math.isnan(time):
         raise CaseError(f"--time-step: is needed: {source.path} does not tell its time")
     return time

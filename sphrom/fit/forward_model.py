@@ -13,11 +13,10 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import cached_property
 
 import numpy as np
 
-from sphrom.arrays import Array, Indices
+from sphrom.arrays import Array
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import Box, Ranges
 from sphrom.errors import CaseError, UnstableError
@@ -67,6 +66,9 @@ class FittedModel:
         self.histories = tuple(histories)
         self._case = fast.workspace.case
         unnamed = dict.fromkeys(h.place for h in histories if h.place is not None)
+        times = [h.time for h in histories]
+        self._instants, self._at = np.unique(np.concatenate(times), return_inverse=True)
+        self._which = np.repeat(np.arange(len(times)), [len(time) for time in times])
         self._places = {place: k for k, place in enumerate(unnamed)}
         self.unnamed: MeasuredFields | None = None
         """What samples fields at the places that the case doesn't name, if there are any."""
@@ -160,26 +162,18 @@ class FittedModel:
             values = values[:, 0 if history.place is None else self._places[history.place]]
         return values if history.component is None else values[:, history.component]
 
-    @cached_property
-    def _instants(self) -> tuple[Array, Indices, Indices]:
-        """The instants of all values, and of each value the instant and the history."""
-        times = np.concatenate([h.time for h in self.histories])
-        which = np.repeat(np.arange(len(self.histories)), [len(h.time) for h in self.histories])
-        unique, at = np.unique(times, return_inverse=True)
-        return unique, at, which
-
     def at_instants(self, time: Array, histories: Array) -> Array:
         """Return histories (n_snapshots, n_histories, ...) at the instants of values.
 
         Between snapshots they are cubic splines.
         """
-        instants, at, which = self._instants
+        instants = self._instants
         if len(time) != len(instants) or not np.allclose(time, instants, rtol=0.0, atol=1e-12):
             from scipy.interpolate import make_interp_spline
 
             spline = make_interp_spline(time, histories, k=min(3, len(time) - 1))
             histories = np.asarray(spline(np.clip(instants, time[0], time[-1])))
-        return histories[at, which]
+        return histories[self._at, self._which]
 
 
 def error_samples(model: FittedModel, place: Array, known: TrainingDifferences) -> Array | None:
