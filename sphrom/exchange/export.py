@@ -261,11 +261,10 @@ def _write_tables(workspace: Workspace, folder: Path, at: Sequence[str]) -> int:
             raise ArtifactError(f"{path} exists already; --force replaces it")
         with StoredRun.opened(workspace, item.point, item.model) as run:
             samples = run.sampled(points)
+        snapshots = zip(samples.time.tolist(), samples.velocity, samples.pressure, strict=True)
         rows = [
-            dict(zip(HEAD, (float(time), *values), strict=True))
-            for time, velocity, pressure in zip(
-                samples.time, samples.velocity, samples.pressure, strict=True
-            )
+            dict(zip(HEAD, (time, *values), strict=True))
+            for time, velocity, pressure in snapshots
             for values in np.column_stack((points, velocity, pressure)).tolist()
         ]
         if rows:  # of a run that became unstable at once there are none

@@ -199,12 +199,10 @@ def publish(case: Case, path: Path, records: Sequence[RunRecord], found: Statist
     if found is None:
         return
     time, names = next(r.values["time"] for r in records if r.values), case.plan.parameter_names
-    tables = {"quantiles": list(_quantile_rows(found, time))}
-    if found.indices:
-        tables["indices"] = list(_index_rows(found, names, time))
+    tables = {"quantiles": _quantile_rows(found, time), "indices": _index_rows(found, names, time)}
     for kind, rows in tables.items():
-        columns = dict.fromkeys(rows[0])
-        write_csv(beside(path, kind, "csv"), rows_of_columns(columns, rows))
+        if cells := list(rows):
+            write_csv(beside(path, kind, "csv"), rows_of_columns(dict.fromkeys(cells[0]), cells))
     if case.compare.plots:
         save(draw_quantiles(found, time), beside(path, "quantiles", "png"))
         if found.indices:

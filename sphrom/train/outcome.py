@@ -79,6 +79,16 @@ class Stage:
     """Runs that this stage chose."""
 
     @property
+    def unstable(self) -> tuple[ParameterPoint, ...]:
+        """Where earlier full runs became unstable."""
+        return tuple(run.point for run in self.earlier if run.failure is not None)
+
+    @property
+    def tried(self) -> tuple[ParameterPoint, ...]:
+        """Where the full model was run."""
+        return (*self.points, *self.unstable)
+
+    @property
     def factors(self) -> Array:
         """(2,) on estimates of velocity and pressure: with them they cover all true errors."""
         known = [run for run in self.earlier if run.failure is None]
@@ -92,9 +102,9 @@ class Stage:
 
     def worst(self, fields: Sequence[int]) -> tuple[float, ParameterPoint]:
         """Return the largest of them, and where it is: not where a full run is unstable."""
-        unstable = {run.point for run in self.earlier if run.failure is not None}
-        found = zip(self.judged(fields).tolist(), self.candidates, strict=True)
-        return max((pair for pair in found if pair[1] not in unstable), key=lambda pair: pair[0])
+        pairs = zip(self.judged(fields).tolist(), self.candidates, strict=True)
+        stable = [pair for pair in pairs if pair[1] not in self.unstable]
+        return max(stable, key=lambda pair: pair[0])
 
 
 @dataclass(frozen=True)

@@ -183,7 +183,7 @@ class _Training:
                 float(stage.floor[list(fields)].max()),
                 self.section.percent,
                 n_held_out=sum(run.failure is None for run in stage.earlier),
-                n_left=self.section.budget - len(self._tried(stage)),
+                n_left=self.section.budget - len(stage.tried),
             )
             if ended is not None:
                 return Outcome(self.case, self.model.name, (*stages, stage), ended)
@@ -191,11 +191,6 @@ class _Training:
             stages.append(replace(stage, held_out=found))
             earlier += found
             points += tuple(run.point for run in found if run.failure is None)
-
-    @staticmethod
-    def _tried(stage: Stage) -> list[ParameterPoint]:
-        """Return where the full model was run."""
-        return [*stage.points, *(run.point for run in stage.earlier if run.failure is not None)]
 
     def _full_runs(
         self, points: Sequence[ParameterPoint], learnt: Sequence[ParameterPoint] = ()
@@ -240,12 +235,11 @@ class _Training:
         """
         with start_workers(self._at_once or 1, self._scheduler, self.context.report) as workers:
             at_once = workers.number
-        tried = self._tried(stage)
         numbers = choose(
             self.region.places(self.candidates),
             stage.judged(self.section.fields),
-            self.region.places(tried),
-            min(self.section.budget - len(tried), at_once),
+            self.region.places(stage.tried),
+            min(self.section.budget - len(stage.tried), at_once),
             self.section.percent,
         ).tolist()
         problems = self._full_runs([self.candidates[k] for k in numbers], stage.points)
