@@ -13,7 +13,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import quoteattr
@@ -91,11 +91,8 @@ def run(
     if at and to != PROBES:
         raise CaseError(f"--at: goes with --to {PROBES}")
     workspace, folder = Workspace(context), into or context.out / FOLDER
-    if to == PROBES:
-        n_written = _write_tables(workspace, folder, at or ())
-    else:
-        n_written = _write_all(workspace, folder)
-    if n_written == 0:
+    write = _write_all if to == FIELDS else partial(_write_tables, at=at or ())
+    if write(workspace, folder) == 0:
         raise ArtifactError(
             f"{context.out}: nothing to export; make runs with `sphrom run {context.words}`"
         )

@@ -64,7 +64,6 @@ WHOLLY = 0.99
 """Share of a parameter in undetermined directions from which on it is undetermined itself."""
 SHOWN_SHARE = 0.01
 """The same, from which on it belongs to an undetermined combination."""
-AT_BOUND, UNDETERMINED = "at its bound", "not determined"
 MOST_SHOWN = 12
 """Histories in the terminal, and in the figure."""
 COLUMNS = 2
@@ -323,8 +322,8 @@ def _estimates(
     box, values = model.box, model.box.values(best.place)
     slopes = box.slopes(best.place)
     for k, name in enumerate(box.names):
-        at_bound = AT_BOUND if best.at_bound[k] else ""
-        remark = UNDETERMINED if shares[k] > SHOWN_SHARE else at_bound
+        at_bound = "at its bound" * bool(best.at_bound[k])
+        remark = "not determined" if shares[k] > SHOWN_SHARE else at_bound
         noise, error = (float(slopes[k] * np.sqrt(c[k, k])) for c in (known.noise, known.model))
         reach = best.place[k] + known.half_width[k] * np.array([-1.0, 1.0])
         low, high = (box.value(name, end) for end in np.clip(reach, 0.0, 1.0).tolist())

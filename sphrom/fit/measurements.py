@@ -21,6 +21,7 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -188,7 +189,8 @@ def _entries(text: str, case: Case) -> dict[Key, list[Entry]]:
     for line, row in rows:
         if len(row) > len(names):
             raise ValueError(f"line {line}: has {len(row)} cells for {len(names)} columns")
-        cells = {name: _number(row, i, name, line) for i, name in enumerate(names)}
+        each = zip_longest(names, row, fillvalue="")
+        cells = {name: _number(cell.strip(), name, line) for name, cell in each}
         for name, column in columns.items():
             if math.isnan(value := cells[name]):
                 continue
@@ -245,9 +247,8 @@ def column_of(case: Case, name: str) -> Column:
     return known[name]
 
 
-def _number(row: Sequence[str], i: int, name: str, line: int) -> float:
+def _number(text: str, name: str, line: int) -> float:
     """Return a cell's number, NaN for a value that wasn't measured."""
-    text = row[i].strip() if i < len(row) else ""
     try:
         value = float(text or "nan")
     except ValueError:

@@ -350,7 +350,5 @@ def show(report: Reporter, found: Statistics) -> None:
             f"full runs may have other quantiles and Sobol indices of {names}: so much of their "
             f"variance is the model's estimated error{less}"
         )
-    unknown = [name for name, each in found.outputs.items() if each.model_error == "unknown"]
-    if unknown:
-        names = ", ".join(unknown)
-        report.warn(f"intervals of {names} are of sampling alone: no error is estimated")
+    if unknown := ", ".join(k for k, v in found.outputs.items() if v.model_error == "unknown"):
+        report.warn(f"intervals of {unknown} are of sampling alone: no error is estimated")
