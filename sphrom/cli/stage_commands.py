@@ -332,11 +332,12 @@ def import_(
         overrides = options.overrides or []
         text, keys = fitted_case(options.case, overrides, files, about, write_case.parent)
         options = replace(options, overrides=[*overrides, *keys])
-    run_stage("import", options, files=files, about=about)
+    missing = run_stage("import", options, files=files, about=about)
     if write_case is not None:
-        words = replace(options, case=write_case, overrides=None).words
-        next_step = f", with {' '.join(keys)}; next: sphrom run {words}"
-        write_new(write_case, text, next_step, force=options.force)
+        step = f"sphrom run {replace(options, case=write_case, overrides=None).words}"
+        if missing:
+            step = f"import {', '.join(missing)} for {write_case} ({step} would simulate them)"
+        write_new(write_case, text, f", with {' '.join(keys)}; next: {step}", force=options.force)
 
 
 @stage_command(stages, "export", OF_FILES)

@@ -199,8 +199,9 @@ def _read_pysph(path: Path, array: str | None) -> Read:
         if array is None and len(sets) == 1:
             (array,) = sets
         if array not in sets:
+            what = "several sets of" if array is None and sets else "no"
             raise Fault(
-                f"holds no particles {array or 'of PySPH'}; name one of its sets with --array: "
+                f"holds {what} particles {array or 'of PySPH'}; name one of its sets with --array: "
                 f"{', '.join(sorted(sets)) or 'it has none in /particles/<name>/arrays'}"
             )
         prefix = f"particles/{array}/arrays/"
@@ -230,7 +231,8 @@ def _read_numpy(path: Path) -> Read:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise Fault(
             "is damaged, no archive of numpy.savez, or holds Python objects, which could run code "
-            f"and are refused: {reason}"
+            "and are refused (where h5py is installed, PySPH writes .hdf5, which is read): "
+            f"{reason}"
         ) from error
     numbers = {name: value for name, value in values.items() if value.dtype.kind in "fiu"}
     return _time_of(numbers), {name: value for name, value in numbers.items() if value.ndim > 0}

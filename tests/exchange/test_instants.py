@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from sphrom.errors import CaseError
 from sphrom.exchange import instants
 from sphrom.exchange.foreign_files import Source
 from sphrom.exchange.import_options import ImportOptions
-from sphrom.exchange.instants import choose, find_sources, interpolated
+from sphrom.exchange.instants import choose, find_sources, interpolated, interval
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.time_loop import Snapshot, TimeSteps
 
@@ -35,6 +36,21 @@ def test_motion_by_a_cubic_polynomial_is_exact_across_periodic_edges(time: float
     np.testing.assert_allclose(found.position, expected.position, atol=1e-12)
     np.testing.assert_allclose(found.velocity, expected.velocity, rtol=1e-12)
     np.testing.assert_allclose(found.density_fluctuation, expected.density_fluctuation, rtol=1e-12)
+
+
+def test_particles_that_interpolation_takes_out_of_the_box_are_refused() -> None:
+    near = [(node, replace(at(node), velocity=np.ones((2, 2)))) for node in (0.0, 0.6, 1.2, 2.0)]
+    for (_, snapshot), y in zip(near, (0.9, 0.02, 0.97, 0.97), strict=True):
+        snapshot.position[1] = y
+    with pytest.raises(CaseError, match=r"up to 0\.8 s apart, takes 2 particles out of the scene"):
+        interpolated(near, 1.6, BOX, 0.1)
+
+
+@pytest.mark.parametrize("gone", [(), (3, 4, 7, 20, 50, 51, 60, 61, 95)])
+def test_interval_is_that_of_the_files_where_some_are_missing(gone) -> None:
+    times = [round(0.0333333 * k, 4) for k in range(101) if k not in gone]
+    found = interval([Source(Path("a"), time) for time in times])
+    assert found == pytest.approx(0.0333333, abs=1e-6)
 
 
 @pytest.fixture
