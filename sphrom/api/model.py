@@ -7,7 +7,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -213,7 +212,8 @@ class Model:
 
         Parameters
         ----------
-        measurements : a CSV file, or its columns by name; see `sphrom.fit.measurements`.
+        measurements : a CSV file, or its columns by name in a dictionary or a table of pandas;
+            see `sphrom.fit.measurements`.
         names : the parameters to look for; others have this model's values. By default those that
             the case's section `fit` leaves free, with the values that it has.
         noise : standard deviation over each history's range, such as `"1%"` or 1.0, where the
@@ -227,8 +227,7 @@ class Model:
         case, section, (fast, _) = self._workspace.case, self._section, self._by_operators("fit")
         self._require_names(names)
         share = case.fit.noise if noise is None else percent(noise, "noise")
-        source = measurements if isinstance(measurements, Mapping) else Path(measurements)
-        data = read_measurements(source, case, case.plan.model_steps(section), share)
+        data = read_measurements(measurements, case, case.plan.model_steps(section), share)
         ranges, values = fit_ranges(case, section), fit_values(case)
         if names:
             trained = trained_ranges(case, section)

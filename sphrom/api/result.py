@@ -36,6 +36,17 @@ def labelled(dims: str, values: Array, units: str, meaning: str) -> Variable:
 
 ERROR = "error_estimate_"
 """Begins the names of estimated errors."""
+OF_RUNS = (
+    ("velocity", "%", "estimated error of the velocity, over its root mean square over the run"),
+    ("pressure", "%", "estimated error of the pressure, over its root mean square over the run"),
+    ("extrapolated", "1", "one where a run is outside of what the model was trained on, else zero"),
+)
+"""Names, units and meanings of the estimates of whole runs."""
+
+
+def _meaning(name: str, quantity: str) -> str:
+    own = f"{quantity.replace('_', ' ')} of {name.removeprefix(ERROR)}"
+    return f"estimated error: {own}" if name.startswith(ERROR) else own
 
 
 class Labels:
@@ -60,7 +71,7 @@ class Labels:
                 is_vector = quantity in VECTORS
                 if quantity in PLACED and not line:  # a probe has one place
                     values = np.squeeze(values, axis=-1 - is_vector)
-                dims, meaning = f"{axes}{line}{' component' * is_vector}", f"{quantity} of {name}"
+                dims, meaning = f"{axes}{line}{' component' * is_vector}", _meaning(name, quantity)
                 variables[f"{name}_{quantity}"] = labelled(dims, values, UNITS[quantity], meaning)
         if (key := time.tobytes()) not in self._known:
             known = axes_of(time)
@@ -109,7 +120,7 @@ class Labels:
                 continue
             status[k] = "complete"
             if (found := run.estimate) is not None:
-                errors[:, k] = found.velocity_percent, found.pressure_percent, found.extrapolates
+                errors[:, k] = found.velocity_percent, found.pressure_percent, found.extrapolated
             estimates = {f"{ERROR}{name}": each for name, each in measured_errors(run).items()}
             for name, quantities in {**run.measured, **estimates}.items():
                 known = measured.setdefault(name, {})
@@ -117,10 +128,9 @@ class Labels:
                     if quantity not in known:
                         known[quantity] = np.full((n_runs, *values.shape), np.nan)
                     known[quantity][k] = values
-        names = ("velocity", "%"), ("pressure", "%"), ("extrapolated", "1")
         figures = {
-            f"{ERROR}{name}": labelled("run", each, unit, f"estimated error: {name}")
-            for (name, unit), each in zip(names, errors, strict=True)
+            f"{ERROR}{name}": labelled("run", each, unit, meaning)
+            for (name, unit, meaning), each in zip(OF_RUNS, errors, strict=True)
         }
         whole = self.dataset(measured, time, {"model": model}, "run snapshot")
         along = {name: ("run", [point[name] for point in points]) for name in points[0]}

@@ -18,6 +18,7 @@ import csv
 import hashlib
 import io
 import math
+import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -115,7 +116,7 @@ class Measurements:
         return np.concatenate([history.noise for history in self.histories])
 
 
-Source = Path | Mapping[str, ArrayLike]
+Source = str | os.PathLike[str] | Mapping[str, ArrayLike]
 """A CSV file, or its columns by name."""
 
 
@@ -147,7 +148,8 @@ def read_measurements(
 
 def _text(source: Source) -> tuple[str, str]:
     """Return the name and the content of a table."""
-    if isinstance(source, Path):
+    if isinstance(source, (str, os.PathLike)):
+        source = Path(source)
         try:
             return source.name, read_whole(source, MOST_BYTES).decode("utf-8-sig")
         except UnicodeDecodeError as error:
@@ -155,7 +157,10 @@ def _text(source: Source) -> tuple[str, str]:
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or str(error)
             raise CaseError(f"{visible(str(source))}: can't be read: {reason}") from error
-    columns = {str(name): np.atleast_1d(values) for name, values in source.items()}
+    try:
+        columns = {str(name): np.atleast_1d(values) for name, values in dict(source).items()}
+    except (TypeError, ValueError) as error:
+        raise CaseError("measurements: must be a CSV file, or its columns by name") from error
     if len({values.shape for values in columns.values()}) > 1:
         raise CaseError("measurements: columns must be of one length")
     rows = io.StringIO()
@@ -270,9 +275,10 @@ def _history(key: Key, entries: Sequence[Entry], noise: float | None) -> History
         share = math.nan if noise is None else 0.01 * noise * float(np.ptp(value))
         deviation = np.where(unknown, share, deviation)
     if not (deviation >= LEAST_NOISE).all():
+        lacks = "no noise" if np.isnan(deviation).any() else f"noise below {LEAST_NOISE:g}"
         raise ValueError(
-            f"{name} has no noise above {LEAST_NOISE:g}: give a column {column_name}{NOISE}, or "
-            "--noise 1% of the history's range"
+            f"{name} has {lacks}: give a column {column_name}{NOISE}, or --noise 1% of the "
+            'history\'s range, in Python noise="1%"'
         )
     return History(**vars(column), name=name, place=place, time=time, value=value, noise=deviation)
 

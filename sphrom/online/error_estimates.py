@@ -52,7 +52,7 @@ class ErrorEstimate:
     """Of the run, over the root mean square of its velocity [%]."""
     pressure_percent: float
     """Of the run, over the root mean square of its pressure less its mean [%]."""
-    extrapolates: bool
+    extrapolated: bool
     """Whether the run is outside of the trained parameters and times."""
     residual: Array
     """(n_snapshots,) norm of the part of the rates that the basis leaves out [/s]."""
@@ -60,6 +60,10 @@ class ErrorEstimate:
     """(n_snapshots, 2) root mean squares of the errors of velocity and c0 rho'/rho0 [m/s]."""
     sizes: Array
     """(n_snapshots, 2) root mean squares of the fields themselves [m/s]."""
+
+    def __repr__(self) -> str:
+        figures = f"velocity={self.velocity_percent:.3g} %, pressure={self.pressure_percent:.3g} %"
+        return f"ErrorEstimate({figures}, extrapolated={self.extrapolated})"
 
 
 @dataclass(frozen=True)
@@ -97,7 +101,7 @@ def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
         return
     artifact.write("residual", found.residual)
     factors = [None, None]
-    if fitted.factors is not None and not found.extrapolates:
+    if fitted.factors is not None and not found.extrapolated:
         factors = fitted.factors.tolist()
     errors = measured_errors(run)
     constants = (fitted.constants * trained.units).tolist()
@@ -106,7 +110,7 @@ def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
         pressure=found.pressure,
         change=fitted.changes(run.coordinates),
         decay_rate=fitted.decay_rate,
-        training="outside" if found.extrapolates else "inside",
+        training="outside" if found.extrapolated else "inside",
         velocity_constant=constants[0],
         pressure_constant=constants[1],
         velocity_factor=factors[0],
@@ -272,7 +276,7 @@ def _told(run: FastRun, found: ErrorEstimate, factors: Sequence[float | None]) -
         trust = "" if factor is None else f", right to a factor of {factor:.2g} in training"
         parts.append(f"{field} {format_figure(mean)} % ({format_figure(end)} % at the end{trust})")
     text = f"{run.name}: estimated errors: {', '.join(parts)}"
-    if not found.extrapolates:
+    if not found.extrapolated:
         return text
     points = [point.as_dict() for point in run.model.at_point(run.point).points]
     trained = ", ".join(
