@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sphrom.arrays import Array
+from sphrom.artifacts.records.sweep import Estimates
 from sphrom.case.models import Case
+from sphrom.declaration import fields_of_record
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import AXES, PLACED, UNITS, VECTORS, Quantities
 from sphrom.online.error_estimates import ErrorEstimate, measured_errors
@@ -36,17 +38,6 @@ def labelled(dims: str, values: Array, units: str, meaning: str) -> Variable:
 
 ERROR = "error_estimate_"
 """Begins the names of estimated errors."""
-OF_RUNS = (
-    ("velocity", "%", "estimated error of the velocity, over its root mean square over the run"),
-    ("pressure", "%", "estimated error of the pressure, over its root mean square over the run"),
-    ("extrapolated", "1", "one where a run is outside of what the model was trained on, else zero"),
-)
-"""Names, units and meanings of the estimates of whole runs."""
-
-
-def _meaning(name: str, quantity: str) -> str:
-    own = f"{quantity.replace('_', ' ')} of {name.removeprefix(ERROR)}"
-    return f"estimated error: {own}" if name.startswith(ERROR) else own
 
 
 class Labels:
@@ -66,12 +57,16 @@ class Labels:
 
         variables = {}
         for name, quantities in measured.items():
-            line = self._lines.get(name.removeprefix(ERROR), "")
+            own = name.removeprefix(ERROR)
+            line, of = self._lines.get(own, ""), "estimated error: " * (own != name)
             for quantity, values in quantities.items():
                 is_vector = quantity in VECTORS
                 if quantity in PLACED and not line:  # a probe has one place
                     values = np.squeeze(values, axis=-1 - is_vector)
-                dims, meaning = f"{axes}{line}{' component' * is_vector}", _meaning(name, quantity)
+                dims, meaning = (
+                    f"{axes}{line}{' component' * is_vector}",
+                    f"{of}{quantity} of {own}",
+                )
                 variables[f"{name}_{quantity}"] = labelled(dims, values, UNITS[quantity], meaning)
         if (key := time.tobytes()) not in self._known:
             known = axes_of(time)
@@ -128,9 +123,10 @@ class Labels:
                     if quantity not in known:
                         known[quantity] = np.full((n_runs, *values.shape), np.nan)
                     known[quantity][k] = values
+        known_as = fields_of_record(Estimates)
         figures = {
-            f"{ERROR}{name}": labelled("run", each, unit, meaning)
-            for (name, unit, meaning), each in zip(OF_RUNS, errors, strict=True)
+            f"{ERROR}{name}": labelled("run", each, known_as[name].units, known_as[name].meaning)
+            for name, each in zip(("velocity", "pressure", "extrapolated"), errors, strict=True)
         }
         whole = self.dataset(measured, time, {"model": model}, "run snapshot")
         along = {name: ("run", [point[name] for point in points]) for name in points[0]}

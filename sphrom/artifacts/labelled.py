@@ -76,10 +76,7 @@ def open_labelled(path: str | Path, group: str = "") -> xarray.Dataset:
 
 
 def _by_run(found: xarray.Dataset) -> xarray.Dataset:
-    """Return a sweep with one axis `run`: its parameters are coordinates, what has no result is NaN.
-
-    Values are read for that only where there are such runs.
-    """
+    """Return a sweep with one axis `run`, NaN without a result, and parameters as coordinates."""
     for axis, numbers in (("complete_run", "complete"), ("estimated_run", "error_estimate_run")):
         if numbers in found:
             known, found = found[numbers].values, found.drop_vars(numbers)
@@ -102,7 +99,7 @@ def _variable(artifact: Artifact, name: str, field: Field) -> xarray.Variable:
     if (measured := _MEASURED.fullmatch(name)) is None:
         return found
     if measured[1]:
-        found.attrs["long_name"] = f"{_OF[measured[1]]}: {labels['long_name']}"
+        found.attrs["long_name"] = f"{_OF[measured[1]]}: {field.meaning}"
     if "place" not in dims:
         return found
     if found.sizes["place"] == 1:  # a probe's

@@ -25,7 +25,7 @@ from sphrom.fit.measurements import UNNAMED, History
 from sphrom.metrics.measures import PLACED, FieldMeasure, Quantities
 from sphrom.online.basis_model import fields_of, quantities_of
 from sphrom.online.fast_model import FastModel
-from sphrom.online.sensitivities import Tangents, tangents
+from sphrom.online.sensitivities import tangents
 from sphrom.reduction import reference_model
 from sphrom.reduction.error_calibration import compared_snapshots
 from sphrom.reduction.exponential_steps import ExponentialModel
@@ -99,16 +99,15 @@ class FittedModel:
         basis : another than that of the point.
         """
         basis = self.fast.basis_at(point) if basis is None else basis
-        found = self.fast.on_basis(basis).at(point)
+        model = self.fast.on_basis(basis)
+        found = model.at(point)
         if basis not in self._stepped:
-            model = self.fast.on_basis(basis)
             self._stepped[basis] = model.projected(model.points[0], in_training=True)
         if basis not in self._measures:
             self._measures[basis] = {}
             if (fields := self.unnamed) is not None:
-                splines = self.fast.on_basis(basis).splines
                 self._measures[basis] = project_measures(
-                    found.basis, splines, fields.position, fields.of_fields
+                    found.basis, model.splines, fields.position, fields.of_fields
                 )
         measures = {**found.measures, **self._measures[basis]}
         return replace(found.with_steps_of(self._stepped[basis]), measures=measures)
@@ -144,19 +143,16 @@ class FittedModel:
             run = tangents(self.fast, point, self.box.names, reduced, integrator=steps)
         except UnstableError:
             return None
-        values = self.stacked(self.quantities(point, reduced, run.run))
-        by_parameter = [self.stacked(_changes(run, k)) for k in range(len(run.parameters))]
+        named = quantities_of(self._case, reduced, run.time, run.run)
+        places = {name: m for name, m in reduced.measures.items() if name == UNNAMED}
+        at_places = fields_of(places, reduced.mean_density_fluctuation, run.run)
+        values = self.stacked({**named, **at_places})
+        by_parameter = [
+            self.stacked({n: {q: v[k] for q, v in m.items()} for n, m in run.measured.items()})
+            for k in range(len(run.parameters))
+        ]
         slopes = np.stack(by_parameter, axis=-1) * self.box.slopes(place)
         return run.time, values, slopes
-
-    def quantities(
-        self, point: ParameterPoint, reduced: ReferenceModel, coordinates: Array
-    ) -> dict[str, Quantities]:
-        """Return what is measured in coordinates (n_snapshots, n_modes) of a run."""
-        time, mean = reduced.output_times.time, reduced.mean_density_fluctuation
-        named = quantities_of(self._case, reduced, time, coordinates)
-        places = {name: m for name, m in reduced.measures.items() if name == UNNAMED}
-        return {**named, **fields_of(places, mean, coordinates)}
 
     def stacked(self, measured: Mapping[str, Quantities]) -> Array:
         """Return the histories (n_snapshots, n_histories) among what is measured."""
@@ -188,11 +184,6 @@ class FittedModel:
             spline = make_interp_spline(time, histories, k=min(3, len(time) - 1))
             histories = np.asarray(spline(np.clip(instants, time[0], time[-1])))
         return histories[at, which]
-
-
-def _changes(run: Tangents, k: int) -> dict[str, Quantities]:
-    """Return the derivatives of measured quantities with respect to the k-th parameter."""
-    return {n: {q: v[k] for q, v in m.items()} for n, m in run.measured.items()}
 
 
 def error_samples(model: FittedModel, place: Array, known: TrainingDifferences) -> Array | None:

@@ -158,16 +158,13 @@ def _text(source: Source) -> tuple[str, str]:
             reason = getattr(error, "strerror", None) or str(error)
             raise CaseError(f"{visible(str(source))}: can't be read: {reason}") from error
     try:
-        columns = {str(name): np.atleast_1d(values) for name, values in dict(source).items()}
+        columns = {str(n): np.atleast_1d(values).tolist() for n, values in dict(source).items()}
+        rows = [list(columns), *zip(*columns.values(), strict=True)]
     except (TypeError, ValueError) as error:
-        raise CaseError("measurements: must be a CSV file, or its columns by name") from error
-    if len({values.shape for values in columns.values()}) > 1:
-        raise CaseError("measurements: columns must be of one length")
-    rows = io.StringIO()
-    writer = csv.writer(rows, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows(zip(*(each.tolist() for each in columns.values()), strict=True))
-    return "measurements", rows.getvalue()
+        raise CaseError("measurements: columns must be of one length, each by its name") from error
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return "measurements", text.getvalue()
 
 
 Entry = tuple[float, float, float]
@@ -275,10 +272,9 @@ def _history(key: Key, entries: Sequence[Entry], noise: float | None) -> History
         share = math.nan if noise is None else 0.01 * noise * float(np.ptp(value))
         deviation = np.where(unknown, share, deviation)
     if not (deviation >= LEAST_NOISE).all():
-        lacks = "no noise" if np.isnan(deviation).any() else f"noise below {LEAST_NOISE:g}"
         raise ValueError(
-            f"{name} has {lacks}: give a column {column_name}{NOISE}, or --noise 1% of the "
-            'history\'s range, in Python noise="1%"'
+            f"{name} has no noise, or none that counts: give a column {column_name}{NOISE}, or "
+            "--noise 1% of the history's range, in Python noise='1%'"
         )
     return History(**vars(column), name=name, place=place, time=time, value=value, noise=deviation)
 

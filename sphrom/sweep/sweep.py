@@ -170,7 +170,7 @@ def _make(
 def columns_of(case: Case, records: Sequence[RunRecord]) -> dict[str, str | None]:
     """Return the columns of the table of runs, with their units.
 
-    `error_estimate_extrapolated` is `yes` where the estimates are for values outside of training, else `no`, and
+    `error_estimate_extrapolated` is `yes` outside of training, else `no`, and
     empty without estimates; `reason` tells why there is no result. What a case measures over time
     has statistics, and what it measures along lines none.
     """
