@@ -58,15 +58,13 @@ class Labels:
         variables = {}
         for name, quantities in measured.items():
             own = name.removeprefix(ERROR)
-            line, of = self._lines.get(own, ""), "estimated error: " * (own != name)
+            line, at = self._lines.get(own, ""), f" of {own}"
+            of = "estimated error: " * (own != name)
             for quantity, values in quantities.items():
                 is_vector = quantity in VECTORS
                 if quantity in PLACED and not line:  # a probe has one place
                     values = np.squeeze(values, axis=-1 - is_vector)
-                dims, meaning = (
-                    f"{axes}{line}{' component' * is_vector}",
-                    f"{of}{quantity} of {own}",
-                )
+                dims, meaning = f"{axes}{line}{' component' * is_vector}", f"{of}{quantity}{at}"
                 variables[f"{name}_{quantity}"] = labelled(dims, values, UNITS[quantity], meaning)
         if (key := time.tobytes()) not in self._known:
             known = axes_of(time)

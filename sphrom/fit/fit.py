@@ -65,10 +65,6 @@ WHOLLY = 0.99
 """Share of a parameter in undetermined directions from which on it is undetermined itself."""
 SHOWN_SHARE = 0.01
 """The same, from which on it belongs to an undetermined combination."""
-AT_BOUND, UNDETERMINED = "at its bound", "not determined"
-TOO_NARROW, OF_NOISE = "interval too narrow", "interval of the noise alone"
-NOTE = 100
-"""Characters in a line of the figure's title."""
 MOST_SHOWN = 12
 """Histories in the terminal, and in the figure."""
 COLUMNS = 2
@@ -155,7 +151,7 @@ class Fit(records.Fit):
         title = f"{self.model} fitted to {self.measurements}"
         if len(self.history) > MOST_SHOWN:
             title += f", {MOST_SHOWN} of {len(self.history)} histories"
-        notes = [textwrap.fill(problem.partition(". ")[0], NOTE) for problem in self.problems]
+        notes = [textwrap.fill(problem.partition(". ")[0], 100) for problem in self.problems]
         save(draw_grid(rows, title="\n".join([title, *notes])), Path(path))
 
 
@@ -243,16 +239,11 @@ def show(report: Reporter, fit: Fit) -> None:
 def _shown(estimate: Estimate) -> tuple[str, ...]:
     unit = UNITS.get(estimate.parameter, "")
     name = f"{estimate.parameter} [{unit}]" if unit else estimate.parameter
-    values = (estimate.value, estimate.low, estimate.high)
-    parts = (estimate.standard_deviation, estimate.by_noise, estimate.by_model)
-    share = 100.0 * estimate.standard_deviation / abs(estimate.value) if estimate.value else None
-    return (
-        name,
-        *(format_figure(value, SHOWN_DIGITS) for value in values),
-        *(format_figure(part, 2) for part in parts),
-        format_figure(share, 2),
-        estimate.remark,
-    )
+    values, deviation = (estimate.value, estimate.low, estimate.high), estimate.standard_deviation
+    share = 100.0 * deviation / abs(estimate.value) if estimate.value else None
+    parts = (deviation, estimate.by_noise, estimate.by_model, share)
+    shown = *(format_figure(v, SHOWN_DIGITS) for v in values), *(format_figure(p, 2) for p in parts)
+    return name, *shown, estimate.remark
 
 
 def fit(fast: FastModel, box: Box, measurements: Measurements, known: TrainingDifferences) -> Fit:
@@ -297,7 +288,8 @@ def fit(fast: FastModel, box: Box, measurements: Measurements, known: TrainingDi
     known_of, shares = uncertainty(best.derivatives, weights), undetermined_shares(likely, weights)
     slopes, dof = box.slopes(best.place), len(values) - len(box.names)
     bound = float(chi2.ppf(SURE, dof)) + weights.expected
-    doubt = TOO_NARROW if best.chi_square > bound else OF_NOISE if samples is None else ""
+    doubt = "interval of the noise alone" * (samples is None)
+    doubt = "interval too narrow" if best.chi_square > bound else doubt
     estimates = list(_estimates(model, best, known_of, shares, doubt))
     histories = {str(k): h for k, h in enumerate(_histories(model, best, known_of, samples))}
     fitted = Fit(
@@ -335,8 +327,8 @@ def _estimates(
     box, values = model.box, model.box.values(best.place)
     slopes = box.slopes(best.place)
     for k, name in enumerate(box.names):
-        at_bound = AT_BOUND if best.at_bound[k] else doubt
-        remark = UNDETERMINED if shares[k] > SHOWN_SHARE else at_bound
+        at_bound = "at its bound" if best.at_bound[k] else doubt
+        remark = "not determined" if shares[k] > SHOWN_SHARE else at_bound
         noise, error = (float(slopes[k] * np.sqrt(c[k, k])) for c in (known.noise, known.model))
         reach = best.place[k] + known.half_width[k] * np.array([-1.0, 1.0])
         low, high = (box.value(name, end) for end in np.clip(reach, 0.0, 1.0).tolist())
