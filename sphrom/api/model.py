@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -227,7 +228,9 @@ class Model:
         case, section, (fast, _) = self._workspace.case, self._section, self._by_operators("fit")
         self._require_names(names)
         share = case.fit.noise if noise is None else percent(noise, "noise")
-        data = read_measurements(measurements, case, case.plan.model_steps(section), share)
+        given: Any = measurements
+        source = dict(given) if hasattr(given, "keys") else Path(given)
+        data = read_measurements(source, case, case.plan.model_steps(section), share)
         ranges, values = fit_ranges(case, section), fit_values(case)
         if names:
             trained = trained_ranges(case, section)

@@ -10,9 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sphrom.arrays import Array
-from sphrom.artifacts.records.sweep import Estimates
 from sphrom.case.models import Case
-from sphrom.declaration import fields_of_record
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import AXES, PLACED, UNITS, VECTORS, Quantities
 from sphrom.online.error_estimates import ErrorEstimate, measured_errors
@@ -58,13 +56,12 @@ class Labels:
         variables = {}
         for name, quantities in measured.items():
             own = name.removeprefix(ERROR)
-            line, at = self._lines.get(own, ""), f" of {own}"
-            of = "estimated error: " * (own != name)
+            line, of = self._lines.get(own, ""), f"{own}{', estimated error' * (own != name)}"
             for quantity, values in quantities.items():
                 is_vector = quantity in VECTORS
                 if quantity in PLACED and not line:  # a probe has one place
                     values = np.squeeze(values, axis=-1 - is_vector)
-                dims, meaning = f"{axes}{line}{' component' * is_vector}", f"{of}{quantity}{at}"
+                dims, meaning = f"{axes}{line}{' component' * is_vector}", f"{quantity} of {of}"
                 variables[f"{name}_{quantity}"] = labelled(dims, values, UNITS[quantity], meaning)
         if (key := time.tobytes()) not in self._known:
             known = axes_of(time)
@@ -121,10 +118,10 @@ class Labels:
                     if quantity not in known:
                         known[quantity] = np.full((n_runs, *values.shape), np.nan)
                     known[quantity][k] = values
-        known_as = fields_of_record(Estimates)
+        names = ("velocity", "%"), ("pressure", "%"), ("extrapolated", "1")
         figures = {
-            f"{ERROR}{name}": labelled("run", each, known_as[name].units, known_as[name].meaning)
-            for name, each in zip(("velocity", "pressure", "extrapolated"), errors, strict=True)
+            f"{ERROR}{name}": labelled("run", each, unit, f"estimated error: {name}")
+            for (name, unit), each in zip(names, errors, strict=True)
         }
         whole = self.dataset(measured, time, {"model": model}, "run snapshot")
         along = {name: ("run", [point[name] for point in points]) for name in points[0]}

@@ -25,7 +25,6 @@ from sphrom.metrics.measures import AXES
 
 _MEASURED = re.compile("((?:error_estimate|steady)/)?(measure|force)/([^/]+)/([^/]+)")
 """A path of what is measured: what begins it, the kind, the measurement and the quantity."""
-_OF = {"error_estimate/": "estimated root mean square error", "steady/": "steady state"}
 
 
 def open_labelled(path: str | Path, group: str = "") -> xarray.Dataset:
@@ -65,28 +64,12 @@ def open_labelled(path: str | Path, group: str = "") -> xarray.Dataset:
         if groups:
             attributes["groups"] = groups
         found = xarray.Dataset(variables, attrs=attributes)
-        if "parameters" in found:
-            found = _by_run(found)
         if "component" in found.dims:
             found = found.assign_coords(component=list(AXES))
         if "time" in found and found["time"].dims == ("snapshot",):
             found = found.set_coords("time").set_xindex("time")
         found.set_close(stack.pop_all().close)
         return found
-
-
-def _by_run(found: xarray.Dataset) -> xarray.Dataset:
-    """Return a sweep with one axis `run`, NaN without a result, and parameters as coordinates."""
-    for axis, numbers in (("complete_run", "complete"), ("estimated_run", "error_estimate_run")):
-        if numbers in found:
-            known, found = found[numbers].values, found.drop_vars(numbers)
-            own = {name: each.variable for name, each in found.items() if axis in each.dims}
-            part = xarray.Dataset(own).rename({axis: "run"}).assign_coords(run=known)
-            part = part.reindex(run=range(found.sizes["run"]), copy=False).drop_vars("run")
-            found = found.drop_dims(axis).assign(part)
-    names = found.attrs["parameter_names"].split(",")
-    columns = zip(names, found["parameters"].values.T, strict=True)
-    return found.assign_coords({name: ("run", column) for name, column in columns})
 
 
 def _variable(artifact: Artifact, name: str, field: Field) -> xarray.Variable:
@@ -96,11 +79,7 @@ def _variable(artifact: Artifact, name: str, field: Field) -> xarray.Variable:
     ]
     labels = {key: text for key, text in field.labels.items() if text}
     found = xarray.Variable(dims, indexing.LazilyIndexedArray(_Lazy(artifact, name)), labels)
-    if (measured := _MEASURED.fullmatch(name)) is None:
-        return found
-    if measured[1]:
-        found.attrs["long_name"] = f"{_OF[measured[1]]}: {field.meaning}"
-    if "place" not in dims:
+    if (measured := _MEASURED.fullmatch(name)) is None or "place" not in dims:
         return found
     if found.sizes["place"] == 1:  # a probe's
         return found.squeeze("place")

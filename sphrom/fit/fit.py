@@ -185,7 +185,7 @@ def run(
     if model is None:
         raise CaseError("fit.model: no reduced model has evaluation: operators; add one to rom")
     share = case.fit.noise if noise is None else percent(noise, "--noise")
-    data = read_measurements(measurements, case, case.plan.model_steps(model), share)
+    data = read_measurements(Path(measurements), case, case.plan.model_steps(model), share)
     name = name or Path(data.source).stem
     if not re.fullmatch(NAME_PATTERN, name):
         raise CaseError(f"{quoted(name)} is no name for files; give one with --name")
@@ -288,8 +288,7 @@ def fit(fast: FastModel, box: Box, measurements: Measurements, known: TrainingDi
     known_of, shares = uncertainty(best.derivatives, weights), undetermined_shares(likely, weights)
     slopes, dof = box.slopes(best.place), len(values) - len(box.names)
     bound = float(chi2.ppf(SURE, dof)) + weights.expected
-    doubt = "interval of the noise alone" * (samples is None)
-    doubt = "interval too narrow" if best.chi_square > bound else doubt
+    doubt = "interval too narrow" * (best.chi_square > bound)
     estimates = list(_estimates(model, best, known_of, shares, doubt))
     histories = {str(k): h for k, h in enumerate(_histories(model, best, known_of, samples))}
     fitted = Fit(

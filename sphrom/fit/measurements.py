@@ -18,7 +18,6 @@ import csv
 import hashlib
 import io
 import math
-import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -118,7 +117,7 @@ class Measurements:
         return np.concatenate([history.noise for history in self.histories])
 
 
-Source = str | os.PathLike[str] | Mapping[str, ArrayLike]
+Source = Path | Mapping[str, ArrayLike]
 """A CSV file, or its columns by name."""
 
 
@@ -150,8 +149,7 @@ def read_measurements(
 
 def _text(source: Source) -> tuple[str, str]:
     """Return the name and the content of a table."""
-    if isinstance(source, (str, os.PathLike)):
-        source = Path(source)
+    if isinstance(source, Path):
         try:
             return source.name, read_whole(source, MOST_BYTES).decode("utf-8-sig")
         except UnicodeDecodeError as error:
@@ -159,14 +157,14 @@ def _text(source: Source) -> tuple[str, str]:
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or str(error)
             raise CaseError(f"{visible(str(source))}: can't be read: {reason}") from error
-    try:
-        columns = {str(n): np.atleast_1d(values).tolist() for n, values in dict(source).items()}
-        rows = [list(columns), *zip(*columns.values(), strict=True)]
-    except (TypeError, ValueError) as error:
-        raise CaseError("measurements: columns must be of one length, each by its name") from error
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(rows)
-    return "measurements", text.getvalue()
+    columns = {str(name): np.atleast_1d(values) for name, values in source.items()}
+    if len({values.shape for values in columns.values()}) > 1:
+        raise CaseError("measurements: columns must be of one length")
+    rows = io.StringIO()
+    writer = csv.writer(rows, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(zip(*(each.tolist() for each in columns.values()), strict=True))
+    return "measurements", rows.getvalue()
 
 
 Entry = tuple[float, float, float]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -40,13 +40,13 @@ if TYPE_CHECKING:
     from sphrom.online.fast_model import FastRun
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True)
 class ErrorEstimate:
     """Estimated errors of a run, without a full run to compare with."""
 
-    velocity: Array
+    velocity: Array = field(repr=False)
     """(n_snapshots,) root mean square of the velocity's error over the fluid [m/s]."""
-    pressure: Array
+    pressure: Array = field(repr=False)
     """(n_snapshots,) the same of the pressure less its mean [Pa]."""
     velocity_percent: float
     """Of the run, over the root mean square of its velocity [%]."""
@@ -54,16 +54,12 @@ class ErrorEstimate:
     """Of the run, over the root mean square of its pressure less its mean [%]."""
     extrapolated: bool
     """Whether the run is outside of the trained parameters and times."""
-    residual: Array
+    residual: Array = field(repr=False)
     """(n_snapshots,) norm of the part of the rates that the basis leaves out [/s]."""
-    errors: Array
+    errors: Array = field(repr=False)
     """(n_snapshots, 2) root mean squares of the errors of velocity and c0 rho'/rho0 [m/s]."""
-    sizes: Array
+    sizes: Array = field(repr=False)
     """(n_snapshots, 2) root mean squares of the fields themselves [m/s]."""
-
-    def __repr__(self) -> str:
-        figures = f"velocity={self.velocity_percent:.3g} %, pressure={self.pressure_percent:.3g} %"
-        return f"ErrorEstimate({figures}, extrapolated={self.extrapolated})"
 
 
 @dataclass(frozen=True)
@@ -272,9 +268,9 @@ def _told(run: FastRun, found: ErrorEstimate, factors: Sequence[float | None]) -
     at_end = 100.0 * found.errors[-1] / found.sizes[-1]
     parts = []
     means = found.velocity_percent, found.pressure_percent
-    for field, mean, end, factor in zip(FIELDS, means, at_end, factors, strict=True):
+    for name, mean, end, factor in zip(FIELDS, means, at_end, factors, strict=True):
         trust = "" if factor is None else f", right to a factor of {factor:.2g} in training"
-        parts.append(f"{field} {format_figure(mean)} % ({format_figure(end)} % at the end{trust})")
+        parts.append(f"{name} {format_figure(mean)} % ({format_figure(end)} % at the end{trust})")
     text = f"{run.name}: estimated errors: {', '.join(parts)}"
     if not found.extrapolated:
         return text

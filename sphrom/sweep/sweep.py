@@ -64,8 +64,6 @@ FIGURES = {
 speed of all points and snapshots, root mean squares of estimated errors over those of the fields.
 """
 
-BEYOND = "error_estimate_extrapolated"
-"""The column that tells what is outside of training."""
 Cells = dict[str, str | float | None]
 """The cells of a run's row in the table, by column; None without a result, or an estimate."""
 
@@ -170,13 +168,13 @@ def _make(
 def columns_of(case: Case, records: Sequence[RunRecord]) -> dict[str, str | None]:
     """Return the columns of the table of runs, with their units.
 
-    `error_estimate_extrapolated` is `yes` outside of training, else `no`, and
-    empty without estimates; `reason` tells why there is no result. What a case measures over time
-    has statistics, and what it measures along lines none.
+    `error_estimate_extrapolated` is `yes` for values outside of training, else `no`, and empty
+    without estimates; `reason` tells why there is no result. What a case measures over time has
+    statistics, and what it measures along lines none.
     """
     derivatives = next((record.derivative_names for record in records if record.values), ())
     names = {**dict.fromkeys(case.plan.parameter_names), "status": None}
-    names |= FIGURES | dict.fromkeys((*derivatives, BEYOND, "reason"))
+    names |= FIGURES | dict.fromkeys((*derivatives, "error_estimate_extrapolated", "reason"))
     return names | {
         f"{name}_{component}_{statistic}": UNITS[quantity]
         for name, section in case.scene.measure.items()
@@ -308,12 +306,12 @@ def _rows(records: Sequence[RunRecord], names: Iterable[str]) -> list[Cells]:
     for record in records:
         values = {path.replace("/", "_"): value for path, value in record.values.items()}
         row: Cells = {**dict.fromkeys(names), **record.point.as_dict()}
-        row |= {"status": STATES[record.status], "reason": record.reason, BEYOND: ""}
+        row |= {"status": STATES[record.status], "reason": record.reason}
         row |= {name: float(values[name]) for name in FIGURES if name in values}
         derivatives = values.get("derivatives", np.zeros(0)).tolist()
         row |= zip(record.derivative_names, derivatives, strict=True)
-        if (beyond := values.get(BEYOND)) is not None:
-            row[BEYOND] = "yes" if beyond else "no"
+        beyond = values.get("error_estimate_extrapolated")
+        row["error_estimate_extrapolated"] = "" if beyond is None else ("no", "yes")[int(beyond)]
         rows.append(row)
     complete = [k for k, record in enumerate(records) if record.values]
     for path in records[complete[0]].values if complete else ():
