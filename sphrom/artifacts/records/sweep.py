@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from sphrom.arrays import Array, Indices
+from sphrom.artifacts.records.runs import FLOW_RATE, TIME
 from sphrom.declaration import Record, attribute, dataset, part
 from sphrom.metrics.draws import OutputIndices, OutputStatistics
 
@@ -56,12 +57,7 @@ class Measured(Record):
     torque: Array | None = dataset(
         "complete_run snapshot", "N", "torque on a wall, anticlockwise", default=None
     )
-    flow_rate: Array | None = dataset(
-        "complete_run snapshot",
-        "m2/s",
-        "flow through a section, from the left to the right of the way along it",
-        default=None,
-    )
+    flow_rate: Array | None = dataset("complete_run snapshot", *FLOW_RATE, default=None)
     velocity: Array | None = dataset(
         "complete_run snapshot component", "m/s", "velocity at a probe", "u", default=None
     )
@@ -109,9 +105,7 @@ class Sweep(Record, kind="sphrom/sweep"):
     largest_speed: Array = dataset(
         "complete_run", "m/s", "largest speed of all points and snapshots"
     )
-    time: Array | None = dataset(
-        "snapshot", "s", "time of each snapshot", "t", "Eq. 2.18", default=None
-    )
+    time: Array | None = dataset("snapshot", *TIME, default=None)
     generalized_coordinates: Array | None = dataset(
         "complete_run snapshot mode", "of the inner product", "coordinates of reduced runs",
         "omega-hat", "Eq. 3.11", default=None,
