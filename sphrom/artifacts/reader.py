@@ -293,7 +293,7 @@ def _check_origin(contents: Contents, origin: Origin) -> None:
         keys = case_differences(text, origin.case_text, origin.sections)
         if told := keys or origin.consequences(text):
             raise Fault(f"was made with another case ({told})")
-        raise Fault("was made by another version of this program, or at other points")
+        raise Fault("was made with other points, or by another version of this program")
     for role, identity in origin.lineage.items():
         stored = contents.attributes.get(f"lineage/{role}/content_sha256")
         if stored is None:
