@@ -148,10 +148,11 @@ class Workspace:
         """Raise ArtifactError, naming the first cause, unless an artifact is there and valid."""
         if (reason := self.reason_to_make(target)) is not None:
             self._require_parents(target)
-            everything = f"all that is missing with `sphrom run {self.context.words}`"
-            remedy = f"make it with `{target.made_by}`, or {everything}"
-            if target.path.exists():
-                remedy = f"make it again with `{target.made_by} --force`"
+            lacks, again = ("out of date", " --force") if target.path.exists() else ("missing", "")
+            everything = f"`sphrom run {self.context.words}{again}`"
+            remedy = (
+                f"make it with `{target.made_by}{again}`, or all that is {lacks} with {everything}"
+            )
             if command := self._import_command(target):
                 remedy = f"no simulation replaces what was imported: import again with `{command}`"
             raise ArtifactError(f"{target.path} {reason}; {remedy}")
