@@ -19,6 +19,8 @@ REFERENCE_POSITION = "m", "points of the reference space", "x_G", "Eq. 3.14"
 FLOW_RATE = "m2/s", "flow through a section, from the left to the right of the way along it"
 VELOCITY_AT_PLACES = "m/s", "velocity at the places", "u", "Eq. 2.7"
 PRESSURE_AT_PLACES = "Pa", "pressure at the places", "p", "Eq. 2.8"
+VELOCITY_ERROR = "m/s", "estimated root mean square error of the velocity"
+PRESSURE_ERROR = "Pa", "estimated root mean square error of the pressure less its mean"
 PARAMETERS = "", "parameter values of the run"
 _ABOUT = "about a solid's centroid, or about the box's centre on a side of it"
 
