@@ -257,9 +257,7 @@ class Results:
     def _gathered(self, failed: Sequence[Failure]) -> tuple[list[RunRecord], Statistics | None]:
         """Put all runs into the artifact, and return them with their statistics."""
         targets, case = list(self._targets()), self._workspace.case
-        known = {
-            failure.point: RunRecord(failure.point, FAILED, failure.reason) for failure in failed
-        }
+        known = {f.point: RunRecord(f.point, FAILED, f.reason) for f in failed}
         for target in targets:
             with self._workspace.open(target) as artifact:
                 ended = (COMPLETE, UNSTABLE)

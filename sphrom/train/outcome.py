@@ -78,6 +78,16 @@ class Stage:
     """Runs that this stage chose."""
 
     @property
+    def unstable(self) -> tuple[ParameterPoint, ...]:
+        """Where earlier full runs became unstable."""
+        return tuple(run.point for run in self.earlier if run.failure is not None)
+
+    @property
+    def tried(self) -> tuple[ParameterPoint, ...]:
+        """Where the full model was run."""
+        return (*self.points, *self.unstable)
+
+    @property
     def factors(self) -> Array:
         """(2,) on estimates of velocity and pressure: with them they cover all true errors."""
         known = [run for run in self.earlier if run.failure is None]
@@ -91,9 +101,9 @@ class Stage:
 
     def worst(self, fields: Sequence[int]) -> tuple[float, ParameterPoint]:
         """Return the largest of them, and where it is: not where a full run is unstable."""
-        unstable = {run.point for run in self.earlier if run.failure is not None}
-        found = zip(self.judged(fields).tolist(), self.candidates, strict=True)
-        return max((pair for pair in found if pair[1] not in unstable), key=lambda pair: pair[0])
+        pairs = zip(self.judged(fields).tolist(), self.candidates, strict=True)
+        stable = [pair for pair in pairs if pair[1] not in self.unstable]
+        return max(stable, key=lambda pair: pair[0])
 
 
 @dataclass(frozen=True)
@@ -133,7 +143,8 @@ def publish(
 
     `kept` names the files of the case that are still those of other training points.
     """
-    report, folder, points = workspace.context.report, workspace.folder(FOLDER), _last(outcome)
+    report, folder = workspace.context.report, workspace.folder(FOLDER)
+    points = outcome.stages[-1].points
     names = [f"{FIELDS[k]}_{figure}" for k in range(2) for figure in FIGURES]
     units = {"full_runs": None, "worst_estimate": "%", "factor": None, "floor": "%"}
     units |= {**dict.fromkeys(points[0].as_dict()), **dict.fromkeys(names, "%"), "failure": None}
@@ -167,10 +178,6 @@ def publish(
     if kept:
         following += f" --force, which makes {', '.join(kept)} again for them; full runs stay"
     report.info(f"the case with the {len(points)} points: {case_file}; next: {following}")
-
-
-def _last(outcome: Outcome) -> tuple[ParameterPoint, ...]:
-    return outcome.stages[-1].points
 
 
 def _rows(outcome: Outcome) -> Iterator[dict[str, Any]]:
@@ -208,11 +215,11 @@ def _percent(value: float) -> str:
 
 def _statement(outcome: Outcome) -> str:
     """Return what the training reached, and why it ended."""
-    worst, at = outcome.stages[-1].worst(outcome.fields)
-    tolerance = f"{outcome.case.training.percent:g} %"
-    floor = _percent(outcome.stages[-1].floor[outcome.fields].max())
+    last, tolerance = outcome.stages[-1], f"{outcome.case.training.percent:g} %"
+    worst, at = last.worst(outcome.fields)
+    floor = _percent(last.floor[outcome.fields].max())
     ends = {
-        "within": f"within {tolerance} everywhere with {len(_last(outcome))} full runs",
+        "within": f"within {tolerance} everywhere with {len(last.points)} full runs",
         "budget": f"not within {tolerance}: the budget of {outcome.case.training.budget} full runs "
         "is spent; --budget gives more, and the same command goes on",
         "floor": f"not within {tolerance}, and no further run would bring it there; give the model "
