@@ -240,8 +240,7 @@ def draw_training(outcome: Outcome) -> Figure:
     n_runs = np.array([len(stage.points) for stage in stages])
     worst = Curve("worst estimate", n_runs, np.array([each.max() for each in estimates]))
     held = [len(s.points) for s in stages for r in s.held_out if r.failure is None]
-    learnt = np.array(held, dtype=int)
-    curves = [worst, *_known_errors(outcome, learnt, n_runs)]
+    curves = [worst, *_known_errors(outcome, np.array(held, dtype=int), n_runs)]
     panels = [Panel("", "full runs learnt from", error, curves, "logarithmic")]
     names = list(outcome.case.training.ranges)
     if len(names) == 1:
