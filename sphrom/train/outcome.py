@@ -16,7 +16,6 @@ from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Panel, draw_grid
 from sphrom.plots.tables import (
     UNKNOWN,
-    about,
     format_figure,
     rows_of_columns,
     write_csv,
@@ -152,15 +151,17 @@ def publish(
     rows = list(_rows(outcome))
     table = rows_of_columns(units, ({**dict.fromkeys(units), **row} for row in rows))
     write_csv(folder / "training.csv", table)
-    origin = about(outcome.case.name, workspace.threads)
-    origin |= {
-        "model": outcome.model,
-        "quantity": outcome.case.training.quantity,
-        "tolerance_percent": outcome.case.training.percent,
-        "ending": outcome.ending,
-        "trained": [point.as_dict() for point in points],
-    }
-    write_json(folder / "training.json", {"stages": table}, origin)
+    write_json(
+        folder / "training.json",
+        {"stages": table},
+        outcome.case.name,
+        workspace.threads,
+        model=outcome.model,
+        quantity=outcome.case.training.quantity,
+        tolerance_percent=outcome.case.training.percent,
+        ending=outcome.ending,
+        trained=[point.as_dict() for point in points],
+    )
     save(draw_training(outcome), folder / "training.png")
     others = [name for name in names if name.partition("_")[0] not in outcome.quantity]
     shown = [name for name in units if name not in (*others, "failure")]
