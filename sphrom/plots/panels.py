@@ -204,7 +204,7 @@ def draw_grid(
         bars = 0.5 if scales is None else 0.0
         height = max(height, picture_width * (upper - lower) / (right - left) + 0.3 + bars)
     with styled():
-        width = max(sum(widths) + 0.7, LETTER * len(title), LEAST_WIDTH)
+        width = max(sum(widths) + 0.7, LETTER * max(map(len, title.split("\n"))), LEAST_WIDTH)
         figure = new_figure(width, len(rows) * height + 1.2)
         grid = figure.subplots(len(rows), len(longest), squeeze=False, width_ratios=widths)
         places: list[tuple[Axes, Field | Panel]] = []
