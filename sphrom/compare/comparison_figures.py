@@ -64,6 +64,10 @@ def draw_comparison(workspace: Workspace, tables: Tables, *, again: bool) -> Non
     folder = workspace.folder("plots")
     with StoredComparison.of(workspace) as comparison:
         figures = list(_figures(workspace, tables, comparison))
+        named = {folder / f"{name}.png" for name, _ in figures}
+        for point in workspace.case.plan.points:  # of what was compared before, and is no more
+            for old in {*folder.glob(f"*-{point.file_label}.png")} - named:
+                old.unlink()
         with workspace.context.report.details.progress("pictures", len(figures)) as advance:
             for name, draw in figures:
                 if again or not (folder / f"{name}.png").exists():
@@ -167,7 +171,9 @@ class _PointFigures:
         label = "velocity, field, at all instants: relative L2 [%]"
         errors = _error_panel(self.case, "velocity_field_relative_l2", label, complete)
         frame, fields = frame_of(self.case), [*self._beside(fastest.name, "speed")]
-        rows = [[field] for field in fields] if frame.height(1.0) < FLAT else [fields]
+        left, right, lower, upper = frame.extent
+        flat = upper - lower < FLAT * (right - left)
+        rows = [[field] for field in fields] if flat else [fields]
         return draw_grid(rows, frame, scales=self._scales, title=self.when, beside=errors)
 
     @cached_property
