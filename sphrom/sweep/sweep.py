@@ -23,6 +23,7 @@ from sphrom.case.studies import sweep_model, sweep_name, sweep_points
 from sphrom.console import Reporter
 from sphrom.errors import ArtifactError, CaseError, UnstableError, error_of
 from sphrom.metrics import measures
+from sphrom.metrics.draws import fewest_runs
 from sphrom.metrics.measures import STATISTICS, UNITS, component_names
 from sphrom.offline.fom import ensure_packed
 from sphrom.plots.tables import format_figure, rows_of_columns, write_csv
@@ -244,6 +245,9 @@ class Results:
             statistics.show(report, found)
         elif case.sweep.levels:
             report.warn("statistics: there are none, as too few runs have a result")
+        elif case.sweep.sample is not None:
+            least = fewest_runs(case.sweep.quantiles)
+            report.note(f"statistics: there are none; they need sample.count: {least} or more")
         if n_left := counts[STATES[NOT_RUN]]:
             raise ArtifactError(
                 f"{n_left} of {len(records)} runs have not been made yet; the others were "
