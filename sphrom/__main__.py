@@ -8,8 +8,6 @@ import sys
 # Threads are the kernels' business: a BLAS that shares small systems out over threads of its own
 # is many times slower where cores are busy, and its results depend on their number.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# Threads that wait give way: where cores are shared, spinning ones keep out those they wait for.
-os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 # Nothing plugs into pydantic here, and to look for plugins takes a tenth of a short command.
 os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")
 

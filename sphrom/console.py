@@ -34,8 +34,8 @@ LONGEST_LINE = 500
 """Characters of an error or a warning: what they quote may be of any length."""
 PROSE = 100
 """Characters of a line of sentences where there is no terminal."""
-TOGETHER = re.compile("`[^`]{,76}`|sphrom [^`]{,68}$| %")
-"""What stands in one line: a command to copy, a figure and its percent sign."""
+TOGETHER = re.compile("`[^`]*`|sphrom [^`]*$| %")
+"""What stands in one line: a command to copy, of any length, a figure and its percent sign."""
 WHOLE_WORDS: Any = {"break_long_words": False, "break_on_hyphens": False}
 _ERASE = "\r\x1b[K"
 
@@ -201,22 +201,22 @@ class Reporter:
     def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         """Show a result as a table: the first column to the left, numbers to the right.
 
-        A row that is longer than a terminal's line goes on in indented ones.
+        Columns that don't fit a terminal's line follow below, beside the first one again.
         """
         columns, *rows = ([visible(cell) for cell in row] for row in (columns, *rows))
         widths = [max(map(len, cells)) for cells in zip(columns, *rows, strict=True)]
         level = Level.DETAIL if self._level is Level.DETAIL else Level.RESULT
         room = _columns() if self._terminal else sys.maxsize
+        parts: list[list[int]] = [[]]
+        for k in range(1, len(widths)):
+            if parts[-1] and widths[0] + sum(2 + widths[i] for i in (*parts[-1], k)) > room:
+                parts.append([])
+            parts[-1].append(k)
         self._tell(title, level)
-        for row in (columns, ["-" * width for width in widths], *rows):
-            first, *others = zip(row, widths, strict=True)
-            line = first[0].ljust(first[1])
-            for cell, width in others:
-                if len(line) + 2 + width > room:
-                    self._tell(line.rstrip(), level)
-                    line = ""
-                line += "  " + cell.rjust(width)
-            self._tell(line.rstrip(), level)
+        for part in parts:
+            for row in (columns, ["-" * width for width in widths], *rows):
+                cells = (row[k].rjust(widths[k]) for k in part)
+                self._tell("  ".join((row[0].ljust(widths[0]), *cells)).rstrip(), level)
 
     @contextmanager
     def progress(self, description: str, total: int) -> Iterator[Callable[[int], None]]:

@@ -102,15 +102,18 @@ def test_a_terminal_shows_it_so_too(monkeypatch, clock):
 
 
 def test_lines_of_a_terminal_have_whole_words(monkeypatch):
-    """Rows of tables go on in indented lines."""
+    """Commands stay whole, to be copied; columns of tables go on below, beside the first one."""
     terminal = Terminal()
     monkeypatch.setattr(sys, "stdout", terminal)
     monkeypatch.setenv("COLUMNS", "20")
     console.tell("a well-known name  or `what it is`", indent=4)
+    console.tell("next: `sphrom run a_case_of_a_long_name.yaml --out there`")
     Reporter().table("five words of a title", ["run", "speed", "pressure"], [["full", "1", "2"]])
     assert terminal.text.splitlines() == [
-        "a well-known name", "    or `what it is`", "five words of a", "title",
-        "run   speed", "  pressure", "----  -----", "  --------", "full      1", "         2",
+        "a well-known name", "    or `what it is`",
+        "next:", "`sphrom run a_case_of_a_long_name.yaml --out there`", "five words of a", "title",
+        "run   speed", "----  -----", "full      1",
+        "run   pressure", "----  --------", "full         2",
     ]  # fmt: skip
 
 

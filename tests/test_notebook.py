@@ -36,7 +36,7 @@ def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     texts = {name: [o["text"] for o in outputs if o.get("name") == name] for name in STREAMS}
     assert texts["stderr"] == []
     assert "\nrelative L2 error of the velocity at the end:" in "".join(texts["stdout"])
-    assert sum("image/png" in output.get("data", ()) for output in outputs) == 2
+    assert sum("image/png" in output.get("data", ()) for output in outputs) == 3
     assert (tmp_path / "runs" / "notebook" / "operators.h5").exists()
 
 

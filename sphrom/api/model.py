@@ -73,9 +73,8 @@ class Model:
         points = [parameter_point(case, values) for values in rows]
         for point in points:
             require_basis(case, self._section, point)
-        for warning in filter(None, (extrapolation(case, point) for point in points)):
+        if warning := next(filter(None, map(partial(extrapolation, case), points)), None):
             self._warn(warning)
-            break
         return points
 
     def _warn(self, text: str) -> None:

@@ -22,8 +22,11 @@ Output = Annotated[Path | None, option("FILE", "Write there.", "--output", "-o")
 Force = Annotated[bool, typer.Option("--force", help="Write over a file.")]
 
 
-def write_new(target: Path, text: str, next_step: str, *, force: bool) -> None:
-    """Write a file, over another with `force` only, and tell so."""
+def write_new(target: Path | None, text: str, next_step: str, *, force: bool) -> None:
+    """Write a file, over another with `force` only, and tell so; print it where none is named."""
+    if target is None:
+        print(text, end="")
+        return
     try:
         with open_to_write(target, "w" if force else "x") as file:
             file.write(text)
@@ -103,9 +106,6 @@ def new(
     from sphrom.case import template
 
     text = template.new_case(kind, full=full)
-    if output is None:
-        print(text, end="")
-        return
     write_new(output, text, f"; next: sphrom case check {output}", force=force)
 
 
@@ -156,8 +156,4 @@ def schema(output: Output = None, force: Force = False) -> None:
     """
     from sphrom.case.schema import json_schema
 
-    text = json.dumps(json_schema(), indent=2)
-    if output is None:
-        print(text)
-    else:
-        write_new(output, text + "\n", "", force=force)
+    write_new(output, json.dumps(json_schema(), indent=2) + "\n", "", force=force)

@@ -97,7 +97,8 @@ class Answer:
         if timing is None or timing.speed_up is None:
             yield "How long the full run took is unknown, and so is from when on the model pays."
             return
-        longest = "" if timing.full_step is None else " at its largest stable step"
+        imported = timing.full_step is None
+        longest = ", as its import says" if imported else " at its largest stable step"
         took = (
             f"Undisturbed, on one thread, it takes {duration(timing.reduced_seconds or 0.0)}, "
             f"the full run {duration(timing.full_seconds or 0.0)}{longest}."

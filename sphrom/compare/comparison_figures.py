@@ -62,6 +62,10 @@ def draw_comparison(workspace: Workspace, tables: Tables, *, again: bool) -> Non
     folder = workspace.folder("plots")
     with StoredComparison.of(workspace) as comparison:
         figures = list(_figures(workspace, tables, comparison))
+        named = {folder / f"{name}.png" for name, _ in figures}
+        for point in workspace.case.plan.points:  # of what was compared before, and is no more
+            for old in {*folder.glob(f"*-{point.file_label}.png")} - named:
+                old.unlink()
         with workspace.context.report.details.progress("pictures", len(figures)) as advance:
             for name, draw in figures:
                 if again or not (folder / f"{name}.png").exists():

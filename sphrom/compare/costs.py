@@ -104,15 +104,6 @@ def full_run_timer(workspace: Workspace, point: ParameterPoint, step: float) -> 
     return _steps_timer(workspace.case, model, state, own, step)
 
 
-def particle_run_timer(
-    workspace: Workspace, model: ReducedModelSection, point: ParameterPoint, step: float
-) -> Callable[[], float]:
-    """Return what times steps of a model on particles, as `full_run_timer` does."""
-    reduced, state = build_model(workspace, model, point)
-    close(workspace.case, model, reduced, state, workspace.case.plan.steps.start_time)
-    return _steps_timer(workspace.case, reduced, state, step, step)
-
-
 def _steps_timer(
     case: Case, model: Model, state: Array, step: float, counted: float
 ) -> Callable[[], float]:
@@ -154,7 +145,9 @@ def run_timings(workspace: Workspace) -> Iterator[RunTiming]:
             run_again = quick.at_point(point).integrator(quick.at(point)).run
             timers[own] = partial(seconds_of, run_again)
         elif own not in timers:
-            timers[own] = particle_run_timer(workspace, model, point, step)
+            reduced, state = build_model(workspace, model, point)
+            close(case, model, reduced, state, plan.steps.start_time)
+            timers[own] = _steps_timer(case, reduced, state, step, step)
         sizes = plan.n_particles, n_modes
         factors = compression_factor(*sizes), field_compression_factor(*sizes)
         longest = None if imported else largest_step(case)

@@ -12,8 +12,8 @@ import base64
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from functools import lru_cache
+from dataclasses import dataclass
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import quoteattr
@@ -28,7 +28,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange.import_options import place
-from sphrom.plots.tables import write_csv
+from sphrom.plots.tables import rows_of_columns, write_csv
 from sphrom.setup.context import StageContext
 from sphrom.sph.fluid import pressure_of
 from sphrom.store.sampling import probes_of
@@ -41,6 +41,8 @@ FOLDER = "export"
 """Where files go unless another folder is named, beside the artifacts."""
 FIELDS, PROBES = "vtu", "csv"
 """The formats: fields for ParaView, and tables of runs at some points."""
+HEAD = {"time": "s", "x": "m", "y": "m", "velocity_x": "m/s", "velocity_y": "m/s", "pressure": "Pa"}
+"""Columns of a table of a run, with their units: one row for each point and time."""
 POINTS = "reference_position"
 _VERTEX = 1
 """VTK's number of a cell that is a single point."""
@@ -89,11 +91,8 @@ def run(
     if at and to != PROBES:
         raise CaseError(f"--at: goes with --to {PROBES}")
     workspace, folder = Workspace(context), into or context.out / FOLDER
-    if to == PROBES:
-        n_written = _write_tables(workspace, folder, at or ())
-    else:
-        n_written = _write_all(workspace, folder)
-    if n_written == 0:
+    write = _write_all if to == FIELDS else partial(_write_tables, at=at or ())
+    if write(workspace, folder) == 0:
         raise ArtifactError(
             f"{context.out}: nothing to export; make runs with `sphrom run {context.words}`"
         )
@@ -242,18 +241,6 @@ def _write_xml(path: Path, kind: str, body: str, force: bool) -> None:
         file.write(f'<?xml version="1.0"?>\n{_tag("VTKFile", _tag(kind, body), **about)}'.encode())
 
 
-@dataclass(frozen=True)
-class ProbeRow:
-    """Velocity and pressure at one point and time."""
-
-    time: float = field(metadata={"unit": "s"})
-    x: float = field(metadata={"unit": "m"})
-    y: float = field(metadata={"unit": "m"})
-    velocity_x: float = field(metadata={"unit": "m/s"})
-    velocity_y: float = field(metadata={"unit": "m/s"})
-    pressure: float = field(metadata={"unit": "Pa"})
-
-
 def _write_tables(workspace: Workspace, folder: Path, at: Sequence[str]) -> int:
     """Write a table of every run at points like `0.5,0.5`, or along the line, and return how many.
 
@@ -271,15 +258,14 @@ def _write_tables(workspace: Workspace, folder: Path, at: Sequence[str]) -> int:
             raise ArtifactError(f"{path} exists already; --force replaces it")
         with StoredRun.opened(workspace, item.point, item.model) as run:
             samples = run.sampled(points)
+        snapshots = zip(samples.time.tolist(), samples.velocity, samples.pressure, strict=True)
         rows = [
-            ProbeRow(float(time), *values)
-            for time, velocity, pressure in zip(
-                samples.time, samples.velocity, samples.pressure, strict=True
-            )
+            dict(zip(HEAD, (time, *values), strict=True))
+            for time, velocity, pressure in snapshots
             for values in np.column_stack((points, velocity, pressure)).tolist()
         ]
         if rows:  # of a run that became unstable at once there are none
             make_folder(folder, "--into")
-            write_csv(path, rows)
+            write_csv(path, rows_of_columns(HEAD, rows))
             workspace.context.report.info(f"wrote {path}: {len(points)} points")
     return len(runs)

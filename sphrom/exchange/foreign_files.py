@@ -133,11 +133,10 @@ def _listed(path: Path) -> list[Source]:
     return listed
 
 
-def read_foreign(path: Path, array: str | None = None, step: int = 0) -> ForeignSnapshot:
+def read_foreign(source: Source, array: str | None = None) -> ForeignSnapshot:
     """Read a snapshot, of the set of particles `array` where a file holds several.
 
-    In files that aren't PySPH's `array` is a field and its value, such as `Type=3`. `step` is the
-    number of the snapshot in a file that holds many.
+    In files that aren't PySPH's `array` is a field and its value, such as `Type=3`.
 
     Raises
     ------
@@ -145,14 +144,14 @@ def read_foreign(path: Path, array: str | None = None, step: int = 0) -> Foreign
         When the file is missing, damaged, of an unknown kind, unsafe, or holds numbers that are
         not finite.
     """
-    suffix = path.suffix.lower()
+    path, suffix = source.path, source.path.suffix.lower()
     if suffix not in KINDS:
         raise ArtifactError(f"{path}: is of no kind that can be read ({', '.join(KINDS)})")
     with _refused(path):
         if suffix in PYSPH:
             time, values = _read_pysph(path, array)
         else:
-            time, values = _read_numpy(path) if suffix == NUMPY else _read_vtk(path, step)
+            time, values = _read_numpy(path) if suffix == NUMPY else _read_vtk(path, source.step)
             values = values if array is None else _chosen(values, array)
         require_snapshot_size(8 * sum(value.size for value in values.values()))
         return ForeignSnapshot(path, time, dict(_scalars(values)))

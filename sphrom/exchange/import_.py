@@ -96,11 +96,8 @@ def run(context: StageContext, files: Sequence[Path], about: ImportOptions) -> N
             "time.spin_up: must be 0, as an imported run is recorded from its start: "
             "--set time.spin_up=0; --start leaves earlier snapshots out"
         )
-    target = replace(
-        workspace.full_run(points[0]),
-        stage="import",
-        made_by=f"sphrom import {context.words} FILES",
-    )
+    made_by = f"sphrom import {context.words} FILES"
+    target = replace(workspace.full_run(points[0]), stage="import", made_by=made_by)
     found = find_sources(files, about)
     choices = choose(found, case.plan.steps, about)
     options = shlex.join([*about.words, f"--only={points[0].label}"])
@@ -123,7 +120,7 @@ def run(context: StageContext, files: Sequence[Path], about: ImportOptions) -> N
             f"the last of them {left_out[-1].path.name}, at t = {left_out[-1].time:.6g} s"
         )
     require_room(case, workspace.out, points)
-    converter = Converter(case, about, _read(choices[0][1][0], about))
+    converter = Converter(case, about, choices[0][1][0])
     ensure_packed(workspace)
     _write(workspace, target, points[0], choices, converter, origin)
     if any(len(nodes) > 1 for _, nodes in choices):
@@ -135,10 +132,6 @@ def run(context: StageContext, files: Sequence[Path], about: ImportOptions) -> N
         f"{len(found)} in the files; the largest speed is {converter.largest_speed:.4g} m/s, "
         f"|rho - rho_0| / rho_0 at most {converter.largest_fluctuation:.2g}"
     )
-
-
-def _read(source: Source, about: ImportOptions) -> ForeignSnapshot:
-    return read_foreign(source.path, about.array, source.step)
 
 
 def _write(
@@ -165,7 +158,7 @@ def _write(
             forces=particles.wall_forces(case, point, model),
             fields=MeasuredFields.of(case),
         )
-        read = lru_cache(maxsize=2 * N_NODES)(lambda source: converter(_read(source, about)))
+        read = lru_cache(maxsize=2 * N_NODES)(converter)
         with workspace.context.report.progress(f"import, {point.label}", len(choices)) as advance:
             for index, (time, nodes) in enumerate(choices):
                 near = [(node.time, read(node)) for node in nodes]
@@ -278,7 +271,7 @@ def fitted_case(
     """
     found = find_sources(files, about)
     case, keys = load_case(source, overrides), list[str]()
-    resolution = _fitting_resolution(case, _read(found[0], about).n_particles)
+    resolution = _fitting_resolution(case, read_foreign(found[0], about.array).n_particles)
     if resolution is not None:
         keys.append(f"discretization.resolution={resolution}")
     if case.time.spin_up > 0.0:
@@ -307,12 +300,12 @@ def _fitting_resolution(case: Case, n_found: int) -> int | None:
 
 
 class Converter:
-    """Converts snapshots into the case's units and frame, checked; keeps their extremes."""
+    """Reads snapshots in the case's units and frame, checked; keeps their extremes."""
 
-    def __init__(self, case: Case, about: ImportOptions, first: ForeignSnapshot) -> None:
+    def __init__(self, case: Case, about: ImportOptions, source: Source) -> None:
         self.about = about
         self._case = case
-        self._first = first
+        self._first = first = read_foreign(source, about.array)
         self._position = pair("position", about.position)
         self._origin = place("origin", about.origin)
         self._scales = about.scales
@@ -328,11 +321,12 @@ class Converter:
                 + (", and basis.lagrangian needs the very number" * case.basis.lagrangian)
             )
 
-    def __call__(self, given: ForeignSnapshot) -> Snapshot:
+    def __call__(self, source: Source) -> Snapshot:
         """Return a snapshot in SI units and the scene's frame, its particles in the box.
 
         Raises CaseError or ArtifactError where it does not fit the case or the first one.
         """
+        given = read_foreign(source, self.about.array)
         order = self._order(given)
         velocity = np.stack([given.field(name, "--velocity")[order] for name in self._velocity])
         velocity = velocity * self._scales["velocity"]

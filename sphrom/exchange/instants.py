@@ -17,7 +17,6 @@ from pathlib import Path
 
 import numpy as np
 
-from sphrom.arrays import Array
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange.foreign_files import Source, read_foreign, snapshots_in
 from sphrom.exchange.import_options import ImportOptions
@@ -76,7 +75,7 @@ def find_sources(files: Sequence[Path], about: ImportOptions) -> list[Source]:
 def _time_of(source: Source, about: ImportOptions) -> float:
     if not math.isnan(source.time):
         return source.time
-    time = read_foreign(source.path, about.array, source.step).time
+    time = read_foreign(source, about.array).time
     if math.isnan(time):
         raise CaseError(f"--time-step: is needed: {source.path} does not tell its time")
     return time
@@ -152,9 +151,11 @@ def interpolated(
     nearest = int(np.argmax(weights))
     base = near[nearest][1].position
     fastest = max(float(np.hypot(*snapshot.velocity).max()) for _, snapshot in near)
-    moved = np.zeros_like(base)
+    length, periodic = (np.array(each)[:, None] for each in (domain.lengths, domain.periodic))
+    moved, velocity, fluctuation = np.zeros_like(base), np.zeros_like(base), np.zeros(base.shape[1])
     for (node, snapshot), weight in zip(near, weights, strict=True):
-        offset = _offset(domain, snapshot.position, base)
+        offset = snapshot.position - base
+        offset -= np.where(periodic, length * np.round(offset / length), 0.0)  # the shortest way
         farthest, seconds = float(np.hypot(*offset).max()), abs(node - nodes[nearest])
         if farthest > FARTHEST * fastest * seconds + spacing:
             raise CaseError(
@@ -162,16 +163,7 @@ def interpolated(
                 "than any is: its order differs between files; name the field with its number"
             )
         moved += weight * offset
-    parts = [(weight, snapshot) for weight, (_, snapshot) in zip(weights, near, strict=True)]
-    return Snapshot(
-        np.ascontiguousarray(domain.wrap((base + moved).T).T),
-        np.asarray(sum(weight * snapshot.density_fluctuation for weight, snapshot in parts)),
-        np.asarray(sum(weight * snapshot.velocity for weight, snapshot in parts)),
-    )
-
-
-def _offset(domain: Domain, position: Array, base: Array) -> Array:
-    """Return the way from `base` to `position` (2, n_particles) [m], the shortest one."""
-    offset, length = position - base, np.array(domain.lengths)[:, None]
-    periodic = np.array(domain.periodic)[:, None]
-    return np.asarray(offset - np.where(periodic, length * np.round(offset / length), 0.0))
+        velocity += weight * snapshot.velocity
+        fluctuation += weight * snapshot.density_fluctuation
+    position = np.ascontiguousarray(domain.wrap((base + moved).T).T)
+    return Snapshot(position, fluctuation, velocity)

@@ -64,7 +64,6 @@ WHOLLY = 0.99
 """Share of a parameter in undetermined directions from which on it is undetermined itself."""
 SHOWN_SHARE = 0.01
 """The same, from which on it belongs to an undetermined combination."""
-AT_BOUND, UNDETERMINED = "at its bound", "not determined"
 MOST_SHOWN = 12
 """Histories in the terminal, and in the figure."""
 COLUMNS = 2
@@ -238,16 +237,11 @@ def show(report: Reporter, fit: Fit) -> None:
 def _shown(estimate: Estimate) -> tuple[str, ...]:
     unit = UNITS.get(estimate.parameter, "")
     name = f"{estimate.parameter} [{unit}]" if unit else estimate.parameter
-    values = (estimate.value, estimate.low, estimate.high)
-    parts = (estimate.standard_deviation, estimate.by_noise, estimate.by_model)
-    share = 100.0 * estimate.standard_deviation / abs(estimate.value) if estimate.value else None
-    return (
-        name,
-        *(format_figure(value, SHOWN_DIGITS) for value in values),
-        *(format_figure(part, 2) for part in parts),
-        format_figure(share, 2),
-        estimate.remark,
-    )
+    values, deviation = (estimate.value, estimate.low, estimate.high), estimate.standard_deviation
+    share = 100.0 * deviation / abs(estimate.value) if estimate.value else None
+    parts = (deviation, estimate.by_noise, estimate.by_model, share)
+    shown = *(format_figure(v, SHOWN_DIGITS) for v in values), *(format_figure(p, 2) for p in parts)
+    return name, *shown, estimate.remark
 
 
 def fit(fast: FastModel, box: Box, measurements: Measurements, known: TrainingDifferences) -> Fit:
@@ -328,8 +322,8 @@ def _estimates(
     box, values = model.box, model.box.values(best.place)
     slopes = box.slopes(best.place)
     for k, name in enumerate(box.names):
-        at_bound = AT_BOUND if best.at_bound[k] else ""
-        remark = UNDETERMINED if shares[k] > SHOWN_SHARE else at_bound
+        at_bound = "at its bound" * bool(best.at_bound[k])
+        remark = "not determined" if shares[k] > SHOWN_SHARE else at_bound
         noise, error = (float(slopes[k] * np.sqrt(c[k, k])) for c in (known.noise, known.model))
         reach = best.place[k] + known.half_width[k] * np.array([-1.0, 1.0])
         low, high = (box.value(name, end) for end in np.clip(reach, 0.0, 1.0).tolist())

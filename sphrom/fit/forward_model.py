@@ -13,19 +13,18 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import cached_property
 
 import numpy as np
 
-from sphrom.arrays import Array, Indices
+from sphrom.arrays import Array
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import Box, Ranges
 from sphrom.errors import CaseError, UnstableError
 from sphrom.fit.measurements import UNNAMED, History
-from sphrom.metrics.measures import PLACED, FieldMeasure, Quantities
+from sphrom.metrics.measures import PLACED, FieldMeasure, Quantities, items
 from sphrom.online.basis_model import fields_of, quantities_of
 from sphrom.online.fast_model import FastModel
-from sphrom.online.sensitivities import Tangents, tangents
+from sphrom.online.sensitivities import tangents
 from sphrom.reduction import reference_model
 from sphrom.reduction.error_calibration import compared_snapshots
 from sphrom.reduction.exponential_steps import ExponentialModel
@@ -67,6 +66,9 @@ class FittedModel:
         self.histories = tuple(histories)
         self._case = fast.workspace.case
         unnamed = dict.fromkeys(h.place for h in histories if h.place is not None)
+        times = [h.time for h in histories]
+        self._instants, self._at = np.unique(np.concatenate(times), return_inverse=True)
+        self._which = np.repeat(np.arange(len(times)), [len(time) for time in times])
         self._places = {place: k for k, place in enumerate(unnamed)}
         self.unnamed: MeasuredFields | None = None
         """What samples fields at the places that the case doesn't name, if there are any."""
@@ -99,16 +101,15 @@ class FittedModel:
         basis : another than that of the point.
         """
         basis = self.fast.basis_at(point) if basis is None else basis
-        found = self.fast.on_basis(basis).at(point)
+        model = self.fast.on_basis(basis)
+        found = model.at(point)
         if basis not in self._stepped:
-            model = self.fast.on_basis(basis)
             self._stepped[basis] = model.projected(model.points[0], in_training=True)
         if basis not in self._measures:
             self._measures[basis] = {}
             if (fields := self.unnamed) is not None:
-                splines = self.fast.on_basis(basis).splines
                 self._measures[basis] = project_measures(
-                    found.basis, splines, fields.position, fields.of_fields
+                    found.basis, model.splines, fields.position, fields.of_fields
                 )
         measures = {**found.measures, **self._measures[basis]}
         return replace(found.with_steps_of(self._stepped[basis]), measures=measures)
@@ -144,19 +145,12 @@ class FittedModel:
             run = tangents(self.fast, point, self.box.names, reduced, integrator=steps)
         except UnstableError:
             return None
-        values = self.stacked(self.quantities(point, reduced, run.run))
-        by_parameter = [self.stacked(_changes(run, k)) for k in range(len(run.parameters))]
-        slopes = np.stack(by_parameter, axis=-1) * self.box.slopes(place)
-        return run.time, values, slopes
-
-    def quantities(
-        self, point: ParameterPoint, reduced: ReferenceModel, coordinates: Array
-    ) -> dict[str, Quantities]:
-        """Return what is measured in coordinates (n_snapshots, n_modes) of a run."""
-        time, mean = reduced.output_times.time, reduced.mean_density_fluctuation
-        named = quantities_of(self._case, reduced, time, coordinates)
+        named = quantities_of(self._case, reduced, reduced.output_times.time, run.run)
         places = {name: m for name, m in reduced.measures.items() if name == UNNAMED}
-        return {**named, **fields_of(places, mean, coordinates)}
+        unnamed = fields_of(places, reduced.mean_density_fluctuation, run.run)
+        changes = [items(run.measured, k) for k in range(len(run.parameters))]
+        slopes = np.stack([self.stacked(each) for each in changes], axis=-1)
+        return run.time, self.stacked({**named, **unnamed}), slopes * self.box.slopes(place)
 
     def stacked(self, measured: Mapping[str, Quantities]) -> Array:
         """Return the histories (n_snapshots, n_histories) among what is measured."""
@@ -168,31 +162,18 @@ class FittedModel:
             values = values[:, 0 if history.place is None else self._places[history.place]]
         return values if history.component is None else values[:, history.component]
 
-    @cached_property
-    def _instants(self) -> tuple[Array, Indices, Indices]:
-        """The instants of all values, and of each value the instant and the history."""
-        times = np.concatenate([h.time for h in self.histories])
-        which = np.repeat(np.arange(len(self.histories)), [len(h.time) for h in self.histories])
-        unique, at = np.unique(times, return_inverse=True)
-        return unique, at, which
-
     def at_instants(self, time: Array, histories: Array) -> Array:
         """Return histories (n_snapshots, n_histories, ...) at the instants of values.
 
         Between snapshots they are cubic splines.
         """
-        instants, at, which = self._instants
+        instants = self._instants
         if len(time) != len(instants) or not np.allclose(time, instants, rtol=0.0, atol=1e-12):
             from scipy.interpolate import make_interp_spline
 
             spline = make_interp_spline(time, histories, k=min(3, len(time) - 1))
             histories = np.asarray(spline(np.clip(instants, time[0], time[-1])))
-        return histories[at, which]
-
-
-def _changes(run: Tangents, k: int) -> dict[str, Quantities]:
-    """Return the derivatives of measured quantities with respect to the k-th parameter."""
-    return {n: {q: v[k] for q, v in m.items()} for n, m in run.measured.items()}
+        return histories[self._at, self._which]
 
 
 def error_samples(model: FittedModel, place: Array, known: TrainingDifferences) -> Array | None:
@@ -214,8 +195,7 @@ def error_samples(model: FittedModel, place: Array, known: TrainingDifferences) 
         return None
     reduced = model.reduced(point)
     run = fast.run(point, reduced, model.integrator(reduced))
-    found = run.estimate
-    if found is None:
+    if (found := run.estimate) is None:
         return None
     key = (name, tuple((h.measure, h.place, h.quantity, h.component) for h in model.histories))
     if key not in known:
@@ -243,10 +223,7 @@ def _differences(model: FittedModel, name: str) -> tuple[Array, Array]:
     for k, (reduced, own) in enumerate(taught.held_out):
         if not np.isfinite(own).all():
             continue
-        found = {
-            measured: {q: each[k, compared] for q, each in quantities.items()}
-            for measured, quantities in taught.measured_differences.items()
-        }
+        found = items(items(taught.measured_differences, k), compared)
         if (fields := model.unnamed) is not None:
             measure = model.reduced(points[k], name).measures[UNNAMED]
             given = measure.at(own[compared], reduced.mean_density_fluctuation)

@@ -18,8 +18,10 @@ import csv
 import hashlib
 import io
 import math
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -187,7 +189,8 @@ def _entries(text: str, case: Case) -> dict[Key, list[Entry]]:
     for line, row in rows:
         if len(row) > len(names):
             raise ValueError(f"line {line}: has {len(row)} cells for {len(names)} columns")
-        cells = {name: _number(row, i, name, line) for i, name in enumerate(names)}
+        each = zip_longest(names, row, fillvalue="")
+        cells = {name: _number(cell.strip(), name, line) for name, cell in each}
         for name, column in columns.items():
             if math.isnan(value := cells[name]):
                 continue
@@ -227,10 +230,8 @@ def _names(head: Sequence[str], case: Case) -> Iterator[str]:
 
 def _name_and_unit(cell: str) -> tuple[str, str | None]:
     """Return what the head of a column says: `wake_pressure [Pa]`; None where it has no unit."""
-    name, bracket, unit = cell.strip().partition("[")
-    if not bracket or not unit.endswith("]"):
-        return cell.strip(), None
-    return name.strip(), unit[:-1].strip()
+    found = re.fullmatch(r"(.*?)\[(.*)\]", cell.strip())
+    return (found[1].strip(), found[2].strip()) if found else (cell.strip(), None)
 
 
 def column_of(case: Case, name: str) -> Column:
@@ -246,9 +247,8 @@ def column_of(case: Case, name: str) -> Column:
     return known[name]
 
 
-def _number(row: Sequence[str], i: int, name: str, line: int) -> float:
+def _number(text: str, name: str, line: int) -> float:
     """Return a cell's number, NaN for a value that wasn't measured."""
-    text = row[i].strip() if i < len(row) else ""
     try:
         value = float(text or "nan")
     except ValueError:

@@ -5,7 +5,11 @@ Loading them takes longer than many a command that runs none of them.
 
 from __future__ import annotations
 
+import os
 import sys
+
+# Threads that wait give way: where cores are shared, spinning ones keep out those they wait for.
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 SUPPORT_RATIO = 2.0
 """Support radius of the smoothing kernel over its smoothing length (kappa)."""

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sphrom.arrays import Array
+from sphrom.arrays import Array, Indices
 
 Quantities = Mapping[str, Array]
 """By UNITS, what one measurement gives."""
@@ -79,6 +79,11 @@ def components(quantity: str, values: Array) -> dict[str, Array]:
     """Return values (n_snapshots, ...) by the names of components."""
     each = np.moveaxis(values, -1, 0) if quantity in VECTORS else (values,)
     return dict(zip(component_names(quantity), each, strict=True))
+
+
+def items(measured: Mapping[str, Quantities], index: int | Indices) -> dict[str, Quantities]:
+    """Return items along the first axis of all quantities, by measurement."""
+    return {name: {q: v[index] for q, v in each.items()} for name, each in measured.items()}
 
 
 def of_a_run(quantities: Quantities) -> Quantities:

@@ -31,7 +31,15 @@ def run(context: StageContext) -> None:
     require_room(context.case, workspace.out, context.only)
     describe_cost(context.case, context.report)
     ensure_packed(workspace)
-    for point in context.chosen(context.case.plan.points):
+    points = context.chosen(context.case.plan.points)
+    theirs = [p.label for p in points if workspace.imported(workspace.full_run(p))]
+    ours = [point.label for point in points if point.label not in theirs]
+    if theirs and ours:
+        context.report.warn(
+            f"runs at {'; '.join(theirs)} were imported, those at {'; '.join(ours)} are simulated "
+            "here: models learn from both, and are compared with both"
+        )
+    for point in points:
         target = ensure_run(workspace, point)
         remove_checkpoints(target)
         with workspace.open(target) as trajectory:

@@ -69,7 +69,6 @@ STYLE: Any = {
     "grid.color": "#dddddd",
     "grid.linewidth": 0.6,
     "image.interpolation": "nearest",
-    "figure.constrained_layout.use": True,
     "svg.hashsalt": "sphrom",
 }
 

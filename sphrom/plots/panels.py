@@ -115,11 +115,6 @@ class Frame:
     """Left, right, lower and upper edge [m]."""
     solids: Solids | None = None
 
-    def height(self, width: float) -> float:
-        """Return the height of a picture of a width."""
-        left, right, lower, upper = self.extent
-        return width * (upper - lower) / (right - left)
-
     def raster(self, position: Array) -> Callable[[Array], Array]:
         """Return the function that draws values at points (n_points, 2) [m] as a picture (ny, nx).
 
@@ -205,8 +200,9 @@ def draw_grid(
     widths = [picture_width if isinstance(panel, Field) else CURVES[0] for panel in longest]
     height = 0.0 if all(isinstance(panel, Field) for panel in longest) else CURVES[1]
     if frame is not None:
+        left, right, lower, upper = frame.extent
         bars = 0.5 if scales is None else 0.0
-        height = max(height, frame.height(picture_width) + 0.3 + bars)
+        height = max(height, picture_width * (upper - lower) / (right - left) + 0.3 + bars)
     with styled():
         width = max(sum(widths) + 0.7, LETTER * len(title), LEAST_WIDTH)
         figure = new_figure(width, len(rows) * height + 1.2)

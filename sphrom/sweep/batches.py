@@ -23,7 +23,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import sweep_model, sweep_name
 from sphrom.case.study_sections import FULL
 from sphrom.errors import ArtifactError, SphromError, UnstableError
-from sphrom.metrics.measures import PLACED, Quantities, components, of_a_run
+from sphrom.metrics.measures import PLACED, Quantities, components, items, of_a_run
 from sphrom.metrics.samples import Samples
 from sphrom.metrics.series import kinetic_energy
 from sphrom.offline import fom
@@ -133,8 +133,7 @@ class SweptModel:
                 return []
             for k, (reduced, run) in enumerate(basis.held_out):
                 values = {PLACE: basis.places[k]}
-                measured = basis.measured_differences.items()
-                values |= _kept({n: {q: each[k] for q, each in m.items()} for n, m in measured})
+                values |= _kept(items(basis.measured_differences, k))
                 target = self.workspace.full_run(basis.points[k])
                 if len(self._probes) and target.path.exists():
                     with self.workspace.open(target) as trajectory:
@@ -292,20 +291,13 @@ def read_records(artifact: Artifact) -> list[RunRecord]:
         if axis in numbers and name not in ("complete", f"{ERROR}run"):
             for k, value in zip(numbers[axis], artifact.read(name), strict=True):
                 values[k][name] = value
-    names = str(artifact.attributes.get("derivative_names", ""))
-    points = read_points(artifact, range(len(STATES)))
-    return [
-        RunRecord(
-            point,
-            status,
-            str(artifact.attributes.get(f"failures/{k}", "")),
-            values.get(k, {}),
-            tuple(names.split(",")) if names and k in values else (),
-        )
-        for k, (point, status) in enumerate(
-            zip(points, artifact.read("status").tolist(), strict=True)
-        )
-    ]
+    names = tuple(filter(None, str(artifact.attributes.get("derivative_names", "")).split(",")))
+    points, found = read_points(artifact, range(len(STATES))), list[RunRecord]()
+    for k, status in enumerate(artifact.read("status").tolist()):
+        reason = str(artifact.attributes.get(f"failures/{k}", ""))
+        derived = names if k in values else ()
+        found.append(RunRecord(points[k], status, reason, values.get(k, {}), derived))
+    return found
 
 
 def probe_places(workspace: Workspace) -> Array:

@@ -199,12 +199,10 @@ def publish(case: Case, path: Path, records: Sequence[RunRecord], found: Statist
     if found is None:
         return
     time, names = next(r.values["time"] for r in records if r.values), case.plan.parameter_names
-    tables = {"quantiles": list(_quantile_rows(found, time))}
-    if found.indices:
-        tables["indices"] = list(_index_rows(found, names, time))
+    tables = {"quantiles": _quantile_rows(found, time), "indices": _index_rows(found, names, time)}
     for kind, rows in tables.items():
-        columns = dict.fromkeys(rows[0])
-        write_csv(beside(path, kind, "csv"), rows_of_columns(columns, rows))
+        if cells := list(rows):
+            write_csv(beside(path, kind, "csv"), rows_of_columns(dict.fromkeys(cells[0]), cells))
     if case.compare.plots:
         save(draw_quantiles(found, time), beside(path, "quantiles", "png"))
         if found.indices:
@@ -306,17 +304,14 @@ def _draw(
         if each.along != MEAN:
             x = _instants(each.along, len(each.mean), time)
             along = "place along the line [–]" if each.along == LINE else "time [s]"
-            panels.append(Panel(_words(name), along, label or f"[{each.unit}]", [*curves(name, x)]))
+            title, shown = name.replace("_", " "), label or f"[{each.unit}]"
+            panels.append(Panel(title, along, shown, [*curves(name, x)]))
     return draw_grid([panels[k : k + COLUMNS] for k in range(0, len(panels), COLUMNS)])
 
 
 def _shown(output: OutputStatistics) -> int:
     """Return the instant that is printed: the end, or the middle of a line."""
     return len(output.mean) // 2 if output.along == LINE else -1
-
-
-def _words(name: str) -> str:
-    return name.replace("_", " ")
 
 
 def show(report: Reporter, found: Statistics) -> None:
@@ -329,7 +324,7 @@ def show(report: Reporter, found: Statistics) -> None:
         half = 0.5 * float(np.ptp(each.interval[:, middle, at]))
         cells = [each.mean[at], each.deviation[at], *each.quantiles[:, at], half]
         shown = [format_figure(float(cell)) for cell in cells]
-        rows.append((f"{_words(name)} [{each.unit}]", *shown))
+        rows.append((f"{name.replace('_', ' ')} [{each.unit}]", *shown))
     report.table(
         f"statistics of {found.n_runs} runs at the end (of a line, in its middle)",
         ("output", "mean", "deviation", *levels, f"{levels[middle]} within +-"),
@@ -355,7 +350,5 @@ def show(report: Reporter, found: Statistics) -> None:
             f"full runs may have other quantiles and Sobol indices of {names}: so much of their "
             f"variance is the model's estimated error{less}"
         )
-    unknown = [name for name, each in found.outputs.items() if each.model_error == "unknown"]
-    if unknown:
-        names = ", ".join(unknown)
-        report.warn(f"intervals of {names} are of sampling alone: no error is estimated")
+    if unknown := ", ".join(k for k, v in found.outputs.items() if v.model_error == "unknown"):
+        report.warn(f"intervals of {unknown} are of sampling alone: no error is estimated")

@@ -257,9 +257,7 @@ class Results:
     def _gathered(self, failed: Sequence[Failure]) -> tuple[list[RunRecord], Statistics | None]:
         """Put all runs into the artifact, and return them with their statistics."""
         targets, case = list(self._targets()), self._workspace.case
-        known = {
-            failure.point: RunRecord(failure.point, FAILED, failure.reason) for failure in failed
-        }
+        known = {f.point: RunRecord(f.point, FAILED, f.reason) for f in failed}
         for target in targets:
             with self._workspace.open(target) as artifact:
                 ended = (COMPLETE, UNSTABLE)
@@ -308,12 +306,11 @@ def _rows(records: Sequence[RunRecord], names: Iterable[str]) -> list[Cells]:
     for record in records:
         values = {path.replace("/", "_"): value for path, value in record.values.items()}
         row: Cells = {**dict.fromkeys(names), **record.point.as_dict()}
-        row |= {"status": STATES[record.status], "reason": record.reason, "extrapolated": ""}
+        beyond = {None: "", 0: "no", 1: "yes"}[values.get("error_estimate_extrapolated")]
+        row |= {"status": STATES[record.status], "reason": record.reason, "extrapolated": beyond}
         row |= {name: float(values[name]) for name in FIGURES if name in values}
         derivatives = values.get("derivatives", np.zeros(0)).tolist()
         row |= zip(record.derivative_names, derivatives, strict=True)
-        if (beyond := values.get("error_estimate_extrapolated")) is not None:
-            row["extrapolated"] = "yes" if beyond else "no"
         rows.append(row)
     complete = [k for k, record in enumerate(records) if record.values]
     for path in records[complete[0]].values if complete else ():

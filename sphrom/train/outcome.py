@@ -16,7 +16,6 @@ from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Panel, draw_grid
 from sphrom.plots.tables import (
     UNKNOWN,
-    about,
     format_figure,
     rows_of_columns,
     write_csv,
@@ -79,6 +78,16 @@ class Stage:
     """Runs that this stage chose."""
 
     @property
+    def unstable(self) -> tuple[ParameterPoint, ...]:
+        """Where earlier full runs became unstable."""
+        return tuple(run.point for run in self.earlier if run.failure is not None)
+
+    @property
+    def tried(self) -> tuple[ParameterPoint, ...]:
+        """Where the full model was run."""
+        return (*self.points, *self.unstable)
+
+    @property
     def factors(self) -> Array:
         """(2,) on estimates of velocity and pressure: with them they cover all true errors."""
         known = [run for run in self.earlier if run.failure is None]
@@ -92,9 +101,9 @@ class Stage:
 
     def worst(self, fields: Sequence[int]) -> tuple[float, ParameterPoint]:
         """Return the largest of them, and where it is: not where a full run is unstable."""
-        unstable = {run.point for run in self.earlier if run.failure is not None}
-        found = zip(self.judged(fields).tolist(), self.candidates, strict=True)
-        return max((pair for pair in found if pair[1] not in unstable), key=lambda pair: pair[0])
+        pairs = zip(self.judged(fields).tolist(), self.candidates, strict=True)
+        stable = [pair for pair in pairs if pair[1] not in self.unstable]
+        return max(stable, key=lambda pair: pair[0])
 
 
 @dataclass(frozen=True)
@@ -134,22 +143,25 @@ def publish(
 
     `kept` names the files of the case that are still those of other training points.
     """
-    report, folder, points = workspace.context.report, workspace.folder(FOLDER), _last(outcome)
+    report, folder = workspace.context.report, workspace.folder(FOLDER)
+    points = outcome.stages[-1].points
     names = [f"{FIELDS[k]}_{figure}" for k in range(2) for figure in FIGURES]
     units = {"full_runs": None, "worst_estimate": "%", "factor": None, "floor": "%"}
     units |= {**dict.fromkeys(points[0].as_dict()), **dict.fromkeys(names, "%"), "failure": None}
     rows = list(_rows(outcome))
     table = rows_of_columns(units, ({**dict.fromkeys(units), **row} for row in rows))
     write_csv(folder / "training.csv", table)
-    origin = about(outcome.case.name, workspace.threads)
-    origin |= {
-        "model": outcome.model,
-        "quantity": outcome.case.training.quantity,
-        "tolerance_percent": outcome.case.training.percent,
-        "ending": outcome.ending,
-        "trained": [point.as_dict() for point in points],
-    }
-    write_json(folder / "training.json", {"stages": table}, origin)
+    write_json(
+        folder / "training.json",
+        {"stages": table},
+        outcome.case.name,
+        workspace.threads,
+        model=outcome.model,
+        quantity=outcome.case.training.quantity,
+        tolerance_percent=outcome.case.training.percent,
+        ending=outcome.ending,
+        trained=[point.as_dict() for point in points],
+    )
     save(draw_training(outcome), folder / "training.png")
     others = [name for name in names if name.partition("_")[0] not in outcome.quantity]
     shown = [name for name in units if name not in (*others, "failure")]
@@ -166,10 +178,6 @@ def publish(
     if kept:
         following += f" --force, which makes {', '.join(kept)} again for them; full runs stay"
     report.info(f"the case with the {len(points)} points: {case_file}; next: {following}")
-
-
-def _last(outcome: Outcome) -> tuple[ParameterPoint, ...]:
-    return outcome.stages[-1].points
 
 
 def _rows(outcome: Outcome) -> Iterator[dict[str, Any]]:
@@ -207,11 +215,11 @@ def _percent(value: float) -> str:
 
 def _statement(outcome: Outcome) -> str:
     """Return what the training reached, and why it ended."""
-    worst, at = outcome.stages[-1].worst(outcome.fields)
-    tolerance = f"{outcome.case.training.percent:g} %"
-    floor = _percent(outcome.stages[-1].floor[outcome.fields].max())
+    last, tolerance = outcome.stages[-1], f"{outcome.case.training.percent:g} %"
+    worst, at = last.worst(outcome.fields)
+    floor = _percent(last.floor[outcome.fields].max())
     ends = {
-        "within": f"within {tolerance} everywhere with {len(_last(outcome))} full runs",
+        "within": f"within {tolerance} everywhere with {len(last.points)} full runs",
         "budget": f"not within {tolerance}: the budget of {outcome.case.training.budget} full runs "
         "is spent; --budget gives more, and the same command goes on",
         "floor": f"not within {tolerance}, and no further run would bring it there; give the model "
@@ -232,8 +240,7 @@ def draw_training(outcome: Outcome) -> Figure:
     n_runs = np.array([len(stage.points) for stage in stages])
     worst = Curve("worst estimate", n_runs, np.array([each.max() for each in estimates]))
     held = [len(s.points) for s in stages for r in s.held_out if r.failure is None]
-    learnt = np.array(held, dtype=int)
-    curves = [worst, *_known_errors(outcome, learnt, n_runs)]
+    curves = [worst, *_known_errors(outcome, np.array(held, dtype=int), n_runs)]
     panels = [Panel("", "full runs learnt from", error, curves, "logarithmic")]
     names = list(outcome.case.training.ranges)
     if len(names) == 1:

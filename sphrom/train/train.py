@@ -85,11 +85,9 @@ def run(
         When a full run became unstable: at once one of the first, after all other runs.
     """
     check_options(workers, scheduler)
-    changed: dict[str, object] = {}
-    if tolerance is not None:
-        changed["tolerance"] = f"{exact(percent(tolerance, '--tolerance'))}%"
-    if budget is not None:
-        changed["budget"] = budget
+    share = None if tolerance is None else f"{exact(percent(tolerance, '--tolerance'))}%"
+    given = {"tolerance": share, "budget": budget}
+    changed = {key: value for key, value in given.items() if value is not None}
     section = context.case.training.model_copy(update=changed)
     case = context.case.model_copy(update={"training": section})
     training = _Training(replace(context, case=case), workers, scheduler)
@@ -152,11 +150,6 @@ class _Training:
                 "operators.error_estimate: auto estimates no errors of so many modes, and training "
                 "goes by them: set it to true"
             )
-        if len(self.starts) >= self.section.budget:
-            raise CaseError(
-                f"training.budget: training starts from {len(self.starts)} full runs, and needs at "
-                f"least one more to test what the model promises; got {self.section.budget}"
-            )
 
     def _context_of(self, points: Sequence[ParameterPoint]) -> StageContext:
         """Return a context with a case that is trained at some points."""
@@ -185,7 +178,7 @@ class _Training:
                 float(stage.floor[list(fields)].max()),
                 self.section.percent,
                 n_held_out=sum(run.failure is None for run in stage.earlier),
-                n_left=self.section.budget - len(self._tried(stage)),
+                n_left=self.section.budget - len(stage.tried),
             )
             if ended is not None:
                 return Outcome(self.case, self.model.name, (*stages, stage), ended)
@@ -193,11 +186,6 @@ class _Training:
             stages.append(replace(stage, held_out=found))
             earlier += found
             points += tuple(run.point for run in found if run.failure is None)
-
-    @staticmethod
-    def _tried(stage: Stage) -> list[ParameterPoint]:
-        """Return where the full model was run."""
-        return [*stage.points, *(run.point for run in stage.earlier if run.failure is not None)]
 
     def _full_runs(
         self, points: Sequence[ParameterPoint], learnt: Sequence[ParameterPoint] = ()
@@ -242,12 +230,11 @@ class _Training:
         """
         with start_workers(self._at_once or 1, self._scheduler, self.context.report) as workers:
             at_once = workers.number
-        tried = self._tried(stage)
         numbers = choose(
             self.region.places(self.candidates),
             stage.judged(self.section.fields),
-            self.region.places(tried),
-            min(self.section.budget - len(tried), at_once),
+            self.region.places(stage.tried),
+            min(self.section.budget - len(stage.tried), at_once),
             self.section.percent,
         ).tolist()
         problems = self._full_runs([self.candidates[k] for k in numbers], stage.points)
@@ -308,9 +295,7 @@ class StageModel:
 
     def estimate(self, point: ParameterPoint) -> Array:
         """Return the estimated errors (2,) of the model at a point, infinite if there are none."""
-        run = self._run(point)
-        found = None if run is None else run.estimate
-        if run is None or found is None:
+        if (run := self._run(point)) is None or (found := run.estimate) is None:
             return NONE
         late = self._counted(run.time)
         squares = np.sum(found.errors[late] ** 2, axis=0), np.sum(found.sizes[late] ** 2, axis=0)
@@ -347,13 +332,10 @@ class StageModel:
         error, floor, size = np.zeros((3, 2))
         with self.workspace.open(self.workspace.mapped(point)) as mapped:
             counted = np.flatnonzero(self._counted(mapped.read("time")))
-            densities, velocities = (
-                mapped.dataset("density_fluctuation"),
-                mapped.dataset("velocity"),
-            )
+            stored = [mapped.dataset(name) for name in ("density_fluctuation", "velocity")]
             for begin in range(counted[0], counted[-1] + 1, N_BLOCK_SNAPSHOTS):
                 some = slice(begin, min(begin + N_BLOCK_SNAPSHOTS, counted[-1] + 1))
-                density, velocity = densities[some], velocities[some]
+                density, velocity = (each[some] for each in stored)
                 fields = _fields(basis, density, velocity)
                 size += _squares(basis, *fields)
                 mean = mean_density_fluctuation(basis, density)

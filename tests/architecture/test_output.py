@@ -9,8 +9,8 @@ import sphrom
 
 ROOT = Path(sphrom.__file__).parent
 CONSOLE = "console.py"
-OWN_TEXTS = {"cli/cases.py": 3}
-"""Where the program prints a template and a schema."""
+OWN_TEXTS = {"cli/cases.py": 2}
+"""Where the program prints a case, a template or a schema."""
 WRITERS = ("print", "echo", "secho", "print_exc", "print_exception")
 STREAMS = ("stdout", "stderr")
 

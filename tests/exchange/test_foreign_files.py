@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from sphrom.errors import ArtifactError, CaseError
-from sphrom.exchange.foreign_files import read_foreign, snapshots_in
+from sphrom.exchange.foreign_files import Source, read_foreign, snapshots_in
 
 N = 5
 
@@ -80,19 +80,19 @@ def write_vtk(path: Path, kind: str, *settings: str, version: int | None = None)
 def test_vtk_files_are_read(tmp_path: Path, name, kind, settings, version) -> None:
     write_vtk(tmp_path / name, kind, *settings, version=version)
     (source,) = snapshots_in(tmp_path / name)
-    read, given = read_foreign(source.path, None, source.step), given_fields()
+    read, given = read_foreign(source), given_fields()
     digits = 1e-5 if "SetFileTypeToASCII" in settings else 0.0
     assert read.time == 0.25
     np.testing.assert_allclose(read.fields["x"], 0.1 * np.arange(N), rtol=digits)
     np.testing.assert_allclose(read.fields["vel.y"], given["vel"][:, 1], rtol=digits)
     np.testing.assert_allclose(read.fields["rho"], given["rho"], rtol=digits)
     np.testing.assert_array_equal(read.fields["id"], np.arange(N))
-    one = read_foreign(source.path, "id=2", source.step)
+    one = read_foreign(source, "id=2")
     assert {field: values.tolist() for field, values in one.fields.items()} == {
         field: [values[2]] for field, values in read.fields.items()
     }
     with pytest.raises(ArtifactError, match=r"has no particles of --array id=-1; .*id=0, id=1"):
-        read_foreign(source.path, "id=-1", source.step)
+        read_foreign(source, "id=-1")
 
 
 HEAD = "# vtk DataFile Version 3.0\n\nASCII\nDATASET "
@@ -125,7 +125,7 @@ def test_file_that_can_not_be_read_is_refused_on_one_line(tmp_path, name, conten
     path = tmp_path / name
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(ArtifactError) as caught:
-        read_foreign(snapshots_in(path)[0].path)
+        read_foreign(snapshots_in(path)[0])
     assert str(caught.value).startswith(str(path))
     assert len(str(caught.value).splitlines()) == 1
 
@@ -135,12 +135,12 @@ def test_cut_legacy_file_never_gives_other_numbers(tmp_path: Path, mode: str) ->
     """VTK reads past the end of such files, in silence or with a warning only."""
     path = tmp_path / "a.vtk"
     write_vtk(path, "PolyData", f"SetFileTypeTo{mode}")
-    content, whole = path.read_bytes(), read_foreign(path).fields
+    content, whole = path.read_bytes(), read_foreign(Source(path)).fields
     refused = 0
     for cut in range(0, len(content) - 3, 7):
         path.write_bytes(content[:cut])
         try:
-            found = read_foreign(path).fields
+            found = read_foreign(Source(path)).fields
         except ArtifactError:
             refused += 1
         else:  # cut between two sections
@@ -155,20 +155,20 @@ def test_vtk_that_crashes_or_hangs_is_a_fault_of_the_file(tmp_path: Path, monkey
     greedy = tmp_path / "greedy.vtk"
     greedy.write_text(HEAD + f"POLYDATA\nPOINTS {10**12} double\n0 0 0\n")
     with pytest.raises(ArtifactError, match="is damaged"):
-        read_foreign(greedy)
-    assert read_foreign(sound).n_particles == 1
+        read_foreign(Source(greedy))
+    assert read_foreign(Source(sound)).n_particles == 1
     monkeypatch.setattr("sphrom.exchange.foreign_files.VTK_SECONDS", (1e-6, 0.0))
     with pytest.raises(ArtifactError, match="takes more than 0 s"):
-        read_foreign(sound)
+        read_foreign(Source(sound))
     monkeypatch.undo()
-    assert read_foreign(sound).n_particles == 1
+    assert read_foreign(Source(sound)).n_particles == 1
 
 
 def test_without_vtk_its_files_say_what_to_install(tmp_path: Path, monkeypatch) -> None:
     (tmp_path / "a.vtu").touch()
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(CaseError, match=r"pip install 'sphrom\[vtk\]'"):
-        read_foreign(tmp_path / "a.vtu")
+        read_foreign(Source(tmp_path / "a.vtu"))
 
 
 def test_links_out_of_a_vtk_hdf_file_are_refused(tmp_path: Path) -> None:
@@ -180,7 +180,7 @@ def test_links_out_of_a_vtk_hdf_file_are_refused(tmp_path: Path) -> None:
         group["NumberOfPoints"] = np.array([N])
         group["Points"] = h5py.ExternalLink("secret.vtkhdf", "points")
     with pytest.raises(ArtifactError, match="Points is a link that may lead out of the file"):
-        read_foreign(tmp_path / "a.vtkhdf")
+        read_foreign(Source(tmp_path / "a.vtkhdf"))
 
 
 def test_archive_is_judged_by_its_size_before_it_is_unpacked(
@@ -189,7 +189,7 @@ def test_archive_is_judged_by_its_size_before_it_is_unpacked(
     np.savez_compressed(tmp_path / "a.npz", x=np.zeros(2**17))
     monkeypatch.setattr("sphrom.exchange.foreign_files.MOST_SNAPSHOT_BYTES", 2**20)
     with pytest.raises(ArtifactError, match=r"unpacks to 1 MiB; a snapshot has at most"):
-        read_foreign(tmp_path / "a.npz")
+        read_foreign(Source(tmp_path / "a.npz"))
     np.savez(tmp_path / "many.npz", **{f"x{i}": 0 for i in range(1001)})
     with pytest.raises(ArtifactError, match="holds 1001 arrays; a snapshot has at most 1000"):
-        read_foreign(tmp_path / "many.npz")
+        read_foreign(Source(tmp_path / "many.npz"))

@@ -6,7 +6,6 @@ import copy
 import csv
 import hashlib
 import math
-import os
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -22,9 +21,6 @@ from sphrom.cli.app import app
 from sphrom.setup.context import StageContext
 from sphrom.sph import time_loop
 from sphrom.store.workspace import Workspace
-
-# Threads that spin while they wait for work starve each other where cores are busy.
-os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 CASE: dict[str, Any] = {
     "name": "tiny",

@@ -76,6 +76,8 @@ def test_what_pysph_wrote_comes_through(case, sphrom) -> None:
     pressure -= pressure.mean(axis=1, keepdims=True)
     np.testing.assert_allclose(run["pressure"], pressure, atol=1e-15)
     np.testing.assert_allclose(run["density_fluctuation"], pressure / 100.0, atol=1e-17)
+    result = sphrom("fom", case, "--set=parameters.test={reynolds: [150]}")
+    assert "were imported, those at reynolds=150 are simulated here" in result.stderr
 
 
 def test_stages_go_on_from_what_pysph_wrote(case, sphrom) -> None:

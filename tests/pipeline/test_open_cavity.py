@@ -150,8 +150,10 @@ def test_plots_of_a_scene_with_walls(out, sphrom):
     assert result.exit_code == 0, result.output
     plots = {path.name: path.stat().st_mtime_ns for path in (out / "plots").iterdir()}
     assert {"profiles-reynolds2400.png", "history-reynolds2400.png", "modes-all.png"} <= set(plots)
-    # A picture that is missing is drawn again, and no other.
+    # A picture that is missing is drawn again, and no other; one of an earlier comparison goes.
     (out / "plots" / "modes-all.png").unlink()
+    (out / "plots" / "gone-reynolds2400.png").touch()
     assert sphrom("compare", "open.yaml", "--set", "compare.plots=true").exit_code == 0
     again = {path.name: path.stat().st_mtime_ns for path in (out / "plots").iterdir()}
     assert {name for name in plots if again[name] != plots[name]} == {"modes-all.png"}
+    assert set(again) == set(plots)

@@ -6,7 +6,21 @@ from collections.abc import Mapping
 from typing import Literal
 
 from sphrom.arrays import Array
-from sphrom.artifacts.records.runs import Force, Measured, Settings, Status
+from sphrom.artifacts.records.runs import (
+    DENSITY,
+    FLOW_RATE,
+    PRESSURE,
+    PRESSURE_AT_PLACES,
+    PRESSURE_ERROR,
+    TIME,
+    VELOCITY,
+    VELOCITY_AT_PLACES,
+    VELOCITY_ERROR,
+    Force,
+    Measured,
+    Settings,
+    Status,
+)
 from sphrom.declaration import Record, attribute, dataset, part
 
 Converged = Literal["converged", "not converged"]
@@ -22,25 +36,16 @@ class MeasuredOnce(Record):
 
     force: Array | None = dataset("component", "N/m", "force on a wall", default=None)
     torque: float | None = attribute("N", "torque on a wall, anticlockwise", default=None)
-    flow_rate: float | None = attribute(
-        "m2/s", "flow through a section, from the left to the right of the way along it",
-        default=None,
-    )  # fmt: skip
-    velocity: Array | None = dataset(
-        "place component", "m/s", "velocity at the places", "u", "Eq. 2.7", default=None
-    )
-    pressure: Array | None = dataset(
-        "place", "Pa", "pressure at the places", "p", "Eq. 2.8", default=None
-    )
+    flow_rate: float | None = attribute(*FLOW_RATE, default=None)
+    velocity: Array | None = dataset("place component", *VELOCITY_AT_PLACES, default=None)
+    pressure: Array | None = dataset("place", *PRESSURE_AT_PLACES, default=None)
 
 
 class ErrorEstimate(Record):
     """The errors of a run, estimated without a full run."""
 
-    velocity: Array = dataset("snapshot", "m/s", "estimated root mean square error of the velocity")
-    pressure: Array = dataset(
-        "snapshot", "Pa", "estimated root mean square error of the pressure less its mean"
-    )
+    velocity: Array = dataset("snapshot", *VELOCITY_ERROR)
+    pressure: Array = dataset("snapshot", *PRESSURE_ERROR)
     change: Array = dataset(
         "snapshot cause",
         "of the inner product",
@@ -78,9 +83,7 @@ class Steady(Record):
         "of the inner product, /s", "norm of what the basis leaves out of the rates there",
         default=None,
     )
-    velocity_error_estimate: float | None = attribute(
-        "m/s", "estimated root mean square error of the velocity", default=None
-    )
+    velocity_error_estimate: float | None = attribute(*VELOCITY_ERROR, default=None)
     pressure_error_estimate: float | None = attribute(
         "Pa", "estimated root mean square error of the pressure", default=None
     )
@@ -92,7 +95,7 @@ class Steady(Record):
 class Coordinates(Settings, kind="sphrom/coordinates"):
     """The time series of a reduced run on the reference points."""
 
-    time: Array = dataset("snapshot", "s", "time of each snapshot", "t", "Eq. 2.18")
+    time: Array = dataset("snapshot", *TIME)
     generalized_coordinates: Array = dataset(
         "snapshot mode", "of the inner product", "coordinates in the basis", "omega-hat", "Eq. 3.11"
     )
@@ -118,16 +121,9 @@ class Coordinates(Settings, kind="sphrom/coordinates"):
         "particle component", "m", "points of the reference space, where fields are kept", "x_G",
         "Eq. 3.14", default=None,
     )
-    density_fluctuation: Array | None = dataset(
-        "snapshot particle", "kg/m3", "density less its reference value", "rho - rho_0", "Eq. 2.6",
-        default=None,
-    )
-    velocity: Array | None = dataset(
-        "snapshot particle component", "m/s", "velocity", "u", "Eq. 2.7", default=None
-    )
-    pressure: Array | None = dataset(
-        "snapshot particle", "Pa", "pressure", "p", "Eq. 2.8", default=None
-    )
+    density_fluctuation: Array | None = dataset("snapshot particle", *DENSITY, default=None)
+    velocity: Array | None = dataset("snapshot particle component", *VELOCITY, default=None)
+    pressure: Array | None = dataset("snapshot particle", *PRESSURE, default=None)
     status: Status = attribute("", "how the run ended")
     status_detail: str | None = attribute("", "what went wrong, and when", default=None)
     memory_length: float | None = attribute("s", "tau of Eq. 3.22", default=None)

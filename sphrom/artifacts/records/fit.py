@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from sphrom.arrays import Array
+from sphrom.artifacts.records.runs import TIME
 from sphrom.declaration import Record, attribute, dataset, part
 
 
@@ -52,7 +53,7 @@ class Fit(Record, kind="sphrom/fit"):
         "parameter", "1", "eigenvalues of the Fisher matrix for parameters over their ranges"
     )
     directions: Array = dataset("parameter parameter", "1", "its eigenvectors, in rows")
-    time: Array = dataset("snapshot", "s", "time of each snapshot", "t", "Eq. 2.18")
+    time: Array = dataset("snapshot", *TIME)
     history: Mapping[str, FittedHistory] = part()
     estimate_names: str = attribute("", "names of the estimates, with commas")
     remarks: str = attribute("", "why an interval doesn't hold, of each estimate, with commas")

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from sphrom.arrays import Array, Indices
-from sphrom.artifacts.records.runs import Medium
+from sphrom.artifacts.records.runs import REFERENCE_POSITION, Medium
 from sphrom.declaration import Record, attribute, dataset, part
 from sphrom.reduction.held_out import OF_FIELDS, FieldProducts, UnheldShares
 from sphrom.reduction.mode_splines import CellSplines, LatticeCoefficients
@@ -21,9 +21,7 @@ from sphrom.reduction.trial_basis import Modes, StoredBasis
 class Basis(Medium, kind="sphrom/basis"):
     """Trial bases and their singular values."""
 
-    reference_position: Array = dataset(
-        "particle component", "m", "points of the reference space", "x_G", "Eq. 3.14"
-    )
+    reference_position: Array = dataset("particle component", *REFERENCE_POSITION)
     volume: Array = dataset("particle", "m2", "area that each point stands for", "V", "Eq. 3.15")
     mean_density_fluctuation: Mapping[str, Array] = dataset(
         "snapshot",

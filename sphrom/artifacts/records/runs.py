@@ -10,6 +10,18 @@ import numpy as np
 from sphrom.arrays import Array, Indices
 from sphrom.declaration import Record, attribute, dataset, part
 
+TIME = "s", "time of each snapshot", "t", "Eq. 2.18"
+"""Units, meaning, symbol and equation of what several records hold; of others likewise."""
+DENSITY = "kg/m3", "density less its reference value", "rho - rho_0", "Eq. 2.6"
+VELOCITY = "m/s", "velocity", "u", "Eq. 2.7"
+PRESSURE = "Pa", "pressure", "p", "Eq. 2.8"
+REFERENCE_POSITION = "m", "points of the reference space", "x_G", "Eq. 3.14"
+FLOW_RATE = "m2/s", "flow through a section, from the left to the right of the way along it"
+VELOCITY_AT_PLACES = "m/s", "velocity at the places", "u", "Eq. 2.7"
+PRESSURE_AT_PLACES = "Pa", "pressure at the places", "p", "Eq. 2.8"
+VELOCITY_ERROR = "m/s", "estimated root mean square error of the velocity"
+PRESSURE_ERROR = "Pa", "estimated root mean square error of the pressure less its mean"
+PARAMETERS = "", "parameter values of the run"
 _ABOUT = "about a solid's centroid, or about the box's centre on a side of it"
 
 Status = Literal["complete", "unstable"]
@@ -25,9 +37,7 @@ class Medium(Record):
 class Settings(Medium):
     """What a run was made with."""
 
-    parameters: Mapping[str, float] = attribute(
-        "", "parameter values of the run", default_factory=dict
-    )
+    parameters: Mapping[str, float] = attribute(*PARAMETERS, default_factory=dict)
     kinematic_viscosity: float = attribute("m2/s", "nu of Eq. 2.12")
     particle_spacing: float = attribute("m", "initial spacing of the particles")
     smoothing_length: float = attribute("m", "h of Eq. 2.2")
@@ -50,10 +60,8 @@ class Start(Record):
     """The state that the recorded part of a run starts from."""
 
     position: Array = dataset("particle component", "m", "positions of particles", "x", "Eq. 2.8")
-    density_fluctuation: Array = dataset(
-        "particle", "kg/m3", "density less its reference value", "rho - rho_0", "Eq. 2.6"
-    )
-    velocity: Array = dataset("particle component", "m/s", "velocity", "u", "Eq. 2.7")
+    density_fluctuation: Array = dataset("particle", *DENSITY)
+    velocity: Array = dataset("particle component", *VELOCITY)
 
     @property
     def state(self) -> Array:
@@ -84,24 +92,15 @@ class Measured(Record):
     position: Array | None = dataset(
         "place component", "m", "where velocity and pressure are measured", "x", default=None
     )
-    flow_rate: Array | None = dataset(
-        "snapshot",
-        "m2/s",
-        "flow through a section, from the left to the right of the way along it",
-        default=None,
-    )
-    velocity: Array | None = dataset(
-        "snapshot place component", "m/s", "velocity at the places", "u", "Eq. 2.7", default=None
-    )
-    pressure: Array | None = dataset(
-        "snapshot place", "Pa", "pressure at the places", "p", "Eq. 2.8", default=None
-    )
+    flow_rate: Array | None = dataset("snapshot", *FLOW_RATE, default=None)
+    velocity: Array | None = dataset("snapshot place component", *VELOCITY_AT_PLACES, default=None)
+    pressure: Array | None = dataset("snapshot place", *PRESSURE_AT_PLACES, default=None)
 
 
 class Snapshots(Record):
     """The snapshots of a run of particles."""
 
-    time: Array = dataset("snapshot", "s", "time of each snapshot", "t", "Eq. 2.18")
+    time: Array = dataset("snapshot", *TIME)
     step: Indices = dataset(
         "snapshot", "1", "steps taken up to each snapshot, without those of a spin-up", "n",
         "Eq. 2.18",
@@ -109,11 +108,9 @@ class Snapshots(Record):
     position: Array = dataset(
         "snapshot particle component", "m", "particle positions", "x", "Eq. 2.8"
     )
-    velocity: Array = dataset("snapshot particle component", "m/s", "velocity", "u", "Eq. 2.7")
-    density_fluctuation: Array = dataset(
-        "snapshot particle", "kg/m3", "density less its reference value", "rho - rho_0", "Eq. 2.6"
-    )
-    pressure: Array = dataset("snapshot particle", "Pa", "pressure", "p", "Eq. 2.8")
+    velocity: Array = dataset("snapshot particle component", *VELOCITY)
+    density_fluctuation: Array = dataset("snapshot particle", *DENSITY)
+    pressure: Array = dataset("snapshot particle", *PRESSURE)
     generalized_coordinates: Array | None = dataset(
         "snapshot mode", "of the inner product", "coordinates of a reduced run in its basis",
         "omega-hat", "Eq. 3.11", default=None,
@@ -155,17 +152,11 @@ class Trajectory(Snapshots, Settings, kind="sphrom/trajectory"):
 class ReferenceSnapshots(Medium, kind="sphrom/reference-snapshots"):
     """The snapshots of one run, mapped onto the reference space."""
 
-    reference_position: Array = dataset(
-        "particle component", "m", "points of the reference space", "x_G", "Eq. 3.14"
-    )
-    time: Array = dataset("snapshot", "s", "time of each snapshot", "t", "Eq. 2.18")
-    density_fluctuation: Array = dataset(
-        "snapshot particle", "kg/m3", "density less its reference value", "rho - rho_0", "Eq. 2.6"
-    )
-    velocity: Array = dataset("snapshot particle component", "m/s", "velocity", "u", "Eq. 2.7")
-    parameters: Mapping[str, float] = attribute(
-        "", "parameter values of the run", default_factory=dict
-    )
+    reference_position: Array = dataset("particle component", *REFERENCE_POSITION)
+    time: Array = dataset("snapshot", *TIME)
+    density_fluctuation: Array = dataset("snapshot particle", *DENSITY)
+    velocity: Array = dataset("snapshot particle component", *VELOCITY)
+    parameters: Mapping[str, float] = attribute(*PARAMETERS, default_factory=dict)
     map_error: Mapping[str, float] = attribute(
         "%", "relative L2 error of the map on the exact solution, by field", default_factory=dict,
     )

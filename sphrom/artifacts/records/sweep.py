@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from sphrom.arrays import Array, Indices
+from sphrom.artifacts.records.runs import FLOW_RATE, PRESSURE_ERROR, TIME, VELOCITY_ERROR
 from sphrom.declaration import Record, attribute, dataset, part
 from sphrom.metrics.draws import OutputIndices, OutputStatistics
 
@@ -28,12 +29,10 @@ class Estimates(Record):
         "one where a run is outside of what its model was trained on, else zero",
     )
     velocity_over_time: Array | None = dataset(
-        "estimated_run snapshot", "m/s", "estimated root mean square error of the velocity",
-        default=None,
+        "estimated_run snapshot", *VELOCITY_ERROR, default=None
     )
     pressure_over_time: Array | None = dataset(
-        "estimated_run snapshot", "Pa",
-        "estimated root mean square error of the pressure less its mean", default=None,
+        "estimated_run snapshot", *PRESSURE_ERROR, default=None
     )
 
 
@@ -56,12 +55,7 @@ class Measured(Record):
     torque: Array | None = dataset(
         "complete_run snapshot", "N", "torque on a wall, anticlockwise", default=None
     )
-    flow_rate: Array | None = dataset(
-        "complete_run snapshot",
-        "m2/s",
-        "flow through a section, from the left to the right of the way along it",
-        default=None,
-    )
+    flow_rate: Array | None = dataset("complete_run snapshot", *FLOW_RATE, default=None)
     velocity: Array | None = dataset(
         "complete_run snapshot component", "m/s", "velocity at a probe", "u", default=None
     )
@@ -109,9 +103,7 @@ class Sweep(Record, kind="sphrom/sweep"):
     largest_speed: Array = dataset(
         "complete_run", "m/s", "largest speed of all points and snapshots"
     )
-    time: Array | None = dataset(
-        "snapshot", "s", "time of each snapshot", "t", "Eq. 2.18", default=None
-    )
+    time: Array | None = dataset("snapshot", *TIME, default=None)
     generalized_coordinates: Array | None = dataset(
         "complete_run snapshot mode", "of the inner product", "coordinates of reduced runs",
         "omega-hat", "Eq. 3.11", default=None,
