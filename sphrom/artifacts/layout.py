@@ -85,6 +85,8 @@ class Origin:
     """The whole case."""
     sections: Collection[str] = ()
     """The sections of the case that it depends on."""
+    consequences: Callable[[str], str] = lambda text: ""
+    """Tells in words what follows otherwise from another case, given its text."""
     lineage: Mapping[str, Identity] = dataclasses.field(default_factory=dict)
     """The artifacts that it is made from, by role."""
 

@@ -289,8 +289,11 @@ def _looked_through(file: h5py.File) -> Contents:
 def _check_origin(contents: Contents, origin: Origin) -> None:
     """Raise Fault when the artifact was made with another case or from other inputs."""
     if contents.attributes["inputs_sha256"] != origin.inputs_digest:
-        keys = case_differences(contents.case_text, origin.case_text, origin.sections)
-        raise Fault("was made with another case" + (f" ({keys})" if keys else ""))
+        text = contents.case_text
+        keys = case_differences(text, origin.case_text, origin.sections)
+        if told := keys or origin.consequences(text):
+            raise Fault(f"was made with another case ({told})")
+        raise Fault("was made with other points, or by another version of this program")
     for role, identity in origin.lineage.items():
         stored = contents.attributes.get(f"lineage/{role}/content_sha256")
         if stored is None:
@@ -327,7 +330,8 @@ def _values(value: Any, path: str = "") -> Iterator[tuple[str, str]]:
     """Yield `a.b[0]` and its value for every value that holds no others."""
     if isinstance(value, dict) and value:
         for key, one in value.items():
-            yield from _values(one, f"{path}.{key}" if path else key)
+            # What a file held is in keys beside its name, which makes no difference.
+            yield from _values(one, f"{path}.{key}" if path else key) if key != "file" else ()
     elif isinstance(value, list) and value:
         for i, one in enumerate(value):
             yield from _values(one, f"{path}[{i}]")

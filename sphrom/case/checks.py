@@ -20,6 +20,7 @@ from sphrom.case.points import REYNOLDS, ParameterPoint, nearest_point
 from sphrom.case.scene_section import KINDS, MeasureSection
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection
 from sphrom.case.studies import (
+    Region,
     at_resolution,
     fast_model,
     require_basis,
@@ -127,7 +128,8 @@ def _check_repeated(key: str, points: Iterable[ParameterPoint]) -> Found:
 
 
 def _check_geometry(case: Case) -> Found:
-    domain, plan, section = case.scene.domain, case.plan, case.discretization
+    domain, length = case.scene.domain, case.scene.resolved_length
+    plan, section = case.plan, case.discretization
     if domain.narrowest_gap <= 0.0:
         yield "scene", "its lengths are so far apart that the smallest gets lost"
     elif not domain.fits_lattice(plan.particle_spacing):
@@ -145,19 +147,19 @@ def _check_geometry(case: Case) -> Found:
         shapes = domain.has_walls and not plan.walls_fit_lattice
         if shapes and getattr(section.walls, key) == along_axes:
             yield f"discretization.walls.{key}", f"{along_axes} is for walls that follow the axes"
-    most = min(0.5 * domain.narrowest_gap, domain.thinnest_solid)
-    for name, smoothing_length in (
-        ("discretization", plan.smoothing_length),
-        ("reference", plan.reference_smoothing_length),
-    ):
-        radius = SUPPORT_RATIO * smoothing_length
-        if domain.narrowest_gap > 0.0 and radius > most * (1.0 + ROUNDING):
-            largest = most / (SUPPORT_RATIO * plan.particle_spacing)
-            yield (
-                f"{name}.smoothing_length_ratio",
-                f"a support of radius {radius:g} m is larger than half of the narrowest fluid, or "
-                f"the thinnest solid: use at most {largest:g}, or raise the resolution",
-            )
+    gap, solid = domain.narrowest_gap, domain.thinnest_solid
+    most, narrow = min(0.5 * gap, solid), f"half of the narrowest fluid, {gap:g} m wide"
+    what = f"the thinnest solid, {solid:g} m thick" if most == solid else narrow
+    own, mapped = plan.smoothing_length, plan.reference_smoothing_length
+    radius = SUPPORT_RATIO * max(own, mapped)
+    if gap > 0.0 and radius > most * (1.0 + ROUNDING):
+        least = math.ceil(section.resolution * radius / most * (1.0 - ROUNDING))
+        fits = (n for n in range(least, 2 * least) if domain.fits_lattice(length / n))
+        yield (
+            f"{'reference' if mapped > own else 'discretization'}.smoothing_length_ratio",
+            f"a support of radius {radius:g} m is larger than {what}: "
+            f"discretization.resolution: {next(fits, least)} would do",
+        )
 
 
 def nearest_fitting_resolution(case: Case) -> int | None:
@@ -263,7 +265,10 @@ def outside_fluid(case: Case, place: Array) -> str | None:
         return f"({x:g}, {y:g}) m is outside of the box"
     in_solid = domain.distance_and_normal(place)[0] < -WITHIN_WALL * case.plan.particle_spacing
     for x, y in place[in_solid][:1]:
-        more = "; give a segment for each part of the fluid" if len(place) > 1 else ""
+        turns = np.flatnonzero(np.diff(~in_solid, prepend=False, append=False)).reshape(-1, 2)
+        ends = place[turns - (0, 1)].reshape(-1, 4).tolist()
+        fluid = " and ".join("from ({:g}, {:g}) to ({:g}, {:g}) m".format(*each) for each in ends)
+        more = f"; give a segment for each part of the fluid, {fluid}" if fluid else ""
         return f"({x:g}, {y:g}) m is in a solid{more}"
     return None
 
@@ -460,6 +465,9 @@ def _check_training(case: Case) -> Found:
         several = len({point.as_dict()[name] for point in plan.train_points}) > 1
         if name not in section.ranges and (several or name != REYNOLDS):
             yield "training", f"{name} varies in parameters: give its range too, or one value there"
+    if (number := len(Region(case).starts(()))) >= section.budget:
+        reason = f"training starts from {number} full runs, and needs one more to test the model"
+        yield "training.budget", f"must be at least {number + 1}: {reason}; got {section.budget}"
     if model is None:
         yield "training", "is for models with evaluation: operators, and rom has none"
     elif not plan.ends_with_case(model):

@@ -26,11 +26,10 @@ def case_warnings(case: Case) -> list[str]:
 
 
 def _extrapolations(case: Case, key: str, points: Iterable[ParameterPoint]) -> Iterator[str]:
+    # In its region `train` chooses what is learnt from.
     region = Region(case) if case.training.ranges else None
     for point in points:
-        # In its region `train` chooses what is learnt from.
-        known = region is not None and region.contains(point)
-        if not known and (warning := extrapolation(case, point)) is not None:
+        if not (region and region.contains(point)) and (warning := extrapolation(case, point)):
             yield f"{key}: {warning}"
 
 

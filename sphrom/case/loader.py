@@ -20,6 +20,7 @@ from sphrom.case.points import REYNOLDS, ParameterPoint
 from sphrom.case.scenes import kind_of
 from sphrom.case.schema import MAX_PROBLEMS, problems_of
 from sphrom.case.sections import ALL
+from sphrom.case.studies import Region, trained_at
 from sphrom.case.yaml_reader import (
     MAX_DEPTH,
     Document,
@@ -60,6 +61,10 @@ def load_case(
     try:
         case = Case.model_validate(document.value, context={"folder": FilePath(name).parent})
         problems = case_problems(case, force=force)
+        given = case.parameters.model_fields_set
+        if not problems and case.training.ranges and "train" not in given:
+            case = trained_at(case, Region(case).starts(()))
+            problems = case_problems(case, force=force)
     except ValidationError as error:
         problems = problems_of(error, document.value)
     if problems:

@@ -171,6 +171,8 @@ def _allowed_branch(node: Node) -> str:
         return f"a mapping of keys ({', '.join(keys)})" if keys else "a mapping"
     if "pattern" in node:
         return NAME_WORDS
+    if "examples" in node:
+        return f"text such as {node['examples'][0]}"
     if "maxLength" in node:
         return f"text of at most {node['maxLength']} characters"
     low, high = node.get("minimum"), node.get("maximum")

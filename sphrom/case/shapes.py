@@ -20,7 +20,7 @@ from shapely.geometry.base import BaseGeometry
 
 from sphrom.case.fields import LARGEST, Coordinate, Number, Place, Positive, Section, key, only_one
 from sphrom.sph.polygons import disc, require_few_crossings
-from sphrom.text import shortened, visible
+from sphrom.text import quoted, shortened, visible
 from sphrom.whole_files import read_whole
 
 MOST_BYTES = 4 * 1024 * 1024
@@ -33,7 +33,8 @@ MOST_BRACKETS = 8
 """Brackets within each other in well-known text; several polygons with holes have three."""
 
 KINDS = (
-    "circle", "rectangle", "polygon", "wkt", "union", "intersection", "difference", "buffer",
+    "circle", "rectangle", "polygon", "file", "wkt",
+    "union", "intersection", "difference", "buffer",
 )  # fmt: skip
 COMBINATIONS: dict[str, Callable[[list[BaseGeometry]], BaseGeometry]] = {
     "union": shapely.union_all,
@@ -117,7 +118,8 @@ class ShapeSection(Section):
 
     @model_validator(mode="after")
     def _one_kind(self) -> ShapeSection:
-        only_one(self, KINDS)
+        # What a file held is in `wkt` too.
+        only_one(self, [kind for kind in KINDS if self.file is None or kind != "wkt"])
         return self
 
     def geometry(self) -> BaseGeometry:
@@ -125,7 +127,7 @@ class ShapeSection(Section):
 
         Raises ValueError when it is empty, crosses itself, or is no area.
         """
-        kind = only_one(self, KINDS)
+        kind = only_one(self, [kind for kind in KINDS if kind != "file"])
         given = getattr(self, kind)
         try:
             if kind == "polygon":
@@ -199,7 +201,9 @@ def read_outline(path: Path) -> BaseGeometry:
         with np.errstate(all="ignore"):
             return checked(reader(content))
     except (OSError, UnicodeDecodeError) as error:
-        reason = f"can't be read: {error}"
+        reason = f"can't be read: {getattr(error, 'strerror', None) or error}"
+    except json.JSONDecodeError as error:
+        reason = f"is not valid JSON: {error}"
     except (shapely.errors.ShapelyError, RecursionError, LookupError) as error:
         reason = f"holds no polygon: {error}"
     except (ValueError, TypeError) as error:
@@ -229,7 +233,7 @@ def _geometries(document: Any) -> Iterator[BaseGeometry]:
             raise ValueError("holds no polygon: give rings of points [x, y]") from error
         yield checked(shape)
     else:
-        raise ValueError(f"must hold polygons; got {kind}")
+        raise ValueError(f"must hold polygons; got {kind or quoted(document)}")
 
 
 def _parsed(text: str) -> BaseGeometry:
@@ -243,6 +247,10 @@ def _parsed(text: str) -> BaseGeometry:
     try:
         with np.errstate(all="ignore"):
             return shapely.from_wkt(text)
+    except shapely.errors.ShapelyError as error:
+        fault = str(error).removeprefix("ParseException: ") if text.strip() else "it is empty"
+        named = "; name a file with `file:`" if Path(text).suffix.lower() in _READERS else ""
+        raise ValueError(f"is no well-known text: {fault}{named}") from error
     except NotImplementedError as error:
         raise ValueError(f"is no polygon with straight sides: {error}") from error
 

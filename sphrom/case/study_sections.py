@@ -75,12 +75,9 @@ def percentage(given: str | float) -> float:
     return value
 
 
-def _checked(text: str) -> str:
-    percentage(text)
-    return text
-
-
-Percentage = Annotated[str, Field(strict=True), AfterValidator(_checked)]
+# No percentage is zero, so that the text is returned.
+_valid = AfterValidator(lambda text: percentage(text) and text)
+Percentage = Annotated[str, Field(strict=True, examples=["1%"]), _valid]
 N_CANDIDATES = 100
 """Points of a region at which training estimates the model's error, beside corners."""
 

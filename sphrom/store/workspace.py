@@ -23,11 +23,12 @@ from sphrom.artifacts import (
 )
 from sphrom.artifacts.inspection import Fault, inspect, open_file
 from sphrom.case.fields import Section
+from sphrom.case.loader import case_of_text
 from sphrom.case.models import VERSIONS, inputs_digest, section_inputs, stated
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import fast_model, sweep_model, sweep_name
-from sphrom.errors import ArtifactError
+from sphrom.errors import ArtifactError, CaseError
 from sphrom.kernels import ask_for_threads
 from sphrom.setup.context import StageContext
 
@@ -222,15 +223,23 @@ class Workspace:
 
     def folder(self, name: str = "") -> Path:
         """Return the folder of artifacts, or one in it, made if need be."""
-        path = self.out / name
-        make_folder(path)
-        return path
+        return make_folder(self.out / name)
 
     def _origin(self, target: Target) -> Origin:
         """Return what an artifact is made with, and from those parents that are still there."""
         there = [item for item in target.parents.items() if item[1].path.exists()]
         lineage = {role: self._identity(parent) for role, parent in there}
-        return Origin(target.inputs_digest, self.case.text, target.sections, lineage)
+        made_with = target.inputs_digest, self.case.text, target.sections
+        return Origin(*made_with, lambda text: self._other_step(target, text), lineage)
+
+    def _other_step(self, target: Target, text: str) -> str:
+        """Tell in words how the step of a case in YAML differs: it follows from all points."""
+        with suppress(CaseError):
+            there, here = (case.plan.steps.time_step for case in (case_of_text(text), self.case))
+            if "time" in target.sections and there != here:
+                reason = "it follows the lowest Reynolds number of all points, and their speeds"
+                return f"the step is {there:.6g} s there, {here:.6g} s here: {reason}"
+        return ""
 
     def _identity(self, target: Target) -> Identity:
         if target.path not in self._identities:
@@ -412,11 +421,12 @@ def _without(section: Section, *names: str) -> dict[str, object]:
     return {name: value for name, value in said.items() if name not in names}
 
 
-def make_folder(path: Path, option: str = "--out") -> None:
-    """Make a folder. Raises ArtifactError, naming the option that chooses another one."""
+def make_folder(path: Path, option: str = "--out") -> Path:
+    """Return a folder, made if need be. Raises ArtifactError, naming the option for another."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ArtifactError(
             f"{path} can't be made: {error.strerror}; choose another folder with `{option}`"
         ) from error
+    return path

@@ -150,11 +150,6 @@ class _Training:
                 "operators.error_estimate: auto estimates no errors of so many modes, and training "
                 "goes by them: set it to true"
             )
-        if len(self.starts) >= self.section.budget:
-            raise CaseError(
-                f"training.budget: training starts from {len(self.starts)} full runs, and needs at "
-                f"least one more to test what the model promises; got {self.section.budget}"
-            )
 
     def _context_of(self, points: Sequence[ParameterPoint]) -> StageContext:
         """Return a context with a case that is trained at some points."""
