@@ -27,7 +27,6 @@ from sphrom.metrics.histories import (
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.plots.tables import (
     MISSING,
-    about,
     columns,
     flat,
     format_figure,
@@ -167,8 +166,7 @@ class Tables:
         tables = {name: rows for name in RECORDS if (rows := getattr(self, name))}
         for name, rows in tables.items():
             write_csv(workspace.folder("tables") / f"{name}.csv", rows)
-        origin = about(workspace.case.name, workspace.threads)
-        write_json(workspace.out / FILE, tables, origin)
+        write_json(workspace.out / FILE, tables, workspace.case.name, workspace.threads)
 
 
 RECORDS: Mapping[str, type[DataclassInstance]] = {

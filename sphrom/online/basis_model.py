@@ -94,7 +94,7 @@ class BasisModel:
         self._memory: MemoryOperators | None = None
         self._projected: Array | None = None
         with workspace.open(workspace.operators()) as artifact:
-            self.operators = read_operators(artifact, name, self.modes)
+            self.operators = read_operators(artifact, name).of_modes(self.modes)
             self.states = artifact.read(f"{group}/states")[:, self.modes]
             if section.projection == "apg":
                 memory = f"{group}/memory/{section.size}"

@@ -67,7 +67,6 @@ STYLE: Any = {
     "grid.color": "#dddddd",
     "grid.linewidth": 0.6,
     "image.interpolation": "nearest",
-    "figure.constrained_layout.use": True,
     "svg.hashsalt": "sphrom",
 }
 
@@ -126,13 +125,14 @@ def plain_logarithmic(axis: Axis, low: float, high: float) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def symmetric_limits(field: Array) -> tuple[float, float]:
+def symmetric_limits(*fields: Array) -> tuple[float, float]:
     """Return colour limits about zero that hold every finite value; never of zero width."""
-    largest = float(np.nanmax(np.abs(field)))
+    largest = max(float(np.nanmax(np.abs(field))) for field in fields)
     return (-largest, largest) if largest > 0.0 else (-1.0, 1.0)
 
 
-def limits(field: Array) -> tuple[float, float]:
+def limits(*fields: Array) -> tuple[float, float]:
     """Return colour limits that hold every finite value; never of zero width."""
-    low, high = float(np.nanmin(field)), float(np.nanmax(field))
+    low = min(float(np.nanmin(field)) for field in fields)
+    high = max(float(np.nanmax(field)) for field in fields)
     return (low, high) if high > low else (low - 0.5, high + 0.5)

@@ -37,16 +37,6 @@ PLAIN_RANGE = (1e-3, 1e7)
 """Figures of a size in this range are written without an exponent."""
 
 
-def about(case: str, threads: int) -> dict[str, Any]:
-    """Return the origin of a JSON file's tables: case, software, date and threads."""
-    return {
-        "case": case,
-        "software": f"sphrom {__version__}",
-        "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "threads": threads,
-    }
-
-
 def columns(names: Iterable[str], unit: str | None = None) -> dict[str, dict[str, str | None]]:
     """Return the metadata of a field that maps names of columns to figures of one unit."""
     return {"columns": dict.fromkeys(names, unit)}
@@ -135,14 +125,18 @@ def _finite(text: str) -> float:
 def write_json(
     path: Path,
     tables: Mapping[str, Sequence[DataclassInstance]],
-    about: Mapping[str, Any] | None = None,
+    case: str,
+    threads: int,
+    **more: Any,
 ) -> None:
-    """Write named tables as one JSON object, `about` (case, machine, date) before them.
+    """Write named tables as one JSON object, before them case, software, date, threads and `more`.
 
     Raises ValueError for a figure that is not finite, ArtifactError when the file can't be written.
     """
     document: dict[str, Any] = {name: [flat(row) for row in rows] for name, rows in tables.items()}
-    text = json.dumps({"about": dict(about or {}), **document}, indent=2, allow_nan=False)
+    date = datetime.now(UTC).isoformat(timespec="seconds")
+    about = {"case": case, "software": f"sphrom {__version__}", "date": date, "threads": threads}
+    text = json.dumps({"about": about | more, **document}, indent=2, allow_nan=False)
     write_whole(path, (text + "\n").encode())
 
 

@@ -129,13 +129,10 @@ def snapshot_times(case: Case) -> Array:
     return steps.start_time + steps.snapshot_interval * numbers
 
 
-def read_operators(
-    artifact: Artifact, name: str, modes: NDArray[np.int64] | None = None
-) -> ReducedOperators:
-    """Read the operators of some modes of a basis, of all by default."""
+def read_operators(artifact: Artifact, name: str) -> ReducedOperators:
+    """Read the operators of all modes of a basis."""
     driven = artifact.number("walls_driven") == 1.0
-    whole = read_record(artifact, ReducedOperators, f"bases/{name}", walls_driven=driven)
-    return whole if modes is None else whole.of_modes(modes)
+    return read_record(artifact, ReducedOperators, f"bases/{name}", walls_driven=driven)
 
 
 def read_wall_force(

@@ -223,9 +223,7 @@ class Workspace:
 
     def folder(self, name: str = "") -> Path:
         """Return the folder of artifacts, or one in it, made if need be."""
-        path = self.out / name
-        make_folder(path)
-        return path
+        return make_folder(self.out / name)
 
     def _origin(self, target: Target) -> Origin:
         """Return what an artifact is made with, and from those parents that are still there."""
@@ -423,11 +421,12 @@ def _without(section: Section, *names: str) -> dict[str, object]:
     return {name: value for name, value in said.items() if name not in names}
 
 
-def make_folder(path: Path, option: str = "--out") -> None:
-    """Make a folder. Raises ArtifactError, naming the option that chooses another one."""
+def make_folder(path: Path, option: str = "--out") -> Path:
+    """Return a folder, made if need be. Raises ArtifactError, naming the option for another."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ArtifactError(
             f"{path} can't be made: {error.strerror}; choose another folder with `{option}`"
         ) from error
+    return path

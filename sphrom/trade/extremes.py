@@ -27,7 +27,7 @@ from sphrom.offline import map as mapping
 from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Panel, draw_grid
-from sphrom.plots.tables import about, format_figure, write_csv, write_json
+from sphrom.plots.tables import format_figure, write_csv, write_json
 from sphrom.reduction.reference_model import Integrator, runge_kutta
 from sphrom.setup.context import StageContext
 from sphrom.store.sampling import probes_of
@@ -330,8 +330,8 @@ def publish(workspace: Workspace, rows: Sequence[ExtremeRow], notes: Sequence[st
     """Write the tables and the maps of stability, and show them with some notes."""
     report, folder = workspace.context.report, workspace.folder(FOLDER)
     write_csv(folder / "extremes.csv", rows)
-    origin = about(workspace.case.name, workspace.threads)
-    write_json(folder / "extremes.json", {"extremes": rows}, origin)
+    path, name = folder / "extremes.json", workspace.case.name
+    write_json(path, {"extremes": rows}, name, workspace.threads)
     save(draw_extremes(rows), folder / "extremes.png")
     for title, some in _maps(rows).items():
         cells = {(row.n_modes, row.value): _cell(row) for row in some}

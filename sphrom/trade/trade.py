@@ -37,7 +37,6 @@ from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Panel, draw_grid
 from sphrom.plots.tables import (
     UNKNOWN,
-    about,
     format_figure,
     rows_of_columns,
     write_csv,
@@ -265,11 +264,9 @@ def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None)
     if tolerance is not None:
         advice, words = recommend(rows, without, tolerance, measure)
         tables["recommendation"] = rows_of_columns(dict.fromkeys(advice), [advice])
-    case, seconds = workspace.case, timed_words(workspace.case)
-    origin = about(case.name, workspace.threads)
-    write_json(
-        folder / "trade.json", tables, {**origin, "seconds": seconds, "judged_by": measure.words}
-    )
+    case, path, seconds = workspace.case, folder / "trade.json", timed_words(workspace.case)
+    words_of = {"seconds": seconds, "judged_by": measure.words}
+    write_json(path, tables, case.name, workspace.threads, **words_of)
     save(draw_trade(results), folder / "trade.png")
     report.table(
         f"speed against accuracy: {measure.words} in %, overall / at the worst instant, pressure "

@@ -16,7 +16,6 @@ from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Panel, draw_grid
 from sphrom.plots.tables import (
     UNKNOWN,
-    about,
     format_figure,
     rows_of_columns,
     write_csv,
@@ -25,6 +24,7 @@ from sphrom.plots.tables import (
 from sphrom.reduction.error_calibration import FIELDS
 from sphrom.reduction.greedy import Ending, safety_factor
 from sphrom.store.workspace import Workspace
+from sphrom.text import exact
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -152,23 +152,27 @@ def publish(
     rows = list(_rows(outcome))
     table = rows_of_columns(units, ({**dict.fromkeys(units), **row} for row in rows))
     write_csv(folder / "training.csv", table)
-    origin = about(outcome.case.name, workspace.threads)
-    origin |= {
-        "model": outcome.model,
-        "quantity": outcome.case.training.quantity,
-        "tolerance_percent": outcome.case.training.percent,
-        "ending": outcome.ending,
-        "trained": [point.as_dict() for point in points],
-    }
-    write_json(folder / "training.json", {"stages": table}, origin)
+    write_json(
+        folder / "training.json",
+        {"stages": table},
+        outcome.case.name,
+        workspace.threads,
+        model=outcome.model,
+        quantity=outcome.case.training.quantity,
+        tolerance_percent=outcome.case.training.percent,
+        ending=outcome.ending,
+        trained=[point.as_dict() for point in points],
+    )
     save(draw_training(outcome), folder / "training.png")
     others = [name for name in names if name.partition("_")[0] not in outcome.quantity]
     shown = [name for name in units if name not in (*others, "failure")]
+    known = points[0].as_dict()
+    cells = [row | {name: exact(row[name]) for name in known if name in row} for row in rows]
     report.table(
         f"training of {outcome.model}: errors in %; those of runs before the model learnt from "
         "them: estimated, true, and of the best approximation",
         [name.replace("_", " ") for name in shown],
-        [[format_figure(row.get(name)) for name in shown] for row in rows],
+        [[format_figure(row.get(name)) for name in shown] for row in cells],
     )
     (report.info if outcome.ending == "within" else report.warn)(_statement(outcome))
     report.info(f"tables, training.json and training.png are in {folder}")
@@ -239,8 +243,7 @@ def draw_training(outcome: Outcome) -> Figure:
     n_runs = np.array([len(stage.points) for stage in stages])
     worst = Curve("worst estimate", n_runs, np.array([each.max() for each in estimates]))
     held = [len(s.points) for s in stages for r in s.held_out if r.failure is None]
-    learnt = np.array(held, dtype=int)
-    curves = [worst, *_known_errors(outcome, learnt, n_runs)]
+    curves = [worst, *_known_errors(outcome, np.array(held, dtype=int), n_runs)]
     panels = [Panel("", "full runs learnt from", error, curves, "logarithmic")]
     names = list(outcome.case.training.ranges)
     if len(names) == 1:

@@ -30,9 +30,11 @@ def test_files_hold_what_was_written(tmp_path: Path) -> None:
     assert head == headings(Row) == ["model", "n_modes", "velocity_peak [%]"]
     assert rows == [["Galerkin, M = 5", "5", repr(0.1 + 0.2)], ["APG", "10", ""]]
     path = tmp_path / "compare.json"
-    write_json(path, {"errors": ROWS}, {"cores": 2})
+    write_json(path, {"errors": ROWS}, "vortex", 2, judged_by="means")
     found = read_json(path, MADE_BY, {"errors": Row})
-    assert found == {"about": {"cores": 2}, "errors": ROWS}
+    about = found.pop("about")
+    assert (about["case"], about["threads"], about["judged_by"]) == ("vortex", 2, "means")
+    assert found == {"errors": ROWS}
 
 
 MADE_BY = "sphrom compare CASE"
@@ -41,11 +43,11 @@ HOSTILE = "a\x1b[2J\x7f\x9b31m\u202eb\udcff"
 
 def test_no_file_holds_what_a_terminal_obeys(tmp_path: Path) -> None:
     write_csv(tmp_path / "a.csv", [Row(HOSTILE, 1, None)])
-    write_json(tmp_path / "a.json", {"errors": [Row(HOSTILE, 1, None)]}, {"command": HOSTILE})
+    write_json(tmp_path / "a.json", {"errors": [Row(HOSTILE, 1, None)]}, HOSTILE, 1)
     for path in tmp_path.iterdir():
         assert path.read_text().replace("\n", "").isprintable()
     document = json.loads((tmp_path / "a.json").read_text())
-    assert document["errors"][0]["model"] == document["about"]["command"] == HOSTILE
+    assert document["errors"][0]["model"] == document["about"]["case"] == HOSTILE
     with (tmp_path / "a.csv").open(newline="") as stream:
         assert list(csv.reader(stream))[1][0] == r"a\x1b[2J\x7f\x9b31m\u202eb\udcff"
 
@@ -55,7 +57,7 @@ def test_what_is_not_finite_is_refused_and_the_old_file_kept(tmp_path: Path, bad
     path = tmp_path / "table"
     path.write_text("old")
     with pytest.raises(ValueError, match=str(bad)):
-        write_json(path, {"errors": [Row("x", 1, bad)]})
+        write_json(path, {"errors": [Row("x", 1, bad)]}, "vortex", 1)
     with pytest.raises(ValueError, match=str(bad)):
         write_csv(path, [Row("x", 1, bad)])
     assert path.read_text() == "old"

@@ -11,9 +11,11 @@ from sphrom.artifacts.records.runs import (
     FLOW_RATE,
     PRESSURE,
     PRESSURE_AT_PLACES,
+    PRESSURE_ERROR,
     TIME,
     VELOCITY,
     VELOCITY_AT_PLACES,
+    VELOCITY_ERROR,
     Force,
     Measured,
     Settings,
@@ -42,10 +44,8 @@ class MeasuredOnce(Record):
 class ErrorEstimate(Record):
     """The errors of a run, estimated without a full run."""
 
-    velocity: Array = dataset("snapshot", "m/s", "estimated root mean square error of the velocity")
-    pressure: Array = dataset(
-        "snapshot", "Pa", "estimated root mean square error of the pressure less its mean"
-    )
+    velocity: Array = dataset("snapshot", *VELOCITY_ERROR)
+    pressure: Array = dataset("snapshot", *PRESSURE_ERROR)
     change: Array = dataset(
         "snapshot cause",
         "of the inner product",
@@ -83,9 +83,7 @@ class Steady(Record):
         "of the inner product, /s", "norm of what the basis leaves out of the rates there",
         default=None,
     )
-    velocity_error_estimate: float | None = attribute(
-        "m/s", "estimated root mean square error of the velocity", default=None
-    )
+    velocity_error_estimate: float | None = attribute(*VELOCITY_ERROR, default=None)
     pressure_error_estimate: float | None = attribute(
         "Pa", "estimated root mean square error of the pressure", default=None
     )

@@ -19,6 +19,9 @@ REFERENCE_POSITION = "m", "points of the reference space", "x_G", "Eq. 3.14"
 FLOW_RATE = "m2/s", "flow through a section, from the left to the right of the way along it"
 VELOCITY_AT_PLACES = "m/s", "velocity at the places", "u", "Eq. 2.7"
 PRESSURE_AT_PLACES = "Pa", "pressure at the places", "p", "Eq. 2.8"
+VELOCITY_ERROR = "m/s", "estimated root mean square error of the velocity"
+PRESSURE_ERROR = "Pa", "estimated root mean square error of the pressure less its mean"
+PARAMETERS = "", "parameter values of the run"
 _ABOUT = "about a solid's centroid, or about the box's centre on a side of it"
 
 Status = Literal["complete", "unstable"]
@@ -34,9 +37,7 @@ class Medium(Record):
 class Settings(Medium):
     """What a run was made with."""
 
-    parameters: Mapping[str, float] = attribute(
-        "", "parameter values of the run", default_factory=dict
-    )
+    parameters: Mapping[str, float] = attribute(*PARAMETERS, default_factory=dict)
     kinematic_viscosity: float = attribute("m2/s", "nu of Eq. 2.12")
     particle_spacing: float = attribute("m", "initial spacing of the particles")
     smoothing_length: float = attribute("m", "h of Eq. 2.2")
@@ -155,9 +156,7 @@ class ReferenceSnapshots(Medium, kind="sphrom/reference-snapshots"):
     time: Array = dataset("snapshot", *TIME)
     density_fluctuation: Array = dataset("snapshot particle", *DENSITY)
     velocity: Array = dataset("snapshot particle component", *VELOCITY)
-    parameters: Mapping[str, float] = attribute(
-        "", "parameter values of the run", default_factory=dict
-    )
+    parameters: Mapping[str, float] = attribute(*PARAMETERS, default_factory=dict)
     map_error: Mapping[str, float] = attribute(
         "%", "relative L2 error of the map on the exact solution, by field", default_factory=dict,
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from sphrom.arrays import Array, Indices
-from sphrom.artifacts.records.runs import FLOW_RATE, TIME
+from sphrom.artifacts.records.runs import FLOW_RATE, PRESSURE_ERROR, TIME, VELOCITY_ERROR
 from sphrom.declaration import Record, attribute, dataset, part
 from sphrom.metrics.draws import OutputIndices, OutputStatistics
 
@@ -29,12 +29,10 @@ class Estimates(Record):
         "one where a run is outside of what its model was trained on, else zero",
     )
     velocity_over_time: Array | None = dataset(
-        "estimated_run snapshot", "m/s", "estimated root mean square error of the velocity",
-        default=None,
+        "estimated_run snapshot", *VELOCITY_ERROR, default=None
     )
     pressure_over_time: Array | None = dataset(
-        "estimated_run snapshot", "Pa",
-        "estimated root mean square error of the pressure less its mean", default=None,
+        "estimated_run snapshot", *PRESSURE_ERROR, default=None
     )
 
 
