@@ -314,7 +314,7 @@ def _bar_below(
 ) -> None:
     """Draw a colour bar under panels; `aspect` in proportion to their width gives one height.
 
-    Its labels are sparse, with a common factor instead of long numbers.
+    Its labels are sparse, with a common factor beside the unit instead of long numbers.
     """
     from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
@@ -327,12 +327,13 @@ def _bar_below(
         pad=0.03,
         extend=extended,
     )
-    bar.set_label(label, loc="left")  # a common factor of the numbers stands on the right
     numbers = ScalarFormatter(useMathText=True)
     numbers.set_powerlimits((-2, 4))
     bar.locator, bar.formatter = MaxNLocator(aspect // 6), numbers
     bar.update_ticks()
-    bar.ax.xaxis.get_offset_text().set_fontsize(7.5)
+    numbers.format_ticks(list(bar.get_ticks()))
+    bar.set_label(f"{label} {numbers.get_offset()}".strip(), loc="left")  # where neither hides
+    bar.ax.xaxis.get_offset_text().set_visible(False)
 
 
 def _look(curve: Curve, index: int) -> dict[str, Any]:
