@@ -333,12 +333,11 @@ def import_(
         overrides = options.overrides or []
         text, keys = fitted_case(options.case, overrides, files, about, write_case.parent)
         options = replace(options, overrides=[*overrides, *keys])
-    missing = run_stage("import", options, files=files, about=about)
+    missing = ", ".join(run_stage("import", options, files=files, about=about))
     if write_case is not None:
-        step = f"sphrom run {replace(options, case=write_case, overrides=None).words}"
-        if missing:
-            step = f"import {', '.join(missing)} for {write_case} ({step} would simulate them)"
-        write_new(write_case, text, f", with {' '.join(keys)}; next: {step}", force=options.force)
+        run = f"sphrom run {replace(options, case=write_case, overrides=None).words}"
+        way = f"import {missing} for {write_case} ({run} would simulate them)" if missing else run
+        write_new(write_case, text, f", with {' '.join(keys)}; next: {way}", force=options.force)
 
 
 @stage_command(stages, "export", OF_FILES)

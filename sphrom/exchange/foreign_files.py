@@ -199,11 +199,8 @@ def _read_pysph(path: Path, array: str | None) -> Read:
         if array is None and len(sets) == 1:
             (array,) = sets
         if array not in sets:
-            what = "several sets of" if array is None and sets else "no"
-            raise Fault(
-                f"holds {what} particles {array or 'of PySPH'}; name one of its sets with --array: "
-                f"{', '.join(sorted(sets)) or 'it has none in /particles/<name>/arrays'}"
-            )
+            held = ", ".join(sorted(sets)) or "none, as there is no /particles/<name>/arrays"
+            raise Fault(f"needs the name of one of its sets of particles as --array: {held}")
         prefix = f"particles/{array}/arrays/"
         shapes = {n: shape for n, (shape, _) in contents.datasets.items() if n.startswith(prefix)}
         # Properties of several numbers a particle are of no use here.

@@ -177,11 +177,7 @@ def _write(
                 "no pressure: --density or --pressure names a field that has it"
             )
         writer.finish(None, about.seconds)
-        speed, usual = converter.largest_speed, plan.max_speed
-        fitting = about.fitting("velocity", usual / speed) if speed > usual else ""
-        doubts = [f"the largest speed is {speed:.4g} m/s, the scene's {usual:.4g} m/s{fitting}"]
-        if not fitting:
-            doubts = list(_doubts(workspace, point, model, kept, begin))
+        doubts = list(_doubts(workspace, point, model, kept, begin))
         for doubt in doubts:
             workspace.context.report.warn(f"{point.label}: {doubt}")
         artifact.annotate("imported/doubts", "\n".join(doubts))
@@ -280,8 +276,8 @@ def fitted_case(
     """
     found = find_sources(files, about)
     case, keys = load_case(source, overrides), list[str]()
-    resolution = _fitting_resolution(case, read_foreign(found[0], about.array).n_particles)
-    if resolution is not None:
+    n_found = read_foreign(found[0], about.array).n_particles
+    if (resolution := _fitting_resolution(case, n_found)) is not None:
         keys.append(f"discretization.resolution={resolution}")
     if case.time.spin_up > 0.0:
         keys.append("time.spin_up=0")
@@ -343,10 +339,11 @@ class Converter:
         self._require_flat(given)
         position = self._place(given)[order]
         scene, found = self._case.plan.max_speed, self.largest_speed
-        if found > self._case.plan.sound_speed:
+        fitting = self.about.fitting("velocity", scene / found) if found > scene else ""
+        if fitting or found > self._case.plan.sound_speed:
             raise CaseError(
                 f"{given.path}: the largest speed is {found:.4g} m/s, this scene's about "
-                f"{scene:.4g} m/s{self.about.fitting('velocity', scene / found)}"
+                f"{scene:.4g} m/s (fluid.reference_speed){fitting}"
             )
         fluctuation = self._fluctuation(given)[order]
         return Snapshot(np.ascontiguousarray(position.T), fluctuation, velocity)

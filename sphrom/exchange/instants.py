@@ -169,8 +169,8 @@ def interpolated(
     position = domain.wrap((base + moved).T)
     if outside := int(np.sum(~domain.contains(position))):
         raise CaseError(
-            f"at t = {time:.6g} s interpolation in time, between files up to "
-            f"{np.diff(nodes).max():.3g} s apart, takes {counted(outside, 'particle')} out of the "
-            "scene: name more files, or --write-case, with whose case fewer are interpolated"
+            f"at t = {time:.6g} s interpolation between files {np.diff(nodes).max():.3g} s apart "
+            f"takes {counted(outside, 'particle')} out of the scene: it needs files closer in time "
+            "or a case with the times of the files (--write-case)"
         )
     return Snapshot(np.ascontiguousarray(position.T), fluctuation, velocity)

@@ -188,7 +188,7 @@ def test_one_array_of_several_is_taken(case, sphrom) -> None:
                 file[f"particles/fluid/arrays/{field}"] = values
     refused = sphrom("import", case, *names)
     assert refused.exit_code == 3
-    assert "several sets of particles of PySPH; name one" in refused.stderr
+    assert "one of its sets of particles as --array: fluid, wall" in refused.stderr
     assert sphrom("import", case, *names, "--array", "fluid").exit_code == 0
     np.testing.assert_array_equal(imported()["velocity"][2][:, 0], fields(0.1)["u"])
 
@@ -379,7 +379,7 @@ def test_particles_that_come_and_go_are_refused(case, sphrom) -> None:
         ({}, ("--units", "length=furlong"), 2, "--units: got 'length=furlong'"),
         ({}, ("--units", "density=kg/mm3"), 2, "check the density or pressure of --units"),
         ({}, ("--units", "time=ms"), 2, "writes a case that fits them; time=s of --units would"),
-        ({}, ("--units", "velocity=1000"), 2, "this scene's about 1 m/s; velocity=m/s of --units"),
+        ({"u": HIGH, "v": HIGH}, ("--units", "velocity=6"), 2, "speed); velocity=m/s of --units"),
         ({}, ("--units", "length=1000"), 2, "the scene's size; length=m of --units would fit"),
         ({}, ("--origin", "0.5,0", "--set", "scene={kind: lid-driven-cavity}"), 2,
          "50 of the particles are outside the scene; all span -0.45 to 0.45 m and 0.05 to 0.95 m"),
