@@ -48,12 +48,12 @@ ERRORS = (
     {
         "velocity_field_relative_l2": "velocity, field: relative L2 [%]",
         "velocity_line_relative_l2": "velocity, line: relative L2 [%]",
-        "velocity_line_eq41_by_line_range": "speed, line: Eq. 4.1 by the line's range [%]",
+        "velocity_line_eq41_by_line_range": "speed, line: mean error over range (Eq. 4.1) [%]",
     },
     {
         "pressure_field_relative_l2": "pressure less its mean, field: relative L2 [%]",
         "pressure_line_relative_l2": "pressure less its mean, line: relative L2 [%]",
-        "pressure_line_eq41_by_line_range": "pressure, line: Eq. 4.1 by the line's range [%]",
+        "pressure_line_eq41_by_line_range": "pressure, line: mean error over range (Eq. 4.1) [%]",
     },
 )
 """The errors that are drawn, a row of velocities and one of pressures, and their labels."""
@@ -190,7 +190,8 @@ class _PointFigures:
             ]
             for row in ERRORS
         ]
-        return draw_grid(rows, title=self.point.label)
+        line = f"on the line x = {self.case.plan.probe_line:g} m"
+        return draw_grid(rows, title=f"{self.point.label}, over the field and {line}")
 
     def _profiles(self) -> Figure:
         """Return the full run beside every reference that it can match, by quantity."""

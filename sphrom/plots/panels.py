@@ -206,7 +206,7 @@ def draw_grid(
         bars = 0.5 if scales is None or (beside is not None and len(rows) > 1) else 0.0
         height = max(height, picture_width * (upper - lower) / (right - left) + 0.3 + bars)
     with styled():
-        width = max(sum(widths) + 0.7, LETTER * len(title), LEAST_WIDTH)
+        width = max(sum(widths) + 0.7, LETTER * max(map(len, title.split("\n"))), LEAST_WIDTH)
         figure = new_figure(width, len(rows) * height + 1.2)
         grid = figure.subplots(len(rows), len(longest), squeeze=False, width_ratios=widths)
         places: list[tuple[Axes, Field | Panel]] = []
@@ -313,7 +313,7 @@ def _bar_below(
 ) -> None:
     """Draw a colour bar under panels; `aspect` in proportion to their width gives one height.
 
-    Its labels are sparse, with a common factor instead of long numbers.
+    Its labels are sparse, with a common factor beside the unit instead of long numbers.
     """
     from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
@@ -326,12 +326,13 @@ def _bar_below(
         pad=0.03,
         extend=extended,
     )
-    bar.set_label(label, loc="left")  # a common factor of the numbers stands on the right
     numbers = ScalarFormatter(useMathText=True)
     numbers.set_powerlimits((-2, 4))
     bar.locator, bar.formatter = MaxNLocator(aspect // 6), numbers
     bar.update_ticks()
-    bar.ax.xaxis.get_offset_text().set_fontsize(7.5)
+    numbers.format_ticks(list(bar.get_ticks()))
+    bar.set_label(f"{label} {numbers.get_offset()}".strip(), loc="left")  # where neither hides
+    bar.ax.xaxis.get_offset_text().set_visible(False)
 
 
 def _look(curve: Curve, index: int) -> dict[str, Any]:

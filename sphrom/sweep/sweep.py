@@ -169,13 +169,13 @@ def _make(
 def columns_of(case: Case, records: Sequence[RunRecord]) -> dict[str, str | None]:
     """Return the columns of the table of runs, with their units.
 
-    `extrapolated` is `yes` where the estimates are for values outside of training, else `no`, and
-    empty without estimates; `reason` tells why there is no result. What a case measures over time
-    has statistics, and what it measures along lines none.
+    `error_estimate_extrapolated` is `yes` for values outside of training, else `no`, and empty
+    without estimates; `reason` tells why there is no result. What a case measures over time has
+    statistics, and what it measures along lines none.
     """
     derivatives = next((record.derivative_names for record in records if record.values), ())
     names = {**dict.fromkeys(case.plan.parameter_names), "status": None}
-    names |= FIGURES | dict.fromkeys((*derivatives, "extrapolated", "reason"))
+    names |= FIGURES | dict.fromkeys((*derivatives, "error_estimate_extrapolated", "reason"))
     return names | {
         f"{name}_{component}_{statistic}": UNITS[quantity]
         for name, section in case.scene.measure.items()
@@ -311,7 +311,8 @@ def _rows(records: Sequence[RunRecord], names: Iterable[str]) -> list[Cells]:
         values = {path.replace("/", "_"): value for path, value in record.values.items()}
         row: Cells = {**dict.fromkeys(names), **record.point.as_dict()}
         beyond = {None: "", 0: "no", 1: "yes"}[values.get("error_estimate_extrapolated")]
-        row |= {"status": STATES[record.status], "reason": record.reason, "extrapolated": beyond}
+        row |= {"status": STATES[record.status], "reason": record.reason}
+        row |= {"error_estimate_extrapolated": beyond}
         row |= {name: float(values[name]) for name in FIGURES if name in values}
         derivatives = values.get("derivatives", np.zeros(0)).tolist()
         row |= zip(record.derivative_names, derivatives, strict=True)
