@@ -229,6 +229,7 @@ def test_other_stages_run_as_their_commands(study):
     study.run_stage("sweep", workers=1)
     with sphrom.open(study.folder / "sweep-fast.h5") as swept:
         np.testing.assert_array_equal(swept.parameters.values.ravel(), [120.0, 140.0])
+        assert swept.kinetic_energy.reynolds.values.tolist() == [120.0, 140.0]
         at_120 = study.model("fast", reynolds=120).run()
         np.testing.assert_array_equal(swept.generalized_coordinates[0], at_120.coordinates)
 
