@@ -39,8 +39,7 @@ def open_labelled(path: str | Path, group: str = "") -> xarray.Dataset:
     group = group.strip("/")
     with contextlib.ExitStack() as stack:
         artifact = stack.enter_context(open_artifact(path, None, made_by="sphrom run CASE"))
-        described = {name: SCHEMAS[artifact.schema].dataset(name) for name in artifact.datasets}
-        fields = {name: field for name, field in described.items() if field is not None}
+        fields = {n: f for n in artifact.datasets if (f := SCHEMAS[artifact.schema].dataset(n))}
         groups = sorted({_home(field, name) for name, field in fields.items()} - {""})
         if group and group not in groups:
             there = ", ".join(groups) or "none"
@@ -65,9 +64,8 @@ def open_labelled(path: str | Path, group: str = "") -> xarray.Dataset:
             attributes["groups"] = groups
         found = xarray.Dataset(variables, attrs=attributes)
         if "parameters" in found:  # of the runs of a sweep that have a result
-            names = artifact.text("parameter_names").split(",")
             at = found["parameters"][found["complete"].values].values.T
-            along = zip(names, at, strict=True)
+            along = zip(artifact.text("parameter_names").split(","), at, strict=True)
             found = found.assign_coords({name: ("complete_run", row) for name, row in along})
         if "component" in found.dims:
             found = found.assign_coords(component=list(AXES))

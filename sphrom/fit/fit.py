@@ -420,16 +420,15 @@ def _about_the_fit(fitted: Fit, by_model: float) -> Iterator[str]:
     ratio, bound = fitted.chi_square / dof, fitted.expected_chi_square
     if (beyond := fitted.chi_square - bound) > 0.0:
         worst = max(fitted.histories, key=lambda each: each.residual)
-        noise = math.sqrt((fitted.chi_square - by_model) / dof)
         bad = beyond > (TRUSTED - 1.0) * by_model
         larger = "far" if bad else f"{100.0 * (math.sqrt(1.0 + beyond / by_model) - 1.0):.2g} %"
         yield (
             f"{'the fit is bad: ' * bad}chi^2 per degree of freedom is {ratio:.3g}, above the "
             f"{bound / dof:.3g} that noise and the model's errors explain, so that the intervals "
-            f"are too narrow. Noise {noise:.2g} times as large as stated would explain it. Or the "
-            f"model's errors are {larger} larger than estimated, or another flow was measured than "
-            f"the case's. {worst.name} fits worst, with residuals {worst.residual:.2g} times the "
-            "noise: check its unit, place and noise, or fit without it"
+            f"are too narrow. Noise {worst.residual:.2g} times as large as stated would explain "
+            f"it. Or the model's errors are {larger} larger than estimated, or another flow was "
+            f"measured than the case's. {worst.name} fits worst: check its unit, place and noise, "
+            "or fit without it"
         )
     elif fitted.chi_square < chi2.ppf(1.0 - SURE, dof):
         yield (

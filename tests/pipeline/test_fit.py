@@ -171,7 +171,6 @@ def test_a_bad_fit_says_so(study, columns):
     swapped = {**table, U: columns[V], V: columns[U]}
     found = study.model("fast", **TRUE).fit(swapped, noise=1.0)
     assert any(p.startswith("the fit is bad: chi^2 per degree") for p in found.problems)
-    assert {each.remark for each in found.estimates} == {"interval too narrow"}
     noise = 1.1 * float(found.warnings.partition("Noise ")[2].split()[0])
     assert "bad" not in study.model("fast", **TRUE).fit(swapped, noise=noise).warnings
     for factor in (1.0, 1.3, 1.5, 2.0, 4.0):
@@ -179,6 +178,7 @@ def test_a_bad_fit_says_so(study, columns):
         found = study.model("fast", **TRUE).fit(other, noise=1.0)
         *_, last = ("", *found.problems)
         assert (found.chi_square > found.expected_chi_square) == ("above the" in last), factor
+        assert ("above the" in last) <= all(each.remark for each in found.estimates)
 
 
 def test_without_full_runs_intervals_are_of_the_noise_alone(study, columns):
