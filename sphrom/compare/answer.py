@@ -106,8 +106,7 @@ class Answer:
             f"the full run {duration(timing.full_seconds or 0.0)}{longest}."
         )
         if timing.speed_up <= 1.0:
-            advice = "such as {name: fast, evaluation: operators}"
-            yield f"{took} It is not faster; a model with evaluation: operators is, {advice}."
+            yield f"{took} It is not faster; a model with evaluation: operators is."
             return
         yield took
         gains = timing.speed_up, timing.least_speed_up, timing.greatest_speed_up
@@ -186,11 +185,13 @@ def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
 
 
 def _doubts(workspace: Workspace) -> Iterator[str]:
-    """Yield why the case may not be that of imported runs, as their import found, in sentences."""
-    for point in workspace.case.plan.points:
-        said = workspace.imported(workspace.full_run(point)).get("imported/doubts", "")
-        for doubt in said.splitlines():
-            yield f"The run at {point.label} was imported, and may be of another flow: {doubt}."
+    """Yield a sentence on why the case may not be that of imported runs, as their import found."""
+    runs = {p.label: workspace.imported(workspace.full_run(p)) for p in workspace.case.plan.points}
+    said = {at: of["imported/doubts"] for at, of in runs.items() if of.get("imported/doubts")}
+    if said:
+        (first, *more), doubts = said, next(iter(said.values())).replace("\n", "; ")
+        also = f"; so may those at {', '.join(more)}" if more else ""
+        yield f"The run at {first} was imported, and may be of another flow: {doubts}{also}."
 
 
 def _force_errors(

@@ -193,8 +193,7 @@ def draw_grid(
     Pictures of one label share a scale and a colour bar. `scales` are ranges that the scales of
     some labels leave no farther than `BEYOND`, such as the full run's. Without them each picture
     has a scale and a bar of its own. Curves have one legend below, or one in each panel where
-    they differ or stand beside pictures. Curves `beside` stand to the right of all rows.
-    Raises ValueError for no panel.
+    they differ or stand beside pictures, as those `beside` all rows do. ValueError: no panel.
     """
     longest = [*max(rows, key=len, default=()), *([] if beside is None else [beside])]
     if not longest:
