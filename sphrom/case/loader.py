@@ -87,8 +87,7 @@ def given_keys(source: FilePath, overrides: Sequence[str], folder: FilePath) -> 
 
     Raises CaseError.
     """
-    data: dict[str, Any] = moved(_given(source, overrides)[1].value, source.parent, folder)
-    return data
+    return dict(moved(_given(source, overrides)[1].value, source.parent, folder))
 
 
 def case_of_text(text: str, folder: str | os.PathLike[str] | None = None) -> Case:
