@@ -40,8 +40,7 @@ def _of_models(case: Case) -> Iterator[str]:
         unseen = [point for point in case.plan.rom_points(model) if point not in case.plan.points]
         yield from _extrapolations(case, f"rom.{i}.parameters", unseen)
         for point in unseen:
-            start = case.plan.start_point(point)
-            if start != point:
+            if (start := case.plan.start_point(point)) != point:
                 yield (
                     f"rom.{i}.parameters: {point.label} has no spin-up: its run starts from the "
                     f"end of that at {start.label}, the nearest trained"

@@ -61,7 +61,7 @@ def load_case(
     try:
         case = Case.model_validate(document.value, context={"folder": FilePath(name).parent})
         problems = case_problems(case, force=force)
-        given = case.parameters.model_fields_set
+        given = document.value.get("parameters") or {}
         if not problems and case.training.ranges and "train" not in given:
             case = trained_at(case, Region(case).starts(()))
             problems = case_problems(case, force=force)

@@ -248,8 +248,7 @@ def _parsed(text: str) -> BaseGeometry:
     except (shapely.errors.ShapelyError, NotImplementedError) as error:
         fault = str(error).removeprefix("ParseException: ") if text.strip() else "it is empty"
         named = "; name a file with `file:`" if Path(text).suffix.lower() in _READERS else ""
-        fault = f"is no well-known text of polygons with straight sides: {fault}{named}"
-        raise ValueError(fault) from error
+        raise ValueError(f"is no WKT of polygons with straight sides: {fault}{named}") from error
 
 
 _READERS = {

@@ -99,6 +99,7 @@ def test_further_points_of_the_region_change_no_steps():
     region = Region(case)
     starts = region.starts(())
     assert len(starts) == 4
+    assert case.plan.train_points == tuple(starts)  # no others are given
     before = trained_at(case, starts)
     after = trained_at(case, [*starts, *region.candidates()])
     assert after.plan.steps == before.plan.steps
