@@ -131,7 +131,7 @@ def run_beyond(
     with truth.open(truth.full_run(point)) as trajectory:
         full = sample_run(case, trajectory, probes.all)
     trained_until = workspace.case.plan.steps.end_time
-    return effectivity(estimates, samples, full, probes, trained_until)
+    return effectivity(estimates, samples, full, probes, trained_until, trained_until)
 
 
 def show(rows: Sequence[Row]) -> None:

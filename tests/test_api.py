@@ -98,7 +98,7 @@ def test_what_the_command_line_makes_is_the_same(study, model, tmp_path):
         np.testing.assert_array_equal(estimate.pressure, stored.error_estimate_pressure)
         assert result.time_step == stored.attrs["time_step"]
     assert 0.0 < estimate.velocity_percent < 10.0
-    assert not estimate.extrapolates
+    assert not estimate.extrapolated
     assert repr(result) == f"Result('fast', reynolds=150, {len(result.time)} snapshots)"
 
 
@@ -170,7 +170,7 @@ def test_many_runs_are_those_at_each_point(study, model):
     for k, reynolds in enumerate(found.reynolds.values):
         errors = study.model("fast", reynolds=reynolds).run().error_estimate
         assert found.error_estimate_velocity[k] == errors.velocity_percent
-        assert found.error_estimate_extrapolated[k] == errors.extrapolates == (reynolds == 300)
+        assert found.error_estimate_extrapolated[k] == errors.extrapolated == (reynolds == 300)
 
 
 def test_runs_beyond_the_trained_times_and_values_are_told_apart(study):
@@ -178,7 +178,7 @@ def test_runs_beyond_the_trained_times_and_values_are_told_apart(study):
     own = model.run()
     longer = model.run(final_time=2.0 * own.time[-1])
     assert longer.time[-1] == pytest.approx(2.0 * own.time[-1])
-    assert longer.error_estimate.extrapolates
+    assert longer.error_estimate.extrapolated
     assert "beyond the trained time" in TOLD[-1]
     study.model("fast", reynolds=300)
     assert "fast: reynolds=300 is outside of the trained range" in TOLD[-1]

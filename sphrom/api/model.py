@@ -212,7 +212,8 @@ class Model:
 
         Parameters
         ----------
-        measurements : a CSV file, or its columns by name; see `sphrom.fit.measurements`.
+        measurements : a CSV file, or its columns by name in a dictionary or a table of pandas;
+            see `sphrom.fit.measurements`.
         names : the parameters to look for; others have this model's values. By default those that
             the case's section `fit` leaves free, with the values that it has.
         noise : standard deviation over each history's range, such as `"1%"` or 1.0, where the
@@ -226,7 +227,8 @@ class Model:
         case, section, (fast, _) = self._workspace.case, self._section, self._by_operators("fit")
         self._require_names(names)
         share = case.fit.noise if noise is None else percent(noise, "noise")
-        source = measurements if isinstance(measurements, Mapping) else Path(measurements)
+        given: Any = measurements
+        source = dict(given) if hasattr(given, "keys") else Path(given)
         data = read_measurements(source, case, case.plan.model_steps(section), share)
         ranges, values = fit_ranges(case, section), fit_values(case)
         if names:

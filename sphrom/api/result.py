@@ -55,12 +55,13 @@ class Labels:
 
         variables = {}
         for name, quantities in measured.items():
-            line = self._lines.get(name.removeprefix(ERROR), "")
+            own = name.removeprefix(ERROR)
+            line, of = self._lines.get(own, ""), f"{own}{', estimated error' * (own != name)}"
             for quantity, values in quantities.items():
                 is_vector = quantity in VECTORS
                 if quantity in PLACED and not line:  # a probe has one place
                     values = np.squeeze(values, axis=-1 - is_vector)
-                dims, meaning = f"{axes}{line}{' component' * is_vector}", f"{quantity} of {name}"
+                dims, meaning = f"{axes}{line}{' component' * is_vector}", f"{quantity} of {of}"
                 variables[f"{name}_{quantity}"] = labelled(dims, values, UNITS[quantity], meaning)
         if (key := time.tobytes()) not in self._known:
             known = axes_of(time)
@@ -109,7 +110,7 @@ class Labels:
                 continue
             status[k] = "complete"
             if (found := run.estimate) is not None:
-                errors[:, k] = found.velocity_percent, found.pressure_percent, found.extrapolates
+                errors[:, k] = found.velocity_percent, found.pressure_percent, found.extrapolated
             estimates = {f"{ERROR}{name}": each for name, each in measured_errors(run).items()}
             for name, quantities in {**run.measured, **estimates}.items():
                 known = measured.setdefault(name, {})

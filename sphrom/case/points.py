@@ -124,7 +124,7 @@ def viscous(values: Mapping[str, Any]) -> Mapping[str, Any]:
 
 Interval = Annotated[Place, AfterValidator(ordered)]
 """The least and the greatest value, which may be one."""
-Range = Annotated[Place, AfterValidator(rising)]
+Range = Annotated[Place, AfterValidator(rising), Field(description="a range [low, high]")]
 """The least value, and a greater one."""
 
 PointValues = Annotated[dict[SafeName, Coordinate], AfterValidator(viscous)]

@@ -128,15 +128,15 @@ class DrawnSection(SampleSection):
         return self
 
     @property
-    def has_statistics(self) -> bool:
-        """Whether its points are draws of random parameters, of which outputs have statistics."""
+    def is_random(self) -> bool:
+        """Whether its points are draws rather than a sequence that fills a box of ranges."""
         drawn = any(isinstance(entry, DistributionSection) for entry in self.entries.values())
         return drawn or self.method in ("random", "saltelli")
 
     @cached_property
     def points(self) -> list[dict[str, float]]:
-        """The points: of random parameters with all digits, else with six."""
-        if not self.has_statistics:
+        """The points: draws with all digits, else with six."""
+        if not self.is_random:
             return super().points
         n_parameters = len(self.entries)
         if self.method == "saltelli":
@@ -181,11 +181,11 @@ class SweepSection(Section):
     sample: DrawnSection | None = key(
         None,
         "points that fill a box or are drawn from distributions, in place of reynolds and "
-        "parameters; of draws quantiles and other statistics are computed",
+        "parameters; quantiles and other statistics of outputs are computed",
     )
     quantiles: Annotated[
         tuple[Share, ...], Field(min_length=1, max_length=99), AfterValidator(rising)
-    ] = key((0.05, 0.25, 0.5, 0.75, 0.95), "the quantiles of outputs of draws, rising, such as 0.5")
+    ] = key((0.05, 0.25, 0.5, 0.75, 0.95), "quantiles of a sample's outputs, rising, such as 0.5")
     sensitivities: Flag = key(
         False,
         "whether to differentiate the kinetic energy, forces, flow rates and probes at the end by "
@@ -234,5 +234,7 @@ class SweepSection(Section):
 
     @property
     def levels(self) -> tuple[float, ...]:
-        """The quantiles that are computed, none where points are no draws."""
-        return self.quantiles if self.sample and self.sample.has_statistics else ()
+        """The quantiles that are computed: of draws, and of a box with runs enough for them."""
+        sample = self.sample
+        some = sample and (sample.is_random or sample.count >= fewest_runs(self.quantiles))
+        return self.quantiles if some else ()

@@ -119,7 +119,8 @@ def _keys_of(path: Path, kind: str, above: tuple[list[str], ...] = ()) -> Iterat
     for below in (path, (*path, NAME), (*path, 0)):
         keys = schema.known_keys(below, kind)
         if keys and keys not in above:  # shapes are made of shapes
-            for key in keys:
+            named = [NAME] if schema.node_at((*below, NAME), kind) and below[-1] != NAME else []
+            for key in [*keys, *named]:
                 yield (*below, key)
                 yield from _keys_of((*below, key), kind, (*above, keys))
             return

@@ -52,7 +52,7 @@ def draw(
         Path | None,
         option(
             "FILE",
-            "Where to, PNG or SVG by how it ends.  [default: NAME.png in --out, or here]",
+            "Where to, PNG or SVG by how it ends.  [default: NAME.png, in --out if given]",
             "--output",
             "-o",
         ),

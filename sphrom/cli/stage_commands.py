@@ -140,7 +140,8 @@ def figures(options: Options) -> None:
 def report(options: Options) -> None:
     """Write one HTML page of a case and its results: report.html.
 
-    It shows what compare found, and trade where that has run; it needs no network to be read.
+    It shows what compare found, and trade, train and all sweeps of the folder where they have run;
+    it needs no network to be read.
 
     \b
     Example:

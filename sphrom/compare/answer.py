@@ -117,7 +117,8 @@ class Answer:
             return
         yield (
             f"It pays from {counted(self.pays_from, 'run')} on: making it took "
-            f"{duration(self.offline_seconds)}, {duration(self.training_seconds or 0.0)} of it for "
+            f"{duration(self.offline_seconds)} of processor time on one thread, "
+            f"{duration(self.training_seconds or 0.0)} of it for "
             f"{counted(self.n_training, 'full run')} to learn from."
         )
 

@@ -42,16 +42,18 @@ LABELS = {
     "pressure less its mean": "pressure less its mean [Pa]",
 }
 QUANTITIES = ("speed", "pressure")
+FLAT = 0.4
+"""Height over width below which pictures stand under one another."""
 ERRORS = (
     {
         "velocity_field_relative_l2": "velocity, field: relative L2 [%]",
         "velocity_line_relative_l2": "velocity, line: relative L2 [%]",
-        "velocity_line_eq41_by_line_range": "speed, line: Eq. 4.1 by the line's range [%]",
+        "velocity_line_eq41_by_line_range": "speed, line: mean error over range (Eq. 4.1) [%]",
     },
     {
         "pressure_field_relative_l2": "pressure less its mean, field: relative L2 [%]",
         "pressure_line_relative_l2": "pressure less its mean, line: relative L2 [%]",
-        "pressure_line_eq41_by_line_range": "pressure, line: Eq. 4.1 by the line's range [%]",
+        "pressure_line_eq41_by_line_range": "pressure, line: mean error over range (Eq. 4.1) [%]",
     },
 )
 """The errors that are drawn, a row of velocities and one of pressures, and their labels."""
@@ -168,8 +170,11 @@ class _PointFigures:
         complete = {m.name: self._errors[m.name] for m in self.complete}
         label = "velocity, field, at all instants: relative L2 [%]"
         errors = _error_panel(self.case, "velocity_field_relative_l2", label, complete)
-        row: list[Field | Panel] = [*self._beside(fastest.name, "speed"), errors]
-        return draw_grid([row], frame_of(self.case), scales=self._scales, title=self.when)
+        frame, fields = frame_of(self.case), [*self._beside(fastest.name, "speed")]
+        left, right, lower, upper = frame.extent
+        flat = upper - lower < FLAT * (right - left)
+        rows = [[field] for field in fields] if flat else [fields]
+        return draw_grid(rows, frame, scales=self._scales, title=self.when, beside=errors)
 
     @cached_property
     def _errors(self) -> dict[str, Series]:
@@ -191,7 +196,8 @@ class _PointFigures:
             ]
             for row in ERRORS
         ]
-        return draw_grid(rows, title=self.point.label)
+        line = f"on the line x = {self.case.plan.probe_line:g} m"
+        return draw_grid(rows, title=f"{self.point.label}, over the field and {line}")
 
     def _profiles(self) -> Figure:
         """Return the full run beside every reference that it can match, by quantity."""
@@ -204,14 +210,10 @@ class _PointFigures:
                 when = f"mean over {row.from_time:.3g} s to {row.time:.3g} s"
             quantity, _, axis = row.profile.split()
             labels = f"{axis} / L [–]", f"{quantity} / {'ρ U²' if quantity == 'p' else 'U'} [–]"
+            at, known = profile.coordinate, profile.reference_value
             curves = [
-                Curve(f"full, {when}", profile.coordinate, profile.value, "full"),
-                Curve(
-                    f"{row.source}, {state}",
-                    profile.coordinate,
-                    profile.reference_value,
-                    "reference",
-                ),
+                Curve(f"full, {when}", at, profile.value, "full"),
+                Curve(f"{row.source}, {state}", at, known, "reference"),
             ]
             # Several references at one time share the full run's line.
             panels.setdefault(labels, {}).update({curve.label: curve for curve in curves})
@@ -263,14 +265,14 @@ def _error_panel(
     models: Mapping[str, Series],
     others: Sequence[tuple[str, Role, Series | None]] = (),
 ) -> Panel:
-    """Return one error of reduced models over time, from zero; beside others logarithmic."""
+    """Return one error of reduced models over time: at a start from rest it is the largest."""
 
     def error(series: Series) -> tuple[Array, Array]:
         return series.time, {**series.relative_l2, **series.eq41}[name]
 
     curves = [Curve(told, *error(each), role) for told, role, each in others if each is not None]
     curves += [_curve(case, model, *error(series)) for model, series in models.items()]
-    return Panel("", "time [s]", label, curves, "logarithmic" if others else "from zero")
+    return Panel("", "time [s]", label, curves, "logarithmic")
 
 
 def draw_lines(

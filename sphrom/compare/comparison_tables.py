@@ -213,8 +213,8 @@ def estimate_row(
     if artifact.text("error_estimate/training") == "outside":
         described["role"] = "extrapolated"
     time = reference.time
-    start = max(from_time, time[0] + LEFT_OUT * (time[-1] - time[0]))
-    found = effectivity(estimates, run, reference, probes, start)
+    late = time[0] + LEFT_OUT * (time[-1] - time[0])
+    found = effectivity(estimates, run, reference, probes, from_time, late)
     return None if found is None else EstimateRow(**described, figures=found)
 
 
@@ -292,7 +292,7 @@ NORMS: tuple[str, tuple[Column, ...]] = (
 )
 ESTIMATES: tuple[str, tuple[Column, ...]] = (
     "estimated errors, root mean squares over fields and time in % of the full run's; effectivity "
-    "is estimate over error: mean (least to largest)",
+    "is estimate over error, after the first tenth of the run: mean (least to largest)",
     (
         *RUN,
         ("", "role"),

@@ -153,7 +153,7 @@ def _draw_errors(case: Case, comparison: StoredComparison, figure: ErrorFigure) 
                         label += f" (unstable{after})"
                     look = place_of(case, model.name) + k * len(COLOURS)  # other dashes
                     runs.append(Curve(label, time, error, complete=complete, place=look))
-            label = f"Eq. 4.1 by the {figure.range}'s range [%]"
+            label = f"mean error over the {figure.range}'s range (Eq. 4.1) [%]"
             row.append(Panel(quantity, "time [s]", label, runs, "from zero"))
         panels.append(row)
     return draw_grid(panels)

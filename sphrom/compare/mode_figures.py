@@ -30,7 +30,7 @@ MOST_MODES = 10
 """Pictures of modes beside each other."""
 SMALLEST_RATIO, SMALLEST_SHARE = 1e-12, 1e-10
 """Singular values over the first, and shares left out [%]: below these they are rounding."""
-SPECTRUM = ("singular value, relative to the first [–]", "share left out, 100 − Eq. 4.3 [%]")
+SPECTRUM = ("singular value, relative to the first [–]", "later singular values, of the sum [%]")
 
 
 def frame_of(case: Case) -> Frame:

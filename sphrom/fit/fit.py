@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
+import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -48,7 +49,7 @@ from sphrom.plots.panels import Curve, Panel, draw_grid
 from sphrom.plots.tables import format_figure, write_csv
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
-from sphrom.text import exact, quoted
+from sphrom.text import counted, exact, quoted
 
 VISCOSITY = "kinematic_viscosity"
 UNITS = {VISCOSITY: "m2/s", "reynolds": "-"}
@@ -102,7 +103,7 @@ class Fit(records.Fit):
         values = ", ".join(
             f"{e.parameter}={e.value:.5g}±{e.standard_deviation:.2g}" for e in self.estimates
         )
-        return f"Fit({self.model!r}, {values}, {len(self.problems)} problems)"
+        return f"Fit({self.model!r}, {values}, {counted(len(self.problems), 'problem')})"
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -150,7 +151,8 @@ class Fit(records.Fit):
         title = f"{self.model} fitted to {self.measurements}"
         if len(self.history) > MOST_SHOWN:
             title += f", {MOST_SHOWN} of {len(self.history)} histories"
-        save(draw_grid(rows, title=title), Path(path))
+        notes = [textwrap.fill(problem.partition(". ")[0], 100) for problem in self.problems]
+        save(draw_grid(rows, title="\n".join([title, *notes])), Path(path))
 
 
 def run(
@@ -285,7 +287,9 @@ def fit(fast: FastModel, box: Box, measurements: Measurements, known: TrainingDi
     best, likely = found[0], nearly_as_good(found)
     known_of, shares = uncertainty(best.derivatives, weights), undetermined_shares(likely, weights)
     slopes, dof = box.slopes(best.place), len(values) - len(box.names)
-    estimates = list(_estimates(model, best, known_of, shares))
+    bound = float(chi2.ppf(SURE, dof)) + weights.expected
+    doubt = "interval too narrow" * (best.chi_square > bound)
+    estimates = list(_estimates(model, best, known_of, shares, doubt))
     histories = {str(k): h for k, h in enumerate(_histories(model, best, known_of, samples))}
     fitted = Fit(
         **{name: np.array([getattr(each, name) for each in estimates]) for name in NUMBERS},
@@ -303,7 +307,7 @@ def fit(fast: FastModel, box: Box, measurements: Measurements, known: TrainingDi
         measurements=measurements.source,
         warnings="",
         chi_square=best.chi_square,
-        expected_chi_square=float(chi2.ppf(SURE, dof)) + weights.expected,
+        expected_chi_square=bound,
         degrees_of_freedom=dof,
         starts_led_here=first[0].n_starts,
         starts=case.fit.starts,
@@ -317,12 +321,12 @@ def fit(fast: FastModel, box: Box, measurements: Measurements, known: TrainingDi
 
 
 def _estimates(
-    model: FittedModel, best: Minimum, known: Uncertainty, shares: Array
+    model: FittedModel, best: Minimum, known: Uncertainty, shares: Array, doubt: str
 ) -> Iterator[Estimate]:
     box, values = model.box, model.box.values(best.place)
     slopes = box.slopes(best.place)
     for k, name in enumerate(box.names):
-        at_bound = "at its bound" * bool(best.at_bound[k])
+        at_bound = "at its bound" if best.at_bound[k] else doubt
         remark = "not determined" if shares[k] > SHOWN_SHARE else at_bound
         noise, error = (float(slopes[k] * np.sqrt(c[k, k])) for c in (known.noise, known.model))
         reach = best.place[k] + known.half_width[k] * np.array([-1.0, 1.0])
@@ -417,14 +421,17 @@ def _about_the_fit(fitted: Fit, by_model: float) -> Iterator[str]:
     dof = fitted.degrees_of_freedom
     ratio, bound = fitted.chi_square / dof, fitted.expected_chi_square
     if (beyond := fitted.chi_square - bound) > 0.0:
-        worst = max(fitted.histories, key=lambda each: each.residual)
+        *_, worst = each = sorted(fitted.histories, key=lambda history: history.residual)
+        ends = " to ".join(dict.fromkeys(f"{h.residual:.3g}" for h in (each[0], worst)))
+        noise = math.sqrt((fitted.chi_square - by_model) / dof)
         bad = beyond > (TRUSTED - 1.0) * by_model
         larger = "far" if bad else f"{100.0 * (math.sqrt(1.0 + beyond / by_model) - 1.0):.2g} %"
         yield (
             f"{'the fit is bad: ' * bad}chi^2 per degree of freedom is {ratio:.3g}, above the "
-            f"{bound / dof:.3g} that noise and the model's errors explain. The model's "
-            f"errors are {larger} larger than estimated, the noise is larger than stated, "
-            "or another flow was measured than the case's: the intervals are too narrow. "
+            f"{bound / dof:.3g} that noise and the model's errors explain, so that the intervals "
+            f"are too narrow. Residuals are {ends} times the noise: noise {noise:.2g} times as "
+            f"large as stated would explain them. Or the model's errors are {larger} larger than "
+            "estimated, or another flow was measured than the case's. "
             f"{worst.name} fits worst: check its unit, place and noise, or fit without it"
         )
     elif fitted.chi_square < chi2.ppf(1.0 - SURE, dof):

@@ -271,8 +271,8 @@ def _history(key: Key, entries: Sequence[Entry], noise: float | None) -> History
         deviation = np.where(unknown, share, deviation)
     if not (deviation >= LEAST_NOISE).all():
         raise ValueError(
-            f"{name} has no noise above {LEAST_NOISE:g}: give a column {column_name}{NOISE}, or "
-            "--noise 1% of the history's range"
+            f"{name} has no noise, or none that counts: give a column {column_name}{NOISE}, or "
+            "--noise 1% of the history's range, in Python noise='1%'"
         )
     return History(**vars(column), name=name, place=place, time=time, value=value, noise=deviation)
 

@@ -336,12 +336,12 @@ EFFECTIVITY = {
 
 
 def effectivity(
-    estimates: Array, run: Samples, reference: Samples, probes: Probes, start: float
+    estimates: Array, run: Samples, reference: Samples, probes: Probes, start: float, late: float
 ) -> dict[str, float] | None:
     """Return how good estimates (n_snapshots, 2) are, by EFFECTIVITY.
 
     Estimates are root mean squares of velocity [m/s] and pressure [Pa]. Instants before `start` [s]
-    don't count. None where there is no error to compare with.
+    don't count, nor in ratios those before `late` [s]. None without an error to compare with.
     """
     grid = probes.on_grid
     fields = [
@@ -350,13 +350,14 @@ def effectivity(
     ]
     errors = np.stack([_rms(found - expected) for found, expected in fields], axis=1)
     sizes = np.stack([_rms(expected) for _, expected in fields], axis=1)
-    kept = (reference.time >= start - TIME_TOLERANCE) & (errors > 0.0).all(axis=1)
-    if not kept.any():
+    since, later = (reference.time >= t - TIME_TOLERANCE for t in (start, max(start, late)))
+    later &= (errors > 0.0).all(axis=1)
+    if not later.any():
         return None
     figures: list[float] = []
-    for each in zip(estimates[kept].T, errors[kept].T, sizes[kept].T, strict=True):
-        estimate, error, size = (float(np.linalg.norm(values)) for values in each)
-        ratio = each[0] / each[1]
+    for each in zip(estimates.T, errors.T, sizes.T, strict=True):
+        estimate, error, size = (float(np.linalg.norm(values[since])) for values in each)
+        ratio = each[0][later] / each[1][later]
         figures += 100.0 / size * estimate, 100.0 / size * error
         figures += float(ratio.mean()), float(ratio.min()), float(ratio.max())
     return dict(zip(EFFECTIVITY, figures, strict=True))

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -40,25 +40,25 @@ if TYPE_CHECKING:
     from sphrom.online.fast_model import FastRun
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True)
 class ErrorEstimate:
     """Estimated errors of a run, without a full run to compare with."""
 
-    velocity: Array
+    velocity: Array = field(repr=False)
     """(n_snapshots,) root mean square of the velocity's error over the fluid [m/s]."""
-    pressure: Array
+    pressure: Array = field(repr=False)
     """(n_snapshots,) the same of the pressure less its mean [Pa]."""
     velocity_percent: float
     """Of the run, over the root mean square of its velocity [%]."""
     pressure_percent: float
     """Of the run, over the root mean square of its pressure less its mean [%]."""
-    extrapolates: bool
+    extrapolated: bool
     """Whether the run is outside of the trained parameters and times."""
-    residual: Array
+    residual: Array = field(repr=False)
     """(n_snapshots,) norm of the part of the rates that the basis leaves out [/s]."""
-    errors: Array
+    errors: Array = field(repr=False)
     """(n_snapshots, 2) root mean squares of the errors of velocity and c0 rho'/rho0 [m/s]."""
-    sizes: Array
+    sizes: Array = field(repr=False)
     """(n_snapshots, 2) root mean squares of the fields themselves [m/s]."""
 
 
@@ -97,7 +97,7 @@ def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
         return
     artifact.write("residual", found.residual)
     factors = [None, None]
-    if fitted.factors is not None and not found.extrapolates:
+    if fitted.factors is not None and not found.extrapolated:
         factors = fitted.factors.tolist()
     errors = measured_errors(run)
     constants = (fitted.constants * trained.units).tolist()
@@ -106,7 +106,7 @@ def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
         pressure=found.pressure,
         change=fitted.changes(run.coordinates),
         decay_rate=fitted.decay_rate,
-        training="outside" if found.extrapolates else "inside",
+        training="outside" if found.extrapolated else "inside",
         velocity_constant=constants[0],
         pressure_constant=constants[1],
         velocity_factor=factors[0],
@@ -268,11 +268,11 @@ def _told(run: FastRun, found: ErrorEstimate, factors: Sequence[float | None]) -
     at_end = 100.0 * found.errors[-1] / found.sizes[-1]
     parts = []
     means = found.velocity_percent, found.pressure_percent
-    for field, mean, end, factor in zip(FIELDS, means, at_end, factors, strict=True):
+    for name, mean, end, factor in zip(FIELDS, means, at_end, factors, strict=True):
         trust = "" if factor is None else f", right to a factor of {factor:.2g} in training"
-        parts.append(f"{field} {format_figure(mean)} % ({format_figure(end)} % at the end{trust})")
+        parts.append(f"{name} {format_figure(mean)} % ({format_figure(end)} % at the end{trust})")
     text = f"{run.name}: estimated errors: {', '.join(parts)}"
-    if not found.extrapolates:
+    if not found.extrapolated:
         return text
     points = [point.as_dict() for point in run.model.at_point(run.point).points]
     trained = ", ".join(

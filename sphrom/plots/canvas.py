@@ -29,6 +29,8 @@ TITLE = 9.5
 """Size of the letters of titles."""
 LABELLED, LEAST_LABELS = ((1.0,), (1.0, 2.0, 5.0), (1.0, 2.0, 3.0, 4.0, 5.0, 7.0)), 3
 """Multiples of decades that a logarithmic axis labels: the first that give it so many labels."""
+PLAIN = (1e-4, 1e6)
+"""A logarithmic axis within these is labelled without powers of ten."""
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 DASHES: tuple[Any, ...] = (
     "-",
@@ -111,27 +113,29 @@ def save(figure: Figure, path: Path) -> None:
 
 
 def plain_logarithmic(axis: Axis, low: float, high: float) -> None:
-    """Label a logarithmic axis with plain numbers: decades, or more where these are few."""
-    from matplotlib.ticker import FuncFormatter, Locator, LogLocator, MaxNLocator, NullFormatter
+    """Label decades of a logarithmic axis, or more, by numbers that are alike: plain, or powers."""
+    from matplotlib import ticker as of
 
-    locators: list[Locator] = [LogLocator(subs=subs) for subs in LABELLED]
-    locators.append(MaxNLocator(LEAST_LABELS + 1))
-    for locator in locators:
+    decades = (of.LogLocator(subs=subs) for subs in LABELLED)
+    for locator in (*decades, of.MaxNLocator(LEAST_LABELS + 1)):
         ticks = np.asarray(locator.tick_values(low, high))
         if np.sum((ticks >= low) & (ticks <= high)) >= LEAST_LABELS:
             break
     axis.set_major_locator(locator)
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())
+    powers = of.LogFormatterSciNotation(minor_thresholds=(np.inf, np.inf))
+    plain = of.FuncFormatter(lambda value, _: f"{value:g}")
+    axis.set_major_formatter(plain if PLAIN[0] <= low and high < PLAIN[1] else powers)
+    axis.set_minor_formatter(of.NullFormatter())
 
 
-def symmetric_limits(field: Array) -> tuple[float, float]:
+def symmetric_limits(*fields: Array) -> tuple[float, float]:
     """Return colour limits about zero that hold every finite value; never of zero width."""
-    largest = float(np.nanmax(np.abs(field)))
+    largest = max(float(np.nanmax(np.abs(field))) for field in fields)
     return (-largest, largest) if largest > 0.0 else (-1.0, 1.0)
 
 
-def limits(field: Array) -> tuple[float, float]:
+def limits(*fields: Array) -> tuple[float, float]:
     """Return colour limits that hold every finite value; never of zero width."""
-    low, high = float(np.nanmin(field)), float(np.nanmax(field))
+    low = min(float(np.nanmin(field)) for field in fields)
+    high = max(float(np.nanmax(field)) for field in fields)
     return (low, high) if high > low else (low - 0.5, high + 0.5)

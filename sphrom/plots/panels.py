@@ -185,26 +185,29 @@ def draw_grid(
     *,
     scales: Mapping[str, Range] | None = None,
     title: str = "",
+    beside: Panel | None = None,
 ) -> Figure:
     """Return a figure of panels in rows; pictures need a frame.
 
     Pictures of one label share a scale and a colour bar. `scales` are ranges that the scales of
     some labels leave no farther than `BEYOND`, such as the full run's. Without them each picture
     has a scale and a bar of its own. Curves have one legend below, or one in each panel where
-    they differ or stand beside pictures. Raises ValueError for no panel.
+    they differ or stand beside pictures. Curves `beside` stand to the right of all rows.
+    Raises ValueError for no panel.
     """
-    longest = max(rows, key=len, default=())
+    longest = [*max(rows, key=len, default=()), *([] if beside is None else [beside])]
     if not longest:
         raise ValueError("there is nothing to draw")
     picture_width = min(PICTURE, WIDEST / len(longest))
     widths = [picture_width if isinstance(panel, Field) else CURVES[0] for panel in longest]
     height = 0.0 if all(isinstance(panel, Field) for panel in longest) else CURVES[1]
+    height /= 1 if beside is None else len(rows)
     if frame is not None:
         left, right, lower, upper = frame.extent
-        bars = 0.5 if scales is None else 0.0
+        bars = 0.5 if scales is None or (beside is not None and len(rows) > 1) else 0.0
         height = max(height, picture_width * (upper - lower) / (right - left) + 0.3 + bars)
     with styled():
-        width = max(sum(widths) + 0.7, LETTER * len(title), LEAST_WIDTH)
+        width = max(sum(widths) + 0.7, LETTER * max(map(len, title.split("\n"))), LEAST_WIDTH)
         figure = new_figure(width, len(rows) * height + 1.2)
         grid = figure.subplots(len(rows), len(longest), squeeze=False, width_ratios=widths)
         places: list[tuple[Axes, Field | Panel]] = []
@@ -212,6 +215,8 @@ def draw_grid(
             places += zip(row_axes, row, strict=False)
             for unused in row_axes[len(row) :]:
                 unused.set_axis_off()
+        if beside is not None:
+            places.append((figure.add_subplot(grid[0, 0].get_gridspec()[:, -1]), beside))
         if frame is not None:
             pictures = [(axes, panel) for axes, panel in places if isinstance(panel, Field)]
             _draw_pictures(figure, frame, pictures, picture_width, scales)
@@ -309,7 +314,7 @@ def _bar_below(
 ) -> None:
     """Draw a colour bar under panels; `aspect` in proportion to their width gives one height.
 
-    Its labels are sparse, with a common factor instead of long numbers.
+    Its labels are sparse, with a common factor beside the unit instead of long numbers.
     """
     from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
@@ -322,12 +327,13 @@ def _bar_below(
         pad=0.03,
         extend=extended,
     )
-    bar.set_label(label, loc="left")  # a common factor of the numbers stands on the right
     numbers = ScalarFormatter(useMathText=True)
     numbers.set_powerlimits((-2, 4))
     bar.locator, bar.formatter = MaxNLocator(aspect // 6), numbers
     bar.update_ticks()
-    bar.ax.xaxis.get_offset_text().set_fontsize(7.5)
+    numbers.format_ticks(list(bar.get_ticks()))
+    bar.set_label(f"{label} {numbers.get_offset()}".strip(), loc="left")  # where neither hides
+    bar.ax.xaxis.get_offset_text().set_visible(False)
 
 
 def _look(curve: Curve, index: int) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ import yaml
 from numpy.typing import NDArray
 
 from sphrom.arrays import Array
+from sphrom.artifacts import open_artifact
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.answer import DIGITS, Answer, find_answer, percent
@@ -48,6 +49,7 @@ from sphrom.setup.context import StageContext
 from sphrom.store.sampling import probes_of
 from sphrom.store.stored_run import StoredRun
 from sphrom.store.workspace import Workspace
+from sphrom.sweep.batches import COMPLETE
 from sphrom.sweep.statistics import FIGURES, beside
 from sphrom.text import duration
 from sphrom.whole_files import write_whole
@@ -59,6 +61,8 @@ SHOWN_VALUES = (1, 2, 3, 5, 10, 15, 20, 30, 50)
 """Singular values that the table shows, counted from one."""
 SHARE_DIGITS = 7
 """Shares of modes differ from all in their last digits."""
+SHORT = 10
+"""Characters from which on a figure is rounded."""
 EQ41 = "_eq41_"
 """What the names of figures by Eq. 4.1 hold."""
 N_FRAMES = 25
@@ -102,13 +106,12 @@ def run(context: StageContext) -> None:
         for name in case.plan.bases
         for part in _pictures(out / "plots", _named(contents["bases"], name), f"Basis {name}. ")
     ]
-    sweep = {beside(workspace.sweep().path, k, "png").name: text for k, text in FIGURES.items()}
     sections = [
         *shown.items(),
         ("Errors", list(_tables(out / "tables", contents["tables"], made_by))),
         ("Modes", [*modes, *_tables(out / "tables", contents["modes"], made_by)]),
         *((study["title"], _study(context, study)) for study in contents["studies"]),
-        ("Uncertainty", list(_pictures(out, sweep))),
+        ("Sweeps", list(_sweeps(workspace))),
         ("Costs", list(_tables(out / "tables", contents["costs"], made_by))),
         ("The case", _case_parts(case, case.text)),
     ]
@@ -150,8 +153,8 @@ def _case_parts(case: Case, text: str) -> list[Html]:
         ("particle spacing", f"{case.plan.particle_spacing:g} m"),
         ("smoothing length", f"{case.plan.smoothing_length:g} m"),
         ("speed of sound", f"{case.plan.sound_speed:g} m/s"),
-        ("trained at", ", ".join(point.label for point in case.plan.train_points)),
-        ("predicted at", ", ".join(point.label for point in case.plan.test_points) or "nothing"),
+        ("trained at", "; ".join(point.label for point in case.plan.train_points)),
+        ("predicted at", "; ".join(point.label for point in case.plan.test_points) or "nothing"),
         ("recorded", f"t = {steps.start_time:g} s to {steps.end_time:g} s"),
         ("steps", f"{steps.n_steps:,} of {steps.time_step:.4g} s"),
         ("snapshots", f"{steps.n_snapshots:,} a run"),
@@ -221,6 +224,20 @@ def _study(context: StageContext, study: Mapping[str, Any]) -> list[Html]:
     return [*_pictures(folder, study["figures"]), *tables]
 
 
+def _sweeps(workspace: Workspace) -> Iterator[Html]:
+    """Yield of every sweep in the folder how its runs ended, and its figures."""
+    for path in sorted(workspace.out.glob("sweep-*.h5")):
+        target = replace(workspace.sweep(), path=path)
+        with open_artifact(path, target.schema, made_by=target.made_by) as artifact:
+            model, status = artifact.text("model"), artifact.read("status")
+        counts = f"{len(status):,} runs, {np.count_nonzero(status == COMPLETE):,} complete"
+        note = "; the case has other settings now" * bool(workspace.reason_to_make(target))
+        yield element("h3", path.stem)
+        yield element("p", f"{model}: {counts}; {path.stem}.csv has each{note}.")
+        figures = {beside(path, kind, "png").name: text for kind, text in FIGURES.items()}
+        yield from _pictures(path.parent, figures)
+
+
 def _tables(folder: Path, captions: Mapping[str, str], made_by: str) -> Iterator[Html]:
     """Yield tables with few digits, without columns that hold nothing."""
     for key, caption in captions.items():
@@ -243,12 +260,13 @@ def _tables(folder: Path, captions: Mapping[str, str], made_by: str) -> Iterator
 
 
 def _cell(text: str, digits: int) -> str:
-    """Return a CSV's cell as a page shows it."""
+    """Return a CSV's cell as a page shows it: short figures, such as parameters, are whole."""
     for kind in (int, float):
         try:
-            return format_figure(kind(text), digits)
+            figure = format_figure(kind(text), digits)
         except ValueError:
             continue
+        return text.removesuffix(".0") if "." in text and len(text) < SHORT else figure
     return text or format_figure(None)
 
 

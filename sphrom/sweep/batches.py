@@ -179,7 +179,7 @@ class SweptModel:
             values |= {
                 f"{ERROR}velocity": found.velocity_percent,
                 f"{ERROR}pressure": found.pressure_percent,
-                f"{ERROR}extrapolated": int(found.extrapolates),
+                f"{ERROR}extrapolated": int(found.extrapolated),
                 f"{ERROR}velocity_over_time": found.velocity,
                 f"{ERROR}pressure_over_time": found.pressure,
             }

@@ -1,4 +1,4 @@
-"""Statistics of a sweep's outputs where its points are draws: records, tables and figures.
+"""Statistics of a sweep's outputs where its points are a sample: records, tables and figures.
 
 Outputs are of all runs: over time, their means over time, or along a line at their end. Errors of
 what is measured, or kept at probes, follow from those of training runs (`output_errors`). With U
@@ -143,7 +143,7 @@ def _outputs(
 def statistics_of(workspace: Workspace, records: Sequence[RunRecord]) -> Statistics | None:
     """Return the statistics of the runs of a sweep, in the order of its points.
 
-    None where its points are no draws, or too few runs are complete for intervals. Without
+    None where its points are no sample, or too few runs are complete for intervals. Without
     Sobol indices where a run of their design is not.
     """
     case = workspace.case

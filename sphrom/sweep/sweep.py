@@ -23,6 +23,7 @@ from sphrom.case.studies import sweep_model, sweep_name, sweep_points
 from sphrom.console import Reporter
 from sphrom.errors import ArtifactError, CaseError, UnstableError, error_of
 from sphrom.metrics import measures
+from sphrom.metrics.draws import fewest_runs
 from sphrom.metrics.measures import STATISTICS, UNITS, component_names
 from sphrom.offline.fom import ensure_packed
 from sphrom.plots.tables import format_figure, rows_of_columns, write_csv
@@ -168,13 +169,13 @@ def _make(
 def columns_of(case: Case, records: Sequence[RunRecord]) -> dict[str, str | None]:
     """Return the columns of the table of runs, with their units.
 
-    `extrapolated` is `yes` where the estimates are for values outside of training, else `no`, and
-    empty without estimates; `reason` tells why there is no result. What a case measures over time
-    has statistics, and what it measures along lines none.
+    `error_estimate_extrapolated` is `yes` for values outside of training, else `no`, and empty
+    without estimates; `reason` tells why there is no result. What a case measures over time has
+    statistics, and what it measures along lines none.
     """
     derivatives = next((record.derivative_names for record in records if record.values), ())
     names = {**dict.fromkeys(case.plan.parameter_names), "status": None}
-    names |= FIGURES | dict.fromkeys((*derivatives, "extrapolated", "reason"))
+    names |= FIGURES | dict.fromkeys((*derivatives, "error_estimate_extrapolated", "reason"))
     return names | {
         f"{name}_{component}_{statistic}": UNITS[quantity]
         for name, section in case.scene.measure.items()
@@ -244,6 +245,9 @@ class Results:
             statistics.show(report, found)
         elif case.sweep.levels:
             report.warn("statistics: there are none, as too few runs have a result")
+        elif case.sweep.sample is not None:
+            least = fewest_runs(case.sweep.quantiles)
+            report.note(f"statistics: there are none; they need sample.count: {least} or more")
         if n_left := counts[STATES[NOT_RUN]]:
             raise ArtifactError(
                 f"{n_left} of {len(records)} runs have not been made yet; the others were "
@@ -307,7 +311,8 @@ def _rows(records: Sequence[RunRecord], names: Iterable[str]) -> list[Cells]:
         values = {path.replace("/", "_"): value for path, value in record.values.items()}
         row: Cells = {**dict.fromkeys(names), **record.point.as_dict()}
         beyond = {None: "", 0: "no", 1: "yes"}[values.get("error_estimate_extrapolated")]
-        row |= {"status": STATES[record.status], "reason": record.reason, "extrapolated": beyond}
+        row |= {"status": STATES[record.status], "reason": record.reason}
+        row |= {"error_estimate_extrapolated": beyond}
         row |= {name: float(values[name]) for name in FIGURES if name in values}
         derivatives = values.get("derivatives", np.zeros(0)).tolist()
         row |= zip(record.derivative_names, derivatives, strict=True)

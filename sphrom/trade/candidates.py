@@ -94,13 +94,11 @@ def models_of_sizes(
     projection: Literal["galerkin", "apg"],
     basis: str,
     available: int,
-    *,
-    calibrated: bool = True,
     **keys: Any,
 ) -> list[ReducedModelSection]:
     """Return models of the sizes that a case lists; by default of some, as far as the basis goes.
 
-    The last of them then has all `available` modes. Only Galerkin models are calibrated.
+    The last of them then has all `available` modes.
     """
     closed = projection == "apg"
     most = min(available, MOST_CLOSED_MODES) if closed else available
@@ -112,7 +110,6 @@ def models_of_sizes(
             projection=projection,
             n_modes=size,
             basis=basis,
-            calibrated=calibrated and not closed,
             **keys,
         )
         for size in dict.fromkeys(sizes)
@@ -164,17 +161,13 @@ def variants(case: Case) -> dict[str, Case]:
         variant = with_steps(case, resolution, courant)
         found.setdefault((resolution, variant.plan.steps.every), variant)
     found.pop((own, case.plan.steps.every), None)
-    return {f"full, {across(v)}, C = {courant_number(v):.2g}": v for v in found.values()}
+    dt = case.plan.steps.time_step
+    return {f"full, {across(v)}, {v.plan.steps.time_step / dt:.2g} dt": v for v in found.values()}
 
 
 def across(case: Case) -> str:
     """Return the resolution of a case in words."""
     return f"{case.discretization.resolution} across"
-
-
-def courant_number(case: Case) -> float:
-    """Return c0 dt / h of a case."""
-    return case.plan.steps.time_step * case.plan.sound_speed / case.plan.smoothing_length
 
 
 def with_steps(

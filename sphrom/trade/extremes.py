@@ -146,7 +146,7 @@ def run(context: StageContext) -> None:
 def _models(case: Case, projection: Literal["galerkin", "apg"]) -> list[ReducedModelSection]:
     """Return models of all sizes, calibrated where the case has such models."""
     calibrated, basis = any(model.is_calibrated for model in case.rom), global_basis(case)
-    keys = {"calibrated": calibrated, "corrected": False}
+    keys = {"calibrated": calibrated and "auto", "corrected": False}
     return models_of_sizes(case, projection, basis, case.plan.basis_size(basis), **keys)
 
 

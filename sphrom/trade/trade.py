@@ -144,8 +144,7 @@ class _Trade:
             online_seconds=own_seconds,
             errors={**EXACT, **self._measured_errors(first, self.full[first])},
         )
-        further = weighed_models.variants(self.case)
-        each = [self._full(label, variant) for label, variant in further.items()]
+        each = [self._full(*variant) for variant in weighed_models.variants(self.case).items()]
         each += self._reduced()
 
         def trained(point: ParameterPoint) -> Samples:
@@ -184,17 +183,19 @@ class _Trade:
     def _of(self, section: ReducedModelSection, factor: int) -> Rows:
         """Run a reduced model at all points, in steps over automatic ones; return its rows."""
         fast = FastModel(self.wider, section)
-        family = "APG" if section.projection == "apg" else "Galerkin, calibrated"
+        family = "APG" if section.projection == "apg" else "Galerkin"
+        own = [m for m in self.case.rom if m.model_copy(update={"name": section.name}) == section]
         label = f"{family}, M = {section.size}" + (f", {factor} dt" if factor > 1 else "")
+        label += f" ({own[0].name})" if own and factor == 1 else ""
+        listed = (*own, section)[0].model_dump(exclude_defaults=True)
+        keys = ", ".join(f"{key}: {value}" for key, value in listed.items())
         runs = [self._fast(fast, label, factor, point) for point in self.full]
         offline, training = offline_seconds(self.wider, section, list(self.full), self.full_seconds)
         row = ModelRow.of(
             runs,
             family=family,
+            keys=f"{{{keys}}}" if factor == 1 else None,
             kind=section.evaluation,
-            basis=section.basis,
-            projection=section.projection,
-            calibrated=section.is_calibrated,
             n_modes=section.n_modes,
             resolution=self.case.discretization.resolution,
             offline_seconds=offline,
@@ -213,8 +214,7 @@ class _Trade:
             samples = run.sampled(self.probes.all)
             if measure is not None:
                 samples = replace(samples, measured=run.measured[measure])
-        about = {"model": label, "role": role, "time_step": run.time_step}
-        row = self._row(point, samples, seconds, **about)
+        row = self._row(point, samples, seconds, model=label, role=role, time_step=run.time_step)
         if measure is None or samples is None:
             return row
         estimate = measured_shares(run, measured_errors(run)).get(measure)
@@ -260,9 +260,10 @@ def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None)
     tables = {"models": rows, "runs": results.runs, "doing_nothing": without}
     for name, each in tables.items():
         write_csv(folder / f"{name}.csv", each)
-    words = ""
+    words = "`--tolerance 1%` recommends the cheapest model within 1 %"
     if tolerance is not None:
-        advice, words = recommend(rows, without, tolerance, measure)
+        possible = [row for row in rows if row.kind == "full" or row.keys is not None]
+        advice, words = recommend(possible, without, tolerance, measure)
         tables["recommendation"] = rows_of_columns(dict.fromkeys(advice), [advice])
     case, path, seconds = workspace.case, folder / "trade.json", timed_words(workspace.case)
     words_of = {"seconds": seconds, "judged_by": measure.words}
@@ -270,9 +271,10 @@ def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None)
     save(draw_trade(results), folder / "trade.png")
     report.table(
         f"speed against accuracy: {measure.words} in %, overall / at the worst instant, pressure "
-        f"less its mean; in brackets what a model estimates of a measurement; "
-        f"{ON_FRONT} on the Pareto front of seconds and this error; a model is no "
-        f"better than one that is no slower and nowhere worse; {seconds}",
+        f"less its mean{'; in brackets what the model estimates' if measure.measured else ''}; "
+        f"{ON_FRONT} on the Pareto front of seconds and this error; a model is no better than one "
+        f"that is no slower and nowhere worse; dt is the case's step, a model's automatic one; "
+        f"{seconds}",
         ("model", "step [s]", *(q.replace("_", " ") for q in measure.quantities), *HEADINGS),
         [
             _cells(rows[0], measure),
@@ -280,8 +282,7 @@ def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None)
             *(_cells(row, measure) for row in rows[1:]),
         ],
     )
-    if words:
-        report.info(words)
+    report.prose(words)
     report.info(f"tables, trade.json and trade.png are in {folder}")
 
 

@@ -7,6 +7,7 @@ of them, or slower and no better than a full run, is never recommended.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -27,6 +28,8 @@ from sphrom.reduction.correction import spline_weights
 from sphrom.setup.assembly import places_of
 from sphrom.text import counted
 
+SCATTER = 0.1
+"""Seconds that differ by less, relatively, are alike: repeats of a short run differ by so much."""
 SECONDS = {"unit": "s"}
 ESTIMATE = "measured_estimate"
 MEASURED = (*(f"measured_{q}_relative_l2{p}" for q in UNITS for p in ("", "_peak")), ESTIMATE)
@@ -69,11 +72,10 @@ class ModelRow:
     model: str
     family: str
     """The models of a family differ in size and time step alone."""
+    keys: str | None = None
+    """What a case lists under `rom` to have it; None where it can't, as with other steps."""
     kind: str
     """`full`, or the `evaluation` of a reduced model."""
-    basis: str | None = None
-    projection: str | None = None
-    calibrated: bool | None = None
     n_modes: int | None = None
     resolution: int
     time_step: float = field(metadata=SECONDS)
@@ -282,10 +284,10 @@ class Tolerance:
         """Return what is allowed of a quantity [%]: other than pressure as of velocity."""
         return self.pressure if quantity == "pressure" else self.velocity
 
-    def allows(self, errors: Errors, measure: Measure) -> bool:
-        """Whether the errors that count are within; not where there are none."""
+    def used(self, errors: Errors, measure: Measure) -> float:
+        """Return the largest of the errors that count over what is allowed; infinite for none."""
         found = [(measure.of(errors, q), self.of(q)) for q in measure.quantities]
-        return all(error is not None and error <= allowed for error, allowed in found)
+        return max(math.inf if error is None else error / allowed for error, allowed in found)
 
 
 def recommend(
@@ -297,14 +299,16 @@ def recommend(
     """Return which model to take within a tolerance, and the same in words.
 
     The case's own full run is the first row. It is the cheapest `model` that is worth its seconds,
-    None where there is none. Beside it stand the cheapest `full_run`, for few runs, and how many
+    of those as cheap the one that pays first, then the most accurate one; None where there is
+    none. Beside it stand the cheapest `full_run`, for few runs, and how many
     runs make the model cheaper than that; None where these are unknown. `without_a_model` is the
     alternative without any run that is within the tolerance.
     """
-    fit = [row for row in rows if tolerance.allows(row.errors, measure)]
-    chosen = _cheapest([row for row in fit if row is not rows[0]])
-    full = _cheapest([row for row in fit if row.kind == "full"])
-    enough = [each.name for each in without if tolerance.allows(each.errors, measure)]
+    used = {row.model: tolerance.used(row.errors, measure) for row in rows}
+    fit = [row for row in rows if used[row.model] <= 1.0]
+    chosen = _cheapest([row for row in fit if row is not rows[0]], used)
+    full = _cheapest([row for row in fit if row.kind == "full"], used)
+    enough = [each.name for each in without if tolerance.used(each.errors, measure) <= 1.0]
     pays = None
     if chosen is not None and full is not None and chosen.online_seconds is not None:
         pays = break_even(chosen.offline_seconds, full.online_seconds, chosen.online_seconds)
@@ -326,23 +330,25 @@ def recommend(
     elif beaten := [row for row in fit if row.beaten_by is not None]:
         text += f"no model is better than {beaten[0].beaten_by}, which is no slower"
     else:
-        text += "there is no model, only the case's own full run; the best models are "
-        text += " and ".join(_best(rows[1:], quantity, measure) for quantity in measure.quantities)
+        text += "there is only the case's own full run; all else is farther off, least in "
+        text += " and in ".join(_best(rows[1:], q, measure) for q in measure.quantities)
     if enough:
         text += f"; without any model, {enough[0]} is within it too"
     return advice, text
 
 
-def _cheapest(rows: Sequence[ModelRow]) -> ModelRow | None:
-    """Return the fastest model that no alternative beats, if there is one."""
-    known = [row for row in rows if row.beaten_by is None and row.online_seconds is not None]
-    return min(known, key=lambda row: row.online_seconds or 0.0, default=None)
+def _cheapest(rows: Sequence[ModelRow], used: Mapping[str, float]) -> ModelRow | None:
+    """Return the model that pays first of the fastest ones that no alternative beats, if any."""
+    known = [(s, r) for r in rows if r.beaten_by is None and (s := r.online_seconds) is not None]
+    most = (1.0 + SCATTER) * min((seconds for seconds, _ in known), default=0.0)
+    alike = (row for seconds, row in known if seconds <= most)
+    return min(alike, key=lambda row: (row.break_even_runs or 0, used[row.model]), default=None)
 
 
 def _best(rows: Sequence[ModelRow], quantity: str, measure: Measure) -> str:
     found = [(e, row.model) for row in rows if (e := measure.of(row.errors, quantity)) is not None]
-    error, model = min(found, default=(None, "none"))
-    return f"{quantity} {format_figure(error)} % by {model}"
+    error, model = min(found, default=(None, "no run"))
+    return f"{quantity.replace('_', ' ')} {model}, by {format_figure(error)} %"
 
 
 def _described(chosen: ModelRow, advice: Mapping[str, Any], measure: Measure) -> str:
@@ -359,4 +365,6 @@ def _described(chosen: ModelRow, advice: Mapping[str, Any], measure: Measure) ->
             "; counting the cost of making it, it pays from "
             f"{counted(advice['pays_from_run'], 'run')} on; for fewer take {advice['full_run']}"
         )
+    if chosen.keys is not None:
+        text += f"; a case has it by `- {chosen.keys}` under `rom`"
     return text

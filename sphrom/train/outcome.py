@@ -25,6 +25,7 @@ from sphrom.plots.tables import (
 from sphrom.reduction.error_calibration import FIELDS
 from sphrom.reduction.greedy import Ending, safety_factor
 from sphrom.store.workspace import Workspace
+from sphrom.text import exact
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -166,11 +167,13 @@ def publish(
     save(draw_training(outcome), folder / "training.png")
     others = [name for name in names if name.partition("_")[0] not in outcome.quantity]
     shown = [name for name in units if name not in (*others, "failure")]
+    known = points[0].as_dict()
+    cells = [row | {name: exact(row[name]) for name in known if name in row} for row in rows]
     report.table(
         f"training of {outcome.model}: errors in %; those of runs before the model learnt from "
         "them: estimated, true, and of the best approximation",
         [name.replace("_", " ") for name in shown],
-        [[format_figure(row.get(name)) for name in shown] for row in rows],
+        [[format_figure(row.get(name)) for name in shown] for row in cells],
     )
     (report.info if outcome.ending == "within" else report.warn)(_statement(outcome))
     report.info(f"tables, training.json and training.png are in {folder}")

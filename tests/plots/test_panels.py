@@ -45,6 +45,8 @@ def test_fields_of_one_label_share_a_scale_and_differences_are_about_zero() -> N
     assert full.get_clim() == reduced.get_clim()
     assert sum(difference.get_clim()) == 0.0
     np.testing.assert_array_equal(difference.get_array(), 0.1 * SPEED)
+    small = draw_grid([[FULL, replace(DIFFERENCE, values=1e-4 * SPEED)]], FRAME, scales={})
+    assert any(axes.get_xlabel().startswith("difference [m/s] $") for axes in small.axes)
 
 
 def test_no_runaway_and_no_spot_decides_a_scale() -> None:
@@ -111,6 +113,7 @@ def test_logarithmic_axes_have_numbers_wherever_they_lie(ends) -> None:
     (axes,) = draw_grid([[panel]]).axes
     low, high = axes.get_ylim()
     assert 3 <= sum(low <= y <= high for y in axes.get_yticks()) <= 12
+    assert len({"^" in label.get_text() for label in axes.get_yticklabels()}) == 1
 
 
 def test_labels_of_marked_sizes_stay_apart() -> None:

@@ -108,7 +108,6 @@ def test_what_differs_is_made_again(
 
 
 def test_a_run_at_another_speed_of_sound_is_made_again(tmp_path: Path) -> None:
-    """A lower Reynolds number raises it, of equal steps too."""
     given = {**GIVEN, "time": {"step": 1e-4}}
     thick = given | {"parameters": {"test": {"reynolds": [1.0]}}}
     older, newer = (Case.model_validate(each) for each in (given, thick))

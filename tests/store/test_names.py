@@ -13,7 +13,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
 from sphrom.trade import candidates
-from sphrom.trade.candidates import courant_number, extreme_points, variants
+from sphrom.trade.candidates import extreme_points, variants
 from sphrom.trade.extremes import AXES, varied_models
 
 CLOSE = (100.0, 100.0000001)
@@ -58,11 +58,12 @@ def test_full_models_at_close_values_are_told_apart(monkeypatch):
 
 
 def test_full_runs_of_a_trade_are_told_apart():
-    found = variants(case(resolutions=[16, 20]))
+    found = variants(own := case(resolutions=[16, 20]))
     assert len({variant.name for variant in found.values()}) == len(found) == 4
     for label, variant in found.items():
         across = variant.discretization.resolution
-        assert label == f"full, {across} across, C = {courant_number(variant):.2g}"
+        ratio = variant.plan.steps.time_step / own.plan.steps.time_step
+        assert label == f"full, {across} across, {ratio:.2g} dt"
 
 
 def test_products_are_not_called_after_their_rounding_errors(monkeypatch):
