@@ -24,7 +24,7 @@ from sphrom.compare.mode_figures import draw_modes, draw_spectrum, frame_of, mod
 from sphrom.compare.stored_comparison import StoredComparison
 from sphrom.metrics.histories import without_mean
 from sphrom.metrics.measures import UNITS, components
-from sphrom.metrics.samples import Probes, Samples
+from sphrom.metrics.samples import Samples
 from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Field, Panel, Role, draw_grid
 from sphrom.setup.assembly import field_measures
@@ -78,9 +78,9 @@ def draw_comparison(workspace: Workspace, tables: Tables, *, again: bool) -> Non
 def _figures(
     workspace: Workspace, tables: Tables, comparison: StoredComparison
 ) -> Iterator[tuple[str, Callable[[], Figure]]]:
-    case, probes = workspace.case, probes_of(workspace.case)
+    case = workspace.case
     for point in case.plan.points:
-        figures = _PointFigures(workspace, tables, comparison, probes, point)
+        figures = _PointFigures(workspace, tables, comparison, point)
         for name, draw in figures.all():
             yield f"{name}-{point.file_label}", draw
     for basis in case.plan.bases if case.rom else ():
@@ -93,15 +93,10 @@ class _PointFigures:
     """The figures of one parameter point, and how the names of their files begin."""
 
     def __init__(
-        self,
-        workspace: Workspace,
-        tables: Tables,
-        comparison: StoredComparison,
-        probes: Probes,
-        point: ParameterPoint,
+        self, workspace: Workspace, tables: Tables, stored: StoredComparison, point: ParameterPoint
     ) -> None:
         self.workspace, self.case, self.point = workspace, workspace.case, point
-        self.comparison, self.probes = comparison, probes
+        self.comparison, self.probes = stored, probes_of(self.case)
         rows = [r for r in tables.errors if (r.parameters, r.against) == (point.label, FULL)]
         status = {row.compared: row.status for row in rows}
         self.models = [model for model in self.case.rom if model.name in status]
@@ -110,7 +105,7 @@ class _PointFigures:
         self.best = max(best, key=lambda row: row.n_modes or 0).compared if best else None
         settled = (r for r in tables.reference if r.parameters == point.label and r.settled)
         self.references = list(settled)
-        self.time = comparison.samples(None, point)[1].time
+        self.time = stored.samples(None, point)[1].time
         self.middle = len(self.time) // 2
         self.when = f"{point.label}, t = {self.time[self.middle]:.3g} s"
 
@@ -171,8 +166,7 @@ class _PointFigures:
         label = "velocity, field, at all instants: relative L2 [%]"
         errors = _error_panel(self.case, "velocity_field_relative_l2", label, complete)
         frame, fields = frame_of(self.case), [*self._beside(fastest.name, "speed")]
-        left, right, lower, upper = frame.extent
-        flat = upper - lower < FLAT * (right - left)
+        flat = np.ptp(frame.extent[2:]) < FLAT * np.ptp(frame.extent[:2])
         rows = [[field] for field in fields] if flat else [fields]
         return draw_grid(rows, frame, scales=self._scales, title=self.when, beside=errors)
 

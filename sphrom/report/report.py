@@ -51,7 +51,7 @@ from sphrom.store.stored_run import StoredRun
 from sphrom.store.workspace import Workspace
 from sphrom.sweep.batches import COMPLETE
 from sphrom.sweep.statistics import FIGURES, beside
-from sphrom.text import duration
+from sphrom.text import counted, duration
 from sphrom.whole_files import write_whole
 
 Pixels = NDArray[np.uint8]
@@ -63,8 +63,6 @@ SHARE_DIGITS = 7
 """Shares of modes differ from all in their last digits."""
 SHORT = 10
 """Characters from which on a figure is rounded."""
-EQ41 = "_eq41_"
-"""What the names of figures by Eq. 4.1 hold."""
 N_FRAMES = 25
 SHOWN_SHARE = 99.5
 """Of all values in all frames, in percent, the colours tell apart; farther ones share the last."""
@@ -230,7 +228,7 @@ def _sweeps(workspace: Workspace) -> Iterator[Html]:
         target = replace(workspace.sweep(), path=path)
         with open_artifact(path, target.schema, made_by=target.made_by) as artifact:
             model, status = artifact.text("model"), artifact.read("status")
-        counts = f"{len(status):,} runs, {np.count_nonzero(status == COMPLETE):,} complete"
+        counts = f"{counted(len(status), 'run')}, {np.count_nonzero(status == COMPLETE):,} complete"
         note = "; the case has other settings now" * bool(workspace.reason_to_make(target))
         yield element("h3", path.stem)
         yield element("p", f"{model}: {counts}; {path.stem}.csv has each{note}.")
@@ -250,7 +248,7 @@ def _tables(folder: Path, captions: Mapping[str, str], made_by: str) -> Iterator
             number, digits = headings.index("n_modes"), SHARE_DIGITS
             rows = [row for row in rows if row[number] in map(str, SHOWN_VALUES)]
         described = range(headings.index("status") if part else 0)
-        chosen = [i for i, heading in enumerate(headings) if (EQ41 in heading) == bool(part)]
+        chosen = [i for i, heading in enumerate(headings) if ("_eq41_" in heading) == bool(part)]
         kept = [i for i in (*described, *chosen) if any(row[i] for row in rows)]
         yield table(
             caption,

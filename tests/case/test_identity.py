@@ -75,7 +75,7 @@ def test_template_loads_and_explains_every_key(kind, tmp_path):
 
 def test_template_of_custom_shows_every_key_of_shapes_and_measures():
     text, sections = new_case("custom", full=True), json_schema()["$defs"]
-    names = ["CustomScene"]
+    names = ["CustomScene", "DrawnSection"]
     for name in names:  # which grows
         found = re.findall(r"#/\$defs/(\w+)", json.dumps(sections[name]))
         names += [each for each in dict.fromkeys(found) if each not in names]

@@ -34,9 +34,12 @@ def browse(page: Path, folder: Path, *arguments: str) -> str:
 
 
 def test_report_without_figures(place, sphrom) -> None:
+    swept = ("--set", "sweep={name: other, model: full, reynolds: [100]}")
+    assert sphrom("sweep", "tiny.yaml", *swept, "--workers", "1").exit_code == 0
     result = sphrom("report", "tiny.yaml")
     assert result.exit_code == 0, result.output
     text = (place / "report.html").read_text()
+    assert "full: 1 run, 1 complete" in text
     assert "http" not in text.replace("http-equiv", "")
     assert "No figures were drawn" in text
     for name in ("galerkin", "apg", "reynolds=150", "singular value", "fom-reynolds100.h5"):
