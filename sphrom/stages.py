@@ -83,13 +83,13 @@ def with_checkpoints(context: StageContext, *, resume: bool, every: float) -> St
     return replace(context, keep_valid=resume, resume=resume, checkpoint_every=every)
 
 
-def run_stage(stage: str, context: StageContext, **asked: Any) -> None:
-    """Run one stage, with what else is asked of it.
+def run_stage(stage: str, context: StageContext, **asked: Any) -> Any:
+    """Run one stage, with what else is asked of it, and return what it returns.
 
     Raises SphromError.
     """
     with _warnings_in_lines(context.report):
-        import_module(f"sphrom.{STAGES[stage]}").run(context, **asked)
+        return import_module(f"sphrom.{STAGES[stage]}").run(context, **asked)
 
 
 def run_all(context: StageContext, until: str | None = None) -> None:

@@ -160,8 +160,8 @@ def stage_command(
     return command(app, name, taken, does=partial(run_stage, name))
 
 
-def run_stage(stage: str, options: Options, **asked: object) -> None:
-    """Load the case and run one stage on it, with what else is asked of it.
+def run_stage(stage: str, options: Options, **asked: object) -> Any:
+    """Load the case, run one stage on it, with what else is asked, and return what it returns.
 
     Raises SphromError, of which each kind is an exit code.
     """
@@ -182,6 +182,5 @@ def run_stage(stage: str, options: Options, **asked: object) -> None:
         context = stages.selected(context, stage, options.only or ())
         context = replace(context, words=options.words)
         if stage == "run":
-            stages.run_all(context)
-        else:
-            stages.run_stage(stage, context, **asked)
+            return stages.run_all(context)
+        return stages.run_stage(stage, context, **asked)

@@ -333,11 +333,11 @@ def import_(
         overrides = options.overrides or []
         text, keys = fitted_case(options.case, overrides, files, about, write_case.parent)
         options = replace(options, overrides=[*overrides, *keys])
-    run_stage("import", options, files=files, about=about)
+    missing = ", ".join(run_stage("import", options, files=files, about=about))
     if write_case is not None:
-        words = replace(options, case=write_case, overrides=None).words
-        next_step = f", with {' '.join(keys)}; next: sphrom run {words}"
-        write_new(write_case, text, next_step, force=options.force)
+        run = f"sphrom run {replace(options, case=write_case, overrides=None).words}"
+        way = f"import {missing} for {write_case} ({run} would simulate them)" if missing else run
+        write_new(write_case, text, f", with {' '.join(keys)}; next: {way}", force=options.force)
 
 
 @stage_command(stages, "export", OF_FILES)

@@ -199,10 +199,8 @@ def _read_pysph(path: Path, array: str | None) -> Read:
         if array is None and len(sets) == 1:
             (array,) = sets
         if array not in sets:
-            raise Fault(
-                f"holds no particles {array or 'of PySPH'}; name one of its sets with --array: "
-                f"{', '.join(sorted(sets)) or 'it has none in /particles/<name>/arrays'}"
-            )
+            held = ", ".join(sorted(sets)) or "none, as there is no /particles/<name>/arrays"
+            raise Fault(f"needs the name of one of its sets of particles as --array: {held}")
         prefix = f"particles/{array}/arrays/"
         shapes = {n: shape for n, (shape, _) in contents.datasets.items() if n.startswith(prefix)}
         # Properties of several numbers a particle are of no use here.
@@ -230,7 +228,8 @@ def _read_numpy(path: Path) -> Read:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise Fault(
             "is damaged, no archive of numpy.savez, or holds Python objects, which could run code "
-            f"and are refused: {reason}"
+            "and are refused (where h5py is installed, PySPH writes .hdf5, which is read): "
+            f"{reason}"
         ) from error
     numbers = {name: value for name, value in values.items() if value.dtype.kind in "fiu"}
     return _time_of(numbers), {name: value for name, value in numbers.items() if value.ndim > 0}

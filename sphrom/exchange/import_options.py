@@ -15,7 +15,7 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "km": 1e3},
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0},
     "velocity": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3},
-    "density": {"kg/m3": 1.0, "g/cm3": 1e3},
+    "density": {"kg/m3": 1.0, "g/cm3": 1e3, "kg/mm3": 1e9},
     "pressure": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "mbar": 1e2, "bar": 1e5},
 }
 """Units in SI units, by quantity."""

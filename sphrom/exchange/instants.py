@@ -22,7 +22,7 @@ from sphrom.exchange.foreign_files import Source, read_foreign, snapshots_in
 from sphrom.exchange.import_options import ImportOptions
 from sphrom.sph.domain import Domain
 from sphrom.sph.time_loop import Snapshot, TimeSteps
-from sphrom.text import shortened
+from sphrom.text import counted, shortened
 
 TIME_TOLERANCE = 1e-2
 """How far snapshots may be from the instants to be taken for them, over the time between two."""
@@ -57,12 +57,12 @@ def find_sources(files: Sequence[Path], about: ImportOptions) -> list[Source]:
             raise ArtifactError(f"{later.path}: is of the same time as {source.path}")
     scale, rounding = about.scales["time"], 1e-9 * abs(found[-1].time)
     sources = [
-        replace(source, time=(source.time - about.start) * scale)
+        replace(source, time=scale * time if abs(time) > rounding else 0.0)
         for source in found
-        if source.time >= about.start - rounding
+        if (time := source.time - about.start) >= -rounding
     ]
     if len(sources) < 2:
-        raise CaseError(f"--start: the files hold {len(sources)} snapshots from then on; name more")
+        raise CaseError(f"--start: leaves {counted(len(sources), 'snapshot')}; name more files")
     if sources[0].time > TIME_TOLERANCE * interval(sources):
         start = float(f"{about.start + sources[0].time / scale:.12g}")
         raise CaseError(
@@ -88,18 +88,18 @@ def _natural(path: Path) -> list[tuple[int, str]]:
 
 
 def interval(sources: Sequence[Source]) -> float:
-    """Return the mean time from snapshot to snapshot [s], to twelve digits.
+    """Return the mean time from snapshot to snapshot [s], of which some may be missing.
 
     The last one doesn't count where there are more than two: many programs write it at the end.
     """
-    last = max(1, len(sources) - 2)
-    return float(f"{(sources[last].time - sources[0].time) / last:.12g}")
+    apart = np.diff([source.time for source in sources[: max(2, len(sources) - 1)]])
+    return float(apart.sum() / np.rint(apart / np.median(apart)).sum())
 
 
 def series(sources: Sequence[Source]) -> str:
     """Return the times of snapshots in words."""
     times = ", ".join(f"{source.time:.6g}" for source in sources)
-    return f"{len(sources)} snapshots, at t = {shortened(times, 60)} s"
+    return f"{counted(len(sources), 'snapshot')}, at t = {shortened(times, 60)} s"
 
 
 def choose(sources: Sequence[Source], steps: TimeSteps, about: ImportOptions) -> list[Choice]:
@@ -139,7 +139,8 @@ def interpolated(
 
     A single one is returned as it is.
 
-    Raises CaseError where particles move farther than their speeds carry them and `spacing` [m].
+    Raises CaseError where particles move farther than their speeds carry them and `spacing` [m],
+    or out of the fluid.
     """
     if len(near) == 1:
         return near[0][1]
@@ -165,5 +166,11 @@ def interpolated(
         moved += weight * offset
         velocity += weight * snapshot.velocity
         fluctuation += weight * snapshot.density_fluctuation
-    position = np.ascontiguousarray(domain.wrap((base + moved).T).T)
-    return Snapshot(position, fluctuation, velocity)
+    position = domain.wrap((base + moved).T)
+    if outside := int(np.sum(~domain.contains(position))):
+        raise CaseError(
+            f"at t = {time:.6g} s interpolation between files {np.diff(nodes).max():.3g} s apart "
+            f"takes {counted(outside, 'particle')} out of the scene: it needs files closer in time "
+            "or a case with the times of the files (--write-case)"
+        )
+    return Snapshot(np.ascontiguousarray(position.T), fluctuation, velocity)

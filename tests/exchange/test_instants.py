@@ -11,12 +11,12 @@ from sphrom.errors import CaseError
 from sphrom.exchange import instants
 from sphrom.exchange.foreign_files import Source
 from sphrom.exchange.import_options import ImportOptions
-from sphrom.exchange.instants import choose, find_sources, interpolated
+from sphrom.exchange.instants import choose, find_sources, interpolated, interval
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.time_loop import Snapshot, TimeSteps
 
 BOX = BoxDomain((0.0, 0.0), (1.0, 1.0), (True, False))
-START = np.array([[0.95, 0.5], [0.2, 0.4]])
+START = np.array([[0.95, 0.5], [0.6, 0.5]])
 RATES = np.random.default_rng(0).uniform(-1.0, 1.0, (3, 2, 2))
 
 
@@ -35,6 +35,18 @@ def test_motion_by_a_cubic_polynomial_is_exact_across_periodic_edges(time: float
     np.testing.assert_allclose(found.position, expected.position, atol=1e-12)
     np.testing.assert_allclose(found.velocity, expected.velocity, rtol=1e-12)
     np.testing.assert_allclose(found.density_fluctuation, expected.density_fluctuation, rtol=1e-12)
+
+
+def test_particles_that_interpolation_takes_out_of_the_box_are_refused() -> None:
+    y = {0.0: 0.9, 0.6: 0.02, 1.2: 0.97, 2.0: 0.97}
+    near = [(t, Snapshot(np.full((2, 2), y[t]), np.ones(2), np.ones((2, 2)))) for t in y]
+    with pytest.raises(CaseError, match=r"files 0\.8 s apart takes 2 particles out of the scene"):
+        interpolated(near, 1.6, BOX, 0.1)
+
+
+def test_interval_is_that_of_the_files_where_some_are_missing() -> None:
+    times = [round(k / 30.0, 4) for k in range(101) if k not in (3, 4, 7, 20, 50, 51, 60, 61, 95)]
+    assert interval([Source(Path(), time) for time in times]) == pytest.approx(1 / 30, rel=1e-5)
 
 
 @pytest.fixture
