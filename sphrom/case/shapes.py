@@ -247,8 +247,8 @@ def _parsed(text: str) -> BaseGeometry:
             return shapely.from_wkt(text)
     except (shapely.errors.ShapelyError, NotImplementedError) as error:
         fault = str(error).removeprefix("ParseException: ") if text.strip() else "it is empty"
-        named = "; name a file with `file:`" if Path(text).suffix.lower() in _READERS else ""
-        raise ValueError(f"is no WKT of polygons with straight sides: {fault}{named}") from error
+        fault += "; name a file with `file:`" * (Path(text).suffix.lower() in _READERS)
+        raise ValueError(f"is no WKT of polygons with straight sides: {fault}") from error
 
 
 _READERS = {

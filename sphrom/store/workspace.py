@@ -238,8 +238,7 @@ class Workspace:
             plans = case_of_text(text).plan, self.case.plan
             what, (there, here) = "step", [f"{plan.steps.time_step:.6g} s" for plan in plans]
             if there == here:
-                what = "speed of sound"
-                there, here = (f"{plan.sound_speed:.6g} m/s" for plan in plans)
+                what, (there, here) = "speed of sound", [f"{p.sound_speed:.6g} m/s" for p in plans]
             if "time" in target.sections and there != here:
                 reason = "it follows the lowest Reynolds number of all points, and their speeds"
                 return f"the {what} is {there} there, {here} here: {reason}"
