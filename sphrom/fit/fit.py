@@ -251,12 +251,8 @@ def fit(fast: FastModel, box: Box, measurements: Measurements, known: TrainingDi
     ----------
     known : what other fits of the model have found out.
 
-    Raises
-    ------
-    CaseError
-        When there are fewer values than free parameters.
-    UnstableError
-        When the model is unstable at all starts.
+    Raises CaseError for fewer values than free parameters, UnstableError when the model is unstable
+    at all starts.
     """
     case = fast.workspace.case
     values = measurements.values

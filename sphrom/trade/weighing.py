@@ -331,9 +331,7 @@ def recommend(
         text += f"no model is better than {beaten[0].beaten_by}, which is no slower"
     else:
         faster = [row for row in rows[1:] if row.beaten_by is None]
-        text += (
-            "there is only the case's own full run; all that is faster is farther off, least in "
-        )
+        text += "there is only the case's own full run; what is faster is farther off, least in "
         text += " and in ".join(_best(faster, q, measure) for q in measure.quantities)
     if enough:
         text += f"; without any model, {enough[0]} is within it too"

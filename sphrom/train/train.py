@@ -78,12 +78,8 @@ def run(
     scheduler : address of a Dask scheduler, whose workers make the full runs instead.
     write_case : where the case with the chosen points goes; None is into the folder `training`.
 
-    Raises
-    ------
-    CaseError
-        When there is no region, or the case can't be trained there.
-    UnstableError
-        When a full run became unstable: at once one of the first, after all other runs.
+    Raises CaseError when there is no region, or the case can't be trained there; UnstableError when
+    a full run became unstable: at once one of the first, after all other runs.
     """
     check_options(workers, scheduler)
     share = None if tolerance is None else f"{exact(percent(tolerance, '--tolerance'))}%"
