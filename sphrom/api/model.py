@@ -227,8 +227,7 @@ class Model:
         case, section, (fast, _) = self._workspace.case, self._section, self._by_operators("fit")
         self._require_names(names)
         share = case.fit.noise if noise is None else percent(noise, "noise")
-        given: Any = measurements
-        source = dict(given) if hasattr(given, "keys") else Path(given)
+        source = Path(measurements) if isinstance(measurements, str | os.PathLike) else measurements
         data = read_measurements(source, case, case.plan.model_steps(section), share)
         ranges, values = fit_ranges(case, section), fit_values(case)
         if names:

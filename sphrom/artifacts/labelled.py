@@ -39,8 +39,7 @@ def open_labelled(path: str | Path, group: str = "") -> xarray.Dataset:
     group = group.strip("/")
     with contextlib.ExitStack() as stack:
         artifact = stack.enter_context(open_artifact(path, None, made_by="sphrom run CASE"))
-        described = {name: SCHEMAS[artifact.schema].dataset(name) for name in artifact.datasets}
-        fields = {name: field for name, field in described.items() if field is not None}
+        fields = {n: f for n in artifact.datasets if (f := SCHEMAS[artifact.schema].dataset(n))}
         groups = sorted({_home(field, name) for name, field in fields.items()} - {""})
         if group and group not in groups:
             there = ", ".join(groups) or "none"
@@ -64,6 +63,10 @@ def open_labelled(path: str | Path, group: str = "") -> xarray.Dataset:
         if groups:
             attributes["groups"] = groups
         found = xarray.Dataset(variables, attrs=attributes)
+        if "parameters" in found:  # of the runs of a sweep that have a result
+            at = found["parameters"][found["complete"].values].values.T
+            along = zip(artifact.text("parameter_names").split(","), at, strict=True)
+            found = found.assign_coords({name: ("complete_run", row) for name, row in along})
         if "component" in found.dims:
             found = found.assign_coords(component=list(AXES))
         if "time" in found and found["time"].dims == ("snapshot",):
@@ -78,8 +81,10 @@ def _variable(artifact: Artifact, name: str, field: Field) -> xarray.Variable:
         for i, axis in enumerate(field.axes)
     ]
     labels = {key: text for key, text in field.labels.items() if text}
+    if (measured := _MEASURED.fullmatch(name)) and measured[1]:
+        labels["long_name"] = f"{measured[1][:-1].replace('_', ' ')}: {field.meaning}"
     found = xarray.Variable(dims, indexing.LazilyIndexedArray(_Lazy(artifact, name)), labels)
-    if (measured := _MEASURED.fullmatch(name)) is None or "place" not in dims:
+    if measured is None or "place" not in dims:
         return found
     if found.sizes["place"] == 1:  # a probe's
         return found.squeeze("place")

@@ -312,18 +312,16 @@ def case_differences(made_with: str, asked: str, sections: Collection[str]) -> s
         for case in cases
     )
 
-    def shown(values: Mapping[str, str], key: str) -> str:
-        return shortened(values.get(key, "absent"), MOST_CHARACTERS)
-
     # What only one of them has may be newer than the other, and is then no difference.
     keys = sorted(
         (key for key in here | there if here.get(key) != there.get(key)),
         key=lambda key: key not in here or key not in there,
     )
-    return "; ".join(
-        f"{shortened(key)} is {shown(there, key)} there, {shown(here, key)} here"
+    told = (
+        (key, *(shortened(case.get(key, "absent"), MOST_CHARACTERS) for case in (there, here)))
         for key in keys[:SHOWN_KEYS]
     )
+    return "; ".join(f"{shortened(key)} is {one} there, {other} here" for key, one, other in told)
 
 
 def _values(value: Any, path: str = "") -> Iterator[tuple[str, str]]:

@@ -465,9 +465,9 @@ def _check_training(case: Case) -> Found:
         several = len({point.as_dict()[name] for point in plan.train_points}) > 1
         if name not in section.ranges and (several or name != REYNOLDS):
             yield "training", f"{name} varies in parameters: give its range too, or one value there"
-    if (number := len(Region(case).starts(()))) >= section.budget:
-        reason = f"training starts from {number} full runs, and needs one more to test the model"
-        yield "training.budget", f"must be at least {number + 1}: {reason}; got {section.budget}"
+    if (least := len(Region(case).starts(())) + 1) > section.budget:
+        reason = f"training starts from {least - 1} full runs, and tests its model at one more"
+        yield "training.budget", f"must be at least {least}: {reason}; got {section.budget}"
     if model is None:
         yield "training", "is for models with evaluation: operators, and rom has none"
     elif not plan.ends_with_case(model):

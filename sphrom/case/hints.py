@@ -27,10 +27,9 @@ def case_warnings(case: Case) -> list[str]:
 
 def _extrapolations(case: Case, key: str, points: Iterable[ParameterPoint]) -> Iterator[str]:
     # In its region `train` chooses what is learnt from.
-    region = Region(case) if case.training.ranges else None
-    for point in points:
-        if not (region and region.contains(point)) and (warning := extrapolation(case, point)):
-            yield f"{key}: {warning}"
+    known = Region(case).contains if case.training.ranges else case.plan.train_points.__contains__
+    found = (extrapolation(case, point) for point in points if not known(point))
+    yield from (f"{key}: {warning}" for warning in found if warning)
 
 
 def _of_models(case: Case) -> Iterator[str]:
@@ -41,8 +40,7 @@ def _of_models(case: Case) -> Iterator[str]:
         unseen = [point for point in case.plan.rom_points(model) if point not in case.plan.points]
         yield from _extrapolations(case, f"rom.{i}.parameters", unseen)
         for point in unseen:
-            start = case.plan.start_point(point)
-            if start != point:
+            if (start := case.plan.start_point(point)) != point:
                 yield (
                     f"rom.{i}.parameters: {point.label} has no spin-up: its run starts from the "
                     f"end of that at {start.label}, the nearest trained"

@@ -61,7 +61,7 @@ def load_case(
     try:
         case = Case.model_validate(document.value, context={"folder": FilePath(name).parent})
         problems = case_problems(case, force=force)
-        given = case.parameters.model_fields_set
+        given = document.value.get("parameters") or {}
         if not problems and case.training.ranges and "train" not in given:
             case = trained_at(case, Region(case).starts(()))
             problems = case_problems(case, force=force)
@@ -87,8 +87,7 @@ def given_keys(source: FilePath, overrides: Sequence[str], folder: FilePath) -> 
 
     Raises CaseError.
     """
-    data: dict[str, Any] = moved(_given(source, overrides)[1].value, source.parent, folder)
-    return data
+    return dict(moved(_given(source, overrides)[1].value, source.parent, folder))
 
 
 def case_of_text(text: str, folder: str | os.PathLike[str] | None = None) -> Case:

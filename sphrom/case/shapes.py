@@ -213,15 +213,13 @@ def read_outline(path: Path) -> BaseGeometry:
 
 def _geojson(content: bytes) -> BaseGeometry:
     geometries = list(_geometries(json.loads(content.decode("utf-8-sig"))))
-    return shapely.union_all(_combinable(geometries)) if len(geometries) > 1 else geometries[0]
+    return shapely.union_all(_combinable(geometries)) if len(geometries) != 1 else geometries[0]
 
 
 def _geometries(document: Any) -> Iterator[BaseGeometry]:
     """Yield the geometries of a GeoJSON document, which may be a feature or several."""
     kind = document.get("type") if isinstance(document, dict) else None
     if kind == "FeatureCollection":
-        if not document["features"]:
-            raise ValueError("it holds no feature")
         for feature in document["features"]:
             yield from _geometries(feature)
     elif kind == "Feature":
@@ -247,12 +245,10 @@ def _parsed(text: str) -> BaseGeometry:
     try:
         with np.errstate(all="ignore"):
             return shapely.from_wkt(text)
-    except shapely.errors.ShapelyError as error:
+    except (shapely.errors.ShapelyError, NotImplementedError) as error:
         fault = str(error).removeprefix("ParseException: ") if text.strip() else "it is empty"
-        named = "; name a file with `file:`" if Path(text).suffix.lower() in _READERS else ""
-        raise ValueError(f"is no well-known text: {fault}{named}") from error
-    except NotImplementedError as error:
-        raise ValueError(f"is no polygon with straight sides: {error}") from error
+        fault += "; name a file with `file:`" * (Path(text).suffix.lower() in _READERS)
+        raise ValueError(f"is no WKT of polygons with straight sides: {fault}") from error
 
 
 _READERS = {

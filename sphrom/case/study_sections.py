@@ -109,11 +109,6 @@ class TrainingSection(Section):
         return self
 
     @property
-    def percent(self) -> float:
-        """The tolerance as a number."""
-        return percentage(self.tolerance)
-
-    @property
     def ranges(self) -> dict[str, tuple[float, float]]:
         """The least and the greatest value of each parameter, none where there is no region."""
         return {name: (ends[0], ends[1]) for name, ends in (self.__pydantic_extra__ or {}).items()}

@@ -52,6 +52,8 @@ class Answer:
     training_seconds: float | None
     n_training: int
     forces: tuple[Force, ...] = ()
+    since: str = ""
+    """From which instant on errors count, in words, where that isn't the first."""
     doubts: tuple[str, ...] = ()
     """Why the case may not be that of imported runs, in sentences."""
 
@@ -70,8 +72,8 @@ class Answer:
             f"At {self.row.parameters}, {ROLES[self.row.role]}{one_of}, {self.row.compared} "
             f"({counted(self.row.n_modes or 0, 'mode')}) differs from the full run by "
             f"{percent(self.error[0])} in velocity and {percent(self.error[1])} in pressure: "
-            "the root mean square of the difference, over the whole field and all instants, in "
-            "percent of the full run's own; a pressure is less its mean."
+            f"the root mean square of the difference, over the whole field and all instants"
+            f"{self.since}, in percent of the full run's own; a pressure is less its mean."
         )
         yield from self._compared()
         yield from self._cost()
@@ -171,6 +173,7 @@ def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
             offline_seconds=offline,
             training_seconds=training,
             n_training=len(plan.bases[basis]),
+            since=f" from {since:g} s on" if (since := workspace.case.compare.from_time) else "",
             doubts=tuple(_doubts(workspace)),
             forces=tuple(
                 (name, force, forces.get((best, name)), expected.get((compared, name)))

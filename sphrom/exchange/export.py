@@ -79,12 +79,8 @@ def run(
 
     As CSV the runs alone, at points `at`, each like `0.5,0.5`, or along the line of comparison.
 
-    Raises
-    ------
-    ArtifactError
-        When there is none, one does not belong to the case, or a file can't be written.
-    CaseError
-        When there is no such format, or a point is not in the fluid.
+    Raises ArtifactError when there is none, one does not belong to the case, or a file can't be
+    written; CaseError when there is no such format, or a point is not in the fluid.
     """
     if to not in (FIELDS, PROBES):
         raise CaseError(f"--to: must be {FIELDS} or {PROBES}; got {to!r}")

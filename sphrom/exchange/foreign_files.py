@@ -138,11 +138,8 @@ def read_foreign(source: Source, array: str | None = None) -> ForeignSnapshot:
 
     In files that aren't PySPH's `array` is a field and its value, such as `Type=3`.
 
-    Raises
-    ------
-    ArtifactError
-        When the file is missing, damaged, of an unknown kind, unsafe, or holds numbers that are
-        not finite.
+    Raises ArtifactError when the file is missing, damaged, of an unknown kind, unsafe, or holds
+    numbers that are not finite.
     """
     path, suffix = source.path, source.path.suffix.lower()
     if suffix not in KINDS:

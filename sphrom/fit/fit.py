@@ -212,10 +212,8 @@ def show(report: Reporter, fit: Fit) -> None:
         [_shown(each) for each in fit.estimates],
     )
     if len(fit.free) > 1:
-        rows = [
-            (name, *(f"{value:.3f}" for value in row))
-            for name, row in zip(fit.free, fit.correlation, strict=True)
-        ]
+        pairs = zip(fit.free, fit.correlation, strict=True)
+        rows = [(name, *(f"{value:.3f}" for value in row)) for name, row in pairs]
         report.table("correlation", ("", *fit.free), rows)
     shown = fit.histories[:MOST_SHOWN]
     report.table(
@@ -253,12 +251,8 @@ def fit(fast: FastModel, box: Box, measurements: Measurements, known: TrainingDi
     ----------
     known : what other fits of the model have found out.
 
-    Raises
-    ------
-    CaseError
-        When there are fewer values than free parameters.
-    UnstableError
-        When the model is unstable at all starts.
+    Raises CaseError for fewer values than free parameters, UnstableError when the model is unstable
+    at all starts.
     """
     case = fast.workspace.case
     values = measurements.values
@@ -421,18 +415,16 @@ def _about_the_fit(fitted: Fit, by_model: float) -> Iterator[str]:
     dof = fitted.degrees_of_freedom
     ratio, bound = fitted.chi_square / dof, fitted.expected_chi_square
     if (beyond := fitted.chi_square - bound) > 0.0:
-        *_, worst = each = sorted(fitted.histories, key=lambda history: history.residual)
-        ends = " to ".join(dict.fromkeys(f"{h.residual:.3g}" for h in (each[0], worst)))
-        noise = math.sqrt((fitted.chi_square - by_model) / dof)
+        worst = max(fitted.histories, key=lambda each: each.residual)
         bad = beyond > (TRUSTED - 1.0) * by_model
         larger = "far" if bad else f"{100.0 * (math.sqrt(1.0 + beyond / by_model) - 1.0):.2g} %"
         yield (
             f"{'the fit is bad: ' * bad}chi^2 per degree of freedom is {ratio:.3g}, above the "
             f"{bound / dof:.3g} that noise and the model's errors explain, so that the intervals "
-            f"are too narrow. Residuals are {ends} times the noise: noise {noise:.2g} times as "
-            f"large as stated would explain them. Or the model's errors are {larger} larger than "
-            "estimated, or another flow was measured than the case's. "
-            f"{worst.name} fits worst: check its unit, place and noise, or fit without it"
+            f"are too narrow. Noise {worst.residual:.2g} times as large as stated would explain "
+            f"it. Or the model's errors are {larger} larger than estimated, or another flow was "
+            f"measured than the case's. {worst.name} fits worst: check its unit, place and noise, "
+            "or fit without it"
         )
     elif fitted.chi_square < chi2.ppf(1.0 - SURE, dof):
         yield (

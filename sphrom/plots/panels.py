@@ -27,6 +27,7 @@ from sphrom.plots.canvas import (
     SIGNED_MAP,
     SOLID_COLOUR,
     SPEED_MAP,
+    STYLE,
     TITLE,
     limits,
     line_of,
@@ -52,8 +53,8 @@ CURVES = (4.4, 3.2)
 """Width and height of a panel of curves [inch]."""
 LEAST_WIDTH = 7.5
 """Of a figure [inch]."""
-X_TICKS = 4
-"""At most, along a picture: labels of neighbours have to stay apart."""
+X_TICKS, AN_INCH, LETTERS = 4, 2, 5.0
+"""Labels along a picture, at most and an inch, and their size over its width: they stay apart."""
 EDGE = 0.06
 """Left free below the labels of colour bars, which reach lower than they say [inch]."""
 LETTER, MARGINS = 0.07, 0.6
@@ -258,7 +259,7 @@ def _draw_pictures(
             if axes is not first:
                 axes.sharex(first)
                 axes.sharey(first)
-            axes.locator_params(axis="x", nbins=X_TICKS)
+            axes.locator_params(axis="x", nbins=min(X_TICKS, int(AN_INCH * width)))
             axes.set_title(field.title, fontsize=min(TITLE, TITLE * width / PICTURE + 1.5))
             axes.set_xlabel("x [m]")
             axes.set_ylabel("y [m]" if scales is not None else f"{label}\n\ny [m]")
@@ -269,6 +270,7 @@ def _draw_pictures(
         n_columns = len({round(axes.get_position().x0, 3) for axes in panels})
         told = label if scales is not None else ""
         _bar_below(figure, image, panels, told, 18 * n_columns, EXTENDED[ends])
+        image.colorbar.ax.tick_params(labelsize=min(STYLE["xtick.labelsize"], LETTERS * width))
 
 
 def _scale(fields: Sequence[Field], scales: Mapping[str, Range]) -> tuple[str, Range]:

@@ -54,7 +54,9 @@ class Polynomial:
         rates = np.zeros(self.n_modes)
         for power, tensors in enumerate(self.powers):
             for degree, tensor in enumerate(tensors):
-                rates += amplitude**power * _contracted(tensor, coordinates, degree)
+                for _ in range(degree):
+                    tensor = tensor @ coordinates
+                rates += amplitude**power * tensor
         return rates
 
     def along(self, states: Array, amplitudes: Array) -> Array:
@@ -111,12 +113,6 @@ class Polynomial:
         for row, columns in zip(coefficients, packed, strict=True):
             row[:, : columns.shape[1]] = columns
         return coefficients, np.array([columns.shape[1] for columns in packed], dtype=np.int64)
-
-
-def _contracted(tensor: Array, coordinates: Array, times: int) -> Array:
-    for _ in range(times):
-        tensor = tensor @ coordinates
-    return tensor
 
 
 def _contracted_with_each(tensor: Array, states: Array, times: int) -> Array:

@@ -228,20 +228,17 @@ class FixedPoints:
 
     def diffusion(self, scaled_density: Array) -> Array:
         """Return delta h c0 L q (n_points, n_fields) [m/s2] (Eq. 2.10)."""
-        out = np.zeros_like(scaled_density)
+        out, fluid = np.zeros_like(scaled_density), self._fluid
         if self._diffusivity == 0.0:
             return out
         for first in range(0, scaled_density.shape[1], N_BLOCK_FIELDS):
             some = slice(first, first + N_BLOCK_FIELDS)
-            out[:, some] = self._diffused(np.ascontiguousarray(scaled_density[:, some]))
+            q = np.ascontiguousarray(scaled_density[:, some])
+            slope, total = self.gradients(q), fluid.factor @ q - scaled(fluid.factor_sum, q)
+            for d in range(2):
+                total += 0.5 * (scaled(fluid.support[d], slope[d]) + fluid.gradient[d] @ slope[d])
+            out[:, some] = -2.0 * self._diffusivity * total
         return out
-
-    def _diffused(self, q: Array) -> Array:
-        slope, fluid = self.gradients(q), self._fluid
-        total = fluid.factor @ q - scaled(fluid.factor_sum, q)
-        for d in range(2):
-            total += 0.5 * (scaled(fluid.support[d], slope[d]) + fluid.gradient[d] @ slope[d])
-        return np.asarray(-2.0 * self._diffusivity * total)
 
     def head_push(self, body_force: Array, rows: Rows = EVERYWHERE) -> Array:
         """Return K b (2, n, ...) [m/s2] at some points, of a force (2, n_points, ...) (Eq. 2.15).

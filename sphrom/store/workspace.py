@@ -230,15 +230,18 @@ class Workspace:
         there = [item for item in target.parents.items() if item[1].path.exists()]
         lineage = {role: self._identity(parent) for role, parent in there}
         made_with = target.inputs_digest, self.case.text, target.sections
-        return Origin(*made_with, lambda text: self._other_step(target, text), lineage)
+        return Origin(*made_with, lambda text: self._consequences(target, text), lineage)
 
-    def _other_step(self, target: Target, text: str) -> str:
-        """Tell in words how the step of a case in YAML differs: it follows from all points."""
+    def _consequences(self, target: Target, text: str) -> str:
+        """Tell in words what follows otherwise from the points of a case in YAML."""
         with suppress(CaseError):
-            there, here = (case.plan.steps.time_step for case in (case_of_text(text), self.case))
+            plans = case_of_text(text).plan, self.case.plan
+            what, (there, here) = "step", [f"{plan.steps.time_step:.6g} s" for plan in plans]
+            if there == here:
+                what, (there, here) = "speed of sound", [f"{p.sound_speed:.6g} m/s" for p in plans]
             if "time" in target.sections and there != here:
                 reason = "it follows the lowest Reynolds number of all points, and their speeds"
-                return f"the step is {there:.6g} s there, {here:.6g} s here: {reason}"
+                return f"the {what} is {there} there, {here} here: {reason}"
         return ""
 
     def _identity(self, target: Target) -> Identity:
@@ -389,6 +392,8 @@ class Workspace:
             self._inputs[name] = section_inputs(self._without_figures, kind.sections)
         if "fluid" in kind.sections:
             about = {**about, "largest speed": self.case.plan.max_speed}
+            if self.case.plan.sound_speed > self.case.plan.max_speed / self.case.fluid.mach_number:
+                about["sound speed"] = self.case.plan.sound_speed
         inputs = {
             "sections": self._inputs[name],
             "about": stated(about),

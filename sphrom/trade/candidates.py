@@ -160,14 +160,9 @@ def variants(case: Case) -> dict[str, Case]:
     for resolution, courant in product(resolutions, courant_numbers):
         variant = with_steps(case, resolution, courant)
         found.setdefault((resolution, variant.plan.steps.every), variant)
-    found.pop((own, case.plan.steps.every), None)
-    dt = case.plan.steps.time_step
-    return {f"full, {across(v)}, {v.plan.steps.time_step / dt:.2g} dt": v for v in found.values()}
-
-
-def across(case: Case) -> str:
-    """Return the resolution of a case in words."""
-    return f"{case.discretization.resolution} across"
+    usual = case.plan.steps.every
+    found.pop((own, usual), None)
+    return {f"full, {n} across, {usual / every:.2g} dt": v for (n, every), v in found.items()}
 
 
 def with_steps(

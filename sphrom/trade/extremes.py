@@ -36,7 +36,6 @@ from sphrom.text import exact
 from sphrom.trade.candidates import (
     FOLDER,
     MOST_CLOSED_MODES,
-    across,
     extreme_points,
     global_basis,
     make,
@@ -196,7 +195,7 @@ def _full_run(workspace: Workspace, point: ParameterPoint) -> Beside:
 
 def _beside(made: Workspace, point: ParameterPoint) -> Beside:
     samples = sampled(made, point, probes_of(made.case))
-    return Beside(point, f"full run, {across(made.case)}", samples)
+    return Beside(point, f"full run, {made.case.discretization.resolution} across", samples)
 
 
 def _of_full_models(

@@ -327,11 +327,12 @@ def recommend(
     text = f"within {allowed} ({measure.words}), "
     if chosen is not None:
         text += f"the cheapest is {_described(chosen, advice, measure)}"
-    elif beaten := [row for row in fit if row.beaten_by is not None]:
+    elif beaten := [row for row in fit if row.beaten_by not in (None, rows[0].model)]:
         text += f"no model is better than {beaten[0].beaten_by}, which is no slower"
     else:
-        text += "there is only the case's own full run; all else is farther off, least in "
-        text += " and in ".join(_best(rows[1:], q, measure) for q in measure.quantities)
+        faster = [row for row in rows[1:] if row.beaten_by is None]
+        text += "there is only the case's own full run; what is faster is farther off, least in "
+        text += " and in ".join(_best(faster, q, measure) for q in measure.quantities)
     if enough:
         text += f"; without any model, {enough[0]} is within it too"
     return advice, text
@@ -355,11 +356,9 @@ def _described(chosen: ModelRow, advice: Mapping[str, Any], measure: Measure) ->
     errors = ", ".join(
         f"{q} {format_figure(measure.of(chosen.errors, q))} %" for q in measure.quantities
     )
+    pace = chosen.speed_up and f"{format_figure(chosen.speed_up)} times faster than the full run"
     text = f"{chosen.model}: {errors}, {format_figure(chosen.online_seconds)} s a run, "
-    if chosen.speed_up is None:
-        text += "and the time of the full run is unknown"
-    else:
-        text += f"{format_figure(chosen.speed_up)} times faster than the full run"
+    text += pace or "and the time of the full run is unknown"
     if chosen.kind != "full" and advice["pays_from_run"] is not None:
         text += (
             "; counting the cost of making it, it pays from "

@@ -12,6 +12,7 @@ import numpy as np
 from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
+from sphrom.case.study_sections import percentage
 from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Panel, draw_grid
 from sphrom.plots.tables import (
@@ -159,7 +160,7 @@ def publish(
         workspace.threads,
         model=outcome.model,
         quantity=outcome.case.training.quantity,
-        tolerance_percent=outcome.case.training.percent,
+        tolerance_percent=percentage(outcome.case.training.tolerance),
         ending=outcome.ending,
         trained=[point.as_dict() for point in points],
     )
@@ -218,7 +219,7 @@ def _percent(value: float) -> str:
 
 def _statement(outcome: Outcome) -> str:
     """Return what the training reached, and why it ended."""
-    last, tolerance = outcome.stages[-1], f"{outcome.case.training.percent:g} %"
+    last, tolerance = outcome.stages[-1], f"{percentage(outcome.case.training.tolerance):g} %"
     worst, at = last.worst(outcome.fields)
     floor = _percent(last.floor[outcome.fields].max())
     ends = {
@@ -269,5 +270,5 @@ def _known_errors(outcome: Outcome, at: Array, range_of: Array) -> list[Curve]:
     known = np.where(np.isfinite(errors), errors, np.nan)
     return [
         Curve("true, before it was seen", at, known, "reference"),
-        Curve("tolerance", ends, np.full(2, outcome.case.training.percent), "level"),
+        Curve("tolerance", ends, np.full(2, percentage(outcome.case.training.tolerance)), "level"),
     ]

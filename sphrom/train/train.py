@@ -25,6 +25,7 @@ from sphrom.case.models import resolved_yaml
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import Region, fast_model, percent, trained_at
+from sphrom.case.study_sections import percentage
 from sphrom.errors import CaseError, UnstableError, error_of
 from sphrom.metrics.histories import TIME_TOLERANCE
 from sphrom.offline import fit_psi, fom, operators, pod
@@ -77,12 +78,8 @@ def run(
     scheduler : address of a Dask scheduler, whose workers make the full runs instead.
     write_case : where the case with the chosen points goes; None is into the folder `training`.
 
-    Raises
-    ------
-    CaseError
-        When there is no region, or the case can't be trained there.
-    UnstableError
-        When a full run became unstable: at once one of the first, after all other runs.
+    Raises CaseError when there is no region, or the case can't be trained there; UnstableError when
+    a full run became unstable: at once one of the first, after all other runs.
     """
     check_options(workers, scheduler)
     share = None if tolerance is None else f"{exact(percent(tolerance, '--tolerance'))}%"
@@ -176,7 +173,7 @@ class _Training:
             ended = ending(
                 stage.worst(fields)[0],
                 float(stage.floor[list(fields)].max()),
-                self.section.percent,
+                percentage(self.section.tolerance),
                 n_held_out=sum(run.failure is None for run in stage.earlier),
                 n_left=self.section.budget - len(stage.tried),
             )
@@ -235,7 +232,7 @@ class _Training:
             stage.judged(self.section.fields),
             self.region.places(stage.tried),
             min(self.section.budget - len(stage.tried), at_once),
-            self.section.percent,
+            percentage(self.section.tolerance),
         ).tolist()
         problems = self._full_runs([self.candidates[k] for k in numbers], stage.points)
         found = []

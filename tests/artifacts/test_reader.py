@@ -82,7 +82,7 @@ CASE = {
 @pytest.mark.parametrize(
     ("sections", "changed", "told"),
     [
-        (CASE, {}, ""),
+        (CASE, {"floor": {"file": "floor.wkt"}}, ""),  # what it holds is beside it
         (CASE, {"name": "other", "train": []}, "name is demo there, other here; train is "
          "absent there, [] here; train[0] is 100 there, absent here; train[1] is 150 there, absent "
          "here"),

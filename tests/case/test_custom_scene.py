@@ -125,7 +125,7 @@ def test_files_that_hold_no_outline(load, tmp_path: Path, content: str | None, w
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "is no well-known text: it is empty"),
+        ("", "WKT of polygons with straight sides: it is empty"),
         ("POLYGON((1 1,NaN 1,2 2,1 1))", "must be a number"),
         ("POLYGON((1 1,1e300 1,2 2,1 1))", "must be a number"),
         ("POLYGON Z((1 1 0,2 1 0,2 2 0,1 1 0))", "third coordinate"),

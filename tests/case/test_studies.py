@@ -99,6 +99,7 @@ def test_further_points_of_the_region_change_no_steps():
     region = Region(case)
     starts = region.starts(())
     assert len(starts) == 4
+    assert case.plan.train_points == tuple(starts)  # no others are given
     before = trained_at(case, starts)
     after = trained_at(case, [*starts, *region.candidates()])
     assert after.plan.steps == before.plan.steps
@@ -127,7 +128,7 @@ def test_without_a_range_the_reynolds_number_is_that_of_the_case():
 
 
 def test_a_case_that_is_trained_elsewhere_forgets_where_it_was_trained():
-    case = case_of({"reynolds": [50, 200]})
+    case = case_of({"reynolds": [50, 200]}, parameters={"train": {"reynolds": [100]}})
     assert [point.reynolds for point in case.plan.train_points] == [100.0]
     other = trained_at(case, [ParameterPoint(50.0), ParameterPoint(200.0)])
     assert [point.reynolds for point in other.plan.train_points] == [50.0, 200.0]

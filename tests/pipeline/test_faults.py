@@ -101,6 +101,9 @@ MODELS = ("rom.0.n_modes=2", "rom.1.n_modes=2", "parameters.test.reynolds=[160]"
     [
         (("fom", "--only=reynolds=100"), ("time.final_time=0.16", *MODELS),
          "time.final_time is 0.08 there, 0.16 here"),
+        (("fom", "--only=reynolds=100"), ("parameters.test.reynolds=[0.5]",),
+         "the step is 0.008 s there, 0.000487805 s here: it follows the lowest Reynolds number of "
+         "all points, and their speeds"),
         (("fit-psi",), ("psi.order=5", "psi.polynomial_degree=2"),
          "psi.order is 3 there, 5 here; psi.polynomial_degree is 1 there, 2 here"),
         (("pod",), ("parameters.train.reynolds=[200, 100]",),

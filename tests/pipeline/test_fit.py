@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pandas import DataFrame
 from typer.testing import CliRunner
 
 import sphrom
@@ -118,7 +119,7 @@ def test_a_place_is_what_its_probe_is(study, columns):
     named = {"time": time, U: columns[U], V: columns[V]}
     place = {"time": time, "x": np.full(len(time), 0.5), "y": np.full(len(time), 0.8)}
     place |= {"velocity_x": columns[U], "velocity_y": columns[V]}
-    one, other = (model.fit(each, noise=1.0) for each in (named, place))
+    one, other = (model.fit(each, noise=1.0) for each in (DataFrame(named), place))
     assert one.point == pytest.approx(other.point, rel=1e-6)
     assert other["lid"].by_model == pytest.approx(one["lid"].by_model, rel=1e-4)
     assert other.histories[0].name == "velocity_x at (0.5, 0.8)"
@@ -170,11 +171,14 @@ def test_a_bad_fit_says_so(study, columns):
     swapped = {**table, U: columns[V], V: columns[U]}
     found = study.model("fast", **TRUE).fit(swapped, noise=1.0)
     assert any(p.startswith("the fit is bad: chi^2 per degree") for p in found.problems)
+    noise = 1.1 * float(found.warnings.partition("Noise ")[2].split()[0])
+    assert "bad" not in study.model("fast", **TRUE).fit(swapped, noise=noise).warnings
     for factor in (1.0, 1.3, 1.5, 2.0, 4.0):
         other = {**table, U: factor * table[U]}
         found = study.model("fast", **TRUE).fit(other, noise=1.0)
         *_, last = ("", *found.problems)
         assert (found.chi_square > found.expected_chi_square) == ("above the" in last), factor
+        assert ("above the" in last) <= all(each.remark for each in found.estimates)
 
 
 def test_without_full_runs_intervals_are_of_the_noise_alone(study, columns):

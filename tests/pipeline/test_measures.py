@@ -230,6 +230,9 @@ def test_measures_in_python_have_axes_and_units(made: Path) -> None:
             np.testing.assert_array_equal(many[name].isel(run=0), values)
             assert slopes[name].dims == ("parameter", *values.dims)
             assert (many[f"error_estimate_{name}"].isel(run=1, snapshot=-1) > 0.0).all()
+        stored_as = stored.error_estimate_wake_velocity.long_name
+    assert stored_as == "error estimate: velocity at the places"
+    assert many.error_estimate_wake_velocity.long_name == "velocity of wake, estimated error"
     assert found.drag_force.dims == found.wake_velocity.dims == ("snapshot", "component")
     assert found.flux_flow_rate.attrs["units"] == "m2/s"
     assert found.profile_pressure.dims == ("snapshot", "profile_place")

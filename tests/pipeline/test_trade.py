@@ -84,7 +84,6 @@ def test_models_are_weighed(weigh, place):
     free = [row for row in stored["models"][1:] if row["beaten_by"] is None and row["keys"]]
     (chosen,) = (r for r in free if r["model"] == stored["recommendation"][0]["model"])
     assert chosen["online_seconds"] <= 1.1 * min(row["online_seconds"] for row in free)
-    assert f"the cheapest is {chosen['model']}:" in words
     assert f"`- {chosen['keys']}` under `rom`" in words
     assert (place / "trade" / "trade.png").stat().st_size > 10_000
 

@@ -107,6 +107,12 @@ def test_what_differs_is_made_again(
     assert kept not in found
 
 
+def test_a_run_at_another_speed_of_sound_is_made_again(tmp_path: Path) -> None:
+    given = {**GIVEN, "time": {"step": 1e-4}}
+    thick = given | {"parameters": {"test": {"reynolds": [1.0]}}}
+    assert "fom-reynolds100.h5" in changed(*map(Case.model_validate, (given, thick)), tmp_path)
+
+
 def test_a_solid_that_differs_in_its_last_digit_is_packed_anew(tmp_path: Path) -> None:
     def packing(radius: float) -> Target:
         circle = {"circle": {"centre": [1, 1], "radius": radius}}

@@ -121,6 +121,7 @@ def test_a_model_pays_from_some_run_on():
 
 WEIGHED = [
     full(OWN, 10.0),
+    full("full, finer", 20.0, errors(0.01, 0.01)),
     model("coarse", 1.0, errors(2.0, 0.5)),
     model("wrong pressure", 2.0, errors(0.5, 2.0)),
     model("slower", 4.0, errors(0.1, 0.1)),
