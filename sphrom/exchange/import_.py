@@ -233,7 +233,7 @@ def _doubts(
             f"t = {time:.4g} to {kept[last][0]:.4g} s, and makes the flow "
             f"{format_figure(abs(added), 2)} % {'slower' if added < 0.0 else 'faster'} per "
             f"{crossing:.3g} s at first; with other schemes both are within {most:.2g} %: see "
-            f"{walls}the Reynolds number, the body force, --units, --pressure, --zero-mean-pressure"
+            f"{walls}the Reynolds number, the body force, --units and --zero-mean-pressure"
         )
 
 
