@@ -194,7 +194,7 @@ def _doubts(
     walls that move best, the whole difference at the end shows the viscosity best.
     """
     case, plan, report = workspace.case, workspace.case.plan, workspace.context.report
-    (time, state), last, every = kept[begin], max(kept), plan.steps.every
+    first, (time, state), last, every = kept[0][1], kept[begin], max(kept), plan.steps.every
     crossing, slow = case.scene.length_scale / plan.max_speed, LEAST_SPEED * plan.max_speed
 
     def apart(own: Array, theirs: Array) -> tuple[float, float]:
@@ -203,7 +203,6 @@ def _doubts(
         along = np.sum((own - theirs) * theirs) / scale
         return 100.0 * math.sqrt(np.sum((own - theirs) ** 2) / scale), 100.0 * float(along)
 
-    first = kept[0][1]
     scene = assembly.initial_fields(case, point, first.position.T)[1]
     if (start := apart(scene, first.velocity.T)[0]) > START_OFF:
         yield (
@@ -234,7 +233,7 @@ def _doubts(
             f"t = {time:.4g} to {kept[last][0]:.4g} s, and makes the flow "
             f"{format_figure(abs(added), 2)} % {'slower' if added < 0.0 else 'faster'} per "
             f"{crossing:.3g} s at first; with other schemes both are within {most:.2g} %: see "
-            f"{walls}the Reynolds number, the body force, --zero-mean-pressure and --units"
+            f"{walls}the Reynolds number, the body force, --units and --zero-mean-pressure"
         )
 
 
@@ -296,12 +295,11 @@ def fitted_case(
 
 def _fitting_resolution(case: Case, n_found: int) -> int | None:
     """Return the resolution at which a case has about `n_found` particles; None if it has now."""
-    expected = case.plan.n_particles
+    ratio = n_found / case.plan.n_particles
     # Lagrangian bases need the very number of particles.
-    limit = 0.0 if case.basis.lagrangian else COUNT_TOLERANCE
-    if abs(n_found - expected) <= limit * expected:
+    if abs(ratio - 1.0) <= (0.0 if case.basis.lagrangian else COUNT_TOLERANCE):
         return None
-    return round(case.discretization.resolution * (n_found / expected) ** 0.5)
+    return round(case.discretization.resolution * ratio**0.5)
 
 
 class Converter:
@@ -339,7 +337,7 @@ class Converter:
         self._require_flat(given)
         position = self._place(given)[order]
         scene, found = self._case.plan.max_speed, self.largest_speed
-        fitting = self.about.fitting("velocity", scene / found) if found > scene else ""
+        fitting = self.about.fitting("velocity", scene / found) if found > 5.0 * scene else ""
         if fitting or found > self._case.plan.sound_speed:
             raise CaseError(
                 f"{given.path}: the largest speed is {found:.4g} m/s, this scene's about "
