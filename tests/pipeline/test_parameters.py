@@ -178,7 +178,7 @@ def test_a_model_in_python_is_that_of_the_command(study):
     with sphrom.open(study.folder / "rom-fast-reynolds100-lid0.8.h5") as run:
         assert np.array_equal(run.generalized_coordinates, found.coordinates)
     assert found.error_estimate is not None
-    assert not found.error_estimate.extrapolates
+    assert not found.error_estimate.extrapolated
     with sphrom.open(study.folder / "fom-reynolds50-lid0.5.h5") as run:
         assert (run.attrs["parameters_lid"], run.attrs["sound_speed"]) == (0.5, 10.0)
 
