@@ -19,9 +19,9 @@ from typing import Any
 
 _ROOT = Path("/")
 LEAST_TIMED = 5e-4
-"""Processor time [s] of what is timed at once: below it the clock itself counts."""
+"""Least processor time [s] of a measurement: the clock is too coarse for less."""
 compiling = [0.0]
-"""Processor time that this process has compiled for [s]."""
+"""Processor time that this process has spent on compiling [s]."""
 
 
 def computing_seconds() -> float:

@@ -24,7 +24,7 @@ from sphrom.errors import CaseError
 from sphrom.metrics.measures import AXES
 
 _MEASURED = re.compile("((?:error_estimate|steady)/)?(measure|force)/([^/]+)/([^/]+)")
-"""A path of what is measured: what begins it, the kind, the measurement and the quantity."""
+"""The path of a measured quantity: a prefix, the kind, the measurement and the quantity."""
 
 
 def open_labelled(path: str | Path, group: str = "") -> xarray.Dataset:

@@ -29,8 +29,8 @@ _FULL_HEAD = """\
 # A case of sphrom: {kind}.
 # Every key but name and scene.kind may be left out: it then has the value here,
 # except for parameters, rom and sweep, which hold an example. Units are in
-# brackets. Comments with dots are the keys of what is empty here: NAME is a
-# name that you choose, 0 the first entry of a list."""
+# brackets. Comments with dots list the keys of sections that are empty here:
+# NAME is a name that you choose, 0 the first entry of a list."""
 
 
 def examples() -> Mapping[str, FilePath]:

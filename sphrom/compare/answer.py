@@ -55,7 +55,7 @@ class Answer:
     since: str = ""
     """From which instant on errors count, in words, where that isn't the first."""
     doubts: tuple[str, ...] = ()
-    """Why the case may not be that of imported runs, in sentences."""
+    """Sentences that say why imported runs may not be runs of the case."""
 
     @property
     def pays_from(self) -> int | None:
@@ -185,7 +185,7 @@ def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
 
 
 def _doubts(workspace: Workspace) -> Iterator[str]:
-    """Yield a sentence on why the case may not be that of imported runs, as their import found."""
+    """Yield a sentence on the reasons why imported runs may not be runs of the case, if any."""
     runs = {p.label: workspace.imported(workspace.full_run(p)) for p in workspace.case.plan.points}
     said = {at: of["imported/doubts"] for at, of in runs.items() if of.get("imported/doubts")}
     if said:

@@ -32,7 +32,7 @@ from sphrom.store.workspace import Target, Workspace
 
 SECONDS = {"unit": "s"}
 N_REPEATS = 5
-"""Of what is timed, in turns: the least counts, and all of them show the spread."""
+"""How often each run is timed, in turns: the least time counts, all of them give the spread."""
 N_TIMED_STEPS = 10
 """Steps that are timed at once: neighbours are searched in some of them only."""
 

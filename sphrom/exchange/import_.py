@@ -62,12 +62,13 @@ FOLLOWED = 0.5
 """Time for which the case's own model follows an imported run, over that in which the flow crosses
 the scene."""
 MODEL_OFF, PER_SPACING, START_OFF = 3.0, 240.0, 20.0
-"""Differences of velocities [%] beyond which an imported run, and its start, may not be the case's:
-at least, and per spacing over the scene's length. A finite-volume solution of the cavity departs by
-4.2 and 8.2 % (50 and 25 spacings) and has 4.6 and 8.9 % added to it, with another lid 28 and 23 %;
-at 20 spacings 16 %, beyond the limit of 12 %."""
-LEAST_SPEED = 0.05
-"""Over the scene's: differences count over it in slower flows."""
+"""Limits of differences in velocity [%]: the least limit of an imported run, the limit over spacing
+per length, and that of its start. A finite-volume solution of the cavity departs by 4.2 and 8.2 %
+(50 and 25 spacings) and is slowed by 4.6 and 8.9 %, with a wrong lid by 28 and 23 %. At 20 spacings
+it is slowed by 16 %, more than the limit of 12 %."""
+LEAST_SPEED, MOST_SPEED = 0.05, 5.0
+"""Over the scene's speed: slower flows are compared relative to the first, and of faster ones the
+unit is doubted."""
 Kept = dict[int, tuple[float, Snapshot]]
 """Snapshots, and their times [s], by number."""
 COUNT_TOLERANCE = 0.05
@@ -186,12 +187,12 @@ def _write(
 def _doubts(
     workspace: Workspace, point: ParameterPoint, model: Functional, kept: Kept, begin: int
 ) -> Iterator[str]:
-    """Yield why a case may not be that of a run, of which some snapshots are given, in words.
+    """Yield reasons why an imported run may not be a run of the case, from some of its snapshots.
 
-    The first is compared with the scene's start. From the one of number `begin` the case's own full
-    model is run to the last one. It departs by nothing from what it made itself, and by the errors
-    of schemes from what others made. What it adds to the flow from one snapshot to the next shows
-    walls that move best, the whole difference at the end shows the viscosity best.
+    The first snapshot is compared with the scene's start. The case's own full model then runs from
+    snapshot number `begin` to the last one. It follows its own runs exactly, and those of other
+    schemes but for their errors. The change from one snapshot to the next shows wrong walls best,
+    the difference at the end shows a wrong viscosity best.
     """
     case, plan, report = workspace.case, workspace.case.plan, workspace.context.report
     first, (time, state), last, every = kept[0][1], kept[begin], max(kept), plan.steps.every
@@ -337,7 +338,8 @@ class Converter:
         self._require_flat(given)
         position = self._place(given)[order]
         scene, found = self._case.plan.max_speed, self.largest_speed
-        fitting = self.about.fitting("velocity", scene / found) if found > 5.0 * scene else ""
+        is_fast = found > MOST_SPEED * scene
+        fitting = self.about.fitting("velocity", scene / found) if is_fast else ""
         if fitting or found > self._case.plan.sound_speed:
             raise CaseError(
                 f"{given.path}: the largest speed is {found:.4g} m/s, this scene's about "

@@ -121,7 +121,7 @@ def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
     report.info(_told(run, found, factors))
     if shares := measured_shares(run, errors):
         listed = ", ".join(f"{name} {format_figure(share)} %" for name, share in shares.items())
-        report.info(f"{run.name}: estimated errors of what is measured: {listed}")
+        report.info(f"{run.name}: estimated errors of measurements: {listed}")
 
 
 def estimate(run: FastRun) -> ErrorEstimate | None:

@@ -32,7 +32,7 @@ _FACTOR = (
 
 
 class MeasuredOnce(Record):
-    """One value of what is measured: in a steady state, or an error over a run."""
+    """One value of each measured quantity: in a steady state, or an error over a run."""
 
     force: Array | None = dataset("component", "N/m", "force on a wall", default=None)
     torque: float | None = attribute("N", "torque on a wall, anticlockwise", default=None)
