@@ -7,10 +7,12 @@ lie in the trade's own folder, and are kept there.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from itertools import product
+from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal
 
 from sphrom.case.checks import coarser_resolution
@@ -37,8 +39,6 @@ STEP_FACTORS = (1, 2)
 """Time steps of reduced models over the automatic ones."""
 COURANT_NUMBERS = (0.75, 1.5)
 """About c0 dt / h of further full runs (Eq. 2.19)."""
-REYNOLDS_FACTORS = (0.1, 0.3, 1.0, 3.0, 10.0)
-"""Of maps of stability: below 1 over the least trained Reynolds number, else over the greatest."""
 SAME_STEP = 1e-9
 """Steps that differ by less, relatively, are one."""
 
@@ -50,7 +50,7 @@ def trade_points(case: Case) -> tuple[ParameterPoint, ...]:
 
 def global_basis(case: Case) -> str:
     """Return the basis that models of a case have at any value: that of the first."""
-    first = _first(case).basis
+    first = first_model(case).basis
     return ALL if first == LOCAL else first
 
 
@@ -61,25 +61,13 @@ def _first(case: Case) -> ReducedModelSection:
     return case.rom[0]
 
 
-def extreme_points(case: Case) -> tuple[ParameterPoint, ...]:
-    """Return the values at which stability is mapped, from the least Reynolds number on.
-
-    Other parameters are those of the training value with the greatest Reynolds number.
-    """
-    trained = case.plan.bases[global_basis(case)]
-    low, high = min(trained).reynolds, max(trained)
-    products = (f * (low if f < 1.0 else high.reynolds) for f in REYNOLDS_FACTORS)
-    # Without their rounding errors, which names would show: 220 of 1.1 * 200.
-    return tuple(replace(high, reynolds=float(f"{value:.12g}")) for value in products)
-
-
 def candidates(case: Case, points: Sequence[ParameterPoint]) -> list[ReducedModelSection]:
     """Return the reduced models to weigh at parameter points, in the basis of the case's first one.
 
     Raises CaseError when the basis has fewer modes than are listed, or there is no local one, or no
     reduced model.
     """
-    first, basis = _first(case), _first(case).basis
+    first, basis = first_model(case), first_model(case).basis
     available = min(case.plan.basis_size(case.plan.basis_for(first, point)) for point in points)
     if (most := max(case.trade.n_modes or (0,))) > available:
         raise CaseError(f"trade.n_modes: the basis {basis} has {available} modes; got {most}")
@@ -190,10 +178,12 @@ def with_steps(
     return coarser.model_copy(update=changes)
 
 
-def workspace_of(workspace: Workspace, variant: Case) -> Workspace:
-    """Return the folder of a variant, below that of the case."""
+def workspace_of(
+    workspace: Workspace, variant: Case, folders: Mapping[str, Path] = MappingProxyType({})
+) -> Workspace:
+    """Return the folder of a variant, below that of the case; some kinds of artifacts lie elsewhere."""
     out = workspace.out / FOLDER / variant.name
-    context = replace(workspace.context, case=variant, out=out, folders={})
+    context = replace(workspace.context, case=variant, out=out, folders=folders)
     return Workspace(_own_context(context))
 
 

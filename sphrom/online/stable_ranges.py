@@ -1,0 +1,110 @@
+"""What maps of the extremes say of a model: where it is stable, and where it is right.
+
+`sphrom trade --extremes` writes the ranges; runs, comparisons and trades read them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from sphrom.case.models import Case
+from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import AUTO, ReducedModelSection
+from sphrom.plots.tables import format_figure, read_json
+from sphrom.store.workspace import Workspace
+
+FILE = "trade/extremes.json"
+STEP, TIME, MEMORY = "time step", "time", "memory length"
+"""What is varied, beside parameters and properties of the full model."""
+UNITS = {STEP: " s", TIME: " s", MEMORY: " s"}
+MOST_ERROR = 2.0
+"""A run is right where its errors are at most so many times those of the default."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StableRange:
+    """Where a model is stable, and where it is right, while one quantity is varied."""
+
+    varied: str
+    kind: str
+    projection: str
+    n_modes: int | None
+    steps: str
+    right_from: float | None
+    """None where it is right nowhere; steps, times and memory lengths are in seconds."""
+    right_to: float | None
+    stable_from: float | None
+    """None where the default is unstable."""
+    stable_to: float | None
+    least: float
+    """The least value that was tried."""
+    greatest: float
+    below: str
+    """What makes runs wrong or unstable below the range; empty where none was."""
+    above: str
+    predicted: float | None
+    """The greatest stable or right value by formula, eigenvalue or estimate; None without any."""
+    predicted_by: str
+
+    def says(self, value: float) -> str:
+        """Return in words why a run at a value may be unstable or not right; empty if it is."""
+        unit = UNITS.get(self.varied, "")
+        ends = {
+            "stable": (self.stable_from, self.stable_to),
+            "right": (self.right_from, self.right_to),
+        }
+        for verb, (low, high) in ends.items():
+            if low is None or high is None:
+                return f"by its map it is {verb} at no {self.varied}"
+            if not low <= value <= high:
+                cause = self.below if value < low else self.above
+                tried = f"; beyond: {cause}" if cause else ", and was not tried beyond"
+                span = f"{format_figure(low)} to {format_figure(high)}{unit}"
+                return f"by its map it is {verb} for a {self.varied} from {span}{tried}"
+        return ""
+
+
+def stable_ranges(workspace: Workspace) -> list[StableRange]:
+    """Return the ranges of the case's maps; none without maps, or where they are of another basis.
+
+    Raises ArtifactError where the file is damaged.
+    """
+    path, made_by = workspace.out / FILE, f"sphrom trade {workspace.context.words} --extremes"
+    if not path.is_file():
+        return []
+    document = read_json(path, made_by, {"ranges": StableRange})
+    own = document["about"].get("basis") == workspace.basis().inputs_digest
+    return document["ranges"] if own else []
+
+
+def ranges_of(
+    ranges: list[StableRange], section: ReducedModelSection, n_modes: int
+) -> list[StableRange]:
+    """Return the ranges of a model with its number of modes."""
+    kind = "fast" if section.from_operators else "particles"
+    method = "exponential" if section.time_step == AUTO else "runge-kutta"
+    return [
+        each
+        for each in ranges
+        if (each.kind, each.projection, each.n_modes) == (kind, section.projection, n_modes)
+        and each.steps in ("", method if each.varied == STEP else "exponential")
+    ]
+
+
+def warnings_of(
+    case: Case,
+    ranges: list[StableRange],
+    section: ReducedModelSection,
+    n_modes: int,
+    point: ParameterPoint,
+) -> Iterator[str]:
+    """Yield what maps say against a run of a model at a parameter point."""
+    asked: dict[str, float] = dict(point.as_dict())
+    asked[TIME] = case.plan.model_steps(section).end_time
+    for name, value in ((STEP, section.time_step), (MEMORY, section.memory_length)):
+        if isinstance(value, float):
+            asked[name] = value
+    for each in ranges_of(ranges, section, n_modes):
+        if each.varied in asked and (text := each.says(asked[each.varied])):
+            yield text

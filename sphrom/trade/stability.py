@@ -1,0 +1,400 @@
+"""What the runs at the extremes say: which are right, what sets the limits, tables and pictures.
+
+A run is right where its errors are at most twice those of the default: the case's own model at its
+first test value, or at a trained one. Of a full run the default is the change that half the
+resolution makes there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from sphrom.arrays import Array
+from sphrom.case.points import REYNOLDS
+from sphrom.online.fast_model import FastRun
+from sphrom.online.stable_ranges import FILE, MEMORY, MOST_ERROR, STEP, TIME, StableRange
+from sphrom.plots.canvas import new_figure, save, styled
+from sphrom.plots.tables import format_figure, write_csv, write_json
+from sphrom.reduction.polynomial_model import EXPONENTIAL, RUNGE_KUTTA
+from sphrom.reduction.reduced_rates import stability_limits
+from sphrom.reduction.reference_model import Integrator, ReferenceModel
+from sphrom.setup.assembly import MOST_GROWTH
+from sphrom.store.workspace import Workspace
+from sphrom.text import counted, exact
+from sphrom.trade.candidates import FOLDER
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+ONE_RUN, RESOLUTION = "reynolds, one training run", "resolution"
+PERCENT = {"unit": "%"}
+State = Literal["", "right", "stable", "unstable", "refused"]
+COLOURS = {"right": "#9fd8c4", "stable": "#f4d58d", "unstable": "#e8906a", "refused": "#d9d9d9"}
+IN_A_ROW = 2
+SOUND = 0.1
+"""Share of the pressure in the energy of an eigenvector, above which it is sound."""
+PER_DECADE, DECADES = 20, 3
+"""Memory lengths that are tried for a growing eigenvector."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExtremeRun:
+    """One run at the extremes."""
+
+    varied: str
+    value: float
+    """Of the varied quantity; steps and memory lengths over the automatic, times over the trained."""
+    parameters: str
+    kind: Literal["full", "particles", "fast"]
+    projection: str = ""
+    n_modes: int | None = None
+    steps: str = ""
+    """`exponential` or `runge-kutta`, of a fast model."""
+    time_step: float | None = field(default=None, metadata={"unit": "s"})
+    memory_length: float | None = field(default=None, metadata={"unit": "s"})
+    state: State = ""
+    mechanism: str = ""
+    """What makes it wrong, unstable, or would first."""
+    predicted: float | None = None
+    """The greatest stable value, by formula or eigenvalue."""
+    velocity_error: float | None = field(default=None, metadata=PERCENT)
+    pressure_error: float | None = field(default=None, metadata=PERCENT)
+    velocity_best: float | None = field(default=None, metadata=PERCENT)
+    """Of the nearest state in the basis."""
+    pressure_best: float | None = field(default=None, metadata=PERCENT)
+    velocity_estimate: float | None = field(default=None, metadata=PERCENT)
+    pressure_estimate: float | None = field(default=None, metadata=PERCENT)
+    diverged_at: float | None = field(default=None, metadata={"unit": "s"})
+    reason: str = ""
+    """Why it was unstable or refused."""
+    extrapolated: bool = False
+    """Whether it is outside of the trained values or times."""
+    told: str = ""
+    """What the run itself says against its result."""
+
+    @property
+    def model(self) -> str:
+        """The model in words."""
+        if self.kind == "full":
+            return "full"
+        name = "APG" if self.projection == "apg" else "Galerkin"
+        on = ", on particles" if self.kind == "particles" else ""
+        scheme = ", Runge-Kutta" if self.steps == RUNGE_KUTTA else ""
+        return f"{name}, M = {self.n_modes}{on}{scheme}"
+
+    @property
+    def errors(self) -> tuple[float, float] | None:
+        """Errors of velocity and pressure [%]."""
+        if self.velocity_error is None or self.pressure_error is None:
+            return None
+        return self.velocity_error, self.pressure_error
+
+    @property
+    def natural(self) -> float:
+        """The value in seconds where it is a ratio of those."""
+        seconds = {STEP: self.time_step, MEMORY: self.memory_length}.get(self.varied)
+        return self.value if seconds is None else seconds
+
+
+# Causes
+
+
+def limiting_step(reduced: ReferenceModel) -> tuple[str, float]:
+    """Return what limits Runge-Kutta steps of a model, and the largest stable one [s].
+
+    It is an eigenvector of the Jacobian around the start or a training state: sound where pressure
+    has a good part of its energy, else viscosity where it decays faster than it turns, else
+    convection.
+    """
+    states = np.vstack((reduced.start, reduced.states))
+    values, vectors = np.linalg.eig(reduced.polynomial.jacobians(states, reduced.strongest))
+    limits = stability_limits(values.ravel().astype(np.complex128))
+    worst = int(limits.argmin())
+    vector = vectors.transpose(0, 2, 1).reshape(limits.size, -1)[worst]
+    return _kind_of(reduced, values.ravel()[worst], vector), float(limits[worst])
+
+
+def _kind_of(reduced: ReferenceModel, value: complex, vector: Array) -> str:
+    basis = reduced.basis
+    pressure = (basis.density_modes * basis.weights) @ basis.density_modes.T
+    if (vector.conj() @ pressure @ vector).real > SOUND * np.linalg.norm(vector) ** 2:
+        return "sound"
+    return "viscosity" if abs(value.real) > abs(value.imag) else "convection"
+
+
+def growth(reduced: ReferenceModel, states: Array) -> tuple[float, str]:
+    """Return the fastest growth [1/s] around states (n_states, n_modes), and where it is.
+
+    It is in the first or the last half of the modes.
+    """
+    values, vectors = np.linalg.eig(reduced.polynomial.jacobians(states, reduced.strongest))
+    worst = int(values.real.argmax())
+    vector = np.abs(vectors.transpose(0, 2, 1).reshape(values.size, -1)[worst]) ** 2
+    last = float(vector[len(vector) // 2 :].sum() / vector.sum())
+    return float(values.real.ravel()[worst]), "last" if last > 0.5 else "first"
+
+
+def longest_memory(closed: Callable[[float], ReferenceModel]) -> float | None:
+    """Return the longest memory over the automatic one at which nothing grows around the start.
+
+    The closure's part of a Jacobian is proportional to it. None where that is longer than tried.
+    """
+    near, far = closed(1.0), closed(2.0)
+    states = np.vstack((near.start, near.states))
+    bare, longer = (m.polynomial.jacobians(states, m.strongest) for m in (near, far))
+    for power in range(-DECADES * PER_DECADE, DECADES * PER_DECADE + 1):
+        factor = 10.0 ** (power / PER_DECADE)
+        jacobians = bare + (factor - 1.0) * (longer - bare)
+        fastest = np.linalg.eigvals(jacobians).real.max()
+        if fastest * near.output_times.duration > math.log(MOST_GROWTH):
+            return factor
+    return None
+
+
+def cause_of_divergence(run: FastRun, integrator: Integrator) -> str:
+    """Return what makes a run diverge, from its steps and eigenvalues where it went."""
+    reduced = run.reduced
+    if integrator.steps.system.integrator == RUNGE_KUTTA:
+        name, limit = limiting_step(reduced)
+        if run.time_step > limit:
+            return name
+    if reduced.memory_length is not None:
+        return "closure"
+    if run.outside:
+        return "extrapolated rates"
+    _, where = growth(reduced, run.done.coordinates[-1:])
+    return "noise modes" if where == "last" else "aliasing"
+
+
+# States and ranges
+
+
+def judged(runs: Sequence[ExtremeRun], default: tuple[str, int]) -> list[ExtremeRun]:
+    """Return runs with their states and what makes them wrong; `default` is projection and size."""
+    own = _default_of(runs, default)
+    coarse = (r for r in runs if r.kind == "full" and r.varied == REYNOLDS)
+    half = next((r for r in coarse if r.parameters == own.parameters), None)
+    allowed = {"fast": own.errors, "particles": own.errors, "full": half and half.errors}
+    found = [replace(r, state=r.state or _state(r, allowed[r.kind])) for r in runs]
+    right = {(r.varied, r.model) for r in found if r.value == 1.0 and r.state == "right"}
+    return [
+        replace(r, mechanism=_cause(r, allowed[r.kind], (r.varied, r.model) in right))
+        if r.state == "stable"
+        else r
+        for r in found
+    ]
+
+
+def _default_of(runs: Sequence[ExtremeRun], default: tuple[str, int]) -> ExtremeRun:
+    found = (r for r in runs if (r.varied, r.value, r.steps) == (STEP, 1.0, EXPONENTIAL))
+    return next(r for r in found if (r.projection, r.n_modes) == default)
+
+
+def _within(errors: tuple[float, float] | None, allowed: tuple[float, float] | None) -> bool:
+    if errors is None or allowed is None:
+        return False
+    return all(a <= MOST_ERROR * b for a, b in zip(errors, allowed, strict=True))
+
+
+def _state(run: ExtremeRun, allowed: tuple[float, float] | None) -> State:
+    same = run.kind == "full" and run.velocity_error == 0.0
+    return "right" if same or _within(run.errors, allowed) else "stable"
+
+
+def _cause(run: ExtremeRun, allowed: tuple[float, float] | None, right_by_default: bool) -> str:
+    """Return what makes a stable run wrong; empty where nothing tells."""
+    if run.errors is None or allowed is None:
+        return ""
+    if run.kind == "full":
+        causes = {"Mach number": "compressibility", "h/dx": "smoothing", STEP: run.mechanism}
+        return causes.get(run.varied, "spacing")
+    before = "extrapolated " if run.extrapolated else ""
+    if run.velocity_best is not None and run.pressure_best is not None:
+        if not _within((run.velocity_best, run.pressure_best), allowed):
+            return f"{before}modes"
+    if right_by_default and run.varied == STEP:
+        return "convection" if run.steps == EXPONENTIAL else "sound"
+    if right_by_default and run.varied == MEMORY:
+        return "closure"
+    return f"{before}rates"
+
+
+def ranges_in(
+    runs: Sequence[ExtremeRun], default: tuple[str, int], own: dict[str, float]
+) -> Iterator[StableRange]:
+    """Yield where each model is stable and right; `own` are the case's own values by quantity."""
+    judge = _default_of(runs, default)
+    for series in _series(runs):
+        first, values = series[0], [run.natural for run in series]
+        at = own.get(first.varied, 1.0)
+        k = min(range(len(series)), key=lambda i: abs(math.log(series[i].value / at)))
+        stable = _around(k, [run.state in ("right", "stable") for run in series])
+        right = _around(k, [run.state == "right" for run in series])
+        low, high = right or stable or (k, k)
+        predicted, by = _predicted(series[k:], judge)
+        yield StableRange(
+            varied=first.varied,
+            kind=first.kind,
+            projection=first.projection,
+            n_modes=first.n_modes,
+            steps=first.steps,
+            right_from=None if right is None else values[low],
+            right_to=None if right is None else values[high],
+            stable_from=None if stable is None else values[stable[0]],
+            stable_to=None if stable is None else values[stable[1]],
+            least=values[0],
+            greatest=values[-1],
+            below=series[low - 1].mechanism if low > 0 else "",
+            above=series[high + 1].mechanism if high + 1 < len(series) else "",
+            predicted=predicted,
+            predicted_by=by,
+        )
+
+
+def _series(runs: Sequence[ExtremeRun]) -> list[list[ExtremeRun]]:
+    """Return the runs of each model in which one quantity is varied, by its value."""
+    found: dict[tuple[str, str], list[ExtremeRun]] = {}
+    for run in runs:
+        found.setdefault((run.varied, run.model), []).append(run)
+    return [sorted(series, key=lambda run: run.value) for series in found.values()]
+
+
+def _around(k: int, good: Sequence[bool]) -> tuple[int, int] | None:
+    """Return the ends of the good ones around a place; None where it isn't good itself."""
+    if not good[k]:
+        return None
+    low = high = k
+    while low > 0 and good[low - 1]:
+        low -= 1
+    while high + 1 < len(good) and good[high + 1]:
+        high += 1
+    return low, high
+
+
+def _predicted(series: Sequence[ExtremeRun], own: ExtremeRun) -> tuple[float | None, str]:
+    """Return the greatest value that should be stable or right, and what says so."""
+    first = series[0]
+    if first.predicted is not None:
+        way = "formula" if first.kind == "full" else "eigenvalue"
+        return first.predicted * first.natural / first.value, way
+    estimates = [(run.velocity_estimate, run.pressure_estimate) for run in series]
+    allowed = own.errors
+    if first.kind != "fast" or allowed is None or None in estimates[0]:
+        return None, ""
+    good = [
+        all(e is not None and e <= MOST_ERROR * a for e, a in zip(pair, allowed, strict=True))
+        for pair in estimates
+    ]
+    last = _around(0, good)
+    return (None, "") if last is None else (series[last[1]].natural, "estimate")
+
+
+# Tables and pictures
+
+
+def publish(
+    workspace: Workspace,
+    runs: Sequence[ExtremeRun],
+    default: tuple[str, int],
+    own: dict[str, float],
+    notes: Sequence[str],
+) -> None:
+    """Judge the runs, write their tables and maps, and show where models are stable and right."""
+    runs = judged(runs, default)
+    ranges, report = list(ranges_in(runs, default, own)), workspace.context.report
+    write_csv(workspace.folder(FOLDER) / "extremes.csv", runs)
+    tables = {"extremes": runs, "ranges": ranges}
+    about = {"basis": workspace.basis().inputs_digest}
+    write_json(workspace.out / FILE, tables, workspace.case.name, workspace.threads, **about)
+    save(draw_maps(runs), workspace.folder(FOLDER) / "extremes.png")
+    for varied in dict.fromkeys(each.varied for each in ranges):
+        rows = [
+            _cells(each, run)
+            for each, run in zip(ranges, map(_first, _series(runs)), strict=True)
+            if each.varied == varied
+        ]
+        report.table(f"{varied}: where models are stable, and right", HEADINGS, rows)
+    own_run = _default_of(runs, default)
+    if own_run.errors is not None:
+        velocity, pressure = (f"{format_figure(MOST_ERROR * e)} %" for e in own_run.errors)
+        report.info(
+            f"right: errors at most twice those of {own_run.model} at {own_run.parameters}, {velocity} in velocity and {pressure} in pressure"
+        )
+    counts = {state: sum(run.state == state for run in runs) for state in COLOURS}
+    report.result(
+        f"{counted(len(runs), 'run')}: " + ", ".join(f"{n} {state}" for state, n in counts.items())
+    )
+    for note in (*notes, *dict.fromkeys(_told(r) for r in runs if r.reason)):
+        report.info(note)
+    silent = [
+        r for r in runs if r.errors and max(r.errors) > 100.0 and not r.told and r.kind == "fast"
+    ]
+    report.info(f"{counted(len(silent), 'run')} off by more than 100 % without a warning")
+    report.info(f"extremes.csv, extremes.json and extremes.png are in {workspace.folder(FOLDER)}")
+
+
+HEADINGS = ("model", "right", "stable", "below", "above", "predicted")
+
+
+def _first(series: Sequence[ExtremeRun]) -> ExtremeRun:
+    return series[0]
+
+
+def _told(run: ExtremeRun) -> str:
+    return f"{run.varied} {exact(run.value)}, {run.model}, {run.state}: {run.reason}"
+
+
+def _cells(each: StableRange, run: ExtremeRun) -> tuple[str, ...]:
+    def span(low: float | None, high: float | None) -> str:
+        return "nowhere" if low is None else f"{format_figure(low)} to {format_figure(high)}"
+
+    predicted = (
+        "" if each.predicted is None else f"{format_figure(each.predicted)} ({each.predicted_by})"
+    )
+    right, stable = span(each.right_from, each.right_to), span(each.stable_from, each.stable_to)
+    return run.model, right, stable, each.below, each.above, predicted
+
+
+def draw_maps(runs: Sequence[ExtremeRun]) -> Figure:
+    """Draw a map of each varied quantity: a row for each model, a column for each value.
+
+    Cells show the velocity error [%], and what makes a run wrong or unstable.
+    """
+    maps = list(dict.fromkeys(run.varied for run in runs))
+    series = {name: [s for s in _series(runs) if s[0].varied == name] for name in maps}
+    rows = [maps[k : k + IN_A_ROW] for k in range(0, len(maps), IN_A_ROW)]
+    heights = [0.9 + 0.3 * max(len(series[name]) for name in row) for row in rows]
+    with styled():
+        figure = new_figure(IN_A_ROW * 7.5, sum(heights))
+        grid = figure.subplots(len(rows), IN_A_ROW, squeeze=False, height_ratios=heights)
+        for row, line in zip(grid, rows, strict=True):
+            for axes in row[len(line) :]:
+                axes.set_axis_off()
+            for axes, name in zip(row, line, strict=False):
+                _draw_map(axes, name, series[name])
+    return figure
+
+
+def _draw_map(axes: Axes, name: str, models: Sequence[Sequence[ExtremeRun]]) -> None:
+    from matplotlib.patches import Rectangle
+
+    values = sorted({run.value for series in models for run in series})
+    for y, series in enumerate(models):
+        for run in series:
+            x = values.index(run.value)
+            axes.add_patch(
+                Rectangle((x - 0.5, y - 0.5), 1, 1, facecolor=COLOURS[run.state], edgecolor="white")
+            )
+            words = "" if run.velocity_error is None else format_figure(run.velocity_error, 2)
+            if run.state != "right":
+                words = f"{words}\n{run.mechanism or run.state}".strip()
+            axes.text(x, y, words, ha="center", va="center", fontsize=5.5)
+    axes.set(xlim=(-0.5, len(values) - 0.5), ylim=(len(models) - 0.5, -0.5), title=name)
+    axes.set_xticks(range(len(values)), [format_figure(value) for value in values])
+    axes.set_yticks(range(len(models)), [series[0].model for series in models])
