@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from hypothesis import settings
 from numpy.typing import NDArray
+from typer.testing import CliRunner, Result
 
 from sphrom.artifacts import reader
 from sphrom.case.models import Case
@@ -114,21 +115,6 @@ class BruteForce:
         jump = self.images(field)[None, :] - field[:, None]
         plain = np.einsum("ij,ijd,j->id", jump, self.pairs()[2], self.images(volume))
         return np.einsum("ide,ie->id", self.renormalization(volume), plain)
-
-    def shifting_velocity(
-        self, volume: Array, max_speed: float, amplitude: float, as_printed: bool
-    ) -> Array:
-        """Eq. 2.13-2.14 (n_particles, 2), with c0 Ma = U_max."""
-        _, distance, gradient = self.pairs()
-        closeness = self.kernel(distance) / self.kernel(np.array(self.spacing))
-        if as_printed:
-            push = (1.0 + amplitude * closeness) ** 4
-        else:
-            push = 1.0 + amplitude * closeness**4
-        total = np.einsum("ij,ijd,j->id", push, gradient, self.images(volume))
-        raw = -2.0 * self.smoothing_length * max_speed * total
-        speed = np.linalg.norm(raw, axis=1, keepdims=True)
-        return np.minimum(speed, max_speed / 2.0) * raw / np.where(speed > 0.0, speed, 1.0)
 
     def diffusion(self, density: Array, volume: Array) -> Array:
         """Eq. 2.10 (n_particles,)."""
@@ -420,6 +406,23 @@ class UnprojectedModel:
 def unprojected() -> type[UnprojectedModel]:
     """The rates at all fixed points."""
     return UnprojectedModel
+
+
+def run_command(*arguments: object, code: int | None = None) -> Result:
+    """Run a command within this process, to an exit code; what isn't one is raised."""
+    from sphrom.cli.app import app
+
+    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    assert code in (None, result.exit_code), result.output
+    return result
+
+
+@pytest.fixture(scope="session")
+def sphrom() -> Callable[..., Result]:
+    """Run a command."""
+    return run_command
 
 
 @pytest.fixture

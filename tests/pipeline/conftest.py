@@ -13,11 +13,10 @@ from typing import Any
 
 import pytest
 import yaml
-from typer.testing import CliRunner, Result
+from typer.testing import Result
 
 from sphrom.artifacts import open_artifact
 from sphrom.case.loader import load_case
-from sphrom.cli.app import app
 from sphrom.setup.context import StageContext
 from sphrom.sph import time_loop
 from sphrom.store.workspace import Workspace
@@ -58,20 +57,6 @@ ERRORS = tuple(
 )
 
 
-def run_sphrom(*arguments: object) -> Result:
-    """Run a command within this process; what isn't an exit code is raised."""
-    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result
-
-
-@pytest.fixture(scope="session")
-def sphrom() -> Callable[..., Result]:
-    """Run a command."""
-    return run_sphrom
-
-
 @pytest.fixture(scope="session")
 def case_text() -> Callable[..., str]:
     """The case as YAML, with sections changed by `key__of__section=value`."""
@@ -90,7 +75,9 @@ def case_text() -> Callable[..., str]:
 
 
 @pytest.fixture(scope="session")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[dict[str, Any]], Path]:
+def made(
+    tmp_path_factory: pytest.TempPathFactory, sphrom: Callable[..., Result]
+) -> Callable[[dict[str, Any]], Path]:
     """Run a case once a session.
 
     Gives the artifacts' folder, `runs/<name>`; above it are `<name>.yaml`, `stdout.txt` and
@@ -104,8 +91,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[dict[str, Any]],
             folder = tmp_path_factory.mktemp(case["name"])
             path, out = folder / f"{case['name']}.yaml", folder / "runs" / case["name"]
             path.write_text(text)
-            result = run_sphrom("run", path, "--out", out, "--threads", 1, "--verbose")
-            assert result.exit_code == 0, result.output
+            result = sphrom("run", path, "--out", out, "--threads", 1, "--verbose", code=0)
             (folder / "stdout.txt").write_text(result.stdout)
             (folder / "stderr.txt").write_text(result.stderr)
             folders[text] = out
@@ -116,15 +102,15 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[dict[str, Any]],
 
 @pytest.fixture(scope="session")
 def finished(
-    tmp_path_factory: pytest.TempPathFactory, case_text: Callable[..., str]
+    tmp_path_factory: pytest.TempPathFactory,
+    case_text: Callable[..., str],
+    sphrom: Callable[..., Result],
 ) -> tuple[Path, Result]:
     """A folder with `tiny.yaml` and, below `runs/tiny`, all that `run` makes of it."""
     folder = tmp_path_factory.mktemp("finished")
     case = folder / "tiny.yaml"
     case.write_text(case_text())
-    result = run_sphrom("run", case, "--out", folder / "runs" / "tiny", "--threads", 1)
-    assert result.exit_code == 0, result.output
-    return folder, result
+    return folder, sphrom("run", case, "--out", folder / "runs" / "tiny", "--threads", 1, code=0)
 
 
 @pytest.fixture

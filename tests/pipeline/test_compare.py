@@ -19,8 +19,7 @@ def test_a_model_that_fails_at_its_start_is_reported(place, sphrom, errors_of, m
         raise UnstableError("no density is left")
 
     monkeypatch.setattr(particle_runs, "reduced_jacobian", fail)
-    result = sphrom("run", "tiny.yaml", "--force", "--set", "rom.1.advection=paper")
-    assert result.exit_code == 4
+    result = sphrom("run", "tiny.yaml", "--force", "--set", "rom.1.advection=paper", code=4)
     assert "apg, reynolds=100: unstable at the start: no density is left" in result.stderr
     status = {row["compared"]: row["status"] for row in errors_of(place)}
     assert status["apg"] == "unstable"

@@ -48,8 +48,7 @@ def listed(path) -> dict[float, str]:
 
 
 def test_vtu_files_hold_the_same_numbers_and_their_times(place, sphrom) -> None:
-    result = sphrom("export", "tiny.yaml", "--only", "galerkin", "--into", "vtu")
-    assert result.exit_code == 0, result.output
+    sphrom("export", "tiny.yaml", "--only", "galerkin", "--into", "vtu", code=0)
     assert {path.stem for path in Path("vtu").glob("*.pvd")} == {
         f"rom-galerkin-reynolds{value}" for value in (100, 150, 200)
     }
@@ -73,8 +72,7 @@ KEPT = "rom=[{name: fast, evaluation: operators, n_modes: 3, output: snapshots}]
 def fast(place, sphrom) -> Path:
     """The artifact of a reduced run that stores coordinates alone."""
     for stage in ("operators", "rom"):
-        result = sphrom(stage, "tiny.yaml", "--set", FAST, "--threads", 1)
-        assert result.exit_code == 0, result.output
+        sphrom(stage, "tiny.yaml", "--set", FAST, "--threads", 1, code=0)
     return place / "rom-fast-reynolds150.h5"
 
 
@@ -87,12 +85,11 @@ def test_runs_of_coordinates_alone_are_exported_with_the_fields_they_would_store
         StoredRun, "rebuilt", lambda run, snapshot: calls.append(snapshot) or state(run, snapshot)
     )
     about = ("--only", "fast", "--only", "reynolds=150")
-    assert sphrom("export", "tiny.yaml", "--set", FAST, *about).exit_code == 0
+    sphrom("export", "tiny.yaml", "--set", FAST, *about, code=0)
     with h5py.File(fast) as file:
         assert "velocity" not in file
         assert calls == list(range(len(file["time"])))  # one at a time
-    result = sphrom("rom", "tiny.yaml", "--set", KEPT, "--force", "--threads", 1)
-    assert result.exit_code == 0, result.output
+    sphrom("rom", "tiny.yaml", "--set", KEPT, "--force", "--threads", 1, code=0)
     with h5py.File(fast) as file:
         names = ("time", "velocity", "pressure", "density_fluctuation", "reference_position")
         stored = {name: file[name][...] for name in names}
@@ -108,8 +105,7 @@ def test_runs_of_coordinates_alone_are_exported_with_the_fields_they_would_store
 
 def test_fields_that_can_not_be_rebuilt_are_told_with_what_does(fast, sphrom) -> None:
     (fast.parent / "pod.h5").unlink()
-    refused = sphrom("export", "tiny.yaml", "--set", FAST, "--only", "fast")
-    assert refused.exit_code == 3
+    refused = sphrom("export", "tiny.yaml", "--set", FAST, "--only", "fast", code=3)
     assert "pod.h5 is missing; make it with `sphrom pod tiny.yaml --set " in refused.stderr
 
 
@@ -124,14 +120,11 @@ def test_fields_that_can_not_be_rebuilt_are_told_with_what_does(fast, sphrom) ->
     ],
 )
 def test_what_cannot_be_exported_is_said(place, sphrom, arguments, code, says) -> None:
-    result = sphrom("export", "tiny.yaml", *arguments)
-    assert result.exit_code == code
-    assert says in result.stderr
+    assert says in sphrom("export", "tiny.yaml", *arguments, code=code).stderr
 
 
 def test_runs_are_tabled_at_points(place, sphrom) -> None:
-    result = sphrom("export", "tiny.yaml", "--to", "csv", "--at", "0.25,0.5", "--at", "0.1,0.2")
-    assert result.exit_code == 0, result.output
+    sphrom("export", "tiny.yaml", "--to", "csv", "--at", "0.25,0.5", "--at", "0.1,0.2", code=0)
     with (place / "export" / "fom-reynolds100.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     columns = ["velocity_x [m/s]", "velocity_y [m/s]"]
@@ -154,11 +147,10 @@ def test_runs_are_tabled_at_points(place, sphrom) -> None:
 
 
 def test_runs_are_tabled_along_the_line_unless_asked_otherwise(place, sphrom) -> None:
-    assert sphrom("export", "tiny.yaml", "--to", "csv", "--only", "reynolds=150").exit_code == 0
+    sphrom("export", "tiny.yaml", "--to", "csv", "--only", "reynolds=150", code=0)
     with (place / "export" / "rom-apg-reynolds150.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert {row["x [m]"] for row in rows} == {"0.5"}
     assert len({row["y [m]"] for row in rows}) == 21  # compare.line_points of the case
-    again = sphrom("export", "tiny.yaml", "--to", "csv", "--only", "reynolds=150")
-    assert again.exit_code == 3
+    again = sphrom("export", "tiny.yaml", "--to", "csv", "--only", "reynolds=150", code=3)
     assert "exists already; --force replaces it" in again.stderr

@@ -45,14 +45,13 @@ def test_every_kind_is_drawn_and_asking_makes_nothing_another_case_s(
     assert (result.exit_code, "asks for no figure" in result.output) == (0, True)
     before = digests(place)
     path = case_with(compare={"figures": FIGURES})
-    result = sphrom("figures", path, "--out", place)
-    assert result.exit_code == 0, result.output
+    sphrom("figures", path, "--out", place, code=0)
     found = {file.name for file in (place / "figures").iterdir()}
     assert found == {f"{figure['name']}.png" for figure in FIGURES}
     for file in (place / "figures").iterdir():
         assert file.read_bytes().startswith(b"\x89PNG")
         assert file.stat().st_size > 10_000
-    assert sphrom("run", path, "--out", place).exit_code == 0
+    sphrom("run", path, "--out", place, code=0)
     assert digests(place) == before
     (place / "rom-galerkin-reynolds100.h5").unlink()
     assert "rom-galerkin-reynolds100.h5" in refused(sphrom("figures", path, "--out", place))
@@ -102,8 +101,7 @@ def test_a_change_of_models_keeps_the_runs_that_stand(sphrom, place, refused, ca
     """Fewer or smaller models need no other basis, and so none of its runs is of another case."""
     untouched = {p: p.stat().st_mtime_ns for p in place.glob("*.h5") if p.name != "compare.h5"}
     models = [{"name": "apg", "projection": "apg", "n_modes": 3}, {"name": "small", "n_modes": 2}]
-    result = sphrom("run", case_with(rom=models), "--out", place, "--force")
-    assert result.exit_code == 0, result.output
+    sphrom("run", case_with(rom=models), "--out", place, "--force", code=0)
     assert {p: p.stat().st_mtime_ns for p in untouched} == untouched
     assert (place / "rom-small-reynolds150.h5").exists()
     larger = case_with(rom=[{"name": "large", "n_modes": 4}])

@@ -92,13 +92,12 @@ def test_reduced_runs_are_the_same_there(sphrom, empty, case_text, address, clie
     monkeypatch.setattr("sphrom.sweep.sweep.SMALLEST_BATCH", 4)
     Path("tiny.yaml").write_text(case_text(rom=[FAST]))
     for command in ("fom", "map", "pod", "fit-psi", "operators"):
-        assert sphrom(command, "tiny.yaml", "--quiet").exit_code == 0
+        sphrom(command, "tiny.yaml", "--quiet", code=0)
     values = ("--set", "sweep.reynolds={low: 100, high: 200, count: 30}")
-    result = sphrom("sweep", "tiny.yaml", *values, "--scheduler", address)
-    assert result.exit_code == 0, result.output
+    sphrom("sweep", "tiny.yaml", *values, "--scheduler", address, code=0)
     there = content(empty / "sweep-fast.h5")
     # In processes of their own, too: one that has just compiled a loop may differ in the last bits.
-    assert sphrom("sweep", "tiny.yaml", *values, "--force", "--workers", "2").exit_code == 0
+    sphrom("sweep", "tiny.yaml", *values, "--force", "--workers", "2", code=0)
     assert content(empty / "sweep-fast.h5") == there
 
 
@@ -108,12 +107,11 @@ def test_training_makes_several_runs_at_once_there(
     region = {"reynolds": [50, 400], "budget": 5, "tolerance": "0.06%"}
     model = {"time__final_time": 0.2, "rom": [{**FAST, "n_modes": 8}], "parameters": {}}
     Path("tiny.yaml").write_text(case_text(**model, training=region))
-    result = sphrom("train", "tiny.yaml", "--scheduler", address)
-    assert result.exit_code == 0, result.output
+    sphrom("train", "tiny.yaml", "--scheduler", address, code=0)
     stages = json.loads((empty / "training" / "training.json").read_text())["stages"]
     assert 1 < [row["full_runs"] for row in stages].count(2) <= N_WORKERS
     ends = "parameters.train.reynolds=[50,400]"
-    assert sphrom("fom", "tiny.yaml", "--out", "here", "--set", ends).exit_code == 0
+    sphrom("fom", "tiny.yaml", "--out", "here", "--set", ends, code=0)
     there, here = digests(empty), digests(Path("here"))
     assert here.items() <= there.items()
 
@@ -162,7 +160,6 @@ def test_a_scheduler_that_is_not_there(sphrom, empty, monkeypatch, library):
     if not library:
         monkeypatch.setitem(sys.modules, "distributed", None)
     full = ("--set", "sweep={model: full, reynolds: [100]}")
-    result = sphrom("sweep", "tiny.yaml", *full, "--scheduler", "tcp://127.0.0.1:1")
-    assert result.exit_code == 2
+    result = sphrom("sweep", "tiny.yaml", *full, "--scheduler", "tcp://127.0.0.1:1", code=2)
     said = "no scheduler answers at tcp://127.0.0.1:1; start" if library else "needs the library"
     assert f"error: --scheduler: {said}" in result.stderr
