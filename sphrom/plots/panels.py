@@ -142,12 +142,6 @@ class Field:
     difference: bool = False
     """Whether it is one of two fields: zero is in the middle of its scale."""
 
-    def range(self) -> Range:
-        """Return the range of all but a few values."""
-        known = self.values[np.isfinite(self.values)]
-        low, high = np.percentile(known, SHOWN) if len(known) else (0.0, 1.0)
-        return float(low), float(high)
-
 
 @dataclass(frozen=True)
 class Curve:
@@ -276,8 +270,9 @@ def _draw_pictures(
 
 def _scale(fields: Sequence[Field], scales: Mapping[str, Range]) -> tuple[str, Range]:
     """Return the colours and the scale of fields of one label."""
-    ranges = [field.range() for field in fields]
-    low, high = min(low for low, _ in ranges), max(high for _, high in ranges)
+    known = [field.values[np.isfinite(field.values)] for field in fields]
+    ranges = np.array([np.percentile(v, SHOWN) if len(v) else (0.0, 1.0) for v in known])
+    low, high = float(ranges[:, 0].min()), float(ranges[:, 1].max())
     if fields[0].label in scales:
         least, most = scales[fields[0].label]
         reach = BEYOND * (most - least)
