@@ -31,9 +31,3 @@ class ResourceError(SphromError):
     """A run was asked for that would not fit this machine."""
 
     exit_code = 5
-
-
-def error_of(exit_code: int, message: str) -> SphromError:
-    """Return an error of the class of an exit code."""
-    kinds = {kind.exit_code: kind for kind in SphromError.__subclasses__()}
-    return kinds.get(exit_code, SphromError)(message)

@@ -27,7 +27,6 @@ from sphrom.plots.canvas import (
     SIGNED_MAP,
     SOLID_COLOUR,
     SPEED_MAP,
-    TITLE,
     limits,
     line_of,
     new_figure,
@@ -228,7 +227,7 @@ def draw_grid(
             for axes, _ in curves:
                 axes.legend(fontsize=7.5)
         if title:
-            figure.suptitle(title, fontsize=TITLE)
+            figure.suptitle(title)
         return figure
 
 
@@ -255,7 +254,8 @@ def _draw_pictures(
                 axes.sharex(first)
                 axes.sharey(first)
             axes.locator_params(axis="x", nbins=min(X_TICKS, int(AN_INCH * width)))
-            axes.set_title(field.title, fontsize=min(TITLE, TITLE * width / PICTURE + 1.5))
+            largest = rcParams["axes.titlesize"]
+            axes.set_title(field.title, fontsize=min(largest, largest * width / PICTURE + 1.5))
             axes.set_xlabel("x [m]")
             axes.set_ylabel("y [m]" if scales is not None else f"{label}\n\ny [m]")
             axes.label_outer()

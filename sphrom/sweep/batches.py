@@ -69,7 +69,7 @@ def make_runs(task: Task) -> tuple[Failure, ...]:
         try:
             records.append(swept.run(point))
         except SphromError as error:
-            failed.append(Failure(point, str(error), error.exit_code))
+            failed.append(Failure(point, str(error), type(error)))
     if records:
         require_folder(swept.workspace)
         # A part is named by its points: it is made with the same and from the same as the whole.
