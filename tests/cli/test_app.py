@@ -21,10 +21,6 @@ EVERY_COMMAND = [
 ]  # fmt: skip
 
 
-def python(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, *arguments], capture_output=True, text=True, timeout=60)
-
-
 def test_nothing_is_told_of_overflows(sphrom, stages, case_file, monkeypatch, recwarn):
     """Whoever writes a result refuses what isn't finite, by its name and place."""
 
@@ -244,7 +240,7 @@ def test_the_log_is_beside_the_artifacts(sphrom, stages, case_file, monkeypatch)
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["fom", "--help"], ["--version"]])
-def test_help_imports_nothing_heavy(arguments):
+def test_help_imports_nothing_heavy(arguments, printed):
     program = (
         "import sys\n"
         "from sphrom.__main__ import main\n"
@@ -252,9 +248,7 @@ def test_help_imports_nothing_heavy(arguments):
         "try:\n    main()\n"
         "finally:\n    print('imported', *sys.modules)\n"
     )
-    result = python("-c", program)
-    assert result.returncode == 0, result.stderr
-    imported = set(result.stdout.split("imported ", 1)[1].split())
+    imported = set(printed(program).split("imported ", 1)[1].split())
     heavy = {"numpy", "numba", "scipy", "h5py", "matplotlib", "yaml", "sphrom.case.models"}
     assert not imported & heavy
 
