@@ -413,6 +413,23 @@ def unprojected() -> type[UnprojectedModel]:
 
 
 @pytest.fixture(scope="session")
+def vtk_arrays() -> Callable[[Any], dict[str, np.ndarray]]:
+    """The points and fields of what VTK read."""
+
+    def read(data: Any) -> dict[str, np.ndarray]:
+        from vtkmodules.util.numpy_support import vtk_to_numpy
+
+        fields = data.GetPointData()
+        found = {
+            fields.GetArrayName(i): vtk_to_numpy(fields.GetArray(i)).copy()
+            for i in range(fields.GetNumberOfArrays())
+        }
+        return {**found, "points": vtk_to_numpy(data.GetPoints().GetData()).copy()}
+
+    return read
+
+
+@pytest.fixture(scope="session")
 def printed() -> Callable[..., str]:
     """What a process prints that runs some code, with arguments and environment variables."""
 

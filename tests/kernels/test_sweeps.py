@@ -1,34 +1,10 @@
-"""The sweeps themselves: on any number of threads, and without the compiler."""
+"""The sweeps without the compiler."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 import numpy as np
-import pytest
-
-from sphrom.sph.box_domain import BoxDomain
-from sphrom.sph.fluid import Discretization, Fluid
-from sphrom.sph.functional import Functional
-
-SPACING = 0.0625
-SHAPE = (16, 14)
-BOX = BoxDomain((0.0, 0.0), (1.0, 0.875), (True, True))
-
-
-@pytest.mark.parametrize("transport", ["advective", "paper"])
-def test_is_bitwise_the_same_on_any_number_of_threads(
-    scatter: Callable, same_on_threads, transport: str
-) -> None:
-    discretization = Discretization(
-        SPACING, 2.0 * SPACING, acoustic_damping=1.0, shifting_transport=transport
-    )
-    functional = Functional(Fluid(1000.0, 10.0, 0.01, 1.0), discretization, BOX)
-    state = scatter((0.0, 0.0), SPACING, SHAPE, "jittered", seed=3)
-    same_on_threads(
-        lambda: (functional(state), functional.advection(state[:2], state[2], state[3:]))
-    )
-
 
 PLAIN = """
 import sys
