@@ -94,14 +94,12 @@ def _relative(errors: Array, scale: Array, factor: float = 100.0) -> Array:
     return np.asarray(found)
 
 
-def compression_factor(n_particles: int, n_modes: int, n_dim: int = 2) -> float:
-    """Return N_d / M with the (2n + 1) N values of the full state (Eq. 4.2 inverted, as used)."""
-    return (2 * n_dim + 1) * n_particles / n_modes
+def compression_factors(n_particles: int, n_modes: int, n_dim: int = 2) -> tuple[float, float]:
+    """Return N_d / M with the (2n + 1) N values of the full state (Eq. 4.2 inverted, as used).
 
-
-def field_compression_factor(n_particles: int, n_modes: int, n_dim: int = 2) -> float:
-    """Return (n + 1) N / M: density and velocity, which are the reduced fields, over modes."""
-    return (n_dim + 1) * n_particles / n_modes
+    The second counts the reduced fields alone, density and velocity: (n + 1) N / M.
+    """
+    return (2 * n_dim + 1) * n_particles / n_modes, (n_dim + 1) * n_particles / n_modes
 
 
 def cumulative_singular_value_share(singular_values: Array) -> Array:
@@ -343,10 +341,9 @@ def effectivity(
     Estimates are root mean squares of velocity [m/s] and pressure [Pa]. Instants before `start` [s]
     don't count, nor in ratios those before `late` [s]. None without an error to compare with.
     """
-    grid = probes.on_grid
     fields = [
-        (run.velocity[:, grid], reference.velocity[:, grid]),
-        (without_mean(run.pressure[:, grid]), without_mean(reference.pressure[:, grid])),
+        [each.velocity[:, probes.on_grid] for each in (run, reference)],
+        _fluctuations((run.pressure, reference.pressure), probes.on_grid),
     ]
     errors = np.stack([_rms(found - expected) for found, expected in fields], axis=1)
     sizes = np.stack([_rms(expected) for _, expected in fields], axis=1)
@@ -363,7 +360,6 @@ def effectivity(
     return dict(zip(EFFECTIVITY, figures, strict=True))
 
 
-def _rms(fields: Array) -> Array:
-    """Return root mean squares over points (n_snapshots,), of a velocity's magnitude."""
-    squares = fields**2 if fields.ndim == 2 else np.sum(fields**2, axis=2)
-    return np.asarray(np.sqrt(squares.mean(axis=1)))
+def _rms(vectors: Array) -> Array:
+    """Return root mean squares over points (n_snapshots,) of the magnitude of vectors."""
+    return np.asarray(np.sqrt(np.sum(vectors**2, axis=2).mean(axis=1)))

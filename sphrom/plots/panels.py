@@ -27,7 +27,6 @@ from sphrom.plots.canvas import (
     SIGNED_MAP,
     SOLID_COLOUR,
     SPEED_MAP,
-    STYLE,
     TITLE,
     limits,
     line_of,
@@ -250,6 +249,8 @@ def _draw_pictures(
     groups: dict[int | str, list[tuple[Axes, Field]]] = {}
     for number, (axes, field) in enumerate(pictures):
         groups.setdefault(number if scales is None else field.label, []).append((axes, field))
+    from matplotlib import rcParams
+
     first = pictures[0][0]
     for group in groups.values():
         fields, label = [field for _, field in group], group[0][1].label
@@ -270,7 +271,7 @@ def _draw_pictures(
         n_columns = len({round(axes.get_position().x0, 3) for axes in panels})
         told = label if scales is not None else ""
         _bar_below(figure, image, panels, told, 18 * n_columns, EXTENDED[ends])
-        image.colorbar.ax.tick_params(labelsize=min(STYLE["xtick.labelsize"], LETTERS * width))
+        image.colorbar.ax.tick_params(labelsize=min(rcParams["xtick.labelsize"], LETTERS * width))
 
 
 def _scale(fields: Sequence[Field], scales: Mapping[str, Range]) -> tuple[str, Range]:

@@ -173,7 +173,7 @@ def steady_state(
     """Find coordinates at which the rates vanish, by Newton's method with halved steps.
 
     It has converged when the rates' norm is below `tolerance` times that of the constant and the
-    linear part. Whether the state is stable is for `spectrum` of its Jacobian to say.
+    linear part. Whether the state is stable is for the eigenvalues of its Jacobian to say.
     """
     state, rates = np.array(start), polynomial(start, amplitude)
     for n_steps in range(max_steps):

@@ -230,19 +230,17 @@ class LocalSplines(CellSplines, ModeSplines):
         """The cells [m]."""
         return cell_grid(self.domain, (int(self.cell_shape[0]), int(self.cell_shape[1])))
 
-    def _fill(self, x: Array, y: Array, values: Array) -> None:
-        self._sweep(polyharmonic.evaluate, x, y, self._scratch(2), values)
-
-    def _fill_with_gradients(self, x: Array, y: Array, values: Array, gradients: Array) -> None:
-        sweep = polyharmonic.evaluate_with_gradients
-        self._sweep(sweep, x, y, self._scratch(4), values, gradients)
-
-    def _sweep(self, sweep: Callable[..., None], x: Array, y: Array, *out: Array) -> None:
-        """Run a kernel at positions in the domain, which it takes cell by cell."""
+    def _fill(self, x: Array, y: Array, *out: Array) -> None:
+        sweep: Callable[..., None] = polyharmonic.evaluate
+        if len(out) == 2:
+            sweep = polyharmonic.evaluate_with_gradients
+        most = int(np.max(np.diff(self.cell_start))) + self.polynomial_weights.shape[1]
+        scratch = np.empty((polyharmonic.N_CHUNKS, 2 * len(out), most))
+        # Kernels take positions in the domain, cell by cell.
         inside_x, inside_y = wrapped(x, self.domain, 0), wrapped(y, self.domain, 1)
         particle, start = sort_by_cell(inside_x, inside_y, self.grid)
         kind = (length_scale(self.grid), self.order, self.polynomial_degree)
-        sweep(inside_x, inside_y, particle, start, self.grid, *kind, self._systems, *out)
+        sweep(inside_x, inside_y, particle, start, self.grid, *kind, self._systems, scratch, *out)
 
     def combine(self, coefficients: ArrayLike) -> LocalSplines:
         """Return splines of linear combinations of the columns."""
@@ -255,17 +253,10 @@ class LocalSplines(CellSplines, ModeSplines):
             polynomial_weights=self.polynomial_weights @ factors,
         )
 
-    def select(self, chosen: Indices) -> LocalSplines:
-        """Return the splines of some columns."""
-        return replace(
-            self,
-            radial_weights=self.radial_weights[chosen],
-            polynomial_weights=self.polynomial_weights[:, :, chosen],
-        )
-
-    def _scratch(self, n_rows: int) -> Array:
-        most = int(np.max(np.diff(self.cell_start))) + self.polynomial_weights.shape[1]
-        return np.empty((polyharmonic.N_CHUNKS, n_rows, most))
+    def first(self, n_modes: int) -> LocalSplines:
+        """Return the splines of the first modes."""
+        radial, polynomial = self.radial_weights, self.polynomial_weights[..., : 3 * n_modes]
+        return replace(self, radial_weights=radial[: 3 * n_modes], polynomial_weights=polynomial)
 
 
 def default_cell_width(domain: Domain, n_points: int) -> float:

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from sphrom.metrics.histories import (
-    compression_factor,
+    compression_factors,
     cumulative_singular_value_share,
     energy,
-    field_compression_factor,
     instantaneous_range,
     relative_discrepancy,
     relative_error_at,
@@ -73,9 +72,8 @@ def test_errors_at_some_points_have_the_scale_of_all() -> None:
 
 
 def test_compression_factors_of_the_paper() -> None:
-    assert compression_factor(300 * 300, 5) == 90_000
-    assert compression_factor(300 * 300, 10) == 45_000
-    assert field_compression_factor(300 * 300, 5) == 54_000
+    assert compression_factors(300 * 300, 5) == (90_000, 54_000)
+    assert compression_factors(300 * 300, 10) == (45_000, 27_000)
 
 
 def test_shares_and_energy() -> None:
