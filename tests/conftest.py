@@ -6,12 +6,16 @@ all images, in plain numpy: nothing of it is regrouped, sorted or compiled.
 
 from __future__ import annotations
 
+import importlib
 import itertools
+import os
 import signal
 import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -406,6 +410,44 @@ class UnprojectedModel:
 def unprojected() -> type[UnprojectedModel]:
     """The rates at all fixed points."""
     return UnprojectedModel
+
+
+@pytest.fixture(scope="session")
+def vtk_arrays() -> Callable[[Any], dict[str, np.ndarray]]:
+    """The points and fields of what VTK read."""
+
+    def read(data: Any) -> dict[str, np.ndarray]:
+        from vtkmodules.util.numpy_support import vtk_to_numpy
+
+        fields = data.GetPointData()
+        found = {
+            fields.GetArrayName(i): vtk_to_numpy(fields.GetArray(i)).copy()
+            for i in range(fields.GetNumberOfArrays())
+        }
+        return {**found, "points": vtk_to_numpy(data.GetPoints().GetData()).copy()}
+
+    return read
+
+
+@pytest.fixture(scope="session")
+def printed() -> Callable[..., str]:
+    """What a process prints that runs some code, with arguments and environment variables."""
+
+    def run(code: str, *arguments: object, **variables: str) -> str:
+        done = subprocess.run(
+            [sys.executable, "-c", code, *map(str, arguments)], env={**os.environ, **variables},
+            capture_output=True, text=True, check=True, timeout=120,
+        )  # fmt: skip
+        return done.stdout
+
+    return run
+
+
+@pytest.fixture
+def script(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], ModuleType]:
+    """Import a program of the folder `scripts`."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "scripts"))
+    return importlib.import_module
 
 
 def run_command(*arguments: object, code: int | None = None) -> Result:

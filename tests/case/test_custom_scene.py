@@ -1,4 +1,4 @@
-"""A flow of one's own in a case file: shapes, walls, forces, starts, and what is refused."""
+"""A flow of one's own in a case file: shapes, walls, forces, starts, and what is measured."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ import shapely
 import yaml
 
 from sphrom.case.hints import case_warnings
-from sphrom.case.loader import load_case
-from sphrom.case.models import Case
+from sphrom.case.loader import case_of_text, load_case
+from sphrom.case.models import Case, resolved_yaml
 from sphrom.errors import CaseError
 
 SCENE: dict[str, Any] = {
@@ -33,7 +33,7 @@ def load(tmp_path: Path):
         path = tmp_path / "case.yaml"
         given = {"discretization": {"resolution": 60}, "scene": {**SCENE, **scene}}
         given["compare"] = compare or {}
-        path.write_text(yaml.safe_dump({"name": "x", **given}))
+        path.write_text(yaml.safe_dump({"name": "x", **given}, sort_keys=False))
         return load_case(path)
 
     return case
@@ -277,3 +277,31 @@ def test_named_scenes_are_the_flows_that_the_page_says(kind: str, number: int) -
     x = np.linspace(0.01, 0.99, 50) * domain.lengths[0]
     lid = np.stack((x, np.full_like(x, domain.upper[1] + 1e-3)), axis=1)
     np.testing.assert_allclose(ours.wall_velocity(lid), theirs.wall_velocity(lid), atol=1e-12)
+
+
+MEASURE: dict[str, Any] = {
+    "drag": {"force_on": "cylinder"},
+    "roof": {"force_on": "top"},
+    "flux": {"flow_rate": {"from": [3, 0], "to": [3, 1]}},
+    "wake": {"probe": [5, 2]},
+    "profile": {"line": {"from": [5, 0], "to": [5, 4]}},
+}
+
+
+def test_measurements_by_kind(load) -> None:
+    scene = load(measure=MEASURE).scene
+    assert scene.measured_walls == {"drag": "cylinder", "roof": "top"}
+    assert list(scene.measured_fields) == ["flux", "wake", "profile"]
+    line = scene.measure["profile"].line
+    assert line is not None
+    assert (line.start, line.end, line.points) == ((5.0, 0.0), (5.0, 4.0), 101)
+    assert scene.measure["flux"].quantities == ("flow_rate",)
+    assert load().scene.measured_walls == {}
+
+
+def test_a_case_that_measures_is_written_in_full_and_read_back(load) -> None:
+    case = load(measure=MEASURE)
+    text = resolved_yaml(case)
+    flux = yaml.safe_load(text)["scene"]["measure"]["flux"]
+    assert flux["flow_rate"] == {"from": [3.0, 0.0], "to": [3.0, 1.0]}
+    assert case_of_text(text) == case

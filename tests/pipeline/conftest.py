@@ -7,6 +7,8 @@ import csv
 import hashlib
 import math
 import shutil
+import subprocess
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -17,9 +19,11 @@ from typer.testing import Result
 
 from sphrom.artifacts import open_artifact
 from sphrom.case.loader import load_case
+from sphrom.case.points import ParameterPoint
 from sphrom.setup.context import StageContext
 from sphrom.sph import time_loop
 from sphrom.store.workspace import Workspace
+from sphrom.sweep.batches import RunRecord, SweptModel
 
 CASE: dict[str, Any] = {
     "name": "tiny",
@@ -218,11 +222,8 @@ def empty(tmp_path: Path, case_text: Callable[..., str], monkeypatch: pytest.Mon
 
 
 @pytest.fixture(scope="session")
-def digests() -> Callable[[Path], dict[str, str]]:
-    """The digests of what the artifacts of a folder hold, verified, by file name.
-
-    Files of the same bytes, as copies are, are verified once.
-    """
+def content() -> Callable[[Path], str]:
+    """The digest of what an artifact holds, verified; of files of the same bytes, once."""
     known: dict[str, str] = {}
 
     def digest(path: Path) -> str:
@@ -233,10 +234,42 @@ def digests() -> Callable[[Path], dict[str, str]]:
                 known[whole] = artifact.content_sha256
         return known[whole]
 
-    def read(folder: Path) -> dict[str, str]:
-        return {path.name: digest(path) for path in sorted(folder.glob("*.h5"))}
+    return digest
 
-    return read
+
+@pytest.fixture(scope="session")
+def digests(content: Callable[[Path], str]) -> Callable[[Path], dict[str, str]]:
+    """The digests of what the artifacts of a folder hold, verified, by file name."""
+    return lambda folder: {path.name: content(path) for path in sorted(folder.glob("*.h5"))}
+
+
+@pytest.fixture
+def counted(monkeypatch: pytest.MonkeyPatch) -> list[ParameterPoint]:
+    """The points at which sweeps make runs, in this process."""
+    points: list[ParameterPoint] = []
+    run = SweptModel.run
+
+    def note(self: SweptModel, point: ParameterPoint) -> RunRecord:
+        points.append(point)
+        return run(self, point)
+
+    monkeypatch.setattr(SweptModel, "run", note)
+    return points
+
+
+@pytest.fixture(scope="session")
+def wait_for() -> Callable[..., Any]:
+    """Wait until there is something, while a process runs, and return it."""
+
+    def wait(process: subprocess.Popen[Any], found: Callable[[], Any]) -> Any:
+        deadline = time.monotonic() + 120.0
+        while not (there := found()):
+            assert process.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        return there
+
+    return wait
 
 
 @pytest.fixture(scope="session")

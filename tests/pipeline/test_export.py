@@ -19,26 +19,19 @@ def flat(vectors: np.ndarray) -> np.ndarray:
     return np.pad(vectors, ((0, 0), (0, 1)))
 
 
-def arrays_of(data) -> dict[str, np.ndarray]:
-    """Return the points and fields of what VTK read."""
-    from vtkmodules.util.numpy_support import vtk_to_numpy
-
-    fields = data.GetPointData()
-    found = {
-        fields.GetArrayName(i): vtk_to_numpy(fields.GetArray(i)).copy()
-        for i in range(fields.GetNumberOfArrays())
-    }
-    return {**found, "points": vtk_to_numpy(data.GetPoints().GetData()).copy()}
-
-
-def vtu_of(path) -> dict[str, np.ndarray]:
-    """Return the points and fields of a VTU file."""
+@pytest.fixture
+def vtu_of(vtk_arrays):
+    """The points and fields of a VTU file."""
     xml = pytest.importorskip("vtkmodules.vtkIOXML", reason="VTK is not installed")
-    reader = xml.vtkXMLUnstructuredGridReader()
-    reader.SetFileName(str(path))
-    reader.Update()
-    assert reader.GetOutput().GetNumberOfCells() == reader.GetOutput().GetNumberOfPoints()
-    return arrays_of(reader.GetOutput())
+
+    def read(path) -> dict[str, np.ndarray]:
+        reader = xml.vtkXMLUnstructuredGridReader()
+        reader.SetFileName(str(path))
+        reader.Update()
+        assert reader.GetOutput().GetNumberOfCells() == reader.GetOutput().GetNumberOfPoints()
+        return vtk_arrays(reader.GetOutput())
+
+    return read
 
 
 def listed(path) -> dict[float, str]:
@@ -47,7 +40,7 @@ def listed(path) -> dict[float, str]:
     return {float(entry.attrib["timestep"]): entry.attrib["file"] for entry in entries}
 
 
-def test_vtu_files_hold_the_same_numbers_and_their_times(place, sphrom) -> None:
+def test_vtu_files_hold_the_same_numbers_and_their_times(place, sphrom, vtu_of) -> None:
     sphrom("export", "tiny.yaml", "--only", "galerkin", "--into", "vtu", code=0)
     assert {path.stem for path in Path("vtu").glob("*.pvd")} == {
         f"rom-galerkin-reynolds{value}" for value in (100, 150, 200)
@@ -77,7 +70,7 @@ def fast(place, sphrom) -> Path:
 
 
 def test_runs_of_coordinates_alone_are_exported_with_the_fields_they_would_store(
-    fast, sphrom, monkeypatch
+    fast, sphrom, monkeypatch, vtu_of
 ) -> None:
     calls = []
     state = StoredRun.rebuilt

@@ -6,7 +6,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import h5py
@@ -43,15 +42,11 @@ def test_a_run_goes_on_after_its_disk_was_full(empty, small_disk, sphrom, refuse
 
 
 @pytest.mark.slow
-def test_two_processes_on_one_folder(empty, sphrom, refused):
+def test_two_processes_on_one_folder(empty, sphrom, refused, wait_for):
     command = [sys.executable, "-m", "sphrom", "fom", "tiny.yaml", *LONG]
     first = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
-        deadline = time.monotonic() + 60.0
-        while not list(empty.glob(f".{FULL}.tmp")):
-            assert first.poll() is None
-            assert time.monotonic() < deadline
-            time.sleep(0.02)
+        wait_for(first, lambda: list(empty.glob(f".{FULL}.tmp")))
         for options in ((), ("--force",), ("--resume",)):
             line = refused(sphrom("fom", "tiny.yaml", *LONG, *options))
             assert f"{FULL} is being written by another process" in line

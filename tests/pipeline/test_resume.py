@@ -7,7 +7,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -245,18 +244,14 @@ def test_what_waits_for_a_checkpoint_is_bounded(
     ("number", "code", "word"),
     [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")],
 )
-def test_signals_leave_a_checkpoint(empty, digests, number, code, word) -> None:
+def test_signals_leave_a_checkpoint(empty, wait_for, number, code, word) -> None:
     long = ("--set", "time.final_time=40", "--threads", "1", "--only", "reynolds=100")
     process = subprocess.Popen(
         [sys.executable, "-m", "sphrom", "fom", "tiny.yaml", *long, "--checkpoint-every", "0.1"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:
-        deadline = time.monotonic() + 60.0
-        while not list(empty.glob(f"{FULL}.checkpoint*")):
-            assert process.poll() is None
-            assert time.monotonic() < deadline
-            time.sleep(0.02)
+        wait_for(process, lambda: list(empty.glob(f"{FULL}.checkpoint*")))
         process.send_signal(number)
         out, errors = process.communicate(timeout=30)
     finally:

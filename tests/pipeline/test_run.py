@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 
 import pytest
 
@@ -108,14 +106,12 @@ def test_every_kind_of_scene_can_be_started_from(tmp_path, monkeypatch, sphrom, 
     assert "3 full runs and 3 reduced runs: about " in result.stdout
 
 
-def test_what_is_kept_needs_no_kernels(place) -> None:
+def test_what_is_kept_needs_no_kernels(place, printed) -> None:
     """Loading the compiler takes longer than all the rest."""
     code = (
         "import sys; from sphrom.cli.app import app; "
         "app(['rom', 'tiny.yaml'], standalone_mode=False); print('numba' in sys.modules)"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120
-    )
-    assert done.stdout.count("kept") == 6
-    assert done.stdout.endswith("\nFalse\n")
+    text = printed(code)
+    assert text.count("kept") == 6
+    assert text.endswith("\nFalse\n")

@@ -9,7 +9,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -82,13 +81,9 @@ def client(address):
         yield client
 
 
-def content(path: Path) -> str:
-    with open_artifact(path, "sphrom/sweep", made_by="") as artifact:
-        artifact.verify_content()
-        return artifact.content_sha256
-
-
-def test_reduced_runs_are_the_same_there(sphrom, empty, case_text, address, client, monkeypatch):
+def test_reduced_runs_are_the_same_there(
+    sphrom, empty, case_text, address, client, monkeypatch, content
+):
     monkeypatch.setattr("sphrom.sweep.sweep.SMALLEST_BATCH", 4)
     Path("tiny.yaml").write_text(case_text(rom=[FAST]))
     for command in ("fom", "map", "pod", "fit-psi", "operators"):
@@ -116,7 +111,7 @@ def test_training_makes_several_runs_at_once_there(
     assert here.items() <= there.items()
 
 
-def test_a_worker_killed_in_the_middle_loses_nothing(empty, case_text, address, client):
+def test_a_worker_killed_in_the_middle_loses_nothing(empty, case_text, address, client, wait_for):
     count = 12
     Path("tiny.yaml").write_text(case_text(rom=[], time__final_time=0.4))
     process = started(
@@ -125,11 +120,7 @@ def test_a_worker_killed_in_the_middle_loses_nothing(empty, case_text, address, 
         cwd=Path.cwd(),
     )  # fmt: skip
     try:
-        deadline = time.monotonic() + 90.0
-        while not list((empty / "sweep-full").glob("part-*.h5")):
-            assert process.poll() is None, process.communicate(timeout=20)
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
+        wait_for(process, lambda: list((empty / "sweep-full").glob("part-*.h5")))
         pids = client.run(os.getpid)
         busy = [name for name, tasks in client.processing().items() if tasks]
         os.kill(pids[next(iter(busy or pids))], signal.SIGKILL)
