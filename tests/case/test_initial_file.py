@@ -57,7 +57,7 @@ def test_columns_may_stand_in_any_order_beside_others_and_pressure_may_lack(load
     np.testing.assert_array_equal(pressure, [0.0])
 
 
-def test_what_the_file_holds_is_part_of_what_is_made_from_it(load, tmp_path) -> None:
+def test_what_the_file_holds_is_part_of_what_is_made_from_it(load) -> None:
     case, other = load(SQUARE), load(SQUARE.replace("6,1,5", "6,1,4"))
     digests = [inputs_digest(section_inputs(each, ["scene"])) for each in (case, other)]
     assert digests[0] != digests[1]

@@ -158,12 +158,12 @@ def workspace_of() -> Callable[[Path], Workspace]:
 
 
 @pytest.fixture(scope="session")
-def refused() -> Callable[..., str]:
-    """The one line that a user sees of a command that ends with an exit code; warnings aside."""
+def refused(sphrom: Callable[..., Result]) -> Callable[..., str]:
+    """Run a command to an exit code, and return the one line that a user sees; warnings aside."""
 
-    def line_of(result: Result, code: int = 3) -> str:
-        assert result.exit_code == code, result.output
-        (line,) = [text for text in result.stderr.splitlines() if not text.startswith("warning: ")]
+    def line_of(*arguments: object, code: int = 3) -> str:
+        text = sphrom(*arguments, code=code).stderr
+        (line,) = [each for each in text.splitlines() if not each.startswith("warning: ")]
         assert line.startswith("error: ")
         return line
 

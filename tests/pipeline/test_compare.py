@@ -6,10 +6,10 @@ from sphrom.errors import UnstableError
 from sphrom.online import particle_runs
 
 
-def test_probes_that_all_see_the_same_are_refused(place, sphrom, refused):
+def test_probes_that_all_see_the_same_are_refused(place, refused):
     """The flow's symmetry gives every point of so coarse a set of probes one pressure."""
-    result = sphrom("compare", "tiny.yaml", "--force", "--set", "compare.grid=2")
-    assert "compare.grid" in refused(result, 2)
+    command = ("compare", "tiny.yaml", "--force", "--set", "compare.grid=2")
+    assert "compare.grid" in refused(*command, code=2)
 
 
 def test_a_model_that_fails_at_its_start_is_reported(place, sphrom, errors_of, monkeypatch):

@@ -200,7 +200,7 @@ def test_runs_take_the_steps_of_the_nearest_training_run_as_exactly(made, worksp
     assert error < 1.5 * step_tolerance(near.basis) * np.linalg.norm(own.coordinates)
 
 
-def test_a_value_without_a_full_run(made, peaks, errors_of):
+def test_a_value_without_a_full_run(made, errors_of):
     out = made(VORTEX)
     names = ("reynolds100", "reynolds150", "reynolds200")
     at = {name: coordinates(out, f"fast-{name}") for name in names}
@@ -237,9 +237,9 @@ def test_the_force_is_that_of_the_time(made, workspace_of, name):
     assert end - start == pytest.approx(exact[1] - exact[0], rel=0.05)
 
 
-def test_stale_operators_are_refused(place, sphrom, refused):
+def test_stale_operators_are_refused(place, refused):
     change = ("--set", "operators.error_estimate=false")
-    line = refused(sphrom("rom", "vortex.yaml", *change, "--force"))
+    line = refused("rom", "vortex.yaml", *change, "--force")
     assert "operators.h5 was made with another case (operators.error_estimate is auto" in line
 
 

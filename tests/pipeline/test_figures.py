@@ -54,7 +54,7 @@ def test_every_kind_is_drawn_and_asking_makes_nothing_another_case_s(
     sphrom("run", path, "--out", place, code=0)
     assert digests(place) == before
     (place / "rom-galerkin-reynolds100.h5").unlink()
-    assert "rom-galerkin-reynolds100.h5" in refused(sphrom("figures", path, "--out", place))
+    assert "rom-galerkin-reynolds100.h5" in refused("figures", path, "--out", place)
 
 
 def test_stored_errors_and_fields_are_those_of_the_runs(place):
@@ -89,10 +89,10 @@ def test_stored_errors_and_fields_are_those_of_the_runs(place):
          "no basis has the name a"),
     ],
 )  # fmt: skip
-def test_figures_of_what_is_not_there_are_refused(sphrom, place, refused, case_with, figure, told):
+def test_figures_of_what_is_not_there_are_refused(place, refused, case_with, figure, told):
     given = {"name": "x", "kind": "fields", "time": 0.04, "runs": [["galerkin"]], **figure}
     wanted = {key: value for key, value in given.items() if value is not None}
-    line = refused(sphrom("figures", case_with(compare={"figures": [wanted]})), 2)
+    line = refused("figures", case_with(compare={"figures": [wanted]}), code=2)
     assert told in line
     assert "compare.figures" in line
 
@@ -105,4 +105,4 @@ def test_a_change_of_models_keeps_the_runs_that_stand(sphrom, place, refused, ca
     assert {p: p.stat().st_mtime_ns for p in untouched} == untouched
     assert (place / "rom-small-reynolds150.h5").exists()
     larger = case_with(rom=[{"name": "large", "n_modes": 4}])
-    assert "pod.h5 holds 3 of the 4" in refused(sphrom("run", larger, "--out", place))
+    assert "pod.h5 holds 3 of the 4" in refused("run", larger, "--out", place)

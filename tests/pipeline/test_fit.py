@@ -238,7 +238,7 @@ def test_the_command_writes_what_it_found(study, columns, tmp_path, sphrom):
     assert (study.folder / "fit-other.png").stat().st_size > 10_000
 
 
-def test_a_fit_needs_operators(columns, tmp_path):
+def test_a_fit_needs_operators(tmp_path):
     study = sphrom.Study(CASE, out=tmp_path, quiet=True)
     table = tmp_path / "lab.csv"
     table.write_text(f"time,{U},{U}_noise\n0.1,1,1\n0.2,1,1\n0.3,1,1\n")

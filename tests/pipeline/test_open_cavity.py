@@ -80,7 +80,7 @@ def test_a_later_end_needs_no_other_spin_up(out, sphrom, refused):
     with trajectory(out / FULL) as run:
         short = run.read("velocity")
     longer = ("--set", "time.final_time=0.035", "--threads", 1)
-    line = refused(sphrom("fom", "open.yaml", *longer))
+    line = refused("fom", "open.yaml", *longer)
     assert f"{out / FULL} was made with another case" in line
     assert "time.final_time is 0.03 there, 0.035 here" in line
     sphrom("fom", "open.yaml", *longer, "--force", code=0)
@@ -91,10 +91,10 @@ def test_a_later_end_needs_no_other_spin_up(out, sphrom, refused):
 
 
 @pytest.mark.parametrize("change", ["scene.body_force.magnitude=90", "time.spin_up=0.01"])
-def test_a_spin_up_of_another_case(out, sphrom, refused, digests, change):
+def test_a_spin_up_of_another_case(out, refused, digests, change):
     before = digests(out)
     for stage in ("run", "rom"):
-        line = refused(sphrom(stage, "open.yaml", "--set", change))
+        line = refused(stage, "open.yaml", "--set", change)
         assert f"{out / SPIN_UP} was made with another case ({change.split('=')[0]} is " in line
     assert digests(out) == before
 
@@ -105,7 +105,7 @@ def test_a_missing_spin_up(out, sphrom, refused, digests):
     for stage in ("map", "pod", "fit-psi"):
         sphrom(stage, "open.yaml", code=0)  # they start from the full run
     (out / REDUCED).unlink()
-    assert f"{out / SPIN_UP} is missing" in refused(sphrom("rom", "open.yaml"))
+    assert f"{out / SPIN_UP} is missing" in refused("rom", "open.yaml")
     for stage in ("fom", "rom"):
         sphrom(stage, "open.yaml", "--threads", 1, code=0)
     assert digests(out) == before

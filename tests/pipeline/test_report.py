@@ -79,13 +79,13 @@ def test_report_shows_tables_figures_training_and_trade(place, sphrom) -> None:
     ],
 )
 def test_missing_and_damaged_tables_are_said(
-    place, sphrom, refused, path: str, content: bytes | None, command: str
+    place, refused, path: str, content: bytes | None, command: str
 ) -> None:
     (place / path).unlink(missing_ok=True)
     if content is not None:
         (place / path).parent.mkdir(exist_ok=True)
         (place / path).write_bytes(content)
-    line = refused(sphrom("report", "tiny.yaml"))
+    line = refused("report", "tiny.yaml")
     assert line.startswith(f"error: {place / path} is ")
     assert f"`sphrom {command} tiny.yaml" in line
     assert not (place / "report.html").exists()

@@ -108,7 +108,7 @@ def test_a_checkpoint_is_neither_used_nor_lost_unasked(
     assert leftovers(place) == []
 
 
-def test_what_a_killed_process_was_writing_is_removed(place, again, digests, stop_at) -> None:
+def test_what_a_killed_process_was_writing_is_removed(place, again, digests) -> None:
     """Parts that no state counts on, and files that never came to their names."""
     before = digests(place)
     litter = (f"{FULL}.part-3", f".{FULL}.part-4.tmp", f".{FULL}.checkpoint.tmp")

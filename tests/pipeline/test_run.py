@@ -60,7 +60,7 @@ def test_run_writes_tables(finished):
     assert tables == {"errors", "timings", "decay", "singular_values", "stages"}
 
 
-def test_a_second_run_keeps_everything_and_says_so(place, sphrom, digests, made_by):
+def test_a_second_run_keeps_everything_and_says_so(place, sphrom, made_by):
     stamps = {path: path.stat().st_mtime_ns for path in place.glob("*.h5")}
     result = sphrom("run", "tiny.yaml", "--verbose", code=0)
     for name in set(made_by) - {"packing.h5"}:
@@ -77,7 +77,7 @@ def test_stages_alone_on_two_threads_make_the_same_to_the_bit(empty, sphrom, fin
 def test_a_changed_model_remakes_what_depends_on_it(place, sphrom, refused, digests):
     change = ("--set", "rom.1.n_modes=2")
     before = digests(place)
-    assert "rom[1].n_modes is 3 there, 2 here" in refused(sphrom("run", "tiny.yaml", *change))
+    assert "rom[1].n_modes is 3 there, 2 here" in refused("run", "tiny.yaml", *change)
     assert digests(place) == before
     made = sphrom("run", "tiny.yaml", *change, "--force", "--threads", 1, code=0)
     after = digests(place)
@@ -92,7 +92,7 @@ def test_only_one_value(empty, sphrom, refused):
         sphrom(stage, *one, code=0)
     made = {path.name for path in empty.glob("*.h5")}
     assert made == {"packing.h5", "fom-reynolds100.h5", "map-reynolds100.h5"}
-    assert f"{empty}/map-reynolds200.h5 is missing" in refused(sphrom("pod", "tiny.yaml"))
+    assert f"{empty}/map-reynolds200.h5 is missing" in refused("pod", "tiny.yaml")
 
 
 @pytest.mark.parametrize("kind", DEFAULTS)

@@ -279,7 +279,7 @@ def test_a_full_run_goes_on_from_its_checkpoint(ready, sphrom, monkeypatch):
     assert not any(path.exists() for path in left)
 
 
-def test_reduced_runs_on_particles(sphrom, sweep, ready, digests):
+def test_reduced_runs_on_particles(sphrom, sweep, ready):
     sweep("--set", "sweep.model=slow", "--set", "sweep.reynolds=[150,175]")
     with (
         open_artifact(ready / "sweep-slow.h5", "sphrom/sweep", made_by="") as swept,
@@ -316,7 +316,7 @@ class Deadly(Task):
 
 
 @pytest.mark.slow
-def test_a_task_that_kills_its_processes_is_given_up(tmp_path):
+def test_a_task_that_kills_its_processes_is_given_up():
     points = (ParameterPoint(1.0), ParameterPoint(2.0))
     tasks = [
         Deadly("", "", "", points, 1, False, ""),

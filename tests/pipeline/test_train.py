@@ -107,7 +107,7 @@ def test_the_same_command_goes_on_and_makes_no_run_twice(case, train, monkeypatc
 
 
 @pytest.mark.slow
-def test_what_a_kill_leaves_goes_on_to_the_same_bits(case, train, digests, tmp_path):
+def test_what_a_kill_leaves_goes_on_to_the_same_bits(case, train, digests):
     case()
     options = ("--tolerance", "0.06%", "--budget", "5")
     train(*options, "--out", "whole")
@@ -132,7 +132,7 @@ def test_what_a_kill_leaves_goes_on_to_the_same_bits(case, train, digests, tmp_p
 
 
 @pytest.mark.slow
-def test_several_runs_at_once_are_apart_and_points_that_are_there_count(case, sphrom, digests):
+def test_several_runs_at_once_are_apart_and_points_that_are_there_count(case, sphrom):
     case()
     sphrom("fom", "tiny.yaml", "--set", "parameters.train.reynolds=[50,400,120]", code=0)
     before = uuids()
