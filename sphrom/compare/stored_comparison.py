@@ -144,6 +144,5 @@ class StoredComparison:
             stored = read_record(self._artifact, Ranges, f"ranges/{point.file_label}")
             ranges = getattr(stored, quantity)[:n_common]
         known = ranges > 0.0
-        span = np.stack((np.zeros(int(known.sum())), ranges[known]), axis=1)
-        errors = relative_discrepancy(found[known], expected[known], range_over=span)
+        errors = relative_discrepancy(found[known], expected[known], ranges[known])
         return full.time[:n_common][known], errors

@@ -44,17 +44,13 @@ def instantaneous_range(reference: Array) -> Array:
     return np.where(extent > RANGE_TOLERANCE * np.abs(reference).max(axis=-1), extent, 0.0)
 
 
-def relative_discrepancy(
-    approximation: Array, reference: Array, *, range_over: Array | None = None
-) -> Array:
+def relative_discrepancy(approximation: Array, reference: Array, extent: Array) -> Array:
     """Return 100 mean|error| / (max - min) of the reference at that instant [%] (Eq. 4.1).
 
-    The range is that of `range_over` (..., n_other_points) at each instant where it is given, such
-    as the whole of a field of which `reference` is a line.
+    `extent` (...) is that range, such as of the whole of a field of which `reference` is a line.
 
     Raises ValueError for a field that isn't finite, or a range of zero at some instant.
     """
-    extent = instantaneous_range(reference if range_over is None else range_over)
     return _relative(np.abs(approximation - reference).mean(axis=-1), extent)
 
 
@@ -219,7 +215,7 @@ def _series(
     compared = [each[:, where] for each in values]
     whole = slice(probes.on_line.start, probes.on_grid.stop)
     by_range = [
-        relative_discrepancy(compared[0], compared[1], range_over=reference[:, over])
+        relative_discrepancy(compared[0], compared[1], instantaneous_range(reference[:, over]))
         for over in (probes.on_line, whole)
     ]
     overall = float(relative_l2(*vectors, field_axes=3)) if len(reference) else 0.0

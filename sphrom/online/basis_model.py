@@ -441,9 +441,9 @@ def quantities_of(
     coordinates: Array,
     mean: Array | float | None = None,
 ) -> dict[str, Quantities]:
-    """Return all that a case measures, forces and fields (n_states, ...), as `forces_of` does."""
+    """Return all that a case or a model measures (n_states, ...), as `forces_of` does."""
     mean = reduced.mean_density_fluctuation if mean is None else mean
     forces = forces_of(reduced, time, coordinates, mean)
     found = {name: totals(loads) for name, loads in forces.items()}
     found |= fields_of(reduced.measures, mean, coordinates)
-    return {name: found[name] for name in case.scene.measure}
+    return {name: found[name] for name in (*case.scene.measure, *found)}

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 DOTS_PER_INCH = 150
 FORMATS = (".png", ".svg")
 """What the names of figures may end in."""
-TITLE = 9.5
-"""Size of the letters of titles."""
 LABELLED, LEAST_LABELS = ((1.0,), (1.0, 2.0, 5.0), (1.0, 2.0, 3.0, 4.0, 5.0, 7.0)), 3
 """Multiples of decades that a logarithmic axis labels: the first that give it so many labels."""
 PLAIN = (1e-4, 1e6)

@@ -27,7 +27,6 @@ from sphrom.plots.canvas import (
     SIGNED_MAP,
     SOLID_COLOUR,
     SPEED_MAP,
-    TITLE,
     limits,
     line_of,
     new_figure,
@@ -142,12 +141,6 @@ class Field:
     difference: bool = False
     """Whether it is one of two fields: zero is in the middle of its scale."""
 
-    def range(self) -> Range:
-        """Return the range of all but a few values."""
-        known = self.values[np.isfinite(self.values)]
-        low, high = np.percentile(known, SHOWN) if len(known) else (0.0, 1.0)
-        return float(low), float(high)
-
 
 @dataclass(frozen=True)
 class Curve:
@@ -234,7 +227,7 @@ def draw_grid(
             for axes, _ in curves:
                 axes.legend(fontsize=7.5)
         if title:
-            figure.suptitle(title, fontsize=TITLE)
+            figure.suptitle(title)
         return figure
 
 
@@ -261,7 +254,8 @@ def _draw_pictures(
                 axes.sharex(first)
                 axes.sharey(first)
             axes.locator_params(axis="x", nbins=min(X_TICKS, int(AN_INCH * width)))
-            axes.set_title(field.title, fontsize=min(TITLE, TITLE * width / PICTURE + 1.5))
+            largest = rcParams["axes.titlesize"]
+            axes.set_title(field.title, fontsize=min(largest, largest * width / PICTURE + 1.5))
             axes.set_xlabel("x [m]")
             axes.set_ylabel("y [m]" if scales is not None else f"{label}\n\ny [m]")
             axes.label_outer()
@@ -276,8 +270,9 @@ def _draw_pictures(
 
 def _scale(fields: Sequence[Field], scales: Mapping[str, Range]) -> tuple[str, Range]:
     """Return the colours and the scale of fields of one label."""
-    ranges = [field.range() for field in fields]
-    low, high = min(low for low, _ in ranges), max(high for _, high in ranges)
+    known = [field.values[np.isfinite(field.values)] for field in fields]
+    ranges = np.array([np.percentile(v, SHOWN) if len(v) else (0.0, 1.0) for v in known])
+    low, high = float(ranges[:, 0].min()), float(ranges[:, 1].max())
     if fields[0].label in scales:
         least, most = scales[fields[0].label]
         reach = BEYOND * (most - least)

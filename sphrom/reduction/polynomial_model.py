@@ -23,8 +23,9 @@ SAFETY = 0.9
 """Automatic time step over the stability limit."""
 RUNGE_KUTTA, EXPONENTIAL = "runge-kutta", "exponential"
 """Methods of integration, as artifacts name them."""
-N_HALVINGS = 20
-"""How often a Newton step may be halved."""
+CONVERGED, MOST_STEPS, N_HALVINGS = 1e-10, 50, 20
+"""Of Newton's method: the rates of a steady state over their terms, the number of steps, and how
+often each may be halved."""
 
 
 def step_limit(polynomial: Polynomial, states: Array, amplitude: float = 0.0) -> float:
@@ -162,26 +163,19 @@ class SteadyState:
     converged: bool
 
 
-def steady_state(
-    polynomial: Polynomial,
-    start: Array,
-    *,
-    amplitude: float = 0.0,
-    tolerance: float = 1e-10,
-    max_steps: int = 50,
-) -> SteadyState:
+def steady_state(polynomial: Polynomial, start: Array, amplitude: float = 0.0) -> SteadyState:
     """Find coordinates at which the rates vanish, by Newton's method with halved steps.
 
-    It has converged when the rates' norm is below `tolerance` times that of the constant and the
+    It has converged when the rates' norm is below `CONVERGED` times that of the constant and the
     linear part. Whether the state is stable is for the eigenvalues of its Jacobian to say.
     """
     state, rates = np.array(start), polynomial(start, amplitude)
-    for n_steps in range(max_steps):
+    for n_steps in range(MOST_STEPS):
         residual = float(np.linalg.norm(rates))
         constant = polynomial(np.zeros_like(state), amplitude)
         linear = polynomial.at_rest(amplitude) @ state
         size = float(np.linalg.norm(constant) + np.linalg.norm(linear))
-        if residual <= tolerance * size:
+        if residual <= CONVERGED * size:
             return SteadyState(state, residual, n_steps, True)
         try:
             change = np.linalg.solve(polynomial.jacobian(state, amplitude), -rates)
@@ -195,4 +189,4 @@ def steady_state(
         else:
             return SteadyState(state, residual, n_steps, False)
         state = ahead
-    return SteadyState(state, float(np.linalg.norm(rates)), max_steps, False)
+    return SteadyState(state, float(np.linalg.norm(rates)), MOST_STEPS, False)

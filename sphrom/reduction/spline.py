@@ -28,7 +28,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import field, replace
+from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -41,6 +42,7 @@ from sphrom.reduction.mode_splines import (
     CELL_WIDTH_RATIO,
     CellSplines,
     ModeSplines,
+    coordinates,
     polynomial_terms,
 )
 from sphrom.sph.domain import Domain
@@ -172,15 +174,6 @@ def _neighbours(
     return np.concatenate(members), np.repeat(translation, counts, axis=0)
 
 
-def wrapped(coordinate: Array, domain: Domain, axis: int) -> Array:
-    """Return coordinates (n,) along one axis [m], moved into the domain if the axis is periodic."""
-    coordinate = np.ascontiguousarray(coordinate, dtype=np.float64)
-    if not domain.periodic[axis]:
-        return coordinate
-    length = domain.lengths[axis]
-    return coordinate - length * np.floor((coordinate - domain.lower[axis]) / length)
-
-
 WORST_CONDITION_NUMBER = 1.0 / float(np.finfo(np.float64).eps)
 """Beyond it the weights have no right digit."""
 
@@ -196,20 +189,9 @@ class LocalSplines(CellSplines, ModeSplines):
     polynomial_degree: int
     """-1 for none."""
     domain: Domain
-    _systems: polyharmonic.Systems = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        self._refuse_misfits()
-        systems = polyharmonic.Systems(
-            points=np.ascontiguousarray(self.points),
-            cell_start=np.ascontiguousarray(self.cell_start),
-            radial_weights=np.ascontiguousarray(self.radial_weights),
-            polynomial_weights=np.ascontiguousarray(self.polynomial_weights.transpose(2, 0, 1)),
-        )
-        object.__setattr__(self, "_systems", systems)
-
-    def _refuse_misfits(self) -> None:
-        """Compiled loops don't ask whether an index lies within an array."""
+        # Compiled loops don't ask whether an index lies within an array.
         n_cells, start = math.prod(self.cell_shape), self.cell_start
         if min(self.cell_shape) < 1 or len(start) != n_cells + 1:
             raise ValueError(f"{len(start)} boundaries are not those of {self.cell_shape} cells")
@@ -219,6 +201,15 @@ class LocalSplines(CellSplines, ModeSplines):
         terms = polynomial_terms(self.polynomial_degree)
         if shapes != ((self.n_columns, start[-1]), (n_cells, terms, self.n_columns)):
             raise ValueError(f"weights {shapes} are not those of the points and cells")
+
+    @cached_property
+    def _systems(self) -> polyharmonic.Systems:
+        return polyharmonic.Systems(
+            points=np.ascontiguousarray(self.points),
+            cell_start=np.ascontiguousarray(self.cell_start),
+            radial_weights=np.ascontiguousarray(self.radial_weights),
+            polynomial_weights=np.ascontiguousarray(self.polynomial_weights.transpose(2, 0, 1)),
+        )
 
     @property
     def n_columns(self) -> int:
@@ -237,7 +228,7 @@ class LocalSplines(CellSplines, ModeSplines):
         most = int(np.max(np.diff(self.cell_start))) + self.polynomial_weights.shape[1]
         scratch = np.empty((polyharmonic.N_CHUNKS, 2 * len(out), most))
         # Kernels take positions in the domain, cell by cell.
-        inside_x, inside_y = wrapped(x, self.domain, 0), wrapped(y, self.domain, 1)
+        inside_x, inside_y = coordinates(self.domain.wrap(np.column_stack((x, y))))
         particle, start = sort_by_cell(inside_x, inside_y, self.grid)
         kind = (length_scale(self.grid), self.order, self.polynomial_degree)
         sweep(inside_x, inside_y, particle, start, self.grid, *kind, self._systems, scratch, *out)

@@ -33,7 +33,7 @@ from sphrom.online.sensitivities import tangents
 from sphrom.reduction.trial_basis import ModeVelocities
 from sphrom.store.checkpoints import remove_checkpoints
 from sphrom.store.sampling import sample_run
-from sphrom.store.trajectory import measured_of
+from sphrom.store.trajectory import field_datasets, measured_of
 from sphrom.store.workspace import Target, Workspace
 from sphrom.sweep.workers import Failure, Task
 
@@ -69,7 +69,7 @@ def make_runs(task: Task) -> tuple[Failure, ...]:
         try:
             records.append(swept.run(point))
         except SphromError as error:
-            failed.append(Failure(point, str(error), error.exit_code))
+            failed.append(Failure(point, str(error), type(error)))
     if records:
         require_folder(swept.workspace)
         # A part is named by its points: it is made with the same and from the same as the whole.
@@ -202,11 +202,7 @@ def _values(time: Array, step: float, energies: Array, speed: float) -> dict[str
 
 
 def _kept(measured: dict[str, Quantities]) -> dict[str, Array]:
-    return {
-        f"measure/{name}/{quantity}": values
-        for name, quantities in measured.items()
-        for quantity, values in of_a_run(quantities).items()
-    }
+    return field_datasets({name: of_a_run(quantities) for name, quantities in measured.items()})
 
 
 def _at_probes(samples: Samples) -> dict[str, Array]:
