@@ -242,9 +242,8 @@ def show(report: Reporter, tables: Tables) -> None:
     )
     for title, rows in whole:  # all columns, as their files have them
         if rows:
-            names = [heading.replace("_", " ") for heading in headings(type(rows[0]))]
-            cells = [[*map(format_figure, flat(row).values())] for row in rows]
-            report.details.table(title, names, cells)
+            names = (heading.replace("_", " ") for heading in headings(type(rows[0])))
+            _show(report.details, rows, title, [*zip(names, flat(rows[0]), strict=True)])
 
 
 def _show(

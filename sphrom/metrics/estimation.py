@@ -216,14 +216,10 @@ class Uncertainty:
         return self.noise + self.model
 
     @property
-    def deviation(self) -> Array:
-        """(n_parameters,) standard deviations."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)))
-
-    @property
     def correlation(self) -> Array:
         """(n_parameters, n_parameters)."""
-        return np.asarray(self.covariance / np.outer(self.deviation, self.deviation))
+        deviation = np.sqrt(np.diag(self.covariance))
+        return np.asarray(self.covariance / np.outer(deviation, deviation))
 
     @property
     def undetermined(self) -> Array:

@@ -22,11 +22,6 @@ spline is six times larger and evaluation 1.5 times faster; at 4 (144 points) th
 and 1.5 times slower."""
 
 
-def polynomial_terms(degree: int) -> int:
-    """Return how many monomials in two dimensions have at most a degree."""
-    return (degree + 1) * (degree + 2) // 2
-
-
 class ModeSplines(ABC):
     """Splines of `n_columns` functions over a domain."""
 

@@ -18,6 +18,8 @@ from sphrom.reduction.reduced_rates import Polynomial, stability_limits
 
 Amplitude = Callable[[Array], Array]
 """The amplitude at times (n_times,) [s]."""
+Driven = tuple[Array, Indices, Array]
+"""The coefficients that count, how many, and the amplitudes at substeps."""
 
 SAFETY = 0.9
 """Automatic time step over the stability limit."""
@@ -129,11 +131,7 @@ class PolynomialModel:
         return Run(output_times.time, out, time_step, diverged_at)
 
     def _integrate(
-        self,
-        n_steps: int,
-        output_times: OutputTimes,
-        driven: tuple[Array, Indices, Array],
-        out: Array,
+        self, n_steps: int, output_times: OutputTimes, driven: Driven, out: Array
     ) -> int:
         """Fill the snapshots after the first, and return the steps before it diverged, or all."""
         return kernels.integrate(
@@ -144,8 +142,7 @@ class PolynomialModel:
 
     def _driven(
         self, start_time: float, n_steps: int, time_step: float, amplitude: Amplitude | None
-    ) -> tuple[Array, Indices, Array]:
-        """Return the coefficients that count, how many, and the amplitudes at substeps."""
+    ) -> Driven:
         if amplitude is None:
             return self._coefficients[:1], self._used[:1], np.zeros(3)
         times = start_time + 0.5 * time_step * np.arange(max(3, 2 * n_steps + 1), dtype=np.float64)

@@ -38,13 +38,7 @@ from scipy.linalg import lapack
 from sphrom.arrays import Array, Indices
 from sphrom.kernels import polyharmonic
 from sphrom.kernels.cells import Grid, sort_by_cell
-from sphrom.reduction.mode_splines import (
-    CELL_WIDTH_RATIO,
-    CellSplines,
-    ModeSplines,
-    coordinates,
-    polynomial_terms,
-)
+from sphrom.reduction.mode_splines import CELL_WIDTH_RATIO, CellSplines, ModeSplines, coordinates
 from sphrom.sph.domain import Domain
 
 FACES = ((0, -1), (0, 1), (-1, 0), (1, 0))
@@ -198,7 +192,7 @@ class LocalSplines(CellSplines, ModeSplines):
         if start[0] != 0 or start[-1] != self.points.shape[1] or np.any(np.diff(start) < 0):
             raise ValueError("the cells don't share out the points")
         shapes = self.radial_weights.shape, self.polynomial_weights.shape
-        terms = polynomial_terms(self.polynomial_degree)
+        terms = math.comb(self.polynomial_degree + 2, 2)
         if shapes != ((self.n_columns, start[-1]), (n_cells, terms, self.n_columns)):
             raise ValueError(f"weights {shapes} are not those of the points and cells")
 
@@ -288,7 +282,7 @@ def fit_splines(
     if not inside.all():
         raise ValueError(f"{np.sum(~inside)} points are not inside the domain")
     grid = cell_grid(domain, fitting_cells(domain, cell_width))
-    n_terms, n_columns = polynomial_terms(polynomial_degree), right.shape[1]
+    n_terms, n_columns = math.comb(polynomial_degree + 2, 2), right.shape[1]
     near, local, cell_start = points_by_cell(position, grid, domain, max(1, n_terms))
     radial = np.empty((n_columns, near.size))
     polynomial = np.zeros((cell_start.size - 1, n_terms, n_columns))
