@@ -116,10 +116,9 @@ class Series:
     """Over points and time: the root of the sum of all squared errors over that of the values'."""
     relative_l2: Array
     """(n_snapshots,) of each instant."""
-    eq41_by_line_range: Array
-    """(n_snapshots,) Eq. 4.1 with the reference's range on the line."""
-    eq41_by_field_range: Array
-    """(n_snapshots,) Eq. 4.1 with the reference's range over line and grid."""
+    eq41: Mapping[str, Array]
+    """(n_snapshots,) Eq. 4.1 by EQ41, with the reference's range on the line, or there and on the
+    grid."""
 
 
 @dataclass(frozen=True)
@@ -212,14 +211,14 @@ def _series(
     Values (n_snapshots, n_probes) are compared by Eq. 4.1 at the points `where`.
     """
     reference = values[1]
-    compared = [each[:, where] for each in values]
+    compared = values[0][:, where], reference[:, where]
     whole = slice(probes.on_line.start, probes.on_grid.stop)
-    by_range = [
-        relative_discrepancy(compared[0], compared[1], instantaneous_range(reference[:, over]))
-        for over in (probes.on_line, whole)
-    ]
+    eq41 = {
+        name: relative_discrepancy(*compared, instantaneous_range(reference[:, over]))
+        for name, over in zip(EQ41, (probes.on_line, whole), strict=True)
+    }
     overall = float(relative_l2(*vectors, field_axes=3)) if len(reference) else 0.0
-    return Series(overall, relative_l2(*vectors, field_axes=2), *by_range)
+    return Series(overall, relative_l2(*vectors, field_axes=2), eq41)
 
 
 def _without_sound(
@@ -284,7 +283,7 @@ def errors_of(history: History) -> Errors:
     errors: dict[str, float | None] = {}
     for place, series in history.places.items():
         errors |= norms_of(place, series)
-        errors |= means_and_peaks({f"{place}_{name}": getattr(series, name) for name in EQ41})
+        errors |= means_and_peaks({f"{place}_{name}": v for name, v in series.eq41.items()})
     return {name: errors[name] for name in ERRORS}
 
 

@@ -246,7 +246,7 @@ class TrainedErrors:
             self.known,
             compared,
             places,
-            unheld.of_size(model.section.size),
+            unheld.mapped(lambda shares: shares[..., model.section.size - 1, :]),
         )
 
     def at(self, point: ParameterPoint) -> LocalErrorCalibration | None:

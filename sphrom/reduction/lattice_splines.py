@@ -72,7 +72,7 @@ class LatticeSplines(LatticeCoefficients, ModeSplines):
 
     def first(self, n_modes: int) -> LatticeSplines:
         """Return the splines of the first modes."""
-        return replace(self, coefficients=self.coefficients[..., : 3 * n_modes])
+        return replace(self, coefficients=self.coefficients[..., : 3 * n_modes].copy())
 
 
 def fit_lattice_splines(points: ArrayLike, values: ArrayLike, domain: Domain) -> LatticeSplines:

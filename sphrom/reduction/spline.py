@@ -240,8 +240,9 @@ class LocalSplines(CellSplines, ModeSplines):
 
     def first(self, n_modes: int) -> LocalSplines:
         """Return the splines of the first modes."""
-        radial, polynomial = self.radial_weights, self.polynomial_weights[..., : 3 * n_modes]
-        return replace(self, radial_weights=radial[: 3 * n_modes], polynomial_weights=polynomial)
+        radial = self.radial_weights[: 3 * n_modes].copy()  # which lets go of the others
+        polynomial = self.polynomial_weights[..., : 3 * n_modes].copy()
+        return replace(self, radial_weights=radial, polynomial_weights=polynomial)
 
 
 def default_cell_width(domain: Domain, n_points: int) -> float:
