@@ -25,7 +25,7 @@ from sphrom.compare.figures import FOLDER
 from sphrom.compare.stored_comparison import StoredComparison
 from sphrom.console import Reporter
 from sphrom.machine import physical_ram
-from sphrom.metrics.histories import compression_factor
+from sphrom.metrics.histories import compression_factors
 from sphrom.metrics.series import dominant_frequency
 from sphrom.plots.page import Html, element, picture, render, table
 from sphrom.plots.tables import MISSING, format_figure, read_json
@@ -185,7 +185,7 @@ def _compression(result: Result, claim: Mapping[str, Any], run: str | None) -> s
     (model,) = (m for m in result.case.rom if m.name == run)
     plan = result.case.plan
     number = plan.n_particles + (plan.n_ghosts if claim.get("ghosts") else 0)
-    return f"{compression_factor(number, model.size):,.0f}"
+    return f"{compression_factors(number, model.size)[0]:,.0f}"
 
 
 def _error(result: Result, claim: Mapping[str, Any], run: str | None) -> str:

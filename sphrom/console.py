@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from copy import copy
 from datetime import datetime
 from enum import IntEnum
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -193,10 +194,7 @@ class Reporter:
         """Warn the user in one line, on the error stream."""
         text = f"warning: {self._label}{text}"
         self._log.write(text)
-        if self._write is None:
-            tell(text, error=True)
-        else:
-            self._write(text)
+        (self._write or partial(tell, error=True))(text)
 
     def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         """Show a result as a table: the first column to the left, numbers to the right.

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import errno
-
-_FULL = {errno.ENOSPC, errno.EDQUOT, errno.ENOMEM, errno.EFBIG}
-
 
 class SphromError(Exception):
     """An error that a user can act on; its text is shown without a traceback."""
@@ -35,17 +31,3 @@ class ResourceError(SphromError):
     """A run was asked for that would not fit this machine."""
 
     exit_code = 5
-
-
-def error_of(exit_code: int, message: str) -> SphromError:
-    """Return an error of the class of an exit code."""
-    kinds = {kind.exit_code: kind for kind in SphromError.__subclasses__()}
-    return kinds.get(exit_code, SphromError)(message)
-
-
-def machine_error(error: OSError | MemoryError) -> SphromError:
-    """Return in the project's words what the machine refused."""
-    if isinstance(error, MemoryError):
-        return ResourceError("out of memory; `sphrom case check` tells what a case needs")
-    kind = ResourceError if error.errno in _FULL else ArtifactError
-    return kind(f"{error.filename or 'a file'}: {error.strerror or error}")

@@ -8,6 +8,7 @@ arrives there comes again, a moment later.
 from __future__ import annotations
 
 import _thread
+import errno
 import signal
 import sys
 import threading
@@ -17,11 +18,13 @@ from contextlib import contextmanager, nullcontext
 from types import CodeType, FrameType
 from typing import Any
 
-from sphrom.errors import machine_error
+from sphrom.errors import ArtifactError, ResourceError
 from sphrom.machine import one_blas_thread
 
 MOMENT = 0.01
 """Seconds after which it comes again."""
+FULL = {errno.ENOSPC, errno.EDQUOT, errno.ENOMEM, errno.EFBIG}
+"""Errors of a machine that has no more room."""
 Handler = Callable[[int, FrameType | None], Any]
 
 
@@ -82,8 +85,11 @@ def guarded(*, computes: bool = True) -> Iterator[None]:
         raise
     except BrokenPipeError:  # whoever reads the output has had enough
         raise
-    except (MemoryError, OSError) as error:
-        raise machine_error(error) from error
+    except MemoryError as error:
+        raise ResourceError("out of memory; `sphrom case check` tells what a case needs") from error
+    except OSError as error:
+        kind = ResourceError if error.errno in FULL else ArtifactError
+        raise kind(f"{error.filename or 'a file'}: {error.strerror or error}") from error
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sphrom.errors import CaseError, UnstableError
-from sphrom.text import counted, duration, exact
+from sphrom.text import counted, duration, exact, nearest, quoted
 
 if TYPE_CHECKING:
     from sphrom.case.models import Case
@@ -122,8 +122,6 @@ def run_all(context: StageContext, until: str | None = None) -> None:
 
 def _needed(case: Case, until: str | None) -> list[str]:
     """Return the stages that a case needs: one without reduced models its full runs only."""
-    from sphrom.text import nearest, quoted
-
     if until is not None and until not in PIPELINE:
         raise CaseError(f"no stage is called {quoted(until)}; {nearest(str(until), PIPELINE)}")
     spared = set() if case.rom else {"map", "pod", "fit-psi"}

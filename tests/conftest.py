@@ -6,18 +6,23 @@ all images, in plain numpy: nothing of it is regrouped, sorted or compiled.
 
 from __future__ import annotations
 
+import importlib
 import itertools
+import os
 import signal
 import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import settings
 from numpy.typing import NDArray
+from typer.testing import CliRunner, Result
 
 from sphrom.artifacts import reader
 from sphrom.case.models import Case
@@ -114,21 +119,6 @@ class BruteForce:
         jump = self.images(field)[None, :] - field[:, None]
         plain = np.einsum("ij,ijd,j->id", jump, self.pairs()[2], self.images(volume))
         return np.einsum("ide,ie->id", self.renormalization(volume), plain)
-
-    def shifting_velocity(
-        self, volume: Array, max_speed: float, amplitude: float, as_printed: bool
-    ) -> Array:
-        """Eq. 2.13-2.14 (n_particles, 2), with c0 Ma = U_max."""
-        _, distance, gradient = self.pairs()
-        closeness = self.kernel(distance) / self.kernel(np.array(self.spacing))
-        if as_printed:
-            push = (1.0 + amplitude * closeness) ** 4
-        else:
-            push = 1.0 + amplitude * closeness**4
-        total = np.einsum("ij,ijd,j->id", push, gradient, self.images(volume))
-        raw = -2.0 * self.smoothing_length * max_speed * total
-        speed = np.linalg.norm(raw, axis=1, keepdims=True)
-        return np.minimum(speed, max_speed / 2.0) * raw / np.where(speed > 0.0, speed, 1.0)
 
     def diffusion(self, density: Array, volume: Array) -> Array:
         """Eq. 2.10 (n_particles,)."""
@@ -420,6 +410,61 @@ class UnprojectedModel:
 def unprojected() -> type[UnprojectedModel]:
     """The rates at all fixed points."""
     return UnprojectedModel
+
+
+@pytest.fixture(scope="session")
+def vtk_arrays() -> Callable[[Any], dict[str, np.ndarray]]:
+    """The points and fields of what VTK read."""
+
+    def read(data: Any) -> dict[str, np.ndarray]:
+        from vtkmodules.util.numpy_support import vtk_to_numpy
+
+        fields = data.GetPointData()
+        found = {
+            fields.GetArrayName(i): vtk_to_numpy(fields.GetArray(i)).copy()
+            for i in range(fields.GetNumberOfArrays())
+        }
+        return {**found, "points": vtk_to_numpy(data.GetPoints().GetData()).copy()}
+
+    return read
+
+
+@pytest.fixture(scope="session")
+def printed() -> Callable[..., str]:
+    """What a process prints that runs some code, with arguments and environment variables."""
+
+    def run(code: str, *arguments: object, **variables: str) -> str:
+        done = subprocess.run(
+            [sys.executable, "-c", code, *map(str, arguments)], env={**os.environ, **variables},
+            capture_output=True, text=True, check=True, timeout=120,
+        )  # fmt: skip
+        return done.stdout
+
+    return run
+
+
+@pytest.fixture
+def script(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], ModuleType]:
+    """Import a program of the folder `scripts`."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "scripts"))
+    return importlib.import_module
+
+
+def run_command(*arguments: object, code: int | None = None) -> Result:
+    """Run a command within this process, to an exit code; what isn't one is raised."""
+    from sphrom.cli.app import app
+
+    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    assert code in (None, result.exit_code), result.output
+    return result
+
+
+@pytest.fixture(scope="session")
+def sphrom() -> Callable[..., Result]:
+    """Run a command."""
+    return run_command
 
 
 @pytest.fixture

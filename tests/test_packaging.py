@@ -6,7 +6,6 @@ import re
 import tomllib
 from pathlib import Path
 
-import pytest
 import yaml
 
 import sphrom
@@ -50,33 +49,18 @@ def test_authors_and_addresses_agree_and_the_paper_has_a_journal_s_length() -> N
     assert cited == set(re.findall(r"@\w+\{(\w+),", (ROOT / "paper" / "paper.bib").read_text()))
 
 
-def test_cases_are_listed_with_what_they_are(sphrom_command) -> None:
-    listed = sphrom_command("case", "examples").stdout.splitlines()
+def test_cases_are_listed_with_what_they_are(sphrom) -> None:
+    listed = sphrom("case", "examples").stdout.splitlines()
     assert {line.split()[0] for line in listed} == set(template.examples())
     assert all(len(line.split()) > 3 for line in listed)
 
 
-def test_case_that_comes_with_the_program_is_written_once(
-    sphrom_command, tmp_path, monkeypatch
-) -> None:
+def test_case_that_comes_with_the_program_is_written_once(sphrom, tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
-    result = sphrom_command("case", "examples", "cylinder")
-    assert result.exit_code == 0, result.output
+    result = sphrom("case", "examples", "cylinder", code=0)
     assert result.stdout == "wrote cylinder.yaml; next: sphrom run cylinder.yaml\n"
     assert load_case("cylinder.yaml").name == "cylinder"
-    again = sphrom_command("case", "examples", "cylinder")
-    assert again.exit_code == 2
+    again = sphrom("case", "examples", "cylinder", code=2)
     assert "cylinder.yaml: is there already; --force writes over it" in again.stderr
-    wrong = sphrom_command("case", "examples", "cilinder")
-    assert wrong.exit_code == 2
+    wrong = sphrom("case", "examples", "cilinder", code=2)
     assert "is called 'cilinder'; did you mean cylinder?" in wrong.stderr
-
-
-@pytest.fixture
-def sphrom_command():
-    """Run a command within this process."""
-    from typer.testing import CliRunner
-
-    from sphrom.cli.app import app
-
-    return lambda *arguments: CliRunner().invoke(app, list(arguments))

@@ -86,10 +86,9 @@ def _exact_flows(case: Case) -> list[tuple[ParameterPoint, TaylorGreen]]:
 
 def _decay(workspace: Workspace, point: ParameterPoint, flow: TaylorGreen) -> DecayRow:
     exact = flow.energy_decay_rate
-    with workspace.open(workspace.full_run(point)) as trajectory:
-        velocities, mass = trajectory.dataset("velocity"), trajectory.number("mass")
-        energies = [float(kinetic_energy(velocity, mass)) for velocity in velocities]
-        fitted = exponential_rate(trajectory.read("time"), np.array(energies))
+    with StoredRun.opened(workspace, point) as run:
+        each = (kinetic_energy(run.fields(k)[0], run.mass) for k in range(len(run.time)))
+        fitted = exponential_rate(run.time, np.array(list(each)))
     return DecayRow(point.label, fitted, exact, fitted / exact)
 
 

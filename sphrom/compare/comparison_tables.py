@@ -35,7 +35,7 @@ from sphrom.plots.tables import (
     write_csv,
     write_json,
 )
-from sphrom.reduction.error_calibration import FIELDS, LEFT_OUT
+from sphrom.reduction.error_calibration import LEFT_OUT
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:
@@ -209,7 +209,7 @@ def estimate_row(
     """Return how good a run's estimates are; None where it has none, or no errors."""
     if "error_estimate/velocity" not in artifact:
         return None
-    estimates = np.stack([artifact.read(f"error_estimate/{name}") for name in FIELDS], axis=1)
+    estimates = np.stack([artifact.read(f"error_estimate/{name}") for name in QUANTITIES], axis=1)
     if artifact.text("error_estimate/training") == "outside":
         described["role"] = "extrapolated"
     time = reference.time
@@ -242,9 +242,8 @@ def show(report: Reporter, tables: Tables) -> None:
     )
     for title, rows in whole:  # all columns, as their files have them
         if rows:
-            names = [heading.replace("_", " ") for heading in headings(type(rows[0]))]
-            cells = [[*map(format_figure, flat(row).values())] for row in rows]
-            report.details.table(title, names, cells)
+            names = (heading.replace("_", " ") for heading in headings(type(rows[0])))
+            _show(report.details, rows, title, [*zip(names, flat(rows[0]), strict=True)])
 
 
 def _show(

@@ -21,7 +21,7 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.case.study_sections import FULL
 from sphrom.kernels import ask_for_threads, asked_for
 from sphrom.machine import seconds_of
-from sphrom.metrics.histories import compression_factor, field_compression_factor
+from sphrom.metrics.histories import compression_factors
 from sphrom.online.fast_model import FastModel
 from sphrom.online.particle_runs import build_model, close
 from sphrom.setup import particles
@@ -148,8 +148,7 @@ def run_timings(workspace: Workspace) -> Iterator[RunTiming]:
             reduced, state = build_model(workspace, model, point)
             close(case, model, reduced, state, plan.steps.start_time)
             timers[own] = _steps_timer(case, reduced, state, step, step)
-        sizes = plan.n_particles, n_modes
-        factors = compression_factor(*sizes), field_compression_factor(*sizes)
+        factors = compression_factors(plan.n_particles, n_modes)
         longest = None if imported else largest_step(case)
         about = model.name, point.label, n_modes, longest, step, memory_length
         found.append((about, factors, full, own))

@@ -38,8 +38,6 @@ from sphrom.store.workspace import Workspace
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Model = ReducedModelSection | None
-
 FOLDER = "figures"
 """Where the pictures are, beside the artifacts."""
 
@@ -49,7 +47,7 @@ Snapshot = tuple[float, bool, Array, dict[str, Array]]
 
 
 def _snapshot(
-    workspace: Workspace, model: Model, point: ParameterPoint, time: float
+    workspace: Workspace, model: ReducedModelSection | None, point: ParameterPoint, time: float
 ) -> Snapshot | None:
     """Return the fields of a run nearest to an instant [s]; None where it was unstable at once."""
     with StoredRun.opened(workspace, point, model) as run:

@@ -16,7 +16,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.study_sections import FULL
 from sphrom.compare.comparison_tables import ErrorRow
 from sphrom.compare.references import ReferenceRow
-from sphrom.metrics.histories import EQ41, History, instantaneous_range, relative_discrepancy
+from sphrom.metrics.histories import History, instantaneous_range, relative_discrepancy
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.plots.tables import flat
 from sphrom.store.workspace import Workspace
@@ -46,9 +46,9 @@ class ComparisonWriter:
             time=history.time,
             relative_l2={f"{place}_relative_l2": errors.relative_l2 for place, errors in places},
             eq41={
-                f"{place}_{name}": getattr(errors, name)
+                f"{place}_{name}": each
                 for place, errors in places
-                for name in EQ41
+                for name, each in errors.eq41.items()
             },
             walls=dict(history.walls),
             status=row.status,
@@ -144,6 +144,5 @@ class StoredComparison:
             stored = read_record(self._artifact, Ranges, f"ranges/{point.file_label}")
             ranges = getattr(stored, quantity)[:n_common]
         known = ranges > 0.0
-        span = np.stack((np.zeros(int(known.sum())), ranges[known]), axis=1)
-        errors = relative_discrepancy(found[known], expected[known], range_over=span)
+        errors = relative_discrepancy(found[known], expected[known], ranges[known])
         return full.time[:n_common][known], errors

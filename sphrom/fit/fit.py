@@ -32,8 +32,8 @@ from sphrom.errors import CaseError, UnstableError
 from sphrom.fit.forward_model import FittedModel, TrainingDifferences, box_of, error_samples
 from sphrom.fit.measurements import Measurements, read_measurements
 from sphrom.metrics import measures
+from sphrom.metrics.draws import Z
 from sphrom.metrics.estimation import (
-    CONFIDENCE,
     Minimum,
     Uncertainty,
     Weights,
@@ -339,8 +339,6 @@ def _estimates(
 def _histories(
     model: FittedModel, best: Minimum, known: Uncertainty, samples: Array | None
 ) -> Iterator[FittedHistory]:
-    from scipy.stats import norm
-
     whole = model.whole(best.place)
     assert whole is not None  # the search has been there
     time, curves, slopes = whole
@@ -355,7 +353,7 @@ def _histories(
             noise=history.noise,
             fitted=fitted,
             curve=curves[:, k],
-            half_width=norm.ppf(0.5 * (1.0 + CONFIDENCE)) * np.sqrt(variance),
+            half_width=Z * np.sqrt(variance),
             name=history.name,
             units=measures.UNITS[history.quantity],
         )

@@ -22,7 +22,7 @@ from sphrom.case.studies import Box, Ranges
 from sphrom.errors import CaseError, UnstableError
 from sphrom.fit.measurements import UNNAMED, History
 from sphrom.metrics.measures import PLACED, FieldMeasure, Quantities, items
-from sphrom.online.basis_model import fields_of, quantities_of
+from sphrom.online.basis_model import quantities_of
 from sphrom.online.fast_model import FastModel
 from sphrom.online.sensitivities import tangents
 from sphrom.reduction import reference_model
@@ -145,12 +145,10 @@ class FittedModel:
             run = tangents(self.fast, point, self.box.names, reduced, integrator=steps)
         except UnstableError:
             return None
-        named = quantities_of(self._case, reduced, reduced.output_times.time, run.run)
-        places = {name: m for name, m in reduced.measures.items() if name == UNNAMED}
-        unnamed = fields_of(places, reduced.mean_density_fluctuation, run.run)
+        measured = quantities_of(self._case, reduced, reduced.output_times.time, run.run)
         changes = [items(run.measured, k) for k in range(len(run.parameters))]
         slopes = np.stack([self.stacked(each) for each in changes], axis=-1)
-        return run.time, self.stacked({**named, **unnamed}), slopes * self.box.slopes(place)
+        return run.time, self.stacked(measured), slopes * self.box.slopes(place)
 
     def stacked(self, measured: Mapping[str, Quantities]) -> Array:
         """Return the histories (n_snapshots, n_histories) among what is measured."""

@@ -240,15 +240,6 @@ def saltelli_design(unit: Array) -> Array:
     return np.concatenate([first, second, *mixed])
 
 
-def parts_of(values: Array, n_parameters: int) -> tuple[Array, Array, Array]:
-    """Split values ((d + 2) n, n_outputs) of a design into those of A, B (n, ...), AB (d, n, ...).
-
-    They are as `saltelli_design` has its points.
-    """
-    blocks = values.reshape(n_parameters + 2, -1, *values.shape[1:])
-    return blocks[0], blocks[1], blocks[2:]
-
-
 def sobol_indices(values: Array, n_parameters: int, seed: int = 0) -> OutputIndices:
     """Return the indices of values ((d + 2) n, n_outputs) of a design, n a power of two.
 
@@ -256,7 +247,8 @@ def sobol_indices(values: Array, n_parameters: int, seed: int = 0) -> OutputIndi
     """
     from scipy import stats  # it takes long to load
 
-    own, other, mixed = parts_of(values, n_parameters)
+    blocks = values.reshape(n_parameters + 2, -1, *values.shape[1:])
+    own, other, mixed = blocks[0], blocks[1], blocks[2:]
     n_points, n_outputs = own.shape
     found = stats.sobol_indices(
         func={"f_A": own.T, "f_B": other.T, "f_AB": mixed.transpose(0, 2, 1)}, n=n_points

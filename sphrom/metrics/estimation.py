@@ -37,13 +37,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.arrays import Array
+from sphrom.metrics.draws import CONFIDENCE
 
 Model = Callable[[Array], tuple[Array, Array] | None]
 """From a place in the unit box (n_parameters,), values (n_values,) and their derivatives
 (n_values, n_parameters); None where the model has no values."""
 
-CONFIDENCE = 0.95
-"""Probability of intervals."""
 UNDETERMINED = 0.5
 """Standard deviation along a direction, over the box's width, from which on it is undetermined."""
 AT_BOUND = 1e-4
@@ -217,14 +216,10 @@ class Uncertainty:
         return self.noise + self.model
 
     @property
-    def deviation(self) -> Array:
-        """(n_parameters,) standard deviations."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)))
-
-    @property
     def correlation(self) -> Array:
         """(n_parameters, n_parameters)."""
-        return np.asarray(self.covariance / np.outer(self.deviation, self.deviation))
+        deviation = np.sqrt(np.diag(self.covariance))
+        return np.asarray(self.covariance / np.outer(deviation, deviation))
 
     @property
     def undetermined(self) -> Array:

@@ -44,17 +44,13 @@ def instantaneous_range(reference: Array) -> Array:
     return np.where(extent > RANGE_TOLERANCE * np.abs(reference).max(axis=-1), extent, 0.0)
 
 
-def relative_discrepancy(
-    approximation: Array, reference: Array, *, range_over: Array | None = None
-) -> Array:
+def relative_discrepancy(approximation: Array, reference: Array, extent: Array) -> Array:
     """Return 100 mean|error| / (max - min) of the reference at that instant [%] (Eq. 4.1).
 
-    The range is that of `range_over` (..., n_other_points) at each instant where it is given, such
-    as the whole of a field of which `reference` is a line.
+    `extent` (...) is that range, such as of the whole of a field of which `reference` is a line.
 
     Raises ValueError for a field that isn't finite, or a range of zero at some instant.
     """
-    extent = instantaneous_range(reference if range_over is None else range_over)
     return _relative(np.abs(approximation - reference).mean(axis=-1), extent)
 
 
@@ -94,14 +90,12 @@ def _relative(errors: Array, scale: Array, factor: float = 100.0) -> Array:
     return np.asarray(found)
 
 
-def compression_factor(n_particles: int, n_modes: int, n_dim: int = 2) -> float:
-    """Return N_d / M with the (2n + 1) N values of the full state (Eq. 4.2 inverted, as used)."""
-    return (2 * n_dim + 1) * n_particles / n_modes
+def compression_factors(n_particles: int, n_modes: int, n_dim: int = 2) -> tuple[float, float]:
+    """Return N_d / M with the (2n + 1) N values of the full state (Eq. 4.2 inverted, as used).
 
-
-def field_compression_factor(n_particles: int, n_modes: int, n_dim: int = 2) -> float:
-    """Return (n + 1) N / M: density and velocity, which are the reduced fields, over modes."""
-    return (n_dim + 1) * n_particles / n_modes
+    The second counts the reduced fields alone, density and velocity: (n + 1) N / M.
+    """
+    return (2 * n_dim + 1) * n_particles / n_modes, (n_dim + 1) * n_particles / n_modes
 
 
 def cumulative_singular_value_share(singular_values: Array) -> Array:
@@ -122,10 +116,9 @@ class Series:
     """Over points and time: the root of the sum of all squared errors over that of the values'."""
     relative_l2: Array
     """(n_snapshots,) of each instant."""
-    eq41_by_line_range: Array
-    """(n_snapshots,) Eq. 4.1 with the reference's range on the line."""
-    eq41_by_field_range: Array
-    """(n_snapshots,) Eq. 4.1 with the reference's range over line and grid."""
+    eq41: Mapping[str, Array]
+    """(n_snapshots,) Eq. 4.1 by EQ41, with the reference's range on the line, or there and on the
+    grid."""
 
 
 @dataclass(frozen=True)
@@ -218,14 +211,14 @@ def _series(
     Values (n_snapshots, n_probes) are compared by Eq. 4.1 at the points `where`.
     """
     reference = values[1]
-    compared = [each[:, where] for each in values]
+    compared = values[0][:, where], reference[:, where]
     whole = slice(probes.on_line.start, probes.on_grid.stop)
-    by_range = [
-        relative_discrepancy(compared[0], compared[1], range_over=reference[:, over])
-        for over in (probes.on_line, whole)
-    ]
+    eq41 = {
+        name: relative_discrepancy(*compared, instantaneous_range(reference[:, over]))
+        for name, over in zip(EQ41, (probes.on_line, whole), strict=True)
+    }
     overall = float(relative_l2(*vectors, field_axes=3)) if len(reference) else 0.0
-    return Series(overall, relative_l2(*vectors, field_axes=2), *by_range)
+    return Series(overall, relative_l2(*vectors, field_axes=2), eq41)
 
 
 def _without_sound(
@@ -290,7 +283,7 @@ def errors_of(history: History) -> Errors:
     errors: dict[str, float | None] = {}
     for place, series in history.places.items():
         errors |= norms_of(place, series)
-        errors |= means_and_peaks({f"{place}_{name}": getattr(series, name) for name in EQ41})
+        errors |= means_and_peaks({f"{place}_{name}": v for name, v in series.eq41.items()})
     return {name: errors[name] for name in ERRORS}
 
 
@@ -343,10 +336,9 @@ def effectivity(
     Estimates are root mean squares of velocity [m/s] and pressure [Pa]. Instants before `start` [s]
     don't count, nor in ratios those before `late` [s]. None without an error to compare with.
     """
-    grid = probes.on_grid
     fields = [
-        (run.velocity[:, grid], reference.velocity[:, grid]),
-        (without_mean(run.pressure[:, grid]), without_mean(reference.pressure[:, grid])),
+        [each.velocity[:, probes.on_grid] for each in (run, reference)],
+        _fluctuations((run.pressure, reference.pressure), probes.on_grid),
     ]
     errors = np.stack([_rms(found - expected) for found, expected in fields], axis=1)
     sizes = np.stack([_rms(expected) for _, expected in fields], axis=1)
@@ -363,7 +355,6 @@ def effectivity(
     return dict(zip(EFFECTIVITY, figures, strict=True))
 
 
-def _rms(fields: Array) -> Array:
-    """Return root mean squares over points (n_snapshots,), of a velocity's magnitude."""
-    squares = fields**2 if fields.ndim == 2 else np.sum(fields**2, axis=2)
-    return np.asarray(np.sqrt(squares.mean(axis=1)))
+def _rms(vectors: Array) -> Array:
+    """Return root mean squares over points (n_snapshots,) of the magnitude of vectors."""
+    return np.asarray(np.sqrt(np.sum(vectors**2, axis=2).mean(axis=1)))

@@ -42,15 +42,14 @@ from sphrom.reduction.held_out import (
 )
 from sphrom.reduction.memory_operators import project_memory_operators
 from sphrom.reduction.mode_fields import BLOCK_VALUES, FieldProjections, blocks, mode_fields
-from sphrom.reduction.mode_splines import first_modes
 from sphrom.reduction.operator_projection import project_forces, project_operators, residual_factor
 from sphrom.reduction.polynomial_model import step_limit
 from sphrom.reduction.reduced_measures import project_measures
 from sphrom.reduction.reduced_operators import MemoryOperators, ResidualFactor
-from sphrom.reduction.reduced_rates import spectrum
+from sphrom.reduction.reduced_rates import largest_growth, spectral_radius
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.stokes_fields import stokes_fields
-from sphrom.reduction.trial_basis import kept_modes, project, truncate
+from sphrom.reduction.trial_basis import project, truncate
 from sphrom.setup import particles
 from sphrom.setup.assembly import amplitude_of, output_times_of, places_of, sound_averages
 from sphrom.setup.context import StageContext
@@ -157,7 +156,7 @@ class _Projection:
                 found[str(n_modes)] = project_memory_operators(
                     self.points,
                     truncate(self.basis, n_modes),
-                    first_modes(self.splines, self.basis, n_modes),
+                    self.splines.first(n_modes),
                     largest_viscosity=self.case.plan.largest_viscosity,
                 )
                 taken = computing_seconds() - started
@@ -338,7 +337,7 @@ class _Projection:
 
         NaN where they aren't stable.
         """
-        case, modes = self.case, kept_modes(self.basis, n_modes)
+        case, modes = self.case, np.arange(n_modes)
         operators, runs = self.operators.of_modes(modes), runs[..., modes]
         calibration = calibrated(case, self.trained, operators, runs)
         basis, states = truncate(self.basis, n_modes), self.states[:, modes]
@@ -365,9 +364,8 @@ class _Projection:
         for point in self.trained:
             viscosity = self.case.plan.kinematic_viscosity(point)
             polynomial = self.operators.at(viscosity, point.factors)
-            at_rest = spectrum(polynomial.at_rest())
-            limit = step_limit(polynomial, self.states)
-            figures = at_rest.largest_real_part, at_rest.radius, limit
+            at_rest, limit = polynomial.at_rest(), step_limit(polynomial, self.states)
+            figures = largest_growth(at_rest), spectral_radius(at_rest), limit
             rows.append((point.label, *(f"{figure:.3g}" for figure in figures)))
         self.report.table(
             f"operators of basis {self.name}, {self.operators.n_modes} modes: acoustic part skew "

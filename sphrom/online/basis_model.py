@@ -35,7 +35,7 @@ from sphrom.reduction.polynomial_model import Run
 from sphrom.reduction.reduced_measures import PointForce, ReducedMeasure, TimedLoads
 from sphrom.reduction.reduced_operators import MemoryOperators
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
-from sphrom.reduction.trial_basis import kept_modes, mean_density_fluctuation, project, truncate
+from sphrom.reduction.trial_basis import mean_density_fluctuation, project, truncate
 from sphrom.setup.assembly import (
     amplitude_of,
     memory_length_of,
@@ -86,7 +86,7 @@ class BasisModel:
         self._start = start
         self._last: tuple[Fields, tuple[Array, float]] | None = None
         whole = read_basis(workspace, name)
-        self.basis, self.modes = truncate(whole, section.size), kept_modes(whole, section.size)
+        self.basis, self.modes = truncate(whole, section.size), np.arange(section.size)
         self._n_all_modes = whole.n_modes
         self._steps = {True: case.plan.steps, False: case.plan.model_steps(section)}
         group, is_corrected = f"bases/{name}", case.plan.is_corrected(section, name)
@@ -441,9 +441,9 @@ def quantities_of(
     coordinates: Array,
     mean: Array | float | None = None,
 ) -> dict[str, Quantities]:
-    """Return all that a case measures, forces and fields (n_states, ...), as `forces_of` does."""
+    """Return all that a case or a model measures (n_states, ...), as `forces_of` does."""
     mean = reduced.mean_density_fluctuation if mean is None else mean
     forces = forces_of(reduced, time, coordinates, mean)
     found = {name: totals(loads) for name, loads in forces.items()}
     found |= fields_of(reduced.measures, mean, coordinates)
-    return {name: found[name] for name in case.scene.measure}
+    return {name: found[name] for name in (*case.scene.measure, *found)}

@@ -20,11 +20,11 @@ from sphrom.artifacts import ArtifactWriter, read_record, write_record
 from sphrom.artifacts.records.coordinates import ErrorEstimate as StoredEstimate
 from sphrom.artifacts.records.coordinates import MeasuredOnce
 from sphrom.case.points import ParameterPoint
+from sphrom.metrics.histories import QUANTITIES
 from sphrom.metrics.measures import Quantities, mean_square
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.correction import interpolation_variance
 from sphrom.reduction.error_calibration import (
-    FIELDS,
     LocalErrorCalibration,
     calibrate_errors,
     compared_snapshots,
@@ -246,7 +246,7 @@ class TrainedErrors:
             self.known,
             compared,
             places,
-            unheld.of_size(model.section.size),
+            unheld.mapped(lambda shares: shares[..., model.section.size - 1, :]),
         )
 
     def at(self, point: ParameterPoint) -> LocalErrorCalibration | None:
@@ -259,8 +259,9 @@ class TrainedErrors:
     ) -> Array:
         """Return the residual's norm (n_states,) [/s] at coordinates of a model at a point."""
         viscosity = self._case.plan.kinematic_viscosity(point)
-        norm = residual_norm(self._factor, viscosity, point.factors, reduced.closure)
-        return norm(coordinates, None if reduced.amplitude is None else reduced.amplitude(times))
+        amplitude = None if reduced.amplitude is None else reduced.amplitude(times)
+        around = amplitude, point.factors, reduced.closure
+        return residual_norm(self._factor, viscosity, coordinates, *around)
 
 
 def _told(run: FastRun, found: ErrorEstimate, factors: Sequence[float | None]) -> str:
@@ -268,7 +269,7 @@ def _told(run: FastRun, found: ErrorEstimate, factors: Sequence[float | None]) -
     at_end = 100.0 * found.errors[-1] / found.sizes[-1]
     parts = []
     means = found.velocity_percent, found.pressure_percent
-    for name, mean, end, factor in zip(FIELDS, means, at_end, factors, strict=True):
+    for name, mean, end, factor in zip(QUANTITIES, means, at_end, factors, strict=True):
         trust = "" if factor is None else f", right to a factor of {factor:.2g} in training"
         parts.append(f"{name} {format_figure(mean)} % ({format_figure(end)} % at the end{trust})")
     text = f"{run.name}: estimated errors: {', '.join(parts)}"

@@ -28,7 +28,7 @@ from sphrom.online.error_estimates import (
 from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.polynomial_model import EXPONENTIAL, steady_state
-from sphrom.reduction.reduced_rates import spectrum
+from sphrom.reduction.reduced_rates import largest_growth
 from sphrom.reduction.reference_model import Integrator
 from sphrom.reduction.trial_basis import reconstruct
 from sphrom.setup import assembly
@@ -55,7 +55,7 @@ def seek_steady_state(run: FastRun, artifact: ArtifactWriter) -> None:
         amplitude = float(run.reduced.amplitude(run.time)[-1])
     seek = partial(steady_state, polynomial, run.coordinates[-1], amplitude=amplitude)
     found, seconds = seek(), min(seconds_of(seek) for _ in range(N_TIMED))
-    growth = spectrum(polynomial.jacobian(found.coordinates, amplitude)).largest_real_part
+    growth = largest_growth(polynomial.jacobian(found.coordinates, amplitude))
     status: Converged = "converged" if found.converged else "not converged"
     stored = Steady.of(found, status=status, largest_real_part=growth)
     artifact.annotate("timing/steady", seconds)
@@ -172,7 +172,7 @@ def _write(run: FastRun, artifact: ArtifactWriter) -> None:
         artifact.annotate("step_limit", reduced.step_limit)
     if reduced.memory_length is not None:
         artifact.annotate("memory_length", reduced.memory_length)
-    growth = spectrum(reduced.polynomial.jacobian(reduced.start)).largest_real_part
+    growth = largest_growth(reduced.polynomial.jacobian(reduced.start))
     artifact.annotate("largest_real_part", growth)
     mean = reduced.mean_density_fluctuation
     datasets = field_datasets(fields_of(reduced.measures, mean, done.coordinates))

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 DOTS_PER_INCH = 150
 FORMATS = (".png", ".svg")
 """What the names of figures may end in."""
-TITLE = 9.5
-"""Size of the letters of titles."""
 LABELLED, LEAST_LABELS = ((1.0,), (1.0, 2.0, 5.0), (1.0, 2.0, 3.0, 4.0, 5.0, 7.0)), 3
 """Multiples of decades that a logarithmic axis labels: the first that give it so many labels."""
 PLAIN = (1e-4, 1e6)
@@ -50,28 +48,6 @@ SPEED_MAP = "viridis"
 SIGNED_MAP = "RdBu_r"
 DIFFERENCE_MAP = "PuOr_r"
 
-STYLE: Any = {
-    "font.size": 9.0,
-    "axes.titlesize": 9.5,
-    "axes.labelsize": 9.0,
-    "axes.edgecolor": "#555555",
-    "axes.linewidth": 0.7,
-    "axes.labelcolor": INK,
-    "text.color": INK,
-    "xtick.color": "#555555",
-    "ytick.color": "#555555",
-    "xtick.labelsize": 8.0,
-    "ytick.labelsize": 8.0,
-    "lines.linewidth": 1.6,
-    "legend.fontsize": 8.5,
-    "legend.frameon": False,
-    "legend.handlelength": 2.8,
-    "grid.color": "#dddddd",
-    "grid.linewidth": 0.6,
-    "image.interpolation": "nearest",
-    "svg.hashsalt": "sphrom",
-}
-
 
 def line_of(index: int) -> dict[str, Any]:
     """Return the colour, line and marker of the reduced model of this index."""
@@ -83,20 +59,17 @@ def line_of(index: int) -> dict[str, Any]:
 
 
 def styled() -> AbstractContextManager[None]:
-    """Apply the shared look while a figure is built."""
+    """Apply the shared look, the style sheet `figures.mplstyle`, while a figure is built."""
     import matplotlib
 
-    return matplotlib.rc_context(STYLE)
+    return matplotlib.rc_context(fname=Path(__file__).with_name("figures.mplstyle"))
 
 
 def new_figure(width: float, height: float) -> Figure:
     """Return an empty figure [inch] that needs no display."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure as NewFigure
 
-    figure = NewFigure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
+    return NewFigure(figsize=(width, height), layout="constrained")
 
 
 def save(figure: Figure, path: Path) -> None:

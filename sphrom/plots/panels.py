@@ -27,8 +27,6 @@ from sphrom.plots.canvas import (
     SIGNED_MAP,
     SOLID_COLOUR,
     SPEED_MAP,
-    STYLE,
-    TITLE,
     limits,
     line_of,
     new_figure,
@@ -143,12 +141,6 @@ class Field:
     difference: bool = False
     """Whether it is one of two fields: zero is in the middle of its scale."""
 
-    def range(self) -> Range:
-        """Return the range of all but a few values."""
-        known = self.values[np.isfinite(self.values)]
-        low, high = np.percentile(known, SHOWN) if len(known) else (0.0, 1.0)
-        return float(low), float(high)
-
 
 @dataclass(frozen=True)
 class Curve:
@@ -235,7 +227,7 @@ def draw_grid(
             for axes, _ in curves:
                 axes.legend(fontsize=7.5)
         if title:
-            figure.suptitle(title, fontsize=TITLE)
+            figure.suptitle(title)
         return figure
 
 
@@ -250,6 +242,8 @@ def _draw_pictures(
     groups: dict[int | str, list[tuple[Axes, Field]]] = {}
     for number, (axes, field) in enumerate(pictures):
         groups.setdefault(number if scales is None else field.label, []).append((axes, field))
+    from matplotlib import rcParams
+
     first = pictures[0][0]
     for group in groups.values():
         fields, label = [field for _, field in group], group[0][1].label
@@ -260,7 +254,8 @@ def _draw_pictures(
                 axes.sharex(first)
                 axes.sharey(first)
             axes.locator_params(axis="x", nbins=min(X_TICKS, int(AN_INCH * width)))
-            axes.set_title(field.title, fontsize=min(TITLE, TITLE * width / PICTURE + 1.5))
+            largest = rcParams["axes.titlesize"]
+            axes.set_title(field.title, fontsize=min(largest, largest * width / PICTURE + 1.5))
             axes.set_xlabel("x [m]")
             axes.set_ylabel("y [m]" if scales is not None else f"{label}\n\ny [m]")
             axes.label_outer()
@@ -270,13 +265,14 @@ def _draw_pictures(
         n_columns = len({round(axes.get_position().x0, 3) for axes in panels})
         told = label if scales is not None else ""
         _bar_below(figure, image, panels, told, 18 * n_columns, EXTENDED[ends])
-        image.colorbar.ax.tick_params(labelsize=min(STYLE["xtick.labelsize"], LETTERS * width))
+        image.colorbar.ax.tick_params(labelsize=min(rcParams["xtick.labelsize"], LETTERS * width))
 
 
 def _scale(fields: Sequence[Field], scales: Mapping[str, Range]) -> tuple[str, Range]:
     """Return the colours and the scale of fields of one label."""
-    ranges = [field.range() for field in fields]
-    low, high = min(low for low, _ in ranges), max(high for _, high in ranges)
+    known = [field.values[np.isfinite(field.values)] for field in fields]
+    ranges = np.array([np.percentile(v, SHOWN) if len(v) else (0.0, 1.0) for v in known])
+    low, high = float(ranges[:, 0].min()), float(ranges[:, 1].max())
     if fields[0].label in scales:
         least, most = scales[fields[0].label]
         reach = BEYOND * (most - least)

@@ -48,9 +48,6 @@ from sphrom.metrics.series import hat, smoothed
 from sphrom.reduction.correction import interpolation_variance, interpolation_weights
 from sphrom.reduction.held_out import UnheldShares
 
-FIELDS = ("velocity", "pressure")
-"""The fields whose errors are estimated, in this order."""
-
 N_COMPARED = 100
 """Snapshots of a training run, about, that errors are known at."""
 N_RATES = 15

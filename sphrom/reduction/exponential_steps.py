@@ -13,14 +13,21 @@ states serves all runs near a training point. Any L gives the same solution.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from sphrom.arrays import Array, Indices
+from sphrom.arrays import Array
 from sphrom.kernels import exponential as kernels
-from sphrom.reduction.polynomial_model import EXPONENTIAL, Amplitude, OutputTimes, PolynomialModel
+from sphrom.reduction.polynomial_model import (
+    EXPONENTIAL,
+    Amplitude,
+    Driven,
+    OutputTimes,
+    PolynomialModel,
+)
 from sphrom.reduction.reduced_rates import Polynomial
 
 N_INTEGRALS = 3
@@ -81,32 +88,17 @@ def after(first: Array, second: Array, time_step: float) -> Array:
     return both
 
 
-class Propagation:
-    """Integrals of a linear part at whole multiples of a time [s], each from the one before."""
-
-    def __init__(self, linear: Array, unit: float) -> None:
-        self._unit = unit
-        self._first = integrals(linear, unit)
-        self._known = [self._first]
-
-    def at(self, multiple: int) -> Array:
-        """Return the integrals (4, n_modes, n_modes) at a multiple of the unit, from 1."""
-        while len(self._known) < multiple:
-            self._known.append(after(self._known[-1], self._first, self._unit))
-        return self._known[multiple - 1]
-
-
 Matrices = tuple[Array, Array, Array]
 """Of steps of one length: stages, links and ends, as `sphrom.kernels.exponential` takes them."""
 
 
-def _matrices(halves: Propagation, time_step: float, n_states: int) -> Matrices:
+def _matrices(halves: Callable[[int], Array], time_step: float, n_states: int) -> Matrices:
     """Return the matrices of steps of a length [s] that reach some states, equally far apart.
 
-    `halves` are at multiples of half the time between two states.
+    `halves` returns integrals at a multiple of half the time between two states.
     """
-    reached = [halves.at(2 * k) for k in range(1, n_states + 1)]
-    stages, links = _krogstad(halves.at(n_states), reached[-1], time_step)
+    reached = [halves(2 * k) for k in range(1, n_states + 1)]
+    stages, links = _krogstad(halves(n_states), reached[-1], time_step)
     ends = _parabola(np.stack(reached, axis=1), time_step)
     # Kernels sum up columns: the index of the result comes last.
     n_modes = ends.shape[-1]
@@ -143,17 +135,27 @@ class LinearPart:
 
     def __init__(self, matrix: Array) -> None:
         self.matrix = matrix
-        self._halves: dict[float, Propagation] = {}
+        self._integrals: dict[float, list[Array]] = {}
         self._matrices: dict[tuple[float, StepRatio], Matrices] = {}
+
+    def integrals(self, unit: float, multiple: int) -> Array:
+        """Return the integrals (4, n_modes, n_modes) at a multiple, from 1, of a time [s].
+
+        Each follows from the one before.
+        """
+        if unit not in self._integrals:
+            self._integrals[unit] = [integrals(self.matrix, unit)]
+        known = self._integrals[unit]
+        while len(known) < multiple:
+            known.append(after(known[-1], known[0], unit))
+        return known[multiple - 1]
 
     def steps(self, interval: float, ratio: StepRatio) -> Matrices:
         """Return the matrices of steps, from the time between snapshots [s]."""
         if (key := (interval, ratio)) not in self._matrices:
-            half = 0.5 * interval / ratio.steps_per_snapshot
-            if half not in self._halves:
-                self._halves[half] = Propagation(self.matrix, half)
+            halves = partial(self.integrals, 0.5 * interval / ratio.steps_per_snapshot)
             about = ratio.time_step(interval), ratio.snapshots_per_step
-            self._matrices[key] = _matrices(self._halves[half], *about)
+            self._matrices[key] = _matrices(halves, *about)
         return self._matrices[key]
 
 
@@ -193,11 +195,7 @@ class ExponentialModel(PolynomialModel):
         return StepRatio.of(n_steps, output_times.n_snapshots - 1).time_step(output_times.interval)
 
     def _integrate(
-        self,
-        n_steps: int,
-        output_times: OutputTimes,
-        driven: tuple[Array, Indices, Array],
-        out: Array,
+        self, n_steps: int, output_times: OutputTimes, driven: Driven, out: Array
     ) -> int:
         matrices, ratio = self._method(n_steps, output_times)
         return kernels.integrate(

@@ -169,10 +169,6 @@ class UnheldShares(Record):
         "run size field", "m/s over the inner product's", _UNHELD.format("since half time")
     )
 
-    def of_size(self, n_modes: int) -> UnheldShares:
-        """Return the shares (2,) and (n_runs, 2) of a number of modes."""
-        return self.mapped(lambda shares: shares[..., n_modes - 1, :])
-
 
 def unheld_shares(products: SnapshotProducts, places: Array, n_modes: int) -> UnheldShares:
     """Measure the shares by leaving out runs and second halves of runs.

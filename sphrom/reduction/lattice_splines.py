@@ -61,20 +61,18 @@ class LatticeSplines(LatticeCoefficients, ModeSplines):
         """Number of functions."""
         return self.coefficients.shape[2]
 
-    def _fill(self, x: Array, y: Array, values: Array) -> None:
-        bspline.evaluate(x, y, self._lattice, self._flat, values)
-
-    def _fill_with_gradients(self, x: Array, y: Array, values: Array, gradients: Array) -> None:
-        bspline.evaluate_with_gradients(x, y, self._lattice, self._flat, values, gradients)
+    def _fill(self, x: Array, y: Array, *out: Array) -> None:
+        sweep = bspline.evaluate if len(out) == 1 else bspline.evaluate_with_gradients
+        sweep(x, y, self._lattice, self._flat, *out)
 
     def combine(self, coefficients: ArrayLike) -> LatticeSplines:
         """Return splines of linear combinations of the columns."""
         # Row by row: one large product would be shared out over threads of its own.
         return replace(self, coefficients=self.coefficients @ np.asarray(coefficients))
 
-    def select(self, chosen: Indices) -> LatticeSplines:
-        """Return the splines of some columns."""
-        return replace(self, coefficients=self.coefficients[..., chosen])
+    def first(self, n_modes: int) -> LatticeSplines:
+        """Return the splines of the first modes."""
+        return replace(self, coefficients=self.coefficients[..., : 3 * n_modes].copy())
 
 
 def fit_lattice_splines(points: ArrayLike, values: ArrayLike, domain: Domain) -> LatticeSplines:

@@ -111,12 +111,9 @@ class FieldProjections:
         velocity = fields.velocity.transpose(2, 0, 1).reshape(fields.n_fields, -1)
         self._columns = velocity, density
         self._weights = np.tile(self._share, 2), self._share
-
-    @property
-    def gram(self) -> Array:
-        """(2, n_fields, n_fields) products of the modes with each other."""
         pairs = zip(self._columns, self._weights, strict=True)
-        return np.stack([(columns * weights) @ columns.T for columns, weights in pairs])
+        self.gram = np.stack([(columns * weights) @ columns.T for columns, weights in pairs])
+        """(2, n_fields, n_fields) products of the modes with each other."""
 
     def products(self, scaled_density: Array, velocity: Array) -> tuple[Array, Array]:
         """Return projections (n_states, 2, n_fields) and squares (n_states, 2) of states.

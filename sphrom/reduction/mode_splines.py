@@ -14,17 +14,12 @@ from numpy.typing import ArrayLike
 
 from sphrom.arrays import Array, Indices
 from sphrom.declaration import Record, dataset
-from sphrom.reduction.trial_basis import TrialBasis, kept_modes
+from sphrom.reduction.trial_basis import TrialBasis
 
 CELL_WIDTH_RATIO = 3.0
 """Cell width over the spacing of points, 81 points a system. At 2 (36 points) the error of a cubic
 spline is six times larger and evaluation 1.5 times faster; at 4 (144 points) three times smaller
 and 1.5 times slower."""
-
-
-def polynomial_terms(degree: int) -> int:
-    """Return how many monomials in two dimensions have at most a degree."""
-    return (degree + 1) * (degree + 2) // 2
 
 
 class ModeSplines(ABC):
@@ -40,16 +35,15 @@ class ModeSplines(ABC):
         """Return splines of linear combinations (n_columns, n_combinations) of the functions."""
 
     @abstractmethod
-    def select(self, chosen: Indices) -> ModeSplines:
-        """Return the splines of some functions."""
+    def first(self, n_modes: int) -> ModeSplines:
+        """Return the splines of the first modes, of three functions each."""
 
     @abstractmethod
-    def _fill(self, x: Array, y: Array, values: Array) -> None:
-        """Fill `values` (n_positions, n_columns) at coordinates x, y (n_positions,) [m]."""
+    def _fill(self, x: Array, y: Array, *out: Array) -> None:
+        """Fill values (n_positions, n_columns) at coordinates x, y (n_positions,) [m].
 
-    @abstractmethod
-    def _fill_with_gradients(self, x: Array, y: Array, values: Array, gradients: Array) -> None:
-        """Fill `values`, and `gradients` (n_positions, n_columns, 2) [1/m], at coordinates."""
+        If there are two arrays to fill, the other is of gradients (n_positions, n_columns, 2).
+        """
 
     def values(self, positions: ArrayLike, out: Array | None = None) -> Array:
         """Return all functions (Eq. 3.20) at positions (n_positions, 2) [m].
@@ -69,7 +63,7 @@ class ModeSplines(ABC):
         x, y = coordinates(positions)
         values = np.empty((x.size, self.n_columns))
         gradients = np.empty((x.size, self.n_columns, 2))
-        self._fill_with_gradients(x, y, values, gradients)
+        self._fill(x, y, values, gradients)
         return values, gradients
 
 
@@ -134,8 +128,3 @@ def basis_columns(basis: TrialBasis) -> Array:
     """Return a basis as columns (n_points, 3 n_modes): first field and velocity, mode by mode."""
     modes = np.concatenate((basis.density_modes[..., None], basis.velocity_modes), axis=2)
     return np.ascontiguousarray(modes.transpose(1, 0, 2).reshape(modes.shape[1], -1))
-
-
-def first_modes(splines: ModeSplines, basis: TrialBasis, n_modes: int) -> ModeSplines:
-    """Return the splines of a basis's first modes."""
-    return splines.select(np.arange(3 * len(kept_modes(basis, n_modes))))

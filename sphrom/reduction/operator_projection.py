@@ -16,7 +16,8 @@ fixed points keep it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -108,18 +109,20 @@ def residual_factor(
     reduced = np.asarray(values[kept, None] * directions[kept] / scale)
     parts = np.split(reduced, np.cumsum(residuals.widths)[:-1], axis=1)
     found = dict(zip(residuals.parts, parts, strict=True))
+    fields = _fields_of(found, operators.drives, DriveResidual)
+    return ResidualFactor(**fields, walls_driven=points.walls_driven)
+
+
+def _fields_of(
+    found: Mapping[str, Any], names: Iterable[str], drive: type[DriveRates | DriveResidual]
+) -> dict[str, Any]:
+    """Return what was found, by part, as the fields of a record: parameters have their own."""
+    own = {part: found.get(part) for part in ("inertia", "viscosity", "walls", "force")}
     drives = {
-        name: DriveResidual(walls=found.get(f"walls/{name}"), force=found.get(f"force/{name}"))
-        for name in operators.drives
+        name: drive(walls=found.get(f"walls/{name}"), force=found.get(f"force/{name}"))
+        for name in names
     }
-    return ResidualFactor(
-        inertia=found["inertia"],
-        viscosity=found["viscosity"],
-        walls=found.get("walls"),
-        force=found.get("force"),
-        drives=drives,
-        walls_driven=points.walls_driven,
-    )
+    return {**own, "drives": drives}
 
 
 class _Fields:
@@ -226,22 +229,12 @@ class _Sums(_Fields):
 
     def folded(self) -> ReducedOperators:
         """Return the operators of the modes, with the constant part folded in."""
-        n_modes = self.fields.n_modes
-        driven = {part: _folded(sums, n_modes) for part, sums in self.by_part.items()}
-        return ReducedOperators(
-            inertia=_folded(self.inertia, n_modes),
-            viscosity=_folded(self.viscosity, n_modes),
-            walls=driven.get("walls"),
-            force=driven.get("force"),
-            acoustic=self.acoustic[:, :n_modes],
-            walls_driven=self.points.walls_driven,
-            drives={
-                name: DriveRates(
-                    walls=driven.get(f"walls/{name}"), force=driven.get(f"force/{name}")
-                )
-                for name in self.points.drives
-            },
-        )
+        n_modes, points = self.fields.n_modes, self.points
+        parts = {"inertia": self.inertia, "viscosity": self.viscosity, **self.by_part}
+        found = {part: _folded(sums, n_modes) for part, sums in parts.items()}
+        fields = _fields_of(found, points.drives, DriveRates)
+        acoustic = self.acoustic[:, :n_modes]
+        return ReducedOperators(**fields, acoustic=acoustic, walls_driven=points.walls_driven)
 
 
 def _projected(weights: Array, rates: Array) -> Array:

@@ -201,12 +201,8 @@ class ParticleModel:
         projector = self._projector(position, fields.density_fluctuation)
         if self.memory_length is not None:
             # The effect of the residual, matrix-free (Eq. 3.22, Alg. 3.5).
-            residual = projector.orthogonal(rates)
-            fluctuation = np.vstack((self._scale * fields.density_fluctuation, fields.velocity))
-            step = JACOBIAN_STEP * relative_step(fluctuation, residual)
-            if step > 0.0:
-                change = self._derivative(position, fields, rates, residual, step, time)
-                rates = rates + self.memory_length * change
+            change = self._derivative(position, fields, rates, projector.orthogonal(rates), time)
+            rates = rates + self.memory_length * change
         carrier = fields.velocity + full.shifting_velocity
         return np.concatenate((projector(rates), carrier.ravel()))
 
@@ -240,19 +236,16 @@ class ParticleModel:
         return rates
 
     def _derivative(
-        self,
-        position: Array,
-        fields: ReducedFields,
-        rates: Array,
-        along: Array,
-        step: float,
-        time: float,
+        self, position: Array, fields: ReducedFields, rates: Array, along: Array, time: float
     ) -> Array:
         """Return the derivative of f-bar along a field, by a finite difference (Alg. 3.5, 3).
 
         The particles stay where they are. The field is known at the particles alone, so that
         its gradient is the renormalised one.
         """
+        state = np.vstack((self._scale * fields.density_fluctuation, fields.velocity))
+        if (step := JACOBIAN_STEP * relative_step(state, along)) == 0.0:
+            return np.zeros_like(rates)
         density = fields.density_fluctuation + step * along[0] / self._scale
         velocity = fields.velocity + step * along[1:]
         wanted = along if self.advection == "consistent" else None

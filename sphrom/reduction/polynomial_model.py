@@ -18,13 +18,16 @@ from sphrom.reduction.reduced_rates import Polynomial, stability_limits
 
 Amplitude = Callable[[Array], Array]
 """The amplitude at times (n_times,) [s]."""
+Driven = tuple[Array, Indices, Array]
+"""The coefficients that count, how many, and the amplitudes at substeps."""
 
 SAFETY = 0.9
 """Automatic time step over the stability limit."""
 RUNGE_KUTTA, EXPONENTIAL = "runge-kutta", "exponential"
 """Methods of integration, as artifacts name them."""
-N_HALVINGS = 20
-"""How often a Newton step may be halved."""
+CONVERGED, MOST_STEPS, N_HALVINGS = 1e-10, 50, 20
+"""Of Newton's method: the rates of a steady state over their terms, the number of steps, and how
+often each may be halved."""
 
 
 def step_limit(polynomial: Polynomial, states: Array, amplitude: float = 0.0) -> float:
@@ -128,11 +131,7 @@ class PolynomialModel:
         return Run(output_times.time, out, time_step, diverged_at)
 
     def _integrate(
-        self,
-        n_steps: int,
-        output_times: OutputTimes,
-        driven: tuple[Array, Indices, Array],
-        out: Array,
+        self, n_steps: int, output_times: OutputTimes, driven: Driven, out: Array
     ) -> int:
         """Fill the snapshots after the first, and return the steps before it diverged, or all."""
         return kernels.integrate(
@@ -143,8 +142,7 @@ class PolynomialModel:
 
     def _driven(
         self, start_time: float, n_steps: int, time_step: float, amplitude: Amplitude | None
-    ) -> tuple[Array, Indices, Array]:
-        """Return the coefficients that count, how many, and the amplitudes at substeps."""
+    ) -> Driven:
         if amplitude is None:
             return self._coefficients[:1], self._used[:1], np.zeros(3)
         times = start_time + 0.5 * time_step * np.arange(max(3, 2 * n_steps + 1), dtype=np.float64)
@@ -162,26 +160,19 @@ class SteadyState:
     converged: bool
 
 
-def steady_state(
-    polynomial: Polynomial,
-    start: Array,
-    *,
-    amplitude: float = 0.0,
-    tolerance: float = 1e-10,
-    max_steps: int = 50,
-) -> SteadyState:
+def steady_state(polynomial: Polynomial, start: Array, amplitude: float = 0.0) -> SteadyState:
     """Find coordinates at which the rates vanish, by Newton's method with halved steps.
 
-    It has converged when the rates' norm is below `tolerance` times that of the constant and the
-    linear part. Whether the state is stable is for `spectrum` of its Jacobian to say.
+    It has converged when the rates' norm is below `CONVERGED` times that of the constant and the
+    linear part. Whether the state is stable is for the eigenvalues of its Jacobian to say.
     """
     state, rates = np.array(start), polynomial(start, amplitude)
-    for n_steps in range(max_steps):
+    for n_steps in range(MOST_STEPS):
         residual = float(np.linalg.norm(rates))
         constant = polynomial(np.zeros_like(state), amplitude)
         linear = polynomial.at_rest(amplitude) @ state
         size = float(np.linalg.norm(constant) + np.linalg.norm(linear))
-        if residual <= tolerance * size:
+        if residual <= CONVERGED * size:
             return SteadyState(state, residual, n_steps, True)
         try:
             change = np.linalg.solve(polynomial.jacobian(state, amplitude), -rates)
@@ -195,4 +186,4 @@ def steady_state(
         else:
             return SteadyState(state, residual, n_steps, False)
         state = ahead
-    return SteadyState(state, float(np.linalg.norm(rates)), max_steps, False)
+    return SteadyState(state, float(np.linalg.norm(rates)), MOST_STEPS, False)

@@ -32,7 +32,7 @@ Monomials are ordered as in `sphrom.kernels.polynomial`, up to the second degree
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -258,37 +258,31 @@ def monomials(states: Array) -> Array:
     return np.concatenate((ones, states, states[:, first] * states[:, second]), axis=1)
 
 
-ResidualNorm = Callable[[Array, Array | None], Array]
-"""From coordinates (n_states, n_modes), and the amplitude (n_states,) of the body force or of
-driven walls, None where there is none, the residual's norm (n_states,) [/s]."""
-
-
 def residual_norm(
     factor: ResidualFactor,
     kinematic_viscosity: float,
+    states: Array,
+    amplitude: Array | None = None,
     factors: Factors = NONE,
     closure: Polynomial | None = None,
-) -> ResidualNorm:
-    """Return the residual's norm of a model.
+) -> Array:
+    """Return the norm (n_states,) [/s] of a model's residual at coordinates (n_states, n_modes).
 
     Parameters
     ----------
     factor : of the model.
+    amplitude : (n_states,) of the body force or of driven walls, None where there is none.
     factors : the values of the parameters that drive the flow.
     closure : the rates that it adds to the projected ones.
     """
-    powers = factor.at(kinematic_viscosity, factors)
-
-    def norm(states: Array, amplitude: Array | None = None) -> Array:
-        values = monomials(states)
-        residual = values @ powers[0].T
-        pushes = np.zeros(len(states)) if amplitude is None else amplitude
-        for power, coefficients in enumerate(powers[1:], 1):
-            used = values[:, : coefficients.shape[1]]
-            residual += pushes[:, None] ** power * (used @ coefficients.T)
-        squares = np.sum(residual**2, axis=1)
-        if closure is not None:
-            squares += np.sum(closure.along(states, pushes) ** 2, axis=1)
-        return np.asarray(np.sqrt(squares))
-
-    return norm
+    steady, *driven = factor.at(kinematic_viscosity, factors)
+    values = monomials(states)
+    residual = values @ steady.T
+    pushes = np.zeros(len(states)) if amplitude is None else amplitude
+    for power, coefficients in enumerate(driven, 1):
+        used = values[:, : coefficients.shape[1]]
+        residual += pushes[:, None] ** power * (used @ coefficients.T)
+    squares = np.sum(residual**2, axis=1)
+    if closure is not None:
+        squares += np.sum(closure.along(states, pushes) ** 2, axis=1)
+    return np.asarray(np.sqrt(squares))

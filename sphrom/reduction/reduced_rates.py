@@ -151,20 +151,14 @@ def pack(tensors: Tensors) -> Array:
     return np.concatenate(parts, axis=1)
 
 
-@dataclass(frozen=True)
-class Spectrum:
-    """How large the eigenvalues of a Jacobian are."""
-
-    largest_real_part: float
-    """[1/s]; above zero something grows."""
-    radius: float
-    """[1/s]."""
+def largest_growth(jacobian: Array) -> float:
+    """Return the largest real part [1/s] of a Jacobian's eigenvalues: above zero, states grow."""
+    return float(np.linalg.eigvals(jacobian).real.max())
 
 
-def spectrum(jacobian: Array) -> Spectrum:
-    """Return the spectrum of a Jacobian (n_modes, n_modes) [1/s]."""
-    eigenvalues = np.linalg.eigvals(jacobian).astype(np.complex128)
-    return Spectrum(float(eigenvalues.real.max()), float(np.abs(eigenvalues).max()))
+def spectral_radius(jacobian: Array) -> float:
+    """Return the largest magnitude [1/s] of a Jacobian's eigenvalues."""
+    return float(np.max(np.abs(np.linalg.eigvals(jacobian))))
 
 
 def stability_limits(eigenvalues: NDArray[np.complex128]) -> Array:
@@ -193,5 +187,5 @@ def memory_length(jacobian: Array, smoothing_length: float, sound_speed: float) 
     length: a basis of few modes may represent no sound, but the closure's residual is full of it.
     """
     longest = ACOUSTIC_RATIO * smoothing_length / sound_speed
-    radius = float(np.max(np.abs(np.linalg.eigvals(jacobian))))
+    radius = spectral_radius(jacobian)
     return min(MEMORY_RATIO / radius, longest) if radius > 0.0 else longest

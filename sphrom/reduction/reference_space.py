@@ -12,7 +12,6 @@ layer has an error of 6e-2 at h = 2 dx, and of 0.12 at h = 4 dx.
 
 from __future__ import annotations
 
-from copy import copy
 from typing import Literal
 
 import numpy as np
@@ -76,21 +75,3 @@ class ReferenceMap:
                 f"({place[0]:.4g}, {place[1]:.4g}) to interpolate there"
             )
         return out[0], np.ascontiguousarray(out[1:].T)
-
-    def round_trip(
-        self, position: Array, density_fluctuation: Array, velocity: Array
-    ) -> tuple[Array, Array]:
-        """Map one snapshot onto the points and back to its particles, by the same method.
-
-        Returns densities (n_particles,) and velocities (n_particles, 2); their difference from
-        the snapshot is the loss on the way there and back. Raises as a map there does.
-        """
-        back = copy(self)
-        back._points = np.ascontiguousarray(self.domain.wrap(position).T)
-        return back(self._points.T, *self(position, density_fluctuation, velocity))
-
-
-def relative_error(mapped: Array, exact: Array) -> float:
-    """Return the relative L2 error of a mapped field; that of a zero field is its own norm."""
-    scale = float(np.linalg.norm(exact))
-    return float(np.linalg.norm(mapped - exact)) / (scale if scale > 0.0 else 1.0)

@@ -28,7 +28,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import field, replace
+from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,12 +38,7 @@ from scipy.linalg import lapack
 from sphrom.arrays import Array, Indices
 from sphrom.kernels import polyharmonic
 from sphrom.kernels.cells import Grid, sort_by_cell
-from sphrom.reduction.mode_splines import (
-    CELL_WIDTH_RATIO,
-    CellSplines,
-    ModeSplines,
-    polynomial_terms,
-)
+from sphrom.reduction.mode_splines import CELL_WIDTH_RATIO, CellSplines, ModeSplines, coordinates
 from sphrom.sph.domain import Domain
 
 FACES = ((0, -1), (0, 1), (-1, 0), (1, 0))
@@ -172,15 +168,6 @@ def _neighbours(
     return np.concatenate(members), np.repeat(translation, counts, axis=0)
 
 
-def wrapped(coordinate: Array, domain: Domain, axis: int) -> Array:
-    """Return coordinates (n,) along one axis [m], moved into the domain if the axis is periodic."""
-    coordinate = np.ascontiguousarray(coordinate, dtype=np.float64)
-    if not domain.periodic[axis]:
-        return coordinate
-    length = domain.lengths[axis]
-    return coordinate - length * np.floor((coordinate - domain.lower[axis]) / length)
-
-
 WORST_CONDITION_NUMBER = 1.0 / float(np.finfo(np.float64).eps)
 """Beyond it the weights have no right digit."""
 
@@ -196,29 +183,27 @@ class LocalSplines(CellSplines, ModeSplines):
     polynomial_degree: int
     """-1 for none."""
     domain: Domain
-    _systems: polyharmonic.Systems = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        self._refuse_misfits()
-        systems = polyharmonic.Systems(
-            points=np.ascontiguousarray(self.points),
-            cell_start=np.ascontiguousarray(self.cell_start),
-            radial_weights=np.ascontiguousarray(self.radial_weights),
-            polynomial_weights=np.ascontiguousarray(self.polynomial_weights.transpose(2, 0, 1)),
-        )
-        object.__setattr__(self, "_systems", systems)
-
-    def _refuse_misfits(self) -> None:
-        """Compiled loops don't ask whether an index lies within an array."""
+        # Compiled loops don't ask whether an index lies within an array.
         n_cells, start = math.prod(self.cell_shape), self.cell_start
         if min(self.cell_shape) < 1 or len(start) != n_cells + 1:
             raise ValueError(f"{len(start)} boundaries are not those of {self.cell_shape} cells")
         if start[0] != 0 or start[-1] != self.points.shape[1] or np.any(np.diff(start) < 0):
             raise ValueError("the cells don't share out the points")
         shapes = self.radial_weights.shape, self.polynomial_weights.shape
-        terms = polynomial_terms(self.polynomial_degree)
+        terms = math.comb(self.polynomial_degree + 2, 2)
         if shapes != ((self.n_columns, start[-1]), (n_cells, terms, self.n_columns)):
             raise ValueError(f"weights {shapes} are not those of the points and cells")
+
+    @cached_property
+    def _systems(self) -> polyharmonic.Systems:
+        return polyharmonic.Systems(
+            points=np.ascontiguousarray(self.points),
+            cell_start=np.ascontiguousarray(self.cell_start),
+            radial_weights=np.ascontiguousarray(self.radial_weights),
+            polynomial_weights=np.ascontiguousarray(self.polynomial_weights.transpose(2, 0, 1)),
+        )
 
     @property
     def n_columns(self) -> int:
@@ -230,19 +215,17 @@ class LocalSplines(CellSplines, ModeSplines):
         """The cells [m]."""
         return cell_grid(self.domain, (int(self.cell_shape[0]), int(self.cell_shape[1])))
 
-    def _fill(self, x: Array, y: Array, values: Array) -> None:
-        self._sweep(polyharmonic.evaluate, x, y, self._scratch(2), values)
-
-    def _fill_with_gradients(self, x: Array, y: Array, values: Array, gradients: Array) -> None:
-        sweep = polyharmonic.evaluate_with_gradients
-        self._sweep(sweep, x, y, self._scratch(4), values, gradients)
-
-    def _sweep(self, sweep: Callable[..., None], x: Array, y: Array, *out: Array) -> None:
-        """Run a kernel at positions in the domain, which it takes cell by cell."""
-        inside_x, inside_y = wrapped(x, self.domain, 0), wrapped(y, self.domain, 1)
+    def _fill(self, x: Array, y: Array, *out: Array) -> None:
+        sweep: Callable[..., None] = polyharmonic.evaluate
+        if len(out) == 2:
+            sweep = polyharmonic.evaluate_with_gradients
+        most = int(np.max(np.diff(self.cell_start))) + self.polynomial_weights.shape[1]
+        scratch = np.empty((polyharmonic.N_CHUNKS, 2 * len(out), most))
+        # Kernels take positions in the domain, cell by cell.
+        inside_x, inside_y = coordinates(self.domain.wrap(np.column_stack((x, y))))
         particle, start = sort_by_cell(inside_x, inside_y, self.grid)
         kind = (length_scale(self.grid), self.order, self.polynomial_degree)
-        sweep(inside_x, inside_y, particle, start, self.grid, *kind, self._systems, *out)
+        sweep(inside_x, inside_y, particle, start, self.grid, *kind, self._systems, scratch, *out)
 
     def combine(self, coefficients: ArrayLike) -> LocalSplines:
         """Return splines of linear combinations of the columns."""
@@ -255,17 +238,11 @@ class LocalSplines(CellSplines, ModeSplines):
             polynomial_weights=self.polynomial_weights @ factors,
         )
 
-    def select(self, chosen: Indices) -> LocalSplines:
-        """Return the splines of some columns."""
-        return replace(
-            self,
-            radial_weights=self.radial_weights[chosen],
-            polynomial_weights=self.polynomial_weights[:, :, chosen],
-        )
-
-    def _scratch(self, n_rows: int) -> Array:
-        most = int(np.max(np.diff(self.cell_start))) + self.polynomial_weights.shape[1]
-        return np.empty((polyharmonic.N_CHUNKS, n_rows, most))
+    def first(self, n_modes: int) -> LocalSplines:
+        """Return the splines of the first modes."""
+        radial = self.radial_weights[: 3 * n_modes].copy()  # which lets go of the others
+        polynomial = self.polynomial_weights[..., : 3 * n_modes].copy()
+        return replace(self, radial_weights=radial, polynomial_weights=polynomial)
 
 
 def default_cell_width(domain: Domain, n_points: int) -> float:
@@ -306,7 +283,7 @@ def fit_splines(
     if not inside.all():
         raise ValueError(f"{np.sum(~inside)} points are not inside the domain")
     grid = cell_grid(domain, fitting_cells(domain, cell_width))
-    n_terms, n_columns = polynomial_terms(polynomial_degree), right.shape[1]
+    n_terms, n_columns = math.comb(polynomial_degree + 2, 2), right.shape[1]
     near, local, cell_start = points_by_cell(position, grid, domain, max(1, n_terms))
     radial = np.empty((n_columns, near.size))
     polynomial = np.zeros((cell_start.size - 1, n_terms, n_columns))

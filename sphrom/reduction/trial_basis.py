@@ -153,27 +153,16 @@ def reconstruct(
     return density_fluctuation + np.asarray(mean)[..., None], velocity
 
 
-def kept_modes(basis: TrialBasis, n_modes: int) -> NDArray[np.int64]:
-    """Return the places of the first `n_modes` modes.
-
-    Raises ValueError when the basis has fewer.
-    """
-    if not 1 <= n_modes <= basis.n_modes:
-        raise ValueError(f"{n_modes} modes asked for, of a basis that has {basis.n_modes}")
-    return np.arange(n_modes)
-
-
 def truncate(basis: TrialBasis, n_modes: int) -> TrialBasis:
     """Return the basis of the first `n_modes` modes.
 
     Raises ValueError when the basis has fewer.
     """
-    kept = kept_modes(basis, n_modes)
-    return replace(
-        basis,
-        density_modes=basis.density_modes[kept],
-        velocity_modes=basis.velocity_modes[kept],
-    )
+    if not 1 <= n_modes <= basis.n_modes:
+        raise ValueError(f"{n_modes} modes asked for, of a basis that has {basis.n_modes}")
+    kept = np.arange(n_modes)
+    density, velocity = basis.density_modes[kept], basis.velocity_modes[kept]
+    return replace(basis, density_modes=density, velocity_modes=velocity)
 
 
 N_FIRST = 64
@@ -184,14 +173,16 @@ ROUNDING = 1e-9
 """Slack of bounds."""
 
 
-class SpeedBounds:
-    """Bounds of the speeds that coordinates of a basis can have, by point."""
+class ModeVelocities:
+    """The largest speed and the kinetic energy of coordinates, from the modes' velocities."""
 
     def __init__(self, basis: TrialBasis) -> None:
         self._modes = basis.velocity_modes
-        self._speeds = np.hypot(basis.velocity_modes[..., 0], basis.velocity_modes[..., 1])
+        self._speeds = np.hypot(self._modes[..., 0], self._modes[..., 1])
+        columns = self._modes.reshape(basis.n_modes, -1)
+        self._products = columns @ columns.T
 
-    def largest(self, coordinates: Array) -> float:
+    def largest_speed(self, coordinates: Array) -> float:
         """Return the largest speed [m/s] of coordinates (n_snapshots, n_modes)."""
         bounds = np.abs(coordinates).max(axis=0) @ self._speeds
         n_first = min(N_FIRST, len(bounds))
@@ -205,15 +196,9 @@ class SpeedBounds:
         velocity = np.tensordot(coordinates, self._modes[:, points], 1)
         return float(np.sqrt(np.max(velocity[..., 0] ** 2 + velocity[..., 1] ** 2)))
 
+    def kinetic_energy(self, coordinates: Array, mass: float) -> Array:
+        """Return the energy (n_states,) [J/m] of coordinates (n_states, n_modes).
 
-class KineticEnergy:
-    """Sum m |u|^2 / 2 of particles of one mass, in coordinates of a basis."""
-
-    def __init__(self, basis: TrialBasis, mass: float) -> None:
-        """Multiply the modes with each other; `mass` [kg/m] is a particle's."""
-        columns = basis.velocity_modes.reshape(basis.n_modes, -1)
-        self._gram = 0.5 * mass * (columns @ columns.T)
-
-    def of(self, coordinates: Array) -> Array:
-        """Return the energy (n_states,) [J/m] of coordinates (n_states, n_modes)."""
-        return np.asarray(np.sum((coordinates @ self._gram) * coordinates, axis=1))
+        `mass` [kg/m] is a particle's.
+        """
+        return np.sum((coordinates @ (0.5 * mass * self._products)) * coordinates, axis=1)

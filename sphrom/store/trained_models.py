@@ -22,7 +22,7 @@ from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.metrics.measures import UNITS, Quantities
 from sphrom.reduction.calibration import Calibration, TrainingRun, calibrate
 from sphrom.reduction.held_out import best_size
-from sphrom.reduction.mode_splines import ModeSplines, first_modes
+from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.reduced_measures import ReducedForce
 from sphrom.reduction.reduced_operators import ReducedOperators
 from sphrom.reduction.trial_basis import TrialBasis, project, truncate
@@ -89,8 +89,8 @@ def read_splines(workspace: Workspace, name: str) -> ModeSplines:
 
 def read_modes(workspace: Workspace, name: str, n_modes: int) -> tuple[TrialBasis, ModeSplines]:
     """Read the first modes of a basis, and their splines."""
-    whole, splines = read_basis(workspace, name), read_splines(workspace, name)
-    return truncate(whole, n_modes), first_modes(splines, whole, n_modes)
+    basis = truncate(read_basis(workspace, name), n_modes)
+    return basis, read_splines(workspace, name).first(n_modes)
 
 
 def training_runs(workspace: Workspace, basis: TrialBasis, name: str) -> Array:

@@ -30,10 +30,10 @@ from sphrom.offline import fom
 from sphrom.online import rom
 from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.online.sensitivities import tangents
-from sphrom.reduction.trial_basis import KineticEnergy, SpeedBounds
+from sphrom.reduction.trial_basis import ModeVelocities
 from sphrom.store.checkpoints import remove_checkpoints
 from sphrom.store.sampling import sample_run
-from sphrom.store.trajectory import measured_of
+from sphrom.store.trajectory import field_datasets, measured_of
 from sphrom.store.workspace import Target, Workspace
 from sphrom.sweep.workers import Failure, Task
 
@@ -69,7 +69,7 @@ def make_runs(task: Task) -> tuple[Failure, ...]:
         try:
             records.append(swept.run(point))
         except SphromError as error:
-            failed.append(Failure(point, str(error), error.exit_code))
+            failed.append(Failure(point, str(error), type(error)))
     if records:
         require_folder(swept.workspace)
         # A part is named by its points: it is made with the same and from the same as the whole.
@@ -97,7 +97,7 @@ class SweptModel:
         self._fast = None
         if self._model is not None and self._model.from_operators:
             self._fast = FastModel(workspace, self._model)
-        self._of_bases: dict[str, tuple[SpeedBounds, KineticEnergy]] = {}
+        self._velocities: dict[str, ModeVelocities] = {}
 
     def run(self, point: ParameterPoint) -> RunRecord:
         """Run the model at a parameter point.
@@ -167,12 +167,11 @@ class SweptModel:
         """Return the record of a run of a model from operators."""
         if run.failure is not None:
             return RunRecord(run.point, UNSTABLE, str(run.failure))
-        name, basis = run.model.basis_at(run.point), run.reduced.basis
-        if name not in self._of_bases:
-            energy = KineticEnergy(basis, self.workspace.case.plan.mass)
-            self._of_bases[name] = SpeedBounds(basis), energy
-        bounds, energy = self._of_bases[name]
-        energies, speed = energy.of(run.coordinates), bounds.largest(run.coordinates)
+        if (name := run.model.basis_at(run.point)) not in self._velocities:
+            self._velocities[name] = ModeVelocities(run.reduced.basis)
+        modes, mass = self._velocities[name], self.workspace.case.plan.mass
+        energies = modes.kinetic_energy(run.coordinates, mass)
+        speed = modes.largest_speed(run.coordinates)
         values = _values(run.time, run.time_step, energies, speed)
         values["generalized_coordinates"] = run.coordinates
         if (found := run.estimate) is not None:
@@ -203,11 +202,7 @@ def _values(time: Array, step: float, energies: Array, speed: float) -> dict[str
 
 
 def _kept(measured: dict[str, Quantities]) -> dict[str, Array]:
-    return {
-        f"measure/{name}/{quantity}": values
-        for name, quantities in measured.items()
-        for quantity, values in of_a_run(quantities).items()
-    }
+    return field_datasets({name: of_a_run(quantities) for name, quantities in measured.items()})
 
 
 def _at_probes(samples: Samples) -> dict[str, Array]:

@@ -21,7 +21,7 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import sweep_model, sweep_name, sweep_points
 from sphrom.console import Reporter
-from sphrom.errors import ArtifactError, CaseError, UnstableError, error_of
+from sphrom.errors import ArtifactError, CaseError, UnstableError
 from sphrom.metrics import measures
 from sphrom.metrics.draws import fewest_runs
 from sphrom.metrics.measures import STATISTICS, UNITS, component_names
@@ -255,8 +255,7 @@ class Results:
             )
         if n_unstable := counts[STATES[UNSTABLE]]:
             raise UnstableError(f"{n_unstable} of {len(records)} runs became unstable")
-        if counts[STATES[FAILED]]:
-            raise_failed(failed)
+        raise_failed(failed)
 
     def _gathered(self, failed: Sequence[Failure]) -> tuple[list[RunRecord], Statistics | None]:
         """Put all runs into the artifact, and return them with their statistics."""
@@ -358,5 +357,6 @@ def show_lost(report: Reporter, runs: Sequence[RunRecord | Failure]) -> None:
 def raise_failed(failed: Sequence[Failure]) -> None:
     """Raise an error of the kind of the first failure, if there is one."""
     if failed:
-        reason = f"{len(failed)} runs have no result; the same command tries them again"
-        raise error_of(failed[0].exit_code, reason)
+        raise failed[0].kind(
+            f"{len(failed)} runs have no result; the same command tries them again"
+        )

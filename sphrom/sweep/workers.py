@@ -81,7 +81,7 @@ class Failure:
 
     point: ParameterPoint
     reason: str
-    exit_code: int
+    kind: type[SphromError]
 
 
 Failures = tuple[Failure, ...]
@@ -103,7 +103,7 @@ def attempt(do: Do, task: Task) -> Failures:
 def _failures(task: Task, error: Exception) -> Failures:
     if not isinstance(error, SphromError):
         error = SphromError(f"{type(error).__name__}: {error}")
-    return tuple(Failure(point, str(error), error.exit_code) for point in task.points)
+    return tuple(Failure(point, str(error), type(error)) for point in task.points)
 
 
 class Workers:

@@ -13,6 +13,7 @@ from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.study_sections import percentage
+from sphrom.metrics.histories import QUANTITIES
 from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Panel, draw_grid
 from sphrom.plots.tables import (
@@ -22,7 +23,6 @@ from sphrom.plots.tables import (
     write_csv,
     write_json,
 )
-from sphrom.reduction.error_calibration import FIELDS
 from sphrom.reduction.greedy import Ending, safety_factor
 from sphrom.store.workspace import Workspace
 from sphrom.text import exact
@@ -57,8 +57,8 @@ class HeldOut:
     def told(self, fields: Sequence[int]) -> str:
         """Return what it tells, in a line."""
         parts = [
-            f"{FIELDS[k]}: estimated {_percent(self.estimate[k])}, true {_percent(self.error[k])}, "
-            f"at best {_percent(self.floor[k])}"
+            f"{QUANTITIES[k]}: estimated {_percent(self.estimate[k])}, "
+            f"true {_percent(self.error[k])}, at best {_percent(self.floor[k])}"
             for k in fields
         ]
         return f"{self.point.label}, not seen before: {'; '.join(parts)}"
@@ -125,7 +125,7 @@ class Outcome:
     @property
     def quantity(self) -> str:
         """Their names."""
-        return " and ".join(FIELDS[k] for k in self.fields)
+        return " and ".join(QUANTITIES[k] for k in self.fields)
 
     @property
     def held_out(self) -> list[HeldOut]:
@@ -147,7 +147,7 @@ def publish(
     """
     report, folder = workspace.context.report, workspace.folder(FOLDER)
     points = outcome.stages[-1].points
-    names = [f"{FIELDS[k]}_{figure}" for k in range(2) for figure in FIGURES]
+    names = [f"{QUANTITIES[k]}_{figure}" for k in range(2) for figure in FIGURES]
     units = {"full_runs": None, "worst_estimate": "%", "factor": None, "floor": "%"}
     units |= {**dict.fromkeys(points[0].as_dict()), **dict.fromkeys(names, "%"), "failure": None}
     rows = list(_rows(outcome))
@@ -200,7 +200,7 @@ def _rows(outcome: Outcome) -> Iterator[dict[str, Any]]:
         }
         for run in stage.held_out:
             found = {
-                f"{FIELDS[k]}_{figure}": _finite(getattr(run, figure)[k])
+                f"{QUANTITIES[k]}_{figure}": _finite(getattr(run, figure)[k])
                 for k in range(2)
                 for figure in FIGURES
             }

@@ -26,7 +26,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import Region, fast_model, percent, trained_at
 from sphrom.case.study_sections import percentage
-from sphrom.errors import CaseError, UnstableError, error_of
+from sphrom.errors import CaseError, UnstableError
 from sphrom.metrics.histories import TIME_TOLERANCE
 from sphrom.offline import fit_psi, fom, operators, pod
 from sphrom.offline import map as map_stage
@@ -205,8 +205,8 @@ class _Training:
             with start_workers(number, self._scheduler, context.report) as found:
                 failed = found.run("full runs", workspace, missing, make_run)
         for failure in failed:
-            if failure.exit_code != UnstableError.exit_code:
-                raise error_of(failure.exit_code, f"{failure.point.label}: {failure.reason}")
+            if failure.kind is not UnstableError:
+                raise failure.kind(f"{failure.point.label}: {failure.reason}")
         # Runs that became unstable are on disk too, as those of an earlier call are.
         workspace = Workspace(replace(context, known=KnownArtifacts()))
         problems = {failure.point: failure.reason for failure in failed}

@@ -1,4 +1,4 @@
-"""The equation ledger is complete, and what it names exists."""
+"""The ledger of equations and the table of faults are complete, and what they name exists."""
 
 from __future__ import annotations
 
@@ -30,6 +30,8 @@ parameters:
 rom:
   - name: galerkin
 """
+FAULT = re.compile(r"^\| (?!fault|---)(.+?) \| (.+?) \| (.+?) \|$", re.MULTILINE)
+TEST = re.compile(r"`((?:\w+/)?test_\w+\.py)::(test_\w+)`")
 QUOTED = re.compile(r"`([^`]+)`")
 
 
@@ -79,6 +81,17 @@ def test_tests_exist() -> None:
         assert (ROOT / path).is_file(), name
         assert function.startswith("test_"), name
         assert function in functions_of(ROOT / path), name
+
+
+def test_every_fault_has_a_test_that_is_there() -> None:
+    faults = FAULT.findall((ROOT / "tests" / "FAULTS.md").read_text(encoding="utf-8"))
+    assert len(faults) > 35
+    for fault, what_happens, tests in faults:
+        named = TEST.findall(tests)
+        assert what_happens
+        assert named, fault
+        for file, test in named:
+            assert test in functions_of(ROOT / "tests" / file), f"{fault}: {file} has no {test}"
 
 
 def test_options_are_keys_of_the_case(tmp_path: Path) -> None:

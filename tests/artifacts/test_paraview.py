@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from sphrom.artifacts import open_artifact
 from sphrom.artifacts.records.coordinates import Coordinates
 from sphrom.artifacts.records.reduced_models import Basis
 from sphrom.artifacts.records.runs import Packing, ReferenceSnapshots, Trajectory
+from sphrom.declaration import Record
 
 pytest.importorskip("vtkmodules", reason="VTK is not installed")
 
@@ -21,9 +23,10 @@ pytest.importorskip("vtkmodules", reason="VTK is not installed")
 class Reader:
     """VTK's reader on a file."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, arrays_of: Callable[[Any], dict[str, Any]]) -> None:
         from vtkmodules.vtkIOHDF import vtkHDFReader
 
+        self._arrays_of = arrays_of
         self._reader = vtkHDFReader()
         self._reader.SetFileName(str(path))
         self._reader.UpdateInformation()
@@ -38,20 +41,17 @@ class Reader:
 
     def step(self, step: int = 0) -> dict[str, Any]:
         """Return the points and fields of a step, and how many cells of each kind it has."""
-        from vtkmodules.util.numpy_support import vtk_to_numpy
-
         self._reader.SetStep(step)
         self._reader.Update()
         data = self._reader.GetOutputDataObject(0)
-        arrays = data.GetPointData()
-        found = {
-            arrays.GetArrayName(i): vtk_to_numpy(arrays.GetArray(i)).copy()
-            for i in range(arrays.GetNumberOfArrays())
-        }
-        found["points"] = vtk_to_numpy(data.GetPoints().GetData()).copy()
         kinds = (data.GetVerts(), data.GetLines(), data.GetPolys(), data.GetStrips())
-        found["cells"] = tuple(kind.GetNumberOfCells() for kind in kinds)
-        return found
+        return {**self._arrays_of(data), "cells": tuple(k.GetNumberOfCells() for k in kinds)}
+
+
+@pytest.fixture
+def opened(written, vtk_arrays) -> Callable[[Record], Reader]:
+    """Open a record that is written as an artifact."""
+    return lambda record: Reader(written(record), vtk_arrays)
 
 
 def flat(vectors: np.ndarray) -> np.ndarray:
@@ -59,9 +59,9 @@ def flat(vectors: np.ndarray) -> np.ndarray:
     return np.concatenate((vectors, np.zeros((*vectors.shape[:-1], 1))), axis=-1)
 
 
-def test_trajectory_opens_with_the_same_numbers_at_every_step(written, invented) -> None:
+def test_trajectory_opens_with_the_same_numbers_at_every_step(opened, invented) -> None:
     run = invented(Trajectory)
-    reader = Reader(written(run))
+    reader = opened(run)
     assert reader.n_steps == 4
     assert reader.times() == list(run.time)
     for step in (0, 3, 1, 2):
@@ -73,15 +73,15 @@ def test_trajectory_opens_with_the_same_numbers_at_every_step(written, invented)
             np.testing.assert_array_equal(seen[name], getattr(run, name)[step])
 
 
-def test_packings_open(written, invented) -> None:
+def test_packings_open(opened, invented) -> None:
     record = invented(Packing)
-    seen = Reader(written(record)).step()
+    seen = opened(record).step()
     np.testing.assert_array_equal(seen["points"], flat(record.position))
 
 
-def test_reference_snapshots_open_on_points_that_are_stored_once(written, invented) -> None:
+def test_reference_snapshots_open_on_points_that_are_stored_once(opened, invented) -> None:
     mapped = invented(ReferenceSnapshots)
-    reader = Reader(written(mapped))
+    reader = opened(mapped)
     assert reader.times() == list(mapped.time)
     for step in (2, 0, 1):
         seen = reader.step(step)
@@ -90,13 +90,13 @@ def test_reference_snapshots_open_on_points_that_are_stored_once(written, invent
         np.testing.assert_array_equal(seen["density_fluctuation"], mapped.density_fluctuation[step])
 
 
-def test_modes_open_as_steps_counted_from_one(written, invented) -> None:
+def test_modes_open_as_steps_counted_from_one(opened, invented) -> None:
     """A basis of fewer modes than another shows zeros beyond its last one."""
     basis = invented(Basis)
     b, c, runs = basis.bases["b0"], basis.bases["c0"], basis.train["b0"]
     low = replace(c, density_modes=c.density_modes[:2], velocity_modes=c.velocity_modes[:2])
     basis = replace(basis, bases={"all": b, "low": low}, train={"all": runs, "low": runs})
-    reader = Reader(written(basis))
+    reader = opened(basis)
     assert reader.times() == [1.0, 2.0, 3.0]
     for mode in (2, 0, 1):
         seen = reader.step(mode)
@@ -108,11 +108,11 @@ def test_modes_open_as_steps_counted_from_one(written, invented) -> None:
         np.testing.assert_array_equal(seen["low_density"], expected)
 
 
-def test_reduced_runs_open_with_their_fields(written, invented) -> None:
+def test_reduced_runs_open_with_their_fields(written, opened, invented) -> None:
     with h5py.File(written(invented(Coordinates, whole=False))) as file:
         assert "VTKHDF" not in file
     run = invented(Coordinates)
-    seen = Reader(written(run)).step(1)
+    seen = opened(run).step(1)
     np.testing.assert_array_equal(seen["points"], flat(run.reference_position))
     np.testing.assert_array_equal(seen["velocity"], flat(run.velocity[1]))
     np.testing.assert_array_equal(seen["pressure"], run.pressure[1])

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -26,11 +27,11 @@ def load(tmp_path: Path) -> Callable[..., Case]:
 
 @pytest.fixture
 def refusal(load: Callable[..., Case], tmp_path: Path) -> Callable[..., list[str]]:
-    """Return the lines with which a case is refused, without its folder."""
+    """Return the lines with which a case that is loaded so is refused, without its folder."""
 
-    def refuse(text: str, *overrides: str, base: str = BASE) -> list[str]:
+    def refuse(*given: Any, **changes: Any) -> list[str]:
         with pytest.raises(CaseError) as caught:
-            load(text, *overrides, base=base)
+            load(*given, **changes)
         assert caught.value.exit_code == 2
         return str(caught.value).replace(f"{tmp_path}/", "").split("\n")
 

@@ -37,17 +37,17 @@ def test_pipe_is_not_waited_for(tmp_path):
     assert "is not a file" in refusal_of(tmp_path / "pipe")
 
 
-def test_huge_file(tmp_path):
-    path = tmp_path / "case.yaml"
-    path.write_bytes(b"#" * (MAX_BYTES + 1))
-    assert "larger than the 256 KiB that are read" in refusal_of(path)
-
-
-@pytest.mark.parametrize("content", [b"name: x\n\xff\n", "name: x\n".encode("utf-16")])
-def test_text_in_another_encoding(tmp_path, content):
-    path = tmp_path / "case.yaml"
-    path.write_bytes(content)
-    assert "is not UTF-8 text" in refusal_of(path)
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"#" * (MAX_BYTES + 1), "larger than the 256 KiB that are read"),
+        (b"name: x\n\xff\n", "is not UTF-8 text"),
+        ("name: x\n".encode("utf-16"), "is not UTF-8 text"),
+    ],
+)
+def test_files_that_hold_no_text(tmp_path, content, words):
+    (tmp_path / "case.yaml").write_bytes(content)
+    assert words in refusal_of(tmp_path / "case.yaml")
 
 
 def test_byte_order_mark_is_no_part_of_the_text(tmp_path):
@@ -81,15 +81,13 @@ def test_thousands_of_unknown_keys_are_not_all_explained(refusal, monkeypatch):
     assert lines[-1].endswith("case.yaml: and 8980 more problems")
 
 
-def test_bases_are_put_together_once_for_all_subsets(tmp_path, monkeypatch):
+def test_bases_are_put_together_once_for_all_subsets(load, monkeypatch):
     """As many times as there are subsets, thousands took minutes."""
     asked = []
     learnt = Plan._learnt
     monkeypatch.setattr(Plan, "_learnt", lambda *given: (asked.append(1), learnt(*given))[1])
     subsets = "".join(f"    s{i}: {{reynolds: [100]}}\n" for i in range(500))
-    path = tmp_path / "case.yaml"
-    path.write_text(f"name: x\nscene: {{kind: taylor-green}}\nbasis:\n  subsets:\n{subsets}")
-    load_case(path)
+    load(f"basis:\n  subsets:\n{subsets}")
     assert len(asked) == 500
 
 
@@ -165,7 +163,6 @@ def test_all_problems_are_told_at_once(refusal):
         ("open-cavity", "reference: {points: lattice}\n", False),
     ],
 )
-def test_splines_are_of_the_kind_that_fits_the_points(tmp_path, scene, more, expected):
-    path = tmp_path / "case.yaml"
-    path.write_text(f"name: x\nscene: {{kind: {scene}}}\n{more}")
-    assert load_case(path).plan.lattice_splines is expected
+def test_splines_are_of_the_kind_that_fits_the_points(load, scene, more, expected):
+    case = load(more, base=f"name: x\nscene: {{kind: {scene}}}\n")
+    assert case.plan.lattice_splines is expected

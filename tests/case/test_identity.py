@@ -51,19 +51,17 @@ def test_cavities_of_the_paper_are_as_printed_but_for_walls_and_steps(scene):
 
 
 @pytest.mark.parametrize("path", CASES, ids=lambda path: path.stem)
-def test_resolved_case_loads_back_equal(path, tmp_path):
+def test_resolved_case_loads_back_equal(path, load):
     case = load_case(path)
-    (tmp_path / "case.yaml").write_text(resolved_yaml(case), encoding="utf-8")
-    again = load_case(tmp_path / "case.yaml")
+    again = load(resolved_yaml(case), base="")
     assert again == case
     assert resolved_yaml(again) == resolved_yaml(case)
 
 
 @pytest.mark.parametrize("kind", DEFAULTS)
-def test_template_loads_and_explains_every_key(kind, tmp_path):
+def test_template_loads_and_explains_every_key(kind, load):
     text = new_case(kind, full=True)
-    (tmp_path / "case.yaml").write_text(text, encoding="utf-8")
-    case = load_case(tmp_path / "case.yaml")
+    case = load(text, base="")
     assert case.scene.kind == kind
     assert case_warnings(case) == []
     assert max(map(len, text.splitlines())) <= 80
@@ -93,20 +91,18 @@ EXAMPLES = {"name": True, "parameters": True, "rom": True, "sweep": {"reynolds"}
 
 
 @pytest.mark.parametrize("kind", DEFAULTS)
-def test_template_holds_the_defaults(kind, tmp_path):
-    (tmp_path / "case.yaml").write_text(new_case(kind, full=True), encoding="utf-8")
-    given = load_case(tmp_path / "case.yaml").model_dump(exclude=EXAMPLES)
+def test_template_holds_the_defaults(kind, load):
+    given = load(new_case(kind, full=True), base="").model_dump(exclude=EXAMPLES)
     default = Case.model_validate({"name": "x", "scene": {"kind": kind}})
     assert given == default.model_dump(exclude=EXAMPLES)
 
 
 @pytest.mark.parametrize("kind", DEFAULTS)
-def test_short_template_is_short_and_leads_to_the_fast_model(kind, tmp_path):
+def test_short_template_is_short_and_leads_to_the_fast_model(kind, load):
     text = new_case(kind)
     assert len(text.splitlines()) <= 32
     assert max(map(len, text.splitlines())) <= 80
-    (tmp_path / "case.yaml").write_text(text, encoding="utf-8")
-    case = load_case(tmp_path / "case.yaml")
+    case = load(text, base="")
     assert case.scene.kind == kind
     assert case_warnings(case) == []
     (fast,) = case.rom

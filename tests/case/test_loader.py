@@ -78,28 +78,6 @@ def test_override(load):
     assert case.psi.order == 5
 
 
-@pytest.mark.parametrize(
-    ("override", "expected"),
-    [
-        ("psi.order", "--set: must be path.to.key=value; got 'psi.order'"),
-        ("=5", "--set: must be a key such as time.step; got ''"),
-        ("psi.odrer=3", "--set: psi.odrer: unknown key; did you mean order?"),
-        ("psi.order=[", "--set: psi.order: not valid YAML: "),
-        ("psi={order: 1, order: 2}", "--set: psi: appears twice, first in line 1"),
-        ("psi=!x {}", "--set: psi: tags are not allowed; got !x"),
-        ("psi={order: 9}", "--set: psi.order: must be a whole number from 1 to 7; got 9"),
-        ("name.x=1", "--set: name.x: name holds no keys; got 'small'"),
-        ("rom.1.n_modes=3", "--set: rom.1: rom is a list of 1, counted from 0"),
-        ("rom.²=3", "--set: rom.'\\u00b2': rom is a list of 1, counted from 0"),
-        ("basis.n_modes=2", "because of --set basis.n_modes: "),
-        ("time.step=0.02", "--set: time.step: 0.02 s is beyond the acoustic limit of 0.006 s"),
-    ],
-)
-def test_override_is_checked_like_the_file(refusal, override, expected):
-    (line,) = refusal("rom: [{name: a}]\n", override)
-    assert line.startswith(expected)
-
-
 @ANY_FILE
 @given(st.binary(max_size=200))
 def test_any_bytes_are_refused_in_words(tmp_path, content):

@@ -6,18 +6,19 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
-from typer.testing import CliRunner, Result
+from typer.testing import Result
 
-from sphrom.cli.app import app
 from sphrom.setup.context import StageContext
 from sphrom.stages import STAGES
 
 
 @pytest.fixture
-def sphrom(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., Result]:
+def sphrom(
+    sphrom: Callable[..., Result], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> Callable[..., Result]:
     """Run a command in an empty folder."""
     monkeypatch.chdir(tmp_path)
-    return lambda *arguments: CliRunner().invoke(app, [str(a) for a in arguments])
+    return sphrom
 
 
 @pytest.fixture

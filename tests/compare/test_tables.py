@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from unittest.mock import Mock
+
 import numpy as np
 
 from sphrom.compare.comparison_tables import Tables, error_row, show
@@ -11,30 +13,15 @@ from sphrom.metrics.samples import Samples
 from sphrom.store.sampling import probes_of
 
 
-class _Recorder:
-    """A reporter that keeps its lines, and its tables: title, columns and rows."""
-
-    def __init__(self) -> None:
-        self.lines: list[str] = []
-        self.tables: list[tuple[str, tuple[str, ...], list[tuple[str, ...]]]] = []
-
-    @property
-    def details(self) -> _Recorder:
-        return self
-
-    def info(self, text) -> None:
-        self.lines.append(text)
-
-    def table(self, title, columns, rows) -> None:
-        self.tables.append((title, tuple(columns), [tuple(r) for r in rows]))
-
-
-def _recorded(**tables):
-    recorder = _Recorder()
-    show(recorder, Tables(**tables))
-    for _, columns, lines in recorder.tables:
-        assert all(len(line) == len(columns) for line in lines)
-    return recorder
+def _shown(**tables):
+    """Return the rows of the one table that is shown, and the lines beside it."""
+    reporter = Mock()
+    reporter.details = reporter
+    show(reporter, Tables(**tables))
+    _, columns, rows = reporter.table.call_args.args
+    reporter.table.assert_called_once()
+    assert all(len(row) == len(columns) for row in rows)
+    return [tuple(row) for row in rows], [call.args[0] for call in reporter.info.call_args_list]
 
 
 def test_rows_of_runs_that_ended_and_that_did_not(case_of):
@@ -47,7 +34,7 @@ def test_rows_of_runs_that_ended_and_that_did_not(case_of):
     stable = error_row(history, compared="galerkin", **named)
     lost = error_row(history, compared="apg", status="unstable", **named)
     assert lost.in_field is None
-    ((_, _, shown),) = _recorded(errors=[stable, lost]).tables
+    shown, _ = _shown(errors=[stable, lost])
     assert shown[0][:4] == ("galerkin", "full", "reynolds=100", "trained")
     assert all(float(part) < 1e-10 for cell in shown[0][4:8] for part in cell.split(" / "))
     assert shown[1][3:] == ("unstable", "–", "–", "–", "–", "–")
@@ -66,9 +53,7 @@ def test_a_flow_that_still_changes_is_not_shown_against_a_steady_one():
         True, "LG",
     )  # fmt: skip
     late = [_steady("reynolds=100", 0.004, False), _steady("reynolds=200", 0.0521, False)]
-    recorder = _recorded(reference=[*late, start])
-    ((_, _, rows),) = recorder.tables
+    rows, (line,) = _shown(reference=[*late, start])
     assert [row[2] for row in rows] == ["transient"]
-    (line,) = recorder.lines
     assert line.startswith("reynolds=100, reynolds=200: the flow still changed")
     assert "5.21 %" in line

@@ -72,7 +72,7 @@ def test_rows_may_have_places(tmp_path):
     assert found[1].noise == pytest.approx(np.full(2, 0.005))
 
 
-def test_columns_from_python_are_those_of_a_file(tmp_path):
+def test_columns_from_python_are_those_of_a_file():
     value = np.array([1.0, np.nan])
     columns = {"time": [0.1, 0.2], "drag_torque": value, "drag_torque_noise": [0.1, 0.2]}
     (found,) = read_measurements(columns, CASE, CASE.plan.steps, None).histories

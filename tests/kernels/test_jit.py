@@ -5,8 +5,6 @@ from __future__ import annotations
 import errno
 import math
 import os
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Never
@@ -175,16 +173,7 @@ def test_a_serial_loop_keeps_the_order_of_its_sums() -> None:
     assert total(values) == total.py_func(values)
 
 
-def printed(code: str, **variables: str) -> str:
-    """Return what a process prints that runs some code."""
-    done = subprocess.run(
-        [sys.executable, "-c", code], env={**os.environ, **variables},
-        capture_output=True, text=True, check=True, timeout=120,
-    )  # fmt: skip
-    return done.stdout
-
-
-def test_what_is_kept_is_loaded_without_the_compiler(tmp_path: Path) -> None:
+def test_what_is_kept_is_loaded_without_the_compiler(tmp_path: Path, printed) -> None:
     code = (
         "import sys; from sphrom.kernels.cells import Grid, rows_within; "
         "rows = rows_within(0.31, 0.52, 0.1, Grid(0.0, 0.0, 0.1, 0.1, 10, 10)); "
@@ -194,7 +183,7 @@ def test_what_is_kept_is_loaded_without_the_compiler(tmp_path: Path) -> None:
         assert printed(code, SPHROM_CACHE=str(tmp_path)) == f"2 7 {compiles}\n"
 
 
-def test_threads_may_be_asked_for_before_kernels_are_loaded() -> None:
+def test_threads_may_be_asked_for_before_kernels_are_loaded(printed) -> None:
     code = (
         "from sphrom.kernels import ask_for_threads; ask_for_threads(1); "
         "from sphrom.kernels import jit; import numba; before = numba.get_num_threads(); "

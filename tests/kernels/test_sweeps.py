@@ -1,37 +1,10 @@
-"""The sweeps themselves: on any number of threads, and without the compiler."""
+"""The sweeps without the compiler."""
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from collections.abc import Callable
 
 import numpy as np
-import pytest
-
-from sphrom.sph.box_domain import BoxDomain
-from sphrom.sph.fluid import Discretization, Fluid
-from sphrom.sph.functional import Functional
-
-SPACING = 0.0625
-SHAPE = (16, 14)
-BOX = BoxDomain((0.0, 0.0), (1.0, 0.875), (True, True))
-
-
-@pytest.mark.parametrize("transport", ["advective", "paper"])
-def test_is_bitwise_the_same_on_any_number_of_threads(
-    scatter: Callable, same_on_threads, transport: str
-) -> None:
-    discretization = Discretization(
-        SPACING, 2.0 * SPACING, acoustic_damping=1.0, shifting_transport=transport
-    )
-    functional = Functional(Fluid(1000.0, 10.0, 0.01, 1.0), discretization, BOX)
-    state = scatter((0.0, 0.0), SPACING, SHAPE, "jittered", seed=3)
-    same_on_threads(
-        lambda: (functional(state), functional.advection(state[:2], state[2], state[3:]))
-    )
-
 
 PLAIN = """
 import sys
@@ -62,17 +35,12 @@ np.save(sys.argv[2], out)
 """
 
 
-def test_the_compiler_changes_nothing_but_rounding(scatter: Callable, tmp_path) -> None:
+def test_the_compiler_changes_nothing_but_rounding(scatter: Callable, tmp_path, printed) -> None:
     np.save(tmp_path / "state.npy", scatter((0.0, 0.0), 0.125, (8, 8), "jittered"))
     results = []
     for name, disabled in (("compiled", "0"), ("plain", "1")):
         target = tmp_path / f"{name}.npy"
-        subprocess.run(
-            [sys.executable, "-c", PLAIN, str(tmp_path / "state.npy"), str(target)],
-            env={**os.environ, "NUMBA_DISABLE_JIT": disabled},
-            check=True,
-            timeout=300,
-        )
+        printed(PLAIN, tmp_path / "state.npy", target, NUMBA_DISABLE_JIT=disabled)
         results.append(np.load(target))
     compiled, plain = results
     scale = np.max(np.abs(plain), axis=1, keepdims=True)

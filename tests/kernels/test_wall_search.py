@@ -43,10 +43,10 @@ CORNERS = {
     "ceiling over the corner": (CAVITY, (4.0, 12.0)),
     "foot of the cavity": (CAVITY, (12.0, 0.0)),
 }
-component = st.floats(-2.0, 2.0, allow_subnormal=False)
+component = st.floats(-2.0, 2.0, allow_subnormal=False, width=32)  # whose squares are above zero
 pair = st.tuples(component, component)
 # As often among those that are held back as beyond.
-near = st.one_of(component, st.floats(-0.3, 0.3))
+near = st.one_of(component, st.floats(-0.3125, 0.3125, allow_subnormal=False, width=32))
 places = st.tuples(near, near)
 
 
@@ -183,39 +183,29 @@ def test_distances_past_the_seam_are_those_of_the_image() -> None:
 
 @pytest.mark.parametrize("name", CORNERS)
 @given(place=places, velocity=pair, shifting=pair)
-def test_nothing_moves_towards_a_wall_that_is_close(
+def test_shifting_is_only_ever_turned_away_from_walls(
     name: str, place: tuple, velocity: tuple, shifting: tuple
 ) -> None:
-    """With u + delta u no particle comes nearer to a wall at a quarter of a spacing or less."""
+    """With u + delta u no particle comes nearer to a wall at a quarter of a spacing or less.
+
+    What is left alone: particles beyond 1.5 spacings, and those that move away from walls.
+    """
     domain, corner = CORNERS[name]
     position = np.add(corner, place)
     assume(domain.contains(position[None])[0])
-    u, du = np.array([velocity]).T, np.array([shifting]).T
-    after = held(domain, position[:, None], u, du)
-    total = (u + after)[:, 0]
-    for distance, way in zip(*ways(domain, position), strict=True):
+    u, du = np.array(velocity), np.array(shifting)
+    after = held(domain, position[:, None], u[:, None], du[:, None])[:, 0]
+    change = after - du
+    distances, way = ways(domain, position)
+    for distance, along in zip(distances, way, strict=True):
         if 0.0 < distance <= CLOSEST:
-            assert total @ way <= 1e-12
+            assert (u + after) @ along <= 1e-12
         if 0.0 < distance <= TOUCHING:
-            assert after[:, 0] @ way <= 1e-12
+            assert after @ along <= 1e-12
         if distance < FELT:
-            assert after[:, 0] @ way <= max(du[:, 0] @ way, 0.0) + 1e-12
-
-
-@pytest.mark.parametrize("name", CORNERS)
-@given(place=places, shifting=pair, velocity=pair)
-def test_shifting_is_only_ever_turned_away_from_walls(
-    name: str, place: tuple, shifting: tuple, velocity: tuple
-) -> None:
-    """What is left alone: particles beyond 1.5 spacings, and those that move away from walls."""
-    domain, corner = CORNERS[name]
-    position = np.add(corner, place)
-    assume(domain.contains(position[None])[0])
-    u, du = np.array([velocity]).T, np.array([shifting]).T
-    change = (held(domain, position[:, None], u, du) - du)[:, 0]
-    distance, way = ways(domain, position)
-    felt = way[(distance > 0.0) & (distance < FELT)]
-    if np.all(felt @ du[:, 0] <= 0.0) and np.all(felt @ u[:, 0] <= 0.0):
+            assert after @ along <= max(du @ along, 0.0) + 1e-12
+    felt = way[(distances > 0.0) & (distances < FELT)]
+    if np.all(felt @ du <= 0.0) and np.all(felt @ u <= 0.0):
         assert not change.any()
     assert np.all(felt @ change <= 1e-12)
     if not change.any():

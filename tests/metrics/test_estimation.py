@@ -112,14 +112,14 @@ def test_a_combination_that_the_data_do_not_determine_is_found():
     known = uncertainty(found.derivatives, weights)
     assert found.place.sum() == pytest.approx(0.9, abs=1e-6)
     assert known.undetermined == pytest.approx(np.array([[0.5, -0.5], [-0.5, 0.5]]), rel=1e-6)
-    assert known.deviation == pytest.approx(np.sqrt(0.5), rel=1e-2)
+    assert np.diag(known.covariance) == pytest.approx(0.5, rel=2e-2)
     assert known.correlation[0, 1] == pytest.approx(-1.0, abs=1e-3)
 
 
 def test_a_parameter_without_effect_has_the_width_of_its_range():
     slopes = np.stack([TIME, np.zeros(30)], axis=1)
     known = uncertainty(slopes, Weights(NOISE, NOTHING))
-    assert known.deviation[1] == 1.0
+    assert known.covariance[1, 1] == 1.0
     assert known.undetermined == pytest.approx(np.diag([0.0, 1.0]))
 
 

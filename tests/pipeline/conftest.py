@@ -7,20 +7,23 @@ import csv
 import hashlib
 import math
 import shutil
+import subprocess
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
-from typer.testing import CliRunner, Result
+from typer.testing import Result
 
 from sphrom.artifacts import open_artifact
 from sphrom.case.loader import load_case
-from sphrom.cli.app import app
+from sphrom.case.points import ParameterPoint
 from sphrom.setup.context import StageContext
 from sphrom.sph import time_loop
 from sphrom.store.workspace import Workspace
+from sphrom.sweep.batches import RunRecord, SweptModel
 
 CASE: dict[str, Any] = {
     "name": "tiny",
@@ -58,20 +61,6 @@ ERRORS = tuple(
 )
 
 
-def run_sphrom(*arguments: object) -> Result:
-    """Run a command within this process; what isn't an exit code is raised."""
-    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result
-
-
-@pytest.fixture(scope="session")
-def sphrom() -> Callable[..., Result]:
-    """Run a command."""
-    return run_sphrom
-
-
 @pytest.fixture(scope="session")
 def case_text() -> Callable[..., str]:
     """The case as YAML, with sections changed by `key__of__section=value`."""
@@ -90,7 +79,9 @@ def case_text() -> Callable[..., str]:
 
 
 @pytest.fixture(scope="session")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[dict[str, Any]], Path]:
+def made(
+    tmp_path_factory: pytest.TempPathFactory, sphrom: Callable[..., Result]
+) -> Callable[[dict[str, Any]], Path]:
     """Run a case once a session.
 
     Gives the artifacts' folder, `runs/<name>`; above it are `<name>.yaml`, `stdout.txt` and
@@ -104,8 +95,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[dict[str, Any]],
             folder = tmp_path_factory.mktemp(case["name"])
             path, out = folder / f"{case['name']}.yaml", folder / "runs" / case["name"]
             path.write_text(text)
-            result = run_sphrom("run", path, "--out", out, "--threads", 1, "--verbose")
-            assert result.exit_code == 0, result.output
+            result = sphrom("run", path, "--out", out, "--threads", 1, "--verbose", code=0)
             (folder / "stdout.txt").write_text(result.stdout)
             (folder / "stderr.txt").write_text(result.stderr)
             folders[text] = out
@@ -116,15 +106,15 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[dict[str, Any]],
 
 @pytest.fixture(scope="session")
 def finished(
-    tmp_path_factory: pytest.TempPathFactory, case_text: Callable[..., str]
+    tmp_path_factory: pytest.TempPathFactory,
+    case_text: Callable[..., str],
+    sphrom: Callable[..., Result],
 ) -> tuple[Path, Result]:
     """A folder with `tiny.yaml` and, below `runs/tiny`, all that `run` makes of it."""
     folder = tmp_path_factory.mktemp("finished")
     case = folder / "tiny.yaml"
     case.write_text(case_text())
-    result = run_sphrom("run", case, "--out", folder / "runs" / "tiny", "--threads", 1)
-    assert result.exit_code == 0, result.output
-    return folder, result
+    return folder, sphrom("run", case, "--out", folder / "runs" / "tiny", "--threads", 1, code=0)
 
 
 @pytest.fixture
@@ -168,12 +158,12 @@ def workspace_of() -> Callable[[Path], Workspace]:
 
 
 @pytest.fixture(scope="session")
-def refused() -> Callable[..., str]:
-    """The one line that a user sees of a command that ends with an exit code; warnings aside."""
+def refused(sphrom: Callable[..., Result]) -> Callable[..., str]:
+    """Run a command to an exit code, and return the one line that a user sees; warnings aside."""
 
-    def line_of(result: Result, code: int = 3) -> str:
-        assert result.exit_code == code, result.output
-        (line,) = [text for text in result.stderr.splitlines() if not text.startswith("warning: ")]
+    def line_of(*arguments: object, code: int = 3) -> str:
+        text = sphrom(*arguments, code=code).stderr
+        (line,) = [each for each in text.splitlines() if not each.startswith("warning: ")]
         assert line.startswith("error: ")
         return line
 
@@ -232,11 +222,8 @@ def empty(tmp_path: Path, case_text: Callable[..., str], monkeypatch: pytest.Mon
 
 
 @pytest.fixture(scope="session")
-def digests() -> Callable[[Path], dict[str, str]]:
-    """The digests of what the artifacts of a folder hold, verified, by file name.
-
-    Files of the same bytes, as copies are, are verified once.
-    """
+def content() -> Callable[[Path], str]:
+    """The digest of what an artifact holds, verified; of files of the same bytes, once."""
     known: dict[str, str] = {}
 
     def digest(path: Path) -> str:
@@ -247,10 +234,42 @@ def digests() -> Callable[[Path], dict[str, str]]:
                 known[whole] = artifact.content_sha256
         return known[whole]
 
-    def read(folder: Path) -> dict[str, str]:
-        return {path.name: digest(path) for path in sorted(folder.glob("*.h5"))}
+    return digest
 
-    return read
+
+@pytest.fixture(scope="session")
+def digests(content: Callable[[Path], str]) -> Callable[[Path], dict[str, str]]:
+    """The digests of what the artifacts of a folder hold, verified, by file name."""
+    return lambda folder: {path.name: content(path) for path in sorted(folder.glob("*.h5"))}
+
+
+@pytest.fixture
+def counted(monkeypatch: pytest.MonkeyPatch) -> list[ParameterPoint]:
+    """The points at which sweeps make runs, in this process."""
+    points: list[ParameterPoint] = []
+    run = SweptModel.run
+
+    def note(self: SweptModel, point: ParameterPoint) -> RunRecord:
+        points.append(point)
+        return run(self, point)
+
+    monkeypatch.setattr(SweptModel, "run", note)
+    return points
+
+
+@pytest.fixture(scope="session")
+def wait_for() -> Callable[..., Any]:
+    """Wait until there is something, while a process runs, and return it."""
+
+    def wait(process: subprocess.Popen[Any], found: Callable[[], Any]) -> Any:
+        deadline = time.monotonic() + 120.0
+        while not (there := found()):
+            assert process.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        return there
+
+    return wait
 
 
 @pytest.fixture(scope="session")

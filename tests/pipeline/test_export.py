@@ -19,26 +19,19 @@ def flat(vectors: np.ndarray) -> np.ndarray:
     return np.pad(vectors, ((0, 0), (0, 1)))
 
 
-def arrays_of(data) -> dict[str, np.ndarray]:
-    """Return the points and fields of what VTK read."""
-    from vtkmodules.util.numpy_support import vtk_to_numpy
-
-    fields = data.GetPointData()
-    found = {
-        fields.GetArrayName(i): vtk_to_numpy(fields.GetArray(i)).copy()
-        for i in range(fields.GetNumberOfArrays())
-    }
-    return {**found, "points": vtk_to_numpy(data.GetPoints().GetData()).copy()}
-
-
-def vtu_of(path) -> dict[str, np.ndarray]:
-    """Return the points and fields of a VTU file."""
+@pytest.fixture
+def vtu_of(vtk_arrays):
+    """The points and fields of a VTU file."""
     xml = pytest.importorskip("vtkmodules.vtkIOXML", reason="VTK is not installed")
-    reader = xml.vtkXMLUnstructuredGridReader()
-    reader.SetFileName(str(path))
-    reader.Update()
-    assert reader.GetOutput().GetNumberOfCells() == reader.GetOutput().GetNumberOfPoints()
-    return arrays_of(reader.GetOutput())
+
+    def read(path) -> dict[str, np.ndarray]:
+        reader = xml.vtkXMLUnstructuredGridReader()
+        reader.SetFileName(str(path))
+        reader.Update()
+        assert reader.GetOutput().GetNumberOfCells() == reader.GetOutput().GetNumberOfPoints()
+        return vtk_arrays(reader.GetOutput())
+
+    return read
 
 
 def listed(path) -> dict[float, str]:
@@ -47,9 +40,8 @@ def listed(path) -> dict[float, str]:
     return {float(entry.attrib["timestep"]): entry.attrib["file"] for entry in entries}
 
 
-def test_vtu_files_hold_the_same_numbers_and_their_times(place, sphrom) -> None:
-    result = sphrom("export", "tiny.yaml", "--only", "galerkin", "--into", "vtu")
-    assert result.exit_code == 0, result.output
+def test_vtu_files_hold_the_same_numbers_and_their_times(place, sphrom, vtu_of) -> None:
+    sphrom("export", "tiny.yaml", "--only", "galerkin", "--into", "vtu", code=0)
     assert {path.stem for path in Path("vtu").glob("*.pvd")} == {
         f"rom-galerkin-reynolds{value}" for value in (100, 150, 200)
     }
@@ -73,13 +65,12 @@ KEPT = "rom=[{name: fast, evaluation: operators, n_modes: 3, output: snapshots}]
 def fast(place, sphrom) -> Path:
     """The artifact of a reduced run that stores coordinates alone."""
     for stage in ("operators", "rom"):
-        result = sphrom(stage, "tiny.yaml", "--set", FAST, "--threads", 1)
-        assert result.exit_code == 0, result.output
+        sphrom(stage, "tiny.yaml", "--set", FAST, "--threads", 1, code=0)
     return place / "rom-fast-reynolds150.h5"
 
 
 def test_runs_of_coordinates_alone_are_exported_with_the_fields_they_would_store(
-    fast, sphrom, monkeypatch
+    fast, sphrom, monkeypatch, vtu_of
 ) -> None:
     calls = []
     state = StoredRun.rebuilt
@@ -87,12 +78,11 @@ def test_runs_of_coordinates_alone_are_exported_with_the_fields_they_would_store
         StoredRun, "rebuilt", lambda run, snapshot: calls.append(snapshot) or state(run, snapshot)
     )
     about = ("--only", "fast", "--only", "reynolds=150")
-    assert sphrom("export", "tiny.yaml", "--set", FAST, *about).exit_code == 0
+    sphrom("export", "tiny.yaml", "--set", FAST, *about, code=0)
     with h5py.File(fast) as file:
         assert "velocity" not in file
         assert calls == list(range(len(file["time"])))  # one at a time
-    result = sphrom("rom", "tiny.yaml", "--set", KEPT, "--force", "--threads", 1)
-    assert result.exit_code == 0, result.output
+    sphrom("rom", "tiny.yaml", "--set", KEPT, "--force", "--threads", 1, code=0)
     with h5py.File(fast) as file:
         names = ("time", "velocity", "pressure", "density_fluctuation", "reference_position")
         stored = {name: file[name][...] for name in names}
@@ -108,8 +98,7 @@ def test_runs_of_coordinates_alone_are_exported_with_the_fields_they_would_store
 
 def test_fields_that_can_not_be_rebuilt_are_told_with_what_does(fast, sphrom) -> None:
     (fast.parent / "pod.h5").unlink()
-    refused = sphrom("export", "tiny.yaml", "--set", FAST, "--only", "fast")
-    assert refused.exit_code == 3
+    refused = sphrom("export", "tiny.yaml", "--set", FAST, "--only", "fast", code=3)
     assert "pod.h5 is missing; make it with `sphrom pod tiny.yaml --set " in refused.stderr
 
 
@@ -124,14 +113,11 @@ def test_fields_that_can_not_be_rebuilt_are_told_with_what_does(fast, sphrom) ->
     ],
 )
 def test_what_cannot_be_exported_is_said(place, sphrom, arguments, code, says) -> None:
-    result = sphrom("export", "tiny.yaml", *arguments)
-    assert result.exit_code == code
-    assert says in result.stderr
+    assert says in sphrom("export", "tiny.yaml", *arguments, code=code).stderr
 
 
 def test_runs_are_tabled_at_points(place, sphrom) -> None:
-    result = sphrom("export", "tiny.yaml", "--to", "csv", "--at", "0.25,0.5", "--at", "0.1,0.2")
-    assert result.exit_code == 0, result.output
+    sphrom("export", "tiny.yaml", "--to", "csv", "--at", "0.25,0.5", "--at", "0.1,0.2", code=0)
     with (place / "export" / "fom-reynolds100.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     columns = ["velocity_x [m/s]", "velocity_y [m/s]"]
@@ -154,11 +140,10 @@ def test_runs_are_tabled_at_points(place, sphrom) -> None:
 
 
 def test_runs_are_tabled_along_the_line_unless_asked_otherwise(place, sphrom) -> None:
-    assert sphrom("export", "tiny.yaml", "--to", "csv", "--only", "reynolds=150").exit_code == 0
+    sphrom("export", "tiny.yaml", "--to", "csv", "--only", "reynolds=150", code=0)
     with (place / "export" / "rom-apg-reynolds150.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert {row["x [m]"] for row in rows} == {"0.5"}
     assert len({row["y [m]"] for row in rows}) == 21  # compare.line_points of the case
-    again = sphrom("export", "tiny.yaml", "--to", "csv", "--only", "reynolds=150")
-    assert again.exit_code == 3
+    again = sphrom("export", "tiny.yaml", "--to", "csv", "--only", "reynolds=150", code=3)
     assert "exists already; --force replaces it" in again.stderr

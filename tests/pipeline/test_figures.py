@@ -45,17 +45,16 @@ def test_every_kind_is_drawn_and_asking_makes_nothing_another_case_s(
     assert (result.exit_code, "asks for no figure" in result.output) == (0, True)
     before = digests(place)
     path = case_with(compare={"figures": FIGURES})
-    result = sphrom("figures", path, "--out", place)
-    assert result.exit_code == 0, result.output
+    sphrom("figures", path, "--out", place, code=0)
     found = {file.name for file in (place / "figures").iterdir()}
     assert found == {f"{figure['name']}.png" for figure in FIGURES}
     for file in (place / "figures").iterdir():
         assert file.read_bytes().startswith(b"\x89PNG")
         assert file.stat().st_size > 10_000
-    assert sphrom("run", path, "--out", place).exit_code == 0
+    sphrom("run", path, "--out", place, code=0)
     assert digests(place) == before
     (place / "rom-galerkin-reynolds100.h5").unlink()
-    assert "rom-galerkin-reynolds100.h5" in refused(sphrom("figures", path, "--out", place))
+    assert "rom-galerkin-reynolds100.h5" in refused("figures", path, "--out", place)
 
 
 def test_stored_errors_and_fields_are_those_of_the_runs(place):
@@ -90,10 +89,10 @@ def test_stored_errors_and_fields_are_those_of_the_runs(place):
          "no basis has the name a"),
     ],
 )  # fmt: skip
-def test_figures_of_what_is_not_there_are_refused(sphrom, place, refused, case_with, figure, told):
+def test_figures_of_what_is_not_there_are_refused(place, refused, case_with, figure, told):
     given = {"name": "x", "kind": "fields", "time": 0.04, "runs": [["galerkin"]], **figure}
     wanted = {key: value for key, value in given.items() if value is not None}
-    line = refused(sphrom("figures", case_with(compare={"figures": [wanted]})), 2)
+    line = refused("figures", case_with(compare={"figures": [wanted]}), code=2)
     assert told in line
     assert "compare.figures" in line
 
@@ -102,9 +101,8 @@ def test_a_change_of_models_keeps_the_runs_that_stand(sphrom, place, refused, ca
     """Fewer or smaller models need no other basis, and so none of its runs is of another case."""
     untouched = {p: p.stat().st_mtime_ns for p in place.glob("*.h5") if p.name != "compare.h5"}
     models = [{"name": "apg", "projection": "apg", "n_modes": 3}, {"name": "small", "n_modes": 2}]
-    result = sphrom("run", case_with(rom=models), "--out", place, "--force")
-    assert result.exit_code == 0, result.output
+    sphrom("run", case_with(rom=models), "--out", place, "--force", code=0)
     assert {p: p.stat().st_mtime_ns for p in untouched} == untouched
     assert (place / "rom-small-reynolds150.h5").exists()
     larger = case_with(rom=[{"name": "large", "n_modes": 4}])
-    assert "pod.h5 holds 3 of the 4" in refused(sphrom("run", larger, "--out", place))
+    assert "pod.h5 holds 3 of the 4" in refused("run", larger, "--out", place)

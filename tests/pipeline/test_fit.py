@@ -7,11 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 from pandas import DataFrame
-from typer.testing import CliRunner
 
 import sphrom
+from sphrom.artifacts.labelled import open_labelled
 from sphrom.case.yaml_reader import dump_yaml
-from sphrom.cli.app import app
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.fit.fit import Fit
 from sphrom.fit.forward_model import Box, FittedModel
@@ -211,21 +210,18 @@ def test_what_a_fit_refuses(study, columns, known, names, given, noise, said):
         model.fit(given or columns, *names, noise=noise)
 
 
-def test_the_command_writes_what_it_found(study, columns, tmp_path):
+def test_the_command_writes_what_it_found(study, columns, tmp_path, sphrom):
     case, table = tmp_path / "lid.yaml", tmp_path / "lab.csv"
     case.write_text(dump_yaml(CASE))
     names = ("time", U, "drag_force_x")
     rows = [",".join(names), *(",".join(map(str, r)) for r in zip(*(columns[n] for n in names)))]  # noqa: B905
     table.write_text("\n".join(rows) + "\n")
-    command = ["fit", str(case), str(table), "--out", str(study.folder)]
-    result = CliRunner().invoke(app, command)
-    assert result.exit_code == 2
-    assert f"{U} has no noise" in result.output
-    result = CliRunner().invoke(app, [*command, "--noise", "1%"])
-    assert result.exit_code == 0, result.output
+    command = ("fit", case, table, "--out", study.folder)
+    assert f"{U} has no noise" in sphrom(*command, code=2).output
+    result = sphrom(*command, "--noise", "1%", code=0)
     assert "kinematic_viscosity [m2/s]" in result.output
     assert {p.suffix for p in study.folder.glob("fit-lab.*")} == {".h5", ".csv", ".png"}
-    with sphrom.open(study.folder / "fit-lab.h5") as stored:
+    with open_labelled(study.folder / "fit-lab.h5") as stored:
         assert stored.attrs["parameter_names"] == "reynolds,lid"
         assert stored["value"].values[0] == pytest.approx(120.0, rel=1e-2)
     rows = (study.folder / "fit-lab.csv").read_text().splitlines()[1:]
@@ -237,14 +233,12 @@ def test_the_command_writes_what_it_found(study, columns, tmp_path):
         (("--noise", "1%", "--name", "../there"), 2, "--name"),
         (("--noise", "2%", "--name", "other"), 0, "fit-other"),
     ):
-        result = CliRunner().invoke(app, [*command, *options])
-        assert result.exit_code == code
-        assert said in result.output
+        assert said in sphrom(*command, *options, code=code).output
     assert (study.folder / "fit-lab.h5").read_bytes() == before
     assert (study.folder / "fit-other.png").stat().st_size > 10_000
 
 
-def test_a_fit_needs_operators(columns, tmp_path):
+def test_a_fit_needs_operators(tmp_path):
     study = sphrom.Study(CASE, out=tmp_path, quiet=True)
     table = tmp_path / "lab.csv"
     table.write_text(f"time,{U},{U}_noise\n0.1,1,1\n0.2,1,1\n0.3,1,1\n")

@@ -71,8 +71,7 @@ def made(tmp_path_factory: pytest.TempPathFactory, sphrom) -> Path:
     """A folder with the case's file, and its artifacts in `runs`."""
     folder = tmp_path_factory.mktemp("forces")
     (folder / "body.yaml").write_text(yaml.safe_dump(CASE))
-    result = sphrom("run", folder / "body.yaml", "--out", folder / "runs", "--threads", 1)
-    assert result.exit_code == 0, result.output
+    sphrom("run", folder / "body.yaml", "--out", folder / "runs", "--threads", 1, code=0)
     return folder
 
 
@@ -113,7 +112,7 @@ def test_all_ways_to_a_place_give_one_field(made: Path, sphrom, name: str | None
         line, compared = comparison.samples(name, FULL)
     wanted = np.dstack((compared.velocity, compared.pressure))
     asked = ("--to", "csv", "--into", made / "tables", "--force")
-    assert sphrom("export", made / "body.yaml", *place, *asked).exit_code == 0
+    sphrom("export", made / "body.yaml", *place, *asked, code=0)
     _, rows = read_csv(made / "tables" / f"{f'rom-{name}' if name else 'fom'}-{RATE}.csv", "")
     table = np.array(rows, dtype=float)[:, 3:].reshape(wanted.shape)
     np.testing.assert_array_equal(table, wanted)
@@ -138,7 +137,7 @@ def test_a_stopped_run_goes_on_to_the_same_forces(
     shutil.copy(made / "runs" / "packing.h5", tmp_path / "runs")
     command = ("fom", made / "body.yaml", "--out", tmp_path / "runs", "--only", "reynolds=20")
     stop_at(9)
-    assert sphrom(*command, "--threads", 1).exit_code == 130
+    sphrom(*command, "--threads", 1, code=130)
     again = sphrom(*command, "--threads", 1, "--resume")
     assert "goes on from its checkpoint" in again.output
     name = f"fom-{RATE}.h5"
@@ -190,8 +189,7 @@ def test_tables_show_what_is_measured(made: Path) -> None:
 def test_figures_and_a_report_show_what_is_measured(made: Path, sphrom) -> None:
     place = (made / "body.yaml", "--out", made / "runs", "--set", "compare.plots=true")
     for command in (("compare", "--force"), ("report",)):
-        result = sphrom(*command[:1], *place, *command[1:], "--threads", 1)
-        assert result.exit_code == 0, result.output
+        sphrom(*command[:1], *place, *command[1:], "--threads", 1, code=0)
     assert "Measured over time" in (made / "runs" / "report.html").read_text()
     plots = {path.name for path in (made / "runs" / "plots").iterdir()}
     for name in ("force-drag", "measure-flux", "measure-wake", "measure-profile"):
@@ -199,8 +197,7 @@ def test_figures_and_a_report_show_what_is_measured(made: Path, sphrom) -> None:
 
 
 def test_sweeps_have_columns_for_what_is_measured(made: Path, sphrom) -> None:
-    result = sphrom("sweep", made / "body.yaml", "--out", made / "runs", "--workers", 1)
-    assert result.exit_code == 0, result.output
+    result = sphrom("sweep", made / "body.yaml", "--out", made / "runs", "--workers", 1, code=0)
     assert "flux flow rate mean [m2/s]" in result.output
     headings, rows = read_csv(made / "runs" / "sweep-fast.csv", "")
     last = dict(zip(headings, rows[-1], strict=True))
@@ -253,10 +250,7 @@ def test_a_trade_can_judge_by_what_is_measured(
     made: Path, sphrom, measured: str, judged: list[str]
 ) -> None:
     sets = [part for key in (*LISTS, f"trade.measure={measured}") for part in ("--set", key)]
-    result = sphrom(
-        "trade", made / "body.yaml", "--out", made / "runs", "--tolerance", "50%", *sets
-    )
-    assert result.exit_code == 0, result.output
+    sphrom("trade", made / "body.yaml", "--out", made / "runs", "--tolerance", "50%", *sets, code=0)
     document = json.loads((made / "runs" / "trade" / "trade.json").read_text())
     assert document["about"]["judged_by"] == f"relative L2 error of {measured} over time"
     own, *models = document["models"]

@@ -133,11 +133,10 @@ def test_operators_at_any_point_are_those_assembled_there(unprojected, given):
 
     states, every = 0.1 * np.random.default_rng(0).normal(size=(4, N_MODES)), np.arange(N_MODES)
     amplitude = np.full(4, 1.3)
-    norms = [
-        residual_norm(factor.of_model(operators, every), nu, factors=factors),
-        residual_norm(residual_factor(there, basis, expected).of_model(expected, every), nu),
-    ]
-    assert norms[0](states, amplitude) == pytest.approx(norms[1](states, amplitude), rel=1e-9)
+    whole, alone = factor.of_model(operators, every), residual_factor(there, basis, expected)
+    norm = residual_norm(alone.of_model(expected, every), nu, states, amplitude)
+    found = residual_norm(whole, nu, states, amplitude, factors)
+    assert found == pytest.approx(norm, rel=1e-9)
 
     around = {"viscosity": nu, "amplitude": 1.3, "factors": factors}
     rates = unprojected(points, basis, order=1)(states[0], around)

@@ -35,9 +35,8 @@ def browse(page: Path, folder: Path, *arguments: str) -> str:
 
 def test_report_without_figures(place, sphrom) -> None:
     swept = ("--set", "sweep={name: other, model: full, reynolds: [100]}")
-    assert sphrom("sweep", "tiny.yaml", *swept, "--workers", "1").exit_code == 0
-    result = sphrom("report", "tiny.yaml")
-    assert result.exit_code == 0, result.output
+    sphrom("sweep", "tiny.yaml", *swept, "--workers", "1", code=0)
+    sphrom("report", "tiny.yaml", code=0)
     text = (place / "report.html").read_text()
     assert "full: 1 run, 1 complete" in text
     assert "http" not in text.replace("http-equiv", "")
@@ -50,7 +49,7 @@ def test_report_without_figures(place, sphrom) -> None:
 @pytest.mark.slow
 def test_report_shows_tables_figures_training_and_trade(place, sphrom) -> None:
     figures = ("--set", "compare.plots=true")
-    assert sphrom("compare", "tiny.yaml", *figures, "--force").exit_code == 0
+    sphrom("compare", "tiny.yaml", *figures, "--force", code=0)
     drawn = {path.name for path in (place / "plots").iterdir()}
     for kind in ("centrelines", "errors", "fields", "overview"):
         assert {f"{kind}-reynolds{re}.png" for re in (100, 150, 200)} <= drawn
@@ -61,7 +60,7 @@ def test_report_shows_tables_figures_training_and_trade(place, sphrom) -> None:
         path.parent.mkdir()
         path.with_suffix(".csv").write_text(content)
         (path.parent / f"{path.parent.name}.png").write_bytes(pixels)
-    assert sphrom("report", "tiny.yaml", *figures).exit_code == 0
+    sphrom("report", "tiny.yaml", *figures, code=0)
     text = (place / "report.html").read_text()
     described = re.findall(r'<img alt="([^"]+)" src="data:image/png', text)
     assert len(set(described)) == len(drawn) + 3  # and the animation's, the training's, the trade's
@@ -80,13 +79,13 @@ def test_report_shows_tables_figures_training_and_trade(place, sphrom) -> None:
     ],
 )
 def test_missing_and_damaged_tables_are_said(
-    place, sphrom, refused, path: str, content: bytes | None, command: str
+    place, refused, path: str, content: bytes | None, command: str
 ) -> None:
     (place / path).unlink(missing_ok=True)
     if content is not None:
         (place / path).parent.mkdir(exist_ok=True)
         (place / path).write_bytes(content)
-    line = refused(sphrom("report", "tiny.yaml"))
+    line = refused("report", "tiny.yaml")
     assert line.startswith(f"error: {place / path} is ")
     assert f"`sphrom {command} tiny.yaml" in line
     assert not (place / "report.html").exists()
@@ -97,7 +96,7 @@ def test_missing_and_damaged_tables_are_said(
 def test_browser_shows_the_page_and_runs_the_animation(place, sphrom, tmp_path) -> None:
     from matplotlib.image import imread
 
-    assert sphrom("report", "tiny.yaml").exit_code == 0
+    sphrom("report", "tiny.yaml", code=0)
     page = place / "report.html"
     document = browse(page, tmp_path / "profile", "--dump-dom")
     # The player has written the time of the frame that it shows.

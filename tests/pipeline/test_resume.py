@@ -7,17 +7,14 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner, Result
 
 from sphrom.case.loader import load_case
-from sphrom.cli.app import app
 from sphrom.console import Reporter
 from sphrom.errors import ArtifactError
 from sphrom.offline import fom
@@ -36,13 +33,10 @@ KINDS = {
 """What is run to make an artifact."""
 
 
-def sphrom(*arguments: object) -> Result:
-    return CliRunner().invoke(app, [str(argument) for argument in arguments])
-
-
-def again(kind: str, *options: object) -> Result:
-    stage, *only = KINDS[kind][0]
-    return sphrom(stage, *TINY, *only, *options)
+@pytest.fixture
+def again(sphrom) -> Callable[..., Any]:
+    """Make the artifact of a kind."""
+    return lambda kind, *options, code=None: sphrom(*KINDS[kind][0], *TINY, *options, code=code)
 
 
 def leftovers(folder: Path) -> list[str]:
@@ -62,7 +56,9 @@ def killed(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("kind", "step"), [("full", 1), ("full", 6), ("galerkin", 5), ("apg", 6), ("apg", 1)]
 )
-def test_an_interrupted_run_goes_on_to_the_same_bits(place, digests, stop_at, kind, step) -> None:
+def test_an_interrupted_run_goes_on_to_the_same_bits(
+    place, again, digests, stop_at, kind, step
+) -> None:
     before = digests(place)
     name = KINDS[kind][1]
     (place / name).unlink()
@@ -71,8 +67,7 @@ def test_an_interrupted_run_goes_on_to_the_same_bits(place, digests, stop_at, ki
     assert (stopped.exit_code, stopped.stderr.partition(";")[0]) == (130, "interrupted")
     assert f"{name}: checkpoint at step {step - 1}; `--resume` goes on there" in stopped.stdout
     assert not (place / name).exists()
-    resumed = again(kind, "--resume")
-    assert resumed.exit_code == 0, resumed.output
+    resumed = again(kind, "--resume", code=0)
     assert f"{name}: goes on from its checkpoint at step {step - 1} of " in resumed.stdout
     assert f", from step {step - 1}: " in resumed.stdout
     assert digests(place) == before
@@ -81,63 +76,60 @@ def test_an_interrupted_run_goes_on_to_the_same_bits(place, digests, stop_at, ki
 
 @pytest.mark.parametrize(("every", "step"), [(0, 7), (1000, 2)])
 def test_a_killed_run_goes_on_from_its_last_checkpoint(
-    place, digests, stop_at, killed, every, step
+    place, again, digests, stop_at, killed, every, step
 ) -> None:
     before = digests(place)
     (place / FULL).unlink()
     stop_at(step)
-    assert again("full", "--checkpoint-every", every).exit_code == 130
+    again("full", "--checkpoint-every", every, code=130)
     assert (leftovers(place) == []) == (every == 1000)
-    resumed = again("full", "--resume")
-    assert resumed.exit_code == 0
-    assert (f"at step {step - 1} of" in resumed.stdout) == (every == 0)
+    assert (f"at step {step - 1} of" in again("full", "--resume", code=0).stdout) == (every == 0)
     assert digests(place) == before
     assert leftovers(place) == []
 
 
-def test_a_checkpoint_is_neither_used_nor_lost_unasked(place, digests, stop_at) -> None:
+def test_a_checkpoint_is_neither_used_nor_lost_unasked(
+    place, again, sphrom, digests, stop_at
+) -> None:
     before = digests(place)
     (place / FULL).unlink()
     stop_at(5)
     again("full")
     kept = leftovers(place)
     for stage in ("fom", "run"):
-        result = sphrom(stage, *TINY)
-        assert result.exit_code == 3
+        result = sphrom(stage, *TINY, code=3)
         assert result.stderr.startswith(
             f"error: {FULL} was stopped, and has a checkpoint: `--resume` continues it from step 4"
         )
     assert leftovers(place) == kept
-    anew = again("full", "--force")
-    assert anew.exit_code == 0
+    anew = again("full", "--force", code=0)
     assert f"warning: {FULL}: starts anew; its checkpoint at step 4 of" in anew.stderr
     assert digests(place) == before
     assert leftovers(place) == []
 
 
-def test_what_a_killed_process_was_writing_is_removed(place, digests, stop_at) -> None:
+def test_what_a_killed_process_was_writing_is_removed(place, again, digests) -> None:
     """Parts that no state counts on, and files that never came to their names."""
     before = digests(place)
     litter = (f"{FULL}.part-3", f".{FULL}.part-4.tmp", f".{FULL}.checkpoint.tmp")
     for name in litter:
         (place / name).write_bytes(b"half")
-    assert again("full").exit_code == 0  # the artifact is there: they are of no use
+    again("full", code=0)  # the artifact is there: they are of no use
     assert not any((place / name).exists() for name in litter)
     (place / FULL).unlink()
     for name in litter:
         (place / name).write_bytes(b"half")
-    assert again("full").exit_code == 0
+    again("full", code=0)
     assert not any((place / name).exists() for name in litter)
     assert digests(place) == before
 
 
-def test_run_passes_resume_on(empty, digests, finished, stop_at) -> None:
+def test_run_passes_resume_on(empty, sphrom, digests, finished, stop_at) -> None:
     """To whatever was running: here it is stopped in the first full run, and in the second."""
     for step in (9, 3):
         stop_at(step)
-        assert sphrom("run", *TINY, "--resume").exit_code == 130
-    result = sphrom("run", *TINY, "--resume")
-    assert result.exit_code == 0, result.output
+        sphrom("run", *TINY, "--resume", code=130)
+    sphrom("run", *TINY, "--resume", code=0)
     assert digests(empty) == digests(finished[0] / "runs" / "tiny")
     assert leftovers(empty) == []
 
@@ -147,35 +139,31 @@ def test_run_passes_resume_on(empty, digests, finished, stop_at) -> None:
     [("part-1", "flipped"), ("part-1", "removed"), ("checkpoint", "flipped")],
 )
 def test_damaged_checkpoints_are_never_gone_on_from(
-    place, digests, stop_at, flip, ending, damage
+    place, again, digests, stop_at, flip, ending, damage
 ) -> None:
     before = digests(place)
     (place / FULL).unlink()
     stop_at(8)
     again("full")
     (flip if damage == "flipped" else Path.unlink)(place / f"{FULL}.{ending}")
-    refused = again("full", "--resume")
-    assert refused.exit_code == 3
+    refused = again("full", "--resume", code=3)
     assert f"{FULL}.{ending} is " in refused.stderr
     assert "--force" in refused.stderr
-    anew = again("full", "--resume", "--force")
-    assert anew.exit_code == 0
-    assert "warning: " in anew.stderr
+    assert "warning: " in again("full", "--resume", "--force", code=0).stderr
     assert digests(place) == before
     assert leftovers(place) == []
 
 
-def test_a_checkpoint_of_another_case(place, stop_at) -> None:
+def test_a_checkpoint_of_another_case(place, again, stop_at) -> None:
     (place / FULL).unlink()
     stop_at(5)
     again("full")
-    refused = again("full", "--resume", "--set", "fluid.mach_number=0.09")
-    assert refused.exit_code == 3
+    refused = again("full", "--resume", "--set", "fluid.mach_number=0.09", code=3)
     assert "was made with another case (fluid.mach_number is 0.1 there, 0.09 here" in refused.stderr
 
 
 @pytest.fixture
-def stopped_elsewhere(place, stop_at, monkeypatch) -> Callable[[str], None]:
+def stopped_elsewhere(place, again, stop_at, monkeypatch) -> Callable[[str], None]:
     """Leave a checkpoint that another version, or a processor of another kind, computed."""
 
     def leave(name: str) -> None:
@@ -184,26 +172,23 @@ def stopped_elsewhere(place, stop_at, monkeypatch) -> Callable[[str], None]:
         with monkeypatch.context() as elsewhere:
             other = {**computes_with(), name: "other"}
             elsewhere.setattr("sphrom.store.checkpoints.computes_with", lambda: other)
-            assert again("full").exit_code == 130
+            again("full", code=130)
 
     return leave
 
 
 @pytest.mark.parametrize("name", ["numba", "processor"])
 def test_a_checkpoint_of_another_version_or_processor(
-    place, digests, stopped_elsewhere, name
+    place, again, digests, stopped_elsewhere, name
 ) -> None:
     before = digests(place)
     stopped_elsewhere(name)
     kept = leftovers(place)
-    refused = again("full", "--resume")
-    assert refused.exit_code == 3
-    (line,) = refused.stderr.splitlines()
+    (line,) = again("full", "--resume", code=3).stderr.splitlines()
     assert f"computed with {name} other there, {computes_with()[name]} here;" in line
     assert "`--resume --force` insists" in line
     assert leftovers(place) == kept
-    insisted = again("full", "--resume", "--force")
-    assert insisted.exit_code == 0
+    insisted = again("full", "--resume", "--force", code=0)
     assert f"{FULL}: goes on from its checkpoint at step 4 of" in insisted.stdout
     assert f"computed with {name} other there" in insisted.stderr
     assert digests(place) == before
@@ -221,7 +206,7 @@ def test_runs_that_nobody_can_insist_on_start_anew(place, digests, stopped_elsew
 
 @pytest.mark.parametrize("most_pending", [0, 2**26])
 def test_a_disk_that_is_full_at_a_checkpoint_does_not_end_a_run(
-    place, digests, monkeypatch, most_pending
+    place, again, digests, monkeypatch, most_pending
 ) -> None:
     """A warning says so; snapshots that no checkpoint takes are not kept in memory."""
     tried = []
@@ -234,14 +219,15 @@ def test_a_disk_that_is_full_at_a_checkpoint_does_not_end_a_run(
     (place / FULL).unlink()
     monkeypatch.setattr(checkpoints, "write_record", refuse)
     monkeypatch.setattr(checkpoints, "MOST_PENDING", most_pending)
-    result = again("full", "--checkpoint-every", 0)
-    assert result.exit_code == 0
+    result = again("full", "--checkpoint-every", 0, code=0)
     assert result.stderr.count("no checkpoint was written: the disk is full") == len(tried)
     assert (len(tried) == 1) == (most_pending == 0)
     assert digests(place) == before
 
 
-def test_what_waits_for_a_checkpoint_is_bounded(place, digests, stop_at, killed, monkeypatch):
+def test_what_waits_for_a_checkpoint_is_bounded(
+    place, again, digests, stop_at, killed, monkeypatch
+):
     """Many snapshots bring it forward."""
     monkeypatch.setattr(checkpoints, "MOST_PENDING", 40_000)
     before = digests(place)
@@ -249,7 +235,7 @@ def test_what_waits_for_a_checkpoint_is_bounded(place, digests, stop_at, killed,
     stop_at(9)
     again("full", "--checkpoint-every", 1000)
     assert leftovers(place)
-    assert again("full", "--resume").exit_code == 0
+    again("full", "--resume", code=0)
     assert digests(place) == before
 
 
@@ -258,18 +244,14 @@ def test_what_waits_for_a_checkpoint_is_bounded(place, digests, stop_at, killed,
     ("number", "code", "word"),
     [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")],
 )
-def test_signals_leave_a_checkpoint(empty, digests, number, code, word) -> None:
+def test_signals_leave_a_checkpoint(empty, wait_for, number, code, word) -> None:
     long = ("--set", "time.final_time=40", "--threads", "1", "--only", "reynolds=100")
     process = subprocess.Popen(
         [sys.executable, "-m", "sphrom", "fom", "tiny.yaml", *long, "--checkpoint-every", "0.1"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:
-        deadline = time.monotonic() + 60.0
-        while not list(empty.glob(f"{FULL}.checkpoint*")):
-            assert process.poll() is None
-            assert time.monotonic() < deadline
-            time.sleep(0.02)
+        wait_for(process, lambda: list(empty.glob(f"{FULL}.checkpoint*")))
         process.send_signal(number)
         out, errors = process.communicate(timeout=30)
     finally:
@@ -281,7 +263,9 @@ def test_signals_leave_a_checkpoint(empty, digests, number, code, word) -> None:
     shutil.rmtree(empty)
 
 
-def test_a_folder_that_is_removed_while_a_run_writes_stays_removed(empty, monkeypatch) -> None:
+def test_a_folder_that_is_removed_while_a_run_writes_stays_removed(
+    empty, sphrom, monkeypatch
+) -> None:
     step_taken, folder = time_loop.watched_step, empty.resolve()
 
     def removed(rates: Any, state: Any, steps: Any, step: int) -> Any:
@@ -290,8 +274,7 @@ def test_a_folder_that_is_removed_while_a_run_writes_stays_removed(empty, monkey
         return step_taken(rates, state, steps, step)
 
     monkeypatch.setattr(time_loop, "watched_step", removed)
-    result = sphrom("fom", *TINY, "--only", "reynolds=100", "--checkpoint-every", 0)
-    assert result.exit_code == 3
+    result = sphrom("fom", *TINY, "--only", "reynolds=100", "--checkpoint-every", 0, code=3)
     assert result.stderr.count("\n") == 1
     assert "was removed " in result.stderr
     assert not list(empty.parent.rglob("*.part-*"))
@@ -301,16 +284,13 @@ def test_a_folder_that_is_removed_while_a_run_writes_stays_removed(empty, monkey
 @pytest.mark.parametrize(
     ("ending", "options"), [("checkpoint", ("--resume", "--force")), ("part-1", ())]
 )
-def test_a_folder_where_a_checkpoint_has_to_be(place, ending, options) -> None:
+def test_a_folder_where_a_checkpoint_has_to_be(place, again, ending, options) -> None:
     folder = place / f"{FULL}.{ending}"
     folder.mkdir()
     (folder / "kept").write_text("of somebody")
-    kept = again("full")
-    assert kept.exit_code == 0, kept.output
+    again("full", code=0)
     (place / FULL).unlink()
-    result = again("full", *options)
-    assert result.exit_code == 3
-    assert f"error: {folder} is a folder where" in result.stderr
+    assert f"error: {folder} is a folder where" in again("full", *options, code=3).stderr
     assert (folder / "kept").read_text() == "of somebody"
 
 
@@ -324,19 +304,18 @@ CHANNEL = {
 }
 
 
-def test_a_spin_up_goes_on_too(tmp_path, digests, stop_at) -> None:
+def test_a_spin_up_goes_on_too(tmp_path, sphrom, digests, stop_at) -> None:
     """Between walls, and with no snapshot at which the list of neighbours is built anew."""
     case = tmp_path / "channel.yaml"
     case.write_text(json.dumps(CHANNEL))
     run = ("fom", case, "--threads", 1)
-    assert sphrom(*run, "--out", tmp_path / "whole").exit_code == 0
+    sphrom(*run, "--out", tmp_path / "whole", code=0)
     out = tmp_path / "stopped"
     for step in (7, 23, 3):
         stop_at(step)
-        stopped = sphrom(*run, "--out", out, "--resume")
-        assert stopped.exit_code == 130
+        sphrom(*run, "--out", out, "--resume", code=130)
         (name,) = {left.partition(".h5")[0] for left in leftovers(out)}
         assert name.startswith("fom-" if (out / "spin-up-reynolds2400.h5").exists() else "spin-up-")
-    assert sphrom(*run, "--out", out, "--resume").exit_code == 0
+    sphrom(*run, "--out", out, "--resume", code=0)
     assert digests(out) == digests(tmp_path / "whole")
     assert leftovers(out) == []

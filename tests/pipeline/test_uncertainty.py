@@ -78,20 +78,6 @@ def swept(folder, monkeypatch, told):
     return run
 
 
-@pytest.fixture
-def counted(monkeypatch):
-    """The points at which runs are made."""
-    points: list[Any] = []
-    run = SweptModel.run
-
-    def note(self: SweptModel, point: Any) -> Any:
-        points.append(point)
-        return run(self, point)
-
-    monkeypatch.setattr(SweptModel, "run", note)
-    return points
-
-
 def read(path: Path) -> tuple[Statistics, np.ndarray, np.ndarray]:
     """Return statistics, the energies (n_runs, n_snapshots), and the estimated errors."""
     with open_artifact(path, "sphrom/sweep", made_by="") as artifact:

@@ -13,7 +13,6 @@ from scipy.linalg import expm
 from sphrom.reduction.exponential_steps import (
     ExponentialModel,
     LinearPart,
-    Propagation,
     StepRatio,
     integrals,
 )
@@ -72,9 +71,10 @@ def test_integrals_are_those_of_the_exponential(time: float) -> None:
 
 
 def test_integrals_at_multiples_are_those_there() -> None:
-    halves = Propagation(LINEAR, 0.003)
+    linear = LinearPart(LINEAR)
     for multiple in (7, 1, 2, 40):
-        assert np.allclose(halves.at(multiple), integrals(LINEAR, 0.003 * multiple), atol=1e-11)
+        expected = integrals(LINEAR, 0.003 * multiple)
+        assert np.allclose(linear.integrals(0.003, multiple), expected, atol=1e-11)
 
 
 @pytest.mark.parametrize("n_intervals", [1, 2, 7, 200, 834])

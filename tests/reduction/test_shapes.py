@@ -6,13 +6,7 @@ import numpy as np
 import pytest
 import shapely
 
-from sphrom.reduction.spline import (
-    cell_grid,
-    default_cell_width,
-    fit_splines,
-    fitting_cells,
-    fluid_share,
-)
+from sphrom.reduction.spline import default_cell_width, fit_splines
 from sphrom.sph.fluid import Discretization
 from sphrom.sph.packing import pack
 from sphrom.sph.polygon_domain import PolygonDomain
@@ -62,13 +56,3 @@ def test_splines_serve_all_of_the_fluid(name: str) -> None:
     assert not np.isnan(error).any()
     assert error.max() < 2e-5
     assert np.sqrt(np.mean(error**2)) < 1e-6
-
-
-@pytest.mark.parametrize("name", DOMAINS)
-def test_shares_of_fluid_add_up_to_its_area(name: str) -> None:
-    domain = DOMAINS[name]
-    grid = cell_grid(domain, fitting_cells(domain, 3.0 * SPACING))
-    share = fluid_share(grid, domain)
-    assert share.sum() * grid.cell_width * grid.cell_height == pytest.approx(domain.area)
-    assert share.min() == 0.0
-    assert share.max() == pytest.approx(1.0)

@@ -9,8 +9,7 @@ from sphrom.metrics.series import kinetic_energy
 from sphrom.reduction import trial_basis
 from sphrom.reduction.trial_basis import (
     InnerProduct,
-    KineticEnergy,
-    SpeedBounds,
+    ModeVelocities,
     TrialBasis,
     reconstruct,
 )
@@ -34,6 +33,7 @@ def test_they_are_those_of_all_points_and_snapshots(monkeypatch, seed, decay):
     coordinates = np.random.default_rng(seed).standard_normal((20, 4)) * decay ** np.arange(4)
     _, velocity = reconstruct(BASIS, coordinates)
     expected = np.linalg.norm(velocity, axis=-1).max()
-    assert SpeedBounds(BASIS).largest(coordinates) == pytest.approx(expected, rel=1e-14)
-    energy = KineticEnergy(BASIS, 2.5).of(coordinates)
+    modes = ModeVelocities(BASIS)
+    assert modes.largest_speed(coordinates) == pytest.approx(expected, rel=1e-14)
+    energy = modes.kinetic_energy(coordinates, 2.5)
     np.testing.assert_allclose(energy, kinetic_energy(velocity, 2.5), rtol=1e-13)

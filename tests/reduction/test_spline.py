@@ -10,7 +10,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import RBFInterpolator
 
-from sphrom.reduction.mode_splines import first_modes
 from sphrom.reduction.spline import LocalSplines, fit_splines
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
@@ -243,6 +242,6 @@ def test_bad_data_are_refused() -> None:
 
 
 def test_splines_of_the_first_modes_are_those_of_the_whole_basis(settings, positions) -> None:
-    basis, whole = settings["periodic"].basis, settings["periodic"].splines
-    first = first_modes(whole, basis, 2)
+    whole = settings["periodic"].splines
+    first = whole.first(2)
     np.testing.assert_array_equal(first.values(positions), whole.values(positions)[:, :6])

@@ -2,34 +2,24 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 
-import sphrom
 from sphrom.scenes.reference_profiles import profiles_for
 
-SCRIPTS = Path(sphrom.__file__).parents[1] / "scripts"
 
-
-def test_few_modes_give_the_stored_profiles():
-    sys.path.insert(0, str(SCRIPTS))
-    try:
-        from lid_transient import Cavity
-    finally:
-        sys.path.remove(str(SCRIPTS))
+def test_few_modes_give_the_stored_profiles(script):
+    lid_transient = script("lid_transient")
     stored = {
         profile.name: profile
         for profile in profiles_for("lid-driven-cavity", "regularised", 100.0)
         if profile.time == 1.0
     }
-    cavity = Cavity(20, 0.01)
+    cavity = lid_transient.Cavity(20, 0.01)
     state = cavity.integrate(1.0, 40, cavity.start())
     places = np.linspace(0.0, 1.0, 101)
     for name, line in zip(("u along y", "v along x"), cavity.profiles(state, places), strict=True):
         expected = np.interp(places, stored[name].coordinate, stored[name].value)
         assert np.abs(line - expected).max() < 1e-4, name
-    cavity = Cavity(28, 0.01)
+    cavity = lid_transient.Cavity(28, 0.01)
     for line in cavity.profiles(cavity.start(), np.linspace(0.0, 0.4, 5)):
         assert np.abs(line).max() < 1e-2  # it starts at rest

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
 import sys
 import time
 from pathlib import Path
@@ -11,10 +10,7 @@ from types import ModuleType
 
 import pytest
 
-import sphrom
-
 pytestmark = pytest.mark.slow
-SCRIPTS = Path(sphrom.__file__).parents[1] / "scripts"
 PROGRAM = '"""Twice."""\n\n\ndef twice(x):\n    return x + x\n'
 TWICE = "from sphrom.tiny import twice\n"
 CASE = "tests/test_tiny.py"
@@ -32,17 +28,16 @@ def test_twice():
 
 
 @pytest.fixture
-def mutants(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+def mutants(script, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     """The script, for a program of one function."""
-    monkeypatch.syspath_prepend(str(SCRIPTS))
-    script = importlib.import_module("mutants")
-    monkeypatch.setattr(script, "ROOT", tmp_path / "program")
+    mutants = script("mutants")
+    monkeypatch.setattr(mutants, "ROOT", tmp_path / "program")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
     for file, text in {"sphrom/__init__.py": "", "sphrom/tiny.py": PROGRAM}.items():
-        (script.ROOT / file).parent.mkdir(parents=True, exist_ok=True)
-        (script.ROOT / file).write_text(text)
-    return script
+        (mutants.ROOT / file).parent.mkdir(parents=True, exist_ok=True)
+        (mutants.ROOT / file).write_text(text)
+    return mutants
 
 
 def run(mutants: ModuleType, monkeypatch: pytest.MonkeyPatch, tests: str, *options: str) -> None:

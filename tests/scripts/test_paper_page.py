@@ -2,23 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-import sphrom
 
-
-@pytest.fixture
-def phase_lead(monkeypatch):
-    monkeypatch.syspath_prepend(str(Path(sphrom.__file__).parents[1] / "scripts"))
-    return importlib.import_module("paper_page").phase_lead
-
-
-def test_a_phase_that_drifts_is_followed_beyond_half_a_period(phase_lead) -> None:
+def test_a_phase_that_drifts_is_followed_beyond_half_a_period(script) -> None:
     """Ahead is positive: a wave that comes early has its crest early."""
+    phase_lead = script("paper_page").phase_lead
     time = 5.0 + np.linspace(0.0, 1.0, 801)
     reference = 3.0 + np.sin(2.0 * np.pi * 4.6 * time + 1.0)
     ahead = 2.0 * np.sin(2.0 * np.pi * 4.6 * (time + 0.1 / 4.6) + 1.0)

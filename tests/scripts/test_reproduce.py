@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import sys
 from pathlib import Path
 
@@ -21,23 +20,12 @@ KINDS = {"share": "space basis modes", "compression": "run reynolds", "error": "
          "trough": "run quantity time between reynolds"}  # fmt: skip
 
 
-def _script(name: str):
-    sys.path.insert(0, str(ROOT / "scripts"))
-    try:
-        return importlib.import_module(name)
-    finally:
-        sys.path.remove(str(ROOT / "scripts"))
-
-
-def _claims(scene: str) -> list[dict]:
-    return yaml.safe_load((ROOT / "scripts" / "paper_claims" / f"{scene}.yaml").read_text())
-
-
 @pytest.mark.parametrize("scene", SCENES)
 def test_every_claim_can_be_looked_up(scene):
     corrected, printed = (load_case(ROOT / f"cases/{scene}{end}.yaml") for end in ("", "_paper"))
     names = {model.name: model for model in corrected.rom}
-    for claim in _claims(scene):
+    claims = (ROOT / "scripts" / "paper_claims" / f"{scene}.yaml").read_text()
+    for claim in yaml.safe_load(claims):
         assert {"where", "what", "paper"} <= claim.keys()
         assert set(KINDS[claim["find"]].split()) <= claim.keys(), claim["what"]
         assert claim.get("basis", "all") in corrected.plan.bases
@@ -61,13 +49,12 @@ def test_every_figure_of_the_paper_is_asked_for(scene):
 
 @pytest.mark.parametrize("scene", SCENES)
 @pytest.mark.parametrize("factor", [2.0, 5.0])
-def test_a_coarser_case_keeps_its_snapshots(scene, factor, tmp_path):
-    coarser = _script("reproduce").coarser
+def test_a_coarser_case_keeps_its_snapshots(scene, factor, tmp_path, script):
+    coarser = script("reproduce").coarser
     for end in ("", "_paper"):
         path = ROOT / f"cases/{scene}{end}.yaml"
         whole = load_case(path)
         file = tmp_path / path.name
-
         file.write_text(dump_yaml(coarser(read_yaml(path.read_text()).value, factor)))
         case = load_case(file)
         assert case.discretization.resolution == whole.discretization.resolution / factor
@@ -77,8 +64,10 @@ def test_a_coarser_case_keeps_its_snapshots(scene, factor, tmp_path):
         assert case.plan.steps.time_step > 1.4 * whole.plan.steps.time_step
 
 
-def test_what_it_costs_is_told_and_refused_where_it_is_too_much(tmp_path, monkeypatch, capsys):
-    reproduce = _script("reproduce")
+def test_what_it_costs_is_told_and_refused_where_it_is_too_much(
+    tmp_path, monkeypatch, capsys, script
+):
+    reproduce = script("reproduce")
     arguments = ["reproduce.py", "open-cavity", "--coarser", "10", "--out", str(tmp_path)]
     monkeypatch.setattr(
         reproduce, "full_seconds", lambda case, n_runs: 1e-3 * case.plan.steps.n_steps

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import importlib
 import sys
-from pathlib import Path
 
 import pytest
 
-import sphrom
 from sphrom.case.loader import load_case
 from sphrom.console import Reporter
 from sphrom.offline import fom
 from sphrom.setup.context import StageContext
 
 pytestmark = pytest.mark.slow
-SCRIPTS = Path(sphrom.__file__).parents[1] / "scripts"
 CASE = """
 name: cavity
 scene: {kind: lid-driven-cavity}
@@ -35,16 +31,11 @@ def stored(request, tmp_path):
     return file, tmp_path / "runs"
 
 
-def _run(stored, monkeypatch, *options: str) -> int:
-    monkeypatch.syspath_prepend(str(SCRIPTS))
-    steps = importlib.import_module("steps")
-    monkeypatch.setattr(sys, "argv", ["steps.py", *map(str, stored), *options])
-    return steps.main()
-
-
-def test_differences_vanish_with_the_step_of_the_stored_run(stored, capsys, monkeypatch):
+def test_differences_vanish_with_the_step_of_the_stored_run(stored, capsys, monkeypatch, script):
     def differences(*options: str) -> dict[str, float]:
-        assert _run(stored, monkeypatch, "--reynolds", "100", *options) == 0
+        command = ["steps.py", *map(str, stored), "--reynolds", "100", *options]
+        monkeypatch.setattr(sys, "argv", command)
+        assert script("steps").main() == 0
         lines = capsys.readouterr().out.splitlines()
         return {words[0]: float(words[-1]) for line in lines if len(words := line.split()) == 2}
 

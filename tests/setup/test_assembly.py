@@ -5,21 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.case.models import Case
 from sphrom.scenes.flows import LidDrivenCavity, LogisticForce, OpenCavity, TaylorGreen
 from sphrom.setup import particles
 
 
-def make(kind: str, resolution: int = 40, **sections: object) -> Case:
-    scene = {"kind": kind, **sections.pop("scene", {})}  # type: ignore[dict-item]
-    discretization = {"resolution": resolution, **sections.pop("discretization", {})}  # type: ignore[dict-item]
-    return Case.model_validate(
-        {"name": "x", "scene": scene, "discretization": discretization, **sections}
-    )
-
-
-def test_taylor_green() -> None:
-    case = make("taylor-green", scene={"pressure_sign": "paper"})
+def test_taylor_green(case_of) -> None:
+    case = case_of("taylor-green", scene={"pressure_sign": "paper"})
     point = case.plan.points[0]
     flow = case.plan.flow(point)
     assert flow == TaylorGreen(1.0, 1.0, 1000.0, 0.01, pressure_sign=-1.0)
@@ -30,8 +21,8 @@ def test_taylor_green() -> None:
     assert functional.discretization.shifting_transport == "advective"
 
 
-def test_lid_driven_cavity() -> None:
-    case = make("lid-driven-cavity", scene={"lid": "uniform"}, fluid={"reference_speed": 3.0})
+def test_lid_driven_cavity(case_of) -> None:
+    case = case_of("lid-driven-cavity", scene={"lid": "uniform"}, fluid={"reference_speed": 3.0})
     point = case.plan.points[0]
     assert case.plan.flow(point) == LidDrivenCavity(1.0, 3.0, "uniform")
     assert case.plan.flow(point).exact is None
@@ -46,9 +37,9 @@ def test_lid_driven_cavity() -> None:
     assert functional.discretization.fixed_volume
 
 
-def test_open_cavity() -> None:
+def test_open_cavity(case_of) -> None:
     force = {"switch_time": 0.01, "sustained_share": 0.001}
-    case = make("open-cavity", scene={"body_force": force})
+    case = case_of("open-cavity", scene={"body_force": force})
     point = case.plan.points[0]
     assert case.plan.flow(point) == OpenCavity(force=LogisticForce(**force))
     assert case.plan.flow(point).exact is None
@@ -59,8 +50,8 @@ def test_open_cavity() -> None:
 
 
 @pytest.mark.parametrize("kind", ["taylor-green", "lid-driven-cavity", "open-cavity"])
-def test_a_case_and_its_flow_agree_on_where_the_fluid_is(kind: str) -> None:
-    case = make(kind)
+def test_a_case_and_its_flow_agree_on_where_the_fluid_is(case_of, kind: str) -> None:
+    case = case_of(kind)
     flow = case.plan.flow(case.plan.points[0])
     assert case.scene.domain == flow.domain
     assert (flow.exact is not None) == case.scene.has_exact_solution
@@ -76,8 +67,8 @@ def test_a_case_and_its_flow_agree_on_where_the_fluid_is(kind: str) -> None:
     [("taylor-green", 1.0, 10.0), ("lid-driven-cavity", 1.0, 10.0), ("open-cavity", 0.4, 20.0)],
 )
 def test_the_longest_standing_wave_has_a_half_of_its_length_in_the_box(
-    kind: str, length: float, sound_speed: float
+    case_of, kind: str, length: float, sound_speed: float
 ) -> None:
     """Between walls L apart sound stands at c0 / (2 L), c0 / L, ..."""
-    period = make(kind).plan.longest_sound_period
+    period = case_of(kind).plan.longest_sound_period
     assert period == pytest.approx(2.0 * length / sound_speed, rel=1e-12)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
+from pathlib import Path
+
 import numpy as np
 import pytest
 from matplotlib.quiver import Quiver
-from typer.testing import CliRunner
 
 from sphrom.case.models import Case
 from sphrom.case.scenes import DEFAULTS
-from sphrom.cli.app import app
 from sphrom.setup.draw import draw
 
 SCENE = {
@@ -51,20 +52,18 @@ def test_every_scene_can_be_drawn(kind: str) -> None:
 
 
 @pytest.mark.parametrize(("name", "head"), [("a.png", b"\x89PNG"), ("a.svg", b"<?xml")])
-def test_the_file_s_name_says_its_format(sphrom_case, name: str, head: bytes) -> None:
-    result = sphrom_case("-o", name)
-    assert result.exit_code == 0, result.output
-    path = sphrom_case.folder / name
-    first = path.read_bytes()
+def test_the_file_s_name_says_its_format(draw_small, name: str, head: bytes) -> None:
+    draw_small("-o", name, code=0)
+    first = Path(name).read_bytes()
     assert first.startswith(head)
-    assert sphrom_case("-o", name).exit_code == 2  # it is there
-    assert sphrom_case("-o", name, "--force").exit_code == 0
-    assert path.read_bytes() == first
+    draw_small("-o", name, code=2)  # it is there
+    draw_small("-o", name, "--force", code=0)
+    assert Path(name).read_bytes() == first
 
 
-def test_without_a_name_it_is_the_case_s(sphrom_case) -> None:
-    assert sphrom_case().exit_code == 0
-    assert (sphrom_case.folder / "small.png").is_file()
+def test_without_a_name_it_is_the_case_s(draw_small) -> None:
+    draw_small(code=0)
+    assert Path("small.png").is_file()
 
 
 @pytest.mark.parametrize(
@@ -76,28 +75,19 @@ def test_without_a_name_it_is_the_case_s(sphrom_case) -> None:
         (["--set", "discretization.resolution=1000"], 2, "try --set discretization.resolution=250"),
     ],
 )
-def test_refusals(sphrom_case, arguments: list[str], code: int, words: str) -> None:
-    result = sphrom_case(*arguments)
-    assert result.exit_code == code
-    assert words in result.output.replace("\n", " ")
-    assert not list(sphrom_case.folder.glob("a*"))
+def test_refusals(draw_small, arguments: list[str], code: int, words: str) -> None:
+    assert words in draw_small(*arguments, code=code).output.replace("\n", " ")
+    assert not list(Path().glob("a*"))
 
 
 @pytest.fixture
-def sphrom_case(tmp_path, monkeypatch):
+def draw_small(sphrom, tmp_path, monkeypatch):
     """Draw a small case in a folder of its own."""
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "small.yaml").write_text(
+    Path("small.yaml").write_text(
         "name: small\nscene: {kind: taylor-green}\ndiscretization: {resolution: 20}\n"
     )
-
-    class Draw:
-        folder = tmp_path
-
-        def __call__(self, *arguments: str):
-            return CliRunner().invoke(app, ["case", "draw", "small.yaml", *arguments])
-
-    return Draw()
+    return partial(sphrom, "case", "draw", "small.yaml")
 
 
 def test_what_is_measured_is_drawn_with_its_name() -> None:

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
@@ -16,7 +15,6 @@ from sphrom.sph.functional import Functional
 SPACING = 0.0625
 FLUID = Fluid(reference_density=800.0, sound_speed=7.0, kinematic_viscosity=0.013, max_speed=0.9)
 DISCRETIZATION = Discretization(SPACING, 1.6 * SPACING, shifting=False)
-BOX = BoxDomain((0.5, -0.25), (1.25, 0.625), (True, True))
 SCALE = FLUID.sound_speed / FLUID.reference_density
 NO_DIFFUSION = {"diffusion_coefficient": 0.0}
 
@@ -32,21 +30,13 @@ class Setting:
 
     def __init__(self, scenes, rates, name: str, seed: int = 3, **options) -> None:
         self.at_points = rates
-        self.scene = None if name == "periodic" else scenes[name]
-        self.domain = BOX if self.scene is None else self.scene.domain
+        self.scene = scenes[name]
+        self.domain = self.scene.domain
         self.discretization = replace(DISCRETIZATION, **options)
+        self.position = self.scene.state(seed)[:2].T
         random = np.random.default_rng(seed)
-        if self.scene is None:
-            axes = [
-                low + SPACING * (np.arange(n) + 0.5)
-                for low, n in zip(BOX.lower, (12, 14), strict=True)
-            ]
-            self.position = np.stack([a.ravel() for a in np.meshgrid(*axes)], axis=1)
-            self.position += 0.3 * SPACING * random.uniform(-1.0, 1.0, self.position.shape)
-        else:
-            self.position = self.scene.state(seed)[:2].T
         self.q, self.u, self.v = random.standard_normal((3, len(self.position)))
-        self.force = None if self.scene is None else self.scene.body_force
+        self.force = self.scene.body_force
         self.points = FixedPoints(
             self.position,
             FLUID,
@@ -57,7 +47,7 @@ class Setting:
         )
 
     def walls(self, speed: float):
-        if self.scene is None:
+        if not self.domain.has_walls:
             return None
         at_rest = self.domain.ghosts(SPACING, self.discretization.n_layers)
         return at_rest.moving(lambda place: speed * self.scene.wall_velocity(place))
@@ -237,7 +227,7 @@ def test_other_readings_are_refused(setting, name: str, options: dict, words: st
 
 
 def test_without_walls_their_readings_do_not_matter(setting) -> None:
-    assert setting("periodic", wall_continuity="paper", no_slip="paper").points.n_points == 168
+    assert setting("periodic", wall_continuity="paper", no_slip="paper").points.n_points == 224
 
 
 def ghost_forces(here: Setting, q, velocity, speed: float, amplitude: float) -> np.ndarray:

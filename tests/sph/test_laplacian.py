@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
@@ -94,26 +92,6 @@ def test_shear_along_flat_walls_has_no_friction(ratio: float) -> None:
         found[no_slip] = np.max(np.abs(functional(state)[3:]))
     assert found["linear"] < 1e-10
     assert found["whole"] > 0.1
-
-
-@pytest.mark.parametrize("kind", ["jittered", "random"])
-@pytest.mark.parametrize("ratio", [1.5, 4.0])
-def test_pairs_of_particles_push_one_another_alike(
-    scatter: Callable, kind: str, ratio: float
-) -> None:
-    """However volumes and factors differ, momentum stays, to rounding."""
-    spacing = 0.0625
-    box = BoxDomain((0.0, 0.0), (1.0, 1.0), (True, True))
-    state = scatter((0.0, 0.0), spacing, (16, 16), kind, seed=1, amplitude=0.1)
-    options = {"shifting": False, "diffusion_coefficient": 0.0}
-    thick, thin = (
-        Functional(
-            Fluid(1.0, 10.0, nu, 1.0), Discretization(spacing, ratio * spacing, **options), box
-        )
-        for nu in (1.0, 0.0)
-    )
-    force = thick.mass * (thick(state) - thin(state))[3:]
-    assert np.max(np.abs(force.sum(axis=1))) < 1e-12 * np.abs(force).sum()
 
 
 @pytest.mark.parametrize("ratio", [1.5, 2.0, 3.0, 4.0])

@@ -133,62 +133,16 @@ def test_far_from_walls_they_are_not_felt(
     assert np.all(np.any(first[:, beside] != second[:, beside], axis=0))
 
 
-@pytest.mark.parametrize("name", ["lid", "forced cavity"])
+@pytest.mark.parametrize("transport", ["advective", "paper"])
+@pytest.mark.parametrize("name", ["periodic", "lid", "forced cavity"])
 def test_is_bitwise_the_same_on_any_number_of_threads(
-    scenes: dict, same_on_threads, name: str
+    scenes: dict, same_on_threads, name: str, transport: str
 ) -> None:
-    functional = scenes[name].functional(**EVERYTHING)
+    functional = scenes[name].functional(**EVERYTHING, shifting_transport=transport)
     state = scenes[name].state(seed=6)
     same_on_threads(
         lambda: (functional(state, 0.4), functional.advection(state[:2], state[2], state[3:]))
     )
-
-
-TURNS = {
-    "quarter turn": np.array([[0.0, -1.0], [1.0, 0.0]]),
-    "half turn": -np.eye(2),
-    "mirror": np.diag([-1.0, 1.0]),
-    "mirror in the diagonal": np.array([[0.0, 1.0], [1.0, 0.0]]),
-}
-
-
-@pytest.mark.parametrize("name", TURNS)
-@pytest.mark.parametrize(
-    "options",
-    [
-        EVERYTHING,
-        {"wall_continuity": "normal", "no_slip": "paper"},
-        {"no_slip": "whole", "shifting_transport": "paper"},
-    ],
-    ids=["default", "normal", "whole"],
-)
-def test_a_square_box_has_the_symmetries_of_a_square(name: str, options: dict) -> None:
-    """Turned or mirrored, the fluid and the lid do as before: no corner is special."""
-    matrix = TURNS[name]
-    box = BoxDomain((-0.5, -0.5), (0.5, 0.5), (False, False))
-    discretization = Discretization(SPACING, 2.0 * SPACING, **options)
-
-    def lid(position: np.ndarray) -> np.ndarray:
-        above = (position[:, 1] > 0.5) & (np.abs(position[:, 0]) < 0.5)
-        return np.outer(above, [1.0, 0.0])
-
-    def build(turn: np.ndarray) -> Functional:
-        walls = box.ghosts(SPACING, 4).moving(lambda position: lid(position @ turn) @ turn.T)
-        return Functional(FLUID, discretization, box, walls)
-
-    random = np.random.default_rng(7)
-    position = box.fill(SPACING)
-    position += 0.4 * SPACING * random.uniform(-1.0, 1.0, position.shape)
-    state = np.vstack((position.T, random.standard_normal((3, len(position)))))
-
-    def turned(fields: np.ndarray) -> np.ndarray:
-        return np.vstack((matrix @ fields[:2], fields[2:3], matrix @ fields[3:]))
-
-    expected = turned(build(np.eye(2))(state))
-    out = build(matrix)(turned(state))
-    for rows in (slice(0, 2), slice(2, 3), slice(3, 5)):
-        error = np.max(np.abs(out[rows] - expected[rows]))
-        assert error < 1e-11 * np.max(np.abs(expected[rows]))
 
 
 def test_a_uniform_force_moves_a_periodic_box_as_a_whole() -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sphrom.metrics.histories import relative_discrepancy
+from sphrom.metrics.histories import instantaneous_range, relative_discrepancy
 from sphrom.metrics.samples import midpoints
 from sphrom.reduction.decomposition import decompose
 from sphrom.reduction.mode_splines import basis_columns
@@ -27,6 +27,10 @@ Array = NDArray[np.float64]
 
 RESOLUTION, RATIO, TIME, EVERY, N_MODES = 32, 4.0, 0.5, 2, 5
 LINE = np.stack((np.full(64, 0.5), midpoints(0.0, 1.0, 64)), axis=1)
+
+
+def discrepancy(approximation: Array, reference: Array) -> Array:
+    return relative_discrepancy(approximation, reference, instantaneous_range(reference))
 
 
 def mapped(run, points: Array, method: str = "mls") -> tuple[Array, Array]:
@@ -75,8 +79,8 @@ def discrepancies(run, model: ParticleModel, state: Array) -> tuple[Array, Array
         assert np.isfinite(x).all()
         assert np.isfinite(y).all()
         speed = np.linalg.norm(velocity[n], axis=1)
-        speed_errors.append(relative_discrepancy(np.linalg.norm(there.velocity, axis=0), speed))
-        pressure_errors.append(relative_discrepancy(there.density_fluctuation, density[n]))
+        speed_errors.append(discrepancy(np.linalg.norm(there.velocity, axis=0), speed))
+        pressure_errors.append(discrepancy(there.density_fluctuation, density[n]))
     return np.array(speed_errors), np.array(pressure_errors)
 
 
