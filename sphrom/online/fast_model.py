@@ -30,7 +30,6 @@ from sphrom.sph.fluid import ROUNDING
 from sphrom.store.starts import MappedStarts
 from sphrom.store.workspace import Workspace
 
-
 DOUBTFUL = 50.0
 """The estimated error from which a run is doubtful [%]: errors are up to twice their estimates."""
 

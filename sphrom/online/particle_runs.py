@@ -9,6 +9,7 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
+from sphrom.online.stable_ranges import against
 from sphrom.reduction.particle_model import ParticleModel, reduced_jacobian
 from sphrom.reduction.trial_basis import mean_density_fluctuation, project
 from sphrom.setup import assembly, particles
@@ -73,6 +74,8 @@ def run_point(workspace: Workspace, model: ReducedModelSection, point: Parameter
     steps = TimeSteps(time_step, n_steps, every, plan.start_time, check_every=every)
     workspace.require(workspace.basis())
     workspace.require(workspace.splines())
+    for text in against(workspace, model, point):
+        workspace.context.report.warn(f"{model.name}, {point.label}: {text}")
     reduced, state = build_model(workspace, model, point)
     target = workspace.reduced_run(model, point)
     with workspace.create(target, assembly.run_attributes(case, point, time_step)) as artifact:

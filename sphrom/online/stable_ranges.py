@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.plots.tables import format_figure, read_json
+from sphrom.store.trained_models import sized_in
 from sphrom.store.workspace import Workspace
 
 FILE = "trade/extremes.json"
@@ -47,6 +47,19 @@ class StableRange:
     """The greatest stable or right value by formula, eigenvalue or estimate; None without any."""
     predicted_by: str
 
+    @property
+    def is_unstable(self) -> bool:
+        """Whether it is unstable anywhere between the least and the greatest value."""
+        return (self.stable_from, self.stable_to) != (self.least, self.greatest)
+
+    @property
+    def words(self) -> str:
+        """Where it is right, as a sentence has it."""
+        if self.right_from is None or self.right_to is None:
+            return f"right at no {self.varied}"
+        span = f"{format_figure(self.right_from)} to {format_figure(self.right_to)}"
+        return f"right for a {self.varied} from {span}{UNITS.get(self.varied, '')}"
+
     def says(self, value: float) -> str:
         """Return in words why a run at a value may be unstable or not right; empty if it is."""
         unit = UNITS.get(self.varied, "")
@@ -75,36 +88,36 @@ def stable_ranges(workspace: Workspace) -> list[StableRange]:
         return []
     document = read_json(path, made_by, {"ranges": StableRange})
     own = document["about"].get("basis") == workspace.basis().inputs_digest
-    return document["ranges"] if own else []
+    return list(document["ranges"]) if own else []
 
 
 def ranges_of(
-    ranges: list[StableRange], section: ReducedModelSection, n_modes: int
+    workspace: Workspace, section: ReducedModelSection, point: ParameterPoint
 ) -> list[StableRange]:
-    """Return the ranges of a model with its number of modes."""
+    """Return the ranges of a model of the case, with its number of modes at a parameter point."""
+    case = workspace.case
+    basis, n_modes = case.plan.basis_for(section, point), section.n_modes
+    if n_modes == AUTO:
+        n_modes = sized_in(workspace, section, basis).size
     kind = "fast" if section.from_operators else "particles"
-    method = "exponential" if section.time_step == AUTO else "runge-kutta"
+    method = {"": "", STEP: "exponential" if section.time_step == AUTO else "runge-kutta"}
     return [
         each
-        for each in ranges
+        for each in stable_ranges(workspace)
         if (each.kind, each.projection, each.n_modes) == (kind, section.projection, n_modes)
-        and each.steps in ("", method if each.varied == STEP else "exponential")
+        and each.steps in ("", method.get(each.varied, "exponential"))
     ]
 
 
-def warnings_of(
-    case: Case,
-    ranges: list[StableRange],
-    section: ReducedModelSection,
-    n_modes: int,
-    point: ParameterPoint,
+def against(
+    workspace: Workspace, section: ReducedModelSection, point: ParameterPoint
 ) -> Iterator[str]:
-    """Yield what maps say against a run of a model at a parameter point."""
+    """Yield what maps of the extremes say against a run of a model at a parameter point."""
     asked: dict[str, float] = dict(point.as_dict())
-    asked[TIME] = case.plan.model_steps(section).end_time
+    asked[TIME] = workspace.case.plan.model_steps(section).end_time
     for name, value in ((STEP, section.time_step), (MEMORY, section.memory_length)):
         if isinstance(value, float):
             asked[name] = value
-    for each in ranges_of(ranges, section, n_modes):
+    for each in ranges_of(workspace, section, point):
         if each.varied in asked and (text := each.says(asked[each.varied])):
             yield text

@@ -54,7 +54,7 @@ def global_basis(case: Case) -> str:
     return ALL if first == LOCAL else first
 
 
-def _first(case: Case) -> ReducedModelSection:
+def first_model(case: Case) -> ReducedModelSection:
     """Return the first reduced model of a case. Raises CaseError where there is none."""
     if not case.rom:
         raise CaseError("rom: the case has no reduced models, so there is nothing to weigh")

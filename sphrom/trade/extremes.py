@@ -9,7 +9,7 @@ its own. Runs on particles in other steps leave no artifacts.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
@@ -32,10 +32,11 @@ from sphrom.offline import map as mapping
 from sphrom.online.basis_model import BasisModel
 from sphrom.online.fast_model import FastModel
 from sphrom.online.particle_runs import build_model, close
+from sphrom.online.stable_ranges import MEMORY, STEP, TIME
 from sphrom.reduction.particle_model import reduced_jacobian
 from sphrom.reduction.polynomial_model import EXPONENTIAL, RUNGE_KUTTA, steps_within
 from sphrom.reduction.reduced_rates import stability_limits
-from sphrom.reduction.reference_model import Integrator, ReferenceModel, choose, runge_kutta
+from sphrom.reduction.reference_model import ReferenceModel, Steps, choose, runge_kutta
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.sph.fluid import fluctuation_of, pressure_of
@@ -57,13 +58,11 @@ from sphrom.trade.candidates import (
     workspace_of,
 )
 from sphrom.trade.stability import (
-    MEMORY,
     ONE_RUN,
     RESOLUTION,
-    STEP,
-    TIME,
     ExtremeRun,
     cause_of_divergence,
+    kind_of,
     limiting_step,
     longest_memory,
     publish,
@@ -174,6 +173,7 @@ class _Maps:
         self.case, self.grid = case, probes_of(case).grid
         self.trained = case.plan.bases[basis]
         self.models = [FastModel(self.workspace, section) for section in sections]
+        self._galerkin = [each for each in sections if each.projection == "galerkin"]
         self._truths: dict[tuple[ParameterPoint, float, bool], Truth | None] = {}
         self._modes: dict[BasisModel, GridModes] = {}
 
@@ -223,7 +223,7 @@ class _Maps:
             yield self._marched(found, functional, begin, truth, factor)
             for model in self._with_particles():
                 yield self._on_particles(model, STEP, factor, self.point, truth, factor)
-            for fast, method in product(self.models, (EXPONENTIAL, RUNGE_KUTTA)):
+            for method, fast in product((EXPONENTIAL, RUNGE_KUTTA), self.models):
                 yield self._fast(fast, STEP, factor, self.point, truth, factor, method)
 
     def _memory_lengths(self) -> Iterator[ExtremeRun]:
@@ -279,30 +279,37 @@ class _Maps:
         """Yield the runs of models that learn from the first training run alone."""
         case, only = self.case, self.trained[0]
         others = [point for point in case.plan.points if point != only]
-        if len(self.trained) == 1:
+        if not others:
             return
-        tested = trained_at(case, others).parameters.train
-        section = trained_at(case, [only]).parameters.model_copy(update={"test": tested})
-        one = case.model_copy(update={"parameters": section, "basis": self._basis(case)})
-        sizes = {
-            m.section.size: m.section for m in self.models if m.section.projection == "galerkin"
+        # The same points, so that all full runs and their maps serve.
+        parameters = trained_at(case, [only]).parameters
+        parameters = parameters.model_copy(
+            update={"test": trained_at(case, others).parameters.train}
+        )
+        n_modes = min(case.plan.n_modes, case.plan.steps.n_snapshots)
+        alone = {"subsets": {}, "lagrangian": False, "n_modes": n_modes}
+        sections = [m for m in self._galerkin if m.size <= n_modes]
+        changes = {
+            "name": "extreme-one-training-run",
+            "parameters": parameters,
+            "basis": case.basis.model_copy(update=alone),
+            "rom": _of_all(sections),
         }
-        kept = [m for size, m in sizes.items() if size <= one.plan.basis_size(ALL)]
-        one = one.model_copy(update={"rom": _of_all(kept), "name": "extreme-one-training-run"})
         kinds = ("packing", "state", "trajectory", "reference-snapshots")
-        own = self._learnt(one, dict.fromkeys(kinds, self.workspace.out))
+        folders = dict.fromkeys(kinds, self.workspace.out)
+        own = self._learnt(case.model_copy(update=changes), folders)
         at = self.point.as_dict()
         for value in self._extreme_values(REYNOLDS):
             point = case.plan.point(at | {REYNOLDS: value})
+            truth = self._truth(point)
             for model in own.case.rom:
-                yield self._fast(FastModel(own, model), ONE_RUN, value, point, self._truth(point))
+                yield self._fast(FastModel(own, model), ONE_RUN, value, point, truth)
 
     def _full_models(self) -> Iterator[ExtremeRun]:
-        """Yield the runs of varied full models and of what learns from them; a failure is a state."""
+        """Yield the runs of varied full models, and of the models that learn from them."""
         own = self._truth(self.point)
-        sections = [m.section for m in self.models if m.section.projection == "galerkin"]
         for varied, value, variant in varied_models(
-            self.case, (self.trained, self.point), sections
+            self.case, (self.trained, self.point), self._galerkin
         ):
             found = self._described(varied, value, self.point, "full")
             try:
@@ -360,7 +367,7 @@ class _Maps:
         return truth.within(since - 1e-6, np.inf)
 
     def _learnt(self, variant: Case, folders: Mapping[str, Any]) -> Workspace:
-        """Make a variant's full runs and the artifacts of its reduced models; return their workspace.
+        """Make a variant's full runs and its reduced models; return their workspace.
 
         Raises UnstableError when a full run is unstable, CaseError when the case can't have that
         value, ResourceError when a run would not fit this machine.
@@ -474,10 +481,18 @@ class _Maps:
         try:
             close(self.case, section, model, state, self.case.plan.steps.start_time)
             jacobian = reduced_jacobian(model, state, self.case.plan.steps.start_time)
+            jacobian = jacobian[: section.size, : section.size]
         except (np.linalg.LinAlgError, ValueError, UnstableError) as error:
             return replace(found, state="unstable", reason=str(error))
-        limit = stability_limits(np.linalg.eigvals(jacobian).astype(np.complex128)).min()
-        found = replace(found, predicted=float(limit) / self.case.plan.steps.time_step)
+        values, vectors = np.linalg.eig(jacobian)
+        limits = stability_limits(values.astype(np.complex128))
+        worst = int(limits.argmin())
+        basis = FastModel(self.workspace, section).at_point(point).basis
+        found = replace(
+            found,
+            mechanism=kind_of(basis, values[worst], vectors[:, worst]),
+            predicted=float(limits[worst]) / self.case.plan.steps.time_step,
+        )
         return self._marched(found, model, state, truth, factor)
 
     def _marched(
@@ -509,13 +524,8 @@ class _Maps:
         samples = Samples(full.time, velocities, pressures)
         return self._compared(found, samples, Truth(full, snapshots[both]))
 
-    @staticmethod
-    def _basis(case: Case) -> Any:
-        """Return the section of one basis."""
-        return case.basis.model_copy(update={"subsets": {}, "lagrangian": False})
 
-
-def _runge_kutta(factor: float, part: ReferenceModel) -> Any:
+def _runge_kutta(factor: float, part: ReferenceModel) -> Steps:
     n_steps = steps_within(part.output_times.duration, factor * part.step_limit)
     return runge_kutta(part, n_steps)
 

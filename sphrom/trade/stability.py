@@ -17,15 +17,24 @@ import numpy as np
 from sphrom.arrays import Array
 from sphrom.case.points import REYNOLDS
 from sphrom.online.fast_model import FastRun
-from sphrom.online.stable_ranges import FILE, MEMORY, MOST_ERROR, STEP, TIME, StableRange
+from sphrom.online.stable_ranges import (
+    FILE,
+    MEMORY,
+    MOST_ERROR,
+    STEP,
+    TIME,
+    UNITS,
+    StableRange,
+)
 from sphrom.plots.canvas import new_figure, save, styled
 from sphrom.plots.tables import format_figure, write_csv, write_json
 from sphrom.reduction.polynomial_model import EXPONENTIAL, RUNGE_KUTTA
 from sphrom.reduction.reduced_rates import stability_limits
 from sphrom.reduction.reference_model import Integrator, ReferenceModel
+from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.setup.assembly import MOST_GROWTH
 from sphrom.store.workspace import Workspace
-from sphrom.text import counted, exact
+from sphrom.text import counted
 from sphrom.trade.candidates import FOLDER
 
 if TYPE_CHECKING:
@@ -34,9 +43,20 @@ if TYPE_CHECKING:
 
 ONE_RUN, RESOLUTION = "reynolds, one training run", "resolution"
 PERCENT = {"unit": "%"}
+Errors = tuple[float | None, float | None]
+"""Of velocity and pressure [%]."""
 State = Literal["", "right", "stable", "unstable", "refused"]
 COLOURS = {"right": "#9fd8c4", "stable": "#f4d58d", "unstable": "#e8906a", "refused": "#d9d9d9"}
-IN_A_ROW = 2
+HEADINGS = ("model", "right", "stable", "wrong below", "wrong above", "predicted")
+OVER = {
+    STEP: " over the automatic one",
+    MEMORY: " over the automatic one",
+    TIME: " over the trained one",
+}
+ALL_WRONG = 100.0
+"""Errors above that are no result [%]."""
+IN_A_ROW, WIDTH, HEIGHT, ABOUT, LETTERS = 2, 7.5, 0.3, 0.6, 5.5
+"""Maps in a row, their width, the height of a model and of title and labels [inch], letters."""
 SOUND = 0.1
 """Share of the pressure in the energy of an eigenvector, above which it is sound."""
 PER_DECADE, DECADES = 20, 3
@@ -49,7 +69,7 @@ class ExtremeRun:
 
     varied: str
     value: float
-    """Of the varied quantity; steps and memory lengths over the automatic, times over the trained."""
+    """Of the varied quantity: steps and memories over the automatic, times over the trained."""
     parameters: str
     kind: Literal["full", "particles", "fast"]
     projection: str = ""
@@ -89,11 +109,9 @@ class ExtremeRun:
         return f"{name}, M = {self.n_modes}{on}{scheme}"
 
     @property
-    def errors(self) -> tuple[float, float] | None:
+    def errors(self) -> Errors | None:
         """Errors of velocity and pressure [%]."""
-        if self.velocity_error is None or self.pressure_error is None:
-            return None
-        return self.velocity_error, self.pressure_error
+        return None if self.velocity_error is None else (self.velocity_error, self.pressure_error)
 
     @property
     def natural(self) -> float:
@@ -108,7 +126,7 @@ class ExtremeRun:
 def limiting_step(reduced: ReferenceModel) -> tuple[str, float]:
     """Return what limits Runge-Kutta steps of a model, and the largest stable one [s].
 
-    It is an eigenvector of the Jacobian around the start or a training state: sound where pressure
+    An eigenvector of the Jacobian around the start or a training state does: sound where pressure
     has a good part of its energy, else viscosity where it decays faster than it turns, else
     convection.
     """
@@ -117,11 +135,11 @@ def limiting_step(reduced: ReferenceModel) -> tuple[str, float]:
     limits = stability_limits(values.ravel().astype(np.complex128))
     worst = int(limits.argmin())
     vector = vectors.transpose(0, 2, 1).reshape(limits.size, -1)[worst]
-    return _kind_of(reduced, values.ravel()[worst], vector), float(limits[worst])
+    return kind_of(reduced.basis, values.ravel()[worst], vector), float(limits[worst])
 
 
-def _kind_of(reduced: ReferenceModel, value: complex, vector: Array) -> str:
-    basis = reduced.basis
+def kind_of(basis: TrialBasis, value: complex, vector: Array) -> str:
+    """Return what an eigenvalue [1/s] and its eigenvector (n_modes,) of a Jacobian are."""
     pressure = (basis.density_modes * basis.weights) @ basis.density_modes.T
     if (vector.conj() @ pressure @ vector).real > SOUND * np.linalg.norm(vector) ** 2:
         return "sound"
@@ -182,9 +200,19 @@ def judged(runs: Sequence[ExtremeRun], default: tuple[str, int]) -> list[Extreme
     half = next((r for r in coarse if r.parameters == own.parameters), None)
     allowed = {"fast": own.errors, "particles": own.errors, "full": half and half.errors}
     found = [replace(r, state=r.state or _state(r, allowed[r.kind])) for r in runs]
-    right = {(r.varied, r.model) for r in found if r.value == 1.0 and r.state == "right"}
+    # In exponential steps as long as the automatic ones, and with their memory.
+    right = {
+        (r.varied, r.kind, r.projection, r.n_modes)
+        for r in found
+        if (r.value, r.state) == (1.0, "right") and r.steps != RUNGE_KUTTA
+    }
     return [
-        replace(r, mechanism=_cause(r, allowed[r.kind], (r.varied, r.model) in right))
+        replace(
+            r,
+            mechanism=_cause(
+                r, allowed[r.kind], (r.varied, r.kind, r.projection, r.n_modes) in right
+            ),
+        )
         if r.state == "stable"
         else r
         for r in found
@@ -196,18 +224,19 @@ def _default_of(runs: Sequence[ExtremeRun], default: tuple[str, int]) -> Extreme
     return next(r for r in found if (r.projection, r.n_modes) == default)
 
 
-def _within(errors: tuple[float, float] | None, allowed: tuple[float, float] | None) -> bool:
+def _within(errors: Errors | None, allowed: Errors | None) -> bool:
     if errors is None or allowed is None:
         return False
-    return all(a <= MOST_ERROR * b for a, b in zip(errors, allowed, strict=True))
+    pairs = zip(errors, allowed, strict=True)
+    return all(a is not None and b is not None and a <= MOST_ERROR * b for a, b in pairs)
 
 
-def _state(run: ExtremeRun, allowed: tuple[float, float] | None) -> State:
+def _state(run: ExtremeRun, allowed: Errors | None) -> State:
     same = run.kind == "full" and run.velocity_error == 0.0
     return "right" if same or _within(run.errors, allowed) else "stable"
 
 
-def _cause(run: ExtremeRun, allowed: tuple[float, float] | None, right_by_default: bool) -> str:
+def _cause(run: ExtremeRun, allowed: Errors | None, right_by_default: bool) -> str:
     """Return what makes a stable run wrong; empty where nothing tells."""
     if run.errors is None or allowed is None:
         return ""
@@ -215,9 +244,9 @@ def _cause(run: ExtremeRun, allowed: tuple[float, float] | None, right_by_defaul
         causes = {"Mach number": "compressibility", "h/dx": "smoothing", STEP: run.mechanism}
         return causes.get(run.varied, "spacing")
     before = "extrapolated " if run.extrapolated else ""
-    if run.velocity_best is not None and run.pressure_best is not None:
-        if not _within((run.velocity_best, run.pressure_best), allowed):
-            return f"{before}modes"
+    best = run.velocity_best, run.pressure_best
+    if run.velocity_best is not None and not _within(best, allowed):
+        return f"{before}modes"
     if right_by_default and run.varied == STEP:
         return "convection" if run.steps == EXPONENTIAL else "sound"
     if right_by_default and run.varied == MEMORY:
@@ -309,92 +338,83 @@ def publish(
     runs = judged(runs, default)
     ranges, report = list(ranges_in(runs, default, own)), workspace.context.report
     write_csv(workspace.folder(FOLDER) / "extremes.csv", runs)
-    tables = {"extremes": runs, "ranges": ranges}
     about = {"basis": workspace.basis().inputs_digest}
+    tables = {"extremes": runs, "ranges": ranges}
     write_json(workspace.out / FILE, tables, workspace.case.name, workspace.threads, **about)
     save(draw_maps(runs), workspace.folder(FOLDER) / "extremes.png")
-    for varied in dict.fromkeys(each.varied for each in ranges):
-        rows = [
-            _cells(each, run)
-            for each, run in zip(ranges, map(_first, _series(runs)), strict=True)
-            if each.varied == varied
-        ]
-        report.table(f"{varied}: where models are stable, and right", HEADINGS, rows)
-    own_run = _default_of(runs, default)
-    if own_run.errors is not None:
-        velocity, pressure = (f"{format_figure(MOST_ERROR * e)} %" for e in own_run.errors)
+    rows: dict[str, list[tuple[str, ...]]] = {}
+    for each, series in zip(ranges, _series(runs), strict=True):
+        rows.setdefault(each.varied, []).append(_cells(each, series[0]))
+    for varied, cells in rows.items():
+        report.table(f"{varied}{UNITS.get(varied, '')}", HEADINGS, cells)
+    if (judge := _default_of(runs, default)).errors is not None:
+        velocity, pressure = (MOST_ERROR * (error or 0.0) for error in judge.errors)
         report.info(
-            f"right: errors at most twice those of {own_run.model} at {own_run.parameters}, {velocity} in velocity and {pressure} in pressure"
+            f"right is what is off by at most {format_figure(velocity)} % in velocity and "
+            f"{format_figure(pressure)} % in pressure, twice the errors of {judge.model} at "
+            f"{judge.parameters}"
         )
-    counts = {state: sum(run.state == state for run in runs) for state in COLOURS}
+    for note in (*notes, *dict.fromkeys(r.reason for r in runs if r.state == "refused")):
+        report.info(f"refused: {note}")
+    silent = [r for r in runs if r.errors and max(r.errors) > ALL_WRONG and not r.told]
+    counts = ", ".join(f"{sum(r.state == state for r in runs)} {state}" for state in COLOURS)
     report.result(
-        f"{counted(len(runs), 'run')}: " + ", ".join(f"{n} {state}" for state, n in counts.items())
+        f"{counted(len(runs), 'run')}: {counts}; {sum(r.kind == 'fast' for r in silent)} off by "
+        f"more than {ALL_WRONG:g} % without a warning of their own"
     )
-    for note in (*notes, *dict.fromkeys(_told(r) for r in runs if r.reason)):
-        report.info(note)
-    silent = [
-        r for r in runs if r.errors and max(r.errors) > 100.0 and not r.told and r.kind == "fast"
-    ]
-    report.info(f"{counted(len(silent), 'run')} off by more than 100 % without a warning")
-    report.info(f"extremes.csv, extremes.json and extremes.png are in {workspace.folder(FOLDER)}")
-
-
-HEADINGS = ("model", "right", "stable", "below", "above", "predicted")
-
-
-def _first(series: Sequence[ExtremeRun]) -> ExtremeRun:
-    return series[0]
-
-
-def _told(run: ExtremeRun) -> str:
-    return f"{run.varied} {exact(run.value)}, {run.model}, {run.state}: {run.reason}"
+    report.result(f"extremes.csv, extremes.json and extremes.png are in {workspace.out / FOLDER}")
 
 
 def _cells(each: StableRange, run: ExtremeRun) -> tuple[str, ...]:
-    def span(low: float | None, high: float | None) -> str:
-        return "nowhere" if low is None else f"{format_figure(low)} to {format_figure(high)}"
-
-    predicted = (
-        "" if each.predicted is None else f"{format_figure(each.predicted)} ({each.predicted_by})"
-    )
-    right, stable = span(each.right_from, each.right_to), span(each.stable_from, each.stable_to)
+    right, stable = _span(each.right_from, each.right_to), _span(each.stable_from, each.stable_to)
+    predicted = ""
+    if each.predicted is not None:
+        predicted = f"{format_figure(each.predicted)} ({each.predicted_by})"
     return run.model, right, stable, each.below, each.above, predicted
+
+
+def _span(low: float | None, high: float | None) -> str:
+    return "nowhere" if low is None else f"{format_figure(low)} to {format_figure(high)}"
 
 
 def draw_maps(runs: Sequence[ExtremeRun]) -> Figure:
     """Draw a map of each varied quantity: a row for each model, a column for each value.
 
-    Cells show the velocity error [%], and what makes a run wrong or unstable.
+    Cells show the errors of velocity and pressure [%], and what makes a run wrong or unstable.
     """
-    maps = list(dict.fromkeys(run.varied for run in runs))
-    series = {name: [s for s in _series(runs) if s[0].varied == name] for name in maps}
-    rows = [maps[k : k + IN_A_ROW] for k in range(0, len(maps), IN_A_ROW)]
-    heights = [0.9 + 0.3 * max(len(series[name]) for name in row) for row in rows]
+    maps: dict[str, list[list[ExtremeRun]]] = {}
+    for series in _series(runs):
+        maps.setdefault(series[0].varied, []).append(series)
+    rows = [list(maps)[k : k + IN_A_ROW] for k in range(0, len(maps), IN_A_ROW)]
+    longest = [max(len(maps[name]) for name in row) for row in rows]
     with styled():
-        figure = new_figure(IN_A_ROW * 7.5, sum(heights))
-        grid = figure.subplots(len(rows), IN_A_ROW, squeeze=False, height_ratios=heights)
-        for row, line in zip(grid, rows, strict=True):
-            for axes in row[len(line) :]:
-                axes.set_axis_off()
-            for axes, name in zip(row, line, strict=False):
-                _draw_map(axes, name, series[name])
+        figure = new_figure(IN_A_ROW * WIDTH, sum(ABOUT + HEIGHT * number for number in longest))
+        grid = figure.subplots(len(rows), IN_A_ROW, squeeze=False, height_ratios=longest)
+        for axes in grid.ravel()[len(maps) :]:
+            axes.set_axis_off()
+        for axes, (name, models) in zip(grid.ravel(), maps.items(), strict=False):
+            _draw_map(
+                axes, name, models, max(longest[k] for k, row in enumerate(rows) if name in row)
+            )
     return figure
 
 
-def _draw_map(axes: Axes, name: str, models: Sequence[Sequence[ExtremeRun]]) -> None:
+def _draw_map(axes: Axes, name: str, models: Sequence[Sequence[ExtremeRun]], n_rows: int) -> None:
     from matplotlib.patches import Rectangle
 
     values = sorted({run.value for series in models for run in series})
     for y, series in enumerate(models):
         for run in series:
             x = values.index(run.value)
-            axes.add_patch(
-                Rectangle((x - 0.5, y - 0.5), 1, 1, facecolor=COLOURS[run.state], edgecolor="white")
-            )
-            words = "" if run.velocity_error is None else format_figure(run.velocity_error, 2)
+            look = {"facecolor": COLOURS[run.state], "edgecolor": "white"}
+            axes.add_patch(Rectangle((x - 0.5, y - 0.5), 1, 1, **look))
+            words = " / ".join(format_figure(error, 2) for error in run.errors or ())
             if run.state != "right":
                 words = f"{words}\n{run.mechanism or run.state}".strip()
-            axes.text(x, y, words, ha="center", va="center", fontsize=5.5)
-    axes.set(xlim=(-0.5, len(values) - 0.5), ylim=(len(models) - 0.5, -0.5), title=name)
-    axes.set_xticks(range(len(values)), [format_figure(value) for value in values])
+            axes.text(x, y, words, ha="center", va="center", fontsize=LETTERS)
+    axes.set(xlim=(-0.5, len(values) - 0.5), ylim=(n_rows - 0.5, -0.5))
+    axes.set_title(f"{name}{OVER.get(name, '')}")
+    axes.set_xticks(range(len(values)), [f"{value:g}" for value in values])
     axes.set_yticks(range(len(models)), [series[0].model for series in models])
+    axes.spines[:].set_visible(False)
+    axes.tick_params(length=0.0, top=True, labeltop=True, bottom=False, labelbottom=False)

@@ -33,6 +33,7 @@ from sphrom.metrics.measures import mean_square
 from sphrom.metrics.samples import Samples
 from sphrom.online.error_estimates import measured_errors, measured_shares
 from sphrom.online.fast_model import FastModel, FastRun
+from sphrom.online.stable_ranges import TIME, StableRange, stable_ranges
 from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Panel, draw_grid
 from sphrom.plots.tables import (
@@ -43,6 +44,7 @@ from sphrom.plots.tables import (
     write_json,
 )
 from sphrom.reduction import reference_model
+from sphrom.reduction.polynomial_model import EXPONENTIAL
 from sphrom.setup.assembly import role_of
 from sphrom.setup.context import StageContext
 from sphrom.store.sampling import probes_of
@@ -263,7 +265,13 @@ def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None)
     words = "`--tolerance 1%` recommends the cheapest model within 1 %"
     if tolerance is not None:
         possible = [row for row in rows if row.kind == "full" or row.keys is not None]
+        maps = {row.model: _mapped(workspace, row) for row in possible if row.kind != "full"}
+        unstable = [name for name, ranges in maps.items() if any(r.is_unstable for r in ranges)]
+        possible = [row for row in possible if row.model not in unstable]
         advice, words = recommend(possible, without, tolerance, measure)
+        advice["unstable_by_maps"] = ", ".join(unstable)
+        if told := "; ".join(each.words for each in maps.get(advice["model"], ())):
+            words += f". Its maps: {told}"
         tables["recommendation"] = rows_of_columns(dict.fromkeys(advice), [advice])
     case, path, seconds = workspace.case, folder / "trade.json", timed_words(workspace.case)
     words_of = {"seconds": seconds, "judged_by": measure.words}
@@ -284,6 +292,16 @@ def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None)
     )
     report.prose(words)
     report.info(f"tables, trade.json and trade.png are in {folder}")
+
+
+def _mapped(workspace: Workspace, row: ModelRow) -> list[StableRange]:
+    """Return what maps of the extremes say of a model in its automatic steps."""
+    name = "apg" if row.family == "APG" else "galerkin"
+    found = (r for r in stable_ranges(workspace) if (r.kind, r.steps) == ("fast", EXPONENTIAL))
+    asked = (*workspace.case.plan.parameter_names, TIME)
+    return [
+        r for r in found if (r.projection, r.n_modes) == (name, row.n_modes) and r.varied in asked
+    ]
 
 
 def timed_words(case: Case) -> str:
