@@ -18,7 +18,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from sphrom.arrays import Array
+from sphrom.arrays import Array, Indices
 from sphrom.case.checks import case_problems, coarser_resolution
 from sphrom.case.models import Case
 from sphrom.case.points import REYNOLDS, ParameterPoint, TestValues
@@ -30,13 +30,13 @@ from sphrom.metrics.samples import Samples
 from sphrom.offline import fit_psi, fom, operators, pod
 from sphrom.offline import map as mapping
 from sphrom.online.basis_model import BasisModel
-from sphrom.online.fast_model import FastModel
+from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.online.particle_runs import build_model, close
 from sphrom.online.stable_ranges import MEMORY, STEP, TIME
 from sphrom.reduction.particle_model import reduced_jacobian
 from sphrom.reduction.polynomial_model import EXPONENTIAL, RUNGE_KUTTA, steps_within
 from sphrom.reduction.reduced_rates import stability_limits
-from sphrom.reduction.reference_model import ReferenceModel, Steps, choose, runge_kutta
+from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps, choose, runge_kutta
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.sph.fluid import fluctuation_of, pressure_of
@@ -100,7 +100,7 @@ class Truth:
 
     samples: Samples
     """At the points where runs are compared."""
-    snapshots: Array
+    snapshots: Indices
     """Which snapshots of a reduced run these are."""
 
     def within(self, first: float, last: float) -> Truth:
@@ -150,11 +150,11 @@ def run(context: StageContext, quick: bool = False) -> None:
     Raises CaseError when the case has no reduced models, ArtifactError when a full run, the basis,
     its splines or the operators are missing.
     """
-    maps = _Maps(context, quick)
+    maps = Maps(context, quick)
     publish(maps.workspace, list(maps.runs()), maps.default, maps.own_values, maps.notes)
 
 
-class _Maps:
+class Maps:
     """All runs of the maps of a case."""
 
     def __init__(self, context: StageContext, quick: bool) -> None:
@@ -175,6 +175,7 @@ class _Maps:
         self.models = [FastModel(self.workspace, section) for section in sections]
         self._galerkin = [each for each in sections if each.projection == "galerkin"]
         self._truths: dict[tuple[ParameterPoint, float, bool], Truth | None] = {}
+        self._points: dict[str, ParameterPoint] = {}
         self._modes: dict[BasisModel, GridModes] = {}
 
     def _sized(
@@ -214,15 +215,14 @@ class _Maps:
     def _steps(self) -> Iterator[ExtremeRun]:
         truth, plan = self._truth(self.point), self.case.plan
         limits = plan.step_limits(self.point)
-        binding = "sound" if limits.acoustic <= limits.viscous else "viscosity"
         begin = start(self.workspace, self.point).state
         for factor in self.factors[STEP]:
-            found = self._described(STEP, factor, self.point, "full", mechanism=binding)
-            found = replace(found, predicted=limits.least / plan.steps.time_step)
+            found = self._described(STEP, factor, self.point, "full")
+            found.mechanism = "sound" if limits.acoustic <= limits.viscous else "viscosity"
+            found.predicted = limits.least / plan.steps.time_step
             functional = particles.functional(self.case, self.point)
             yield self._marched(found, functional, begin, truth, factor)
-            for model in self._with_particles():
-                yield self._on_particles(model, STEP, factor, self.point, truth, factor)
+            yield from self._on_particles(factor, truth)
             for method, fast in product((EXPONENTIAL, RUNGE_KUTTA), self.models):
                 yield self._fast(fast, STEP, factor, self.point, truth, factor, method)
 
@@ -232,17 +232,16 @@ class _Maps:
             if model.section.projection == "galerkin":
                 continue
             automatic = model.at(self.point).memory_length or 0.0
-
-            def closed(
-                factor: float, of: FastModel = model, length: float = automatic
-            ) -> FastModel:
-                changed = {"memory_length": factor * length}
-                return FastModel(self.workspace, of.section.model_copy(update=changed))
-
-            longest = longest_memory(lambda factor, at=closed: at(factor).at(self.point))
+            closed = partial(self._closed, model.section, automatic)
+            longest = longest_memory(*(closed(factor).at(self.point) for factor in (1.0, 2.0)))
             for factor in self.factors[MEMORY]:
                 found = self._fast(closed(factor), MEMORY, factor, self.point, truth)
-                yield replace(found, predicted=longest)
+                found.predicted = longest
+                yield found
+
+    def _closed(self, section: ReducedModelSection, automatic: float, factor: float) -> FastModel:
+        length = {"memory_length": factor * automatic}
+        return FastModel(self.workspace, section.model_copy(update=length))
 
     def _parameters(self) -> Iterator[ExtremeRun]:
         at = self.point.as_dict()
@@ -251,9 +250,8 @@ class _Maps:
                 point = self.case.plan.point(at | {name: value})
                 truth, coarse = self._truth(point), self._truth(point, coarse=True)
                 if truth is not None and coarse is not None:
-                    yield self._compared(
-                        self._described(name, value, point, "full"), coarse.samples, truth
-                    )
+                    found = self._described(name, value, point, "full", steps=", half as fine")
+                    yield _compared(found, coarse.samples, truth.samples)
                 for model in self.models:
                     yield self._fast(model, name, value, point, truth)
 
@@ -316,10 +314,10 @@ class _Maps:
                 made = self._learnt(variant, {})
                 truth = self._full_run(made, self.point)
             except (UnstableError, CaseError, ResourceError) as error:
-                state = "unstable" if isinstance(error, UnstableError) else "refused"
-                yield replace(found, state=state, reason=str(error))
+                yield _failed(found, error)
                 continue
-            yield self._compared(found, truth.samples, own)
+            if own is not None:
+                yield _compared(found, truth.samples, own.samples)
             for model in made.case.rom:
                 yield self._fast(FastModel(made, model), varied, value, self.point, truth)
 
@@ -361,7 +359,7 @@ class _Maps:
     def _full_run(self, workspace: Workspace, point: ParameterPoint, stride: int = 1) -> Truth:
         with StoredRun.opened(workspace, point) as stored:
             samples = stored.sampled(self.grid)
-        truth = Truth(samples, stride * np.arange(len(samples.time)))
+        truth = Truth(samples, stride * np.arange(len(samples.time), dtype=np.int64))
         steps = self.case.plan.steps
         since = (self.case.compare.from_time - steps.start_time) / steps.snapshot_interval
         return truth.within(since - 1e-6, np.inf)
@@ -384,20 +382,21 @@ class _Maps:
     # Runs
 
     def _described(
-        self, varied: str, value: float, point: ParameterPoint, kind: Any, **more: Any
+        self,
+        varied: str,
+        value: float,
+        point: ParameterPoint,
+        kind: Literal["full", "particles", "fast"],
+        section: ReducedModelSection | None = None,
+        steps: str = "",
     ) -> ExtremeRun:
-        return ExtremeRun(varied=varied, value=value, parameters=point.label, kind=kind, **more)
-
-    def _compared(
-        self, found: ExtremeRun, samples: Samples, truth: Truth, best: Samples | None = None
-    ) -> ExtremeRun:
-        """Return a run with its errors, and those of the nearest states in its basis."""
-        velocity, pressure = errors_of(samples, truth.samples)
-        found = replace(found, velocity_error=velocity, pressure_error=pressure)
-        if best is None:
-            return found
-        velocity, pressure = errors_of(best, truth.samples)
-        return replace(found, velocity_best=velocity, pressure_best=pressure)
+        self._points[point.label] = point
+        found = ExtremeRun(
+            varied=varied, value=value, parameters=point.label, kind=kind, steps=steps
+        )
+        if section is not None:
+            found.projection, found.n_modes = section.projection, section.size
+        return found
 
     def _fast(
         self,
@@ -413,8 +412,7 @@ class _Maps:
     ) -> ExtremeRun:
         """Run a fast model in steps that are a factor as long as the automatic ones."""
         basis = model.at_point(point)
-        size = {"projection": basis.section.projection, "n_modes": basis.section.size}
-        found = self._described(varied, value, point, "fast", steps=method, **size)
+        found = self._described(varied, value, point, "fast", basis.section, steps=method)
         try:
             reduced = model.at(point)
             times = reduced.output_times
@@ -423,77 +421,52 @@ class _Maps:
             integrator = basis.integrator(reduced).with_steps(factor)
             if method == RUNGE_KUTTA:
                 integrator = choose(reduced, partial(_runge_kutta, factor))
-                name, limit = limiting_step(reduced)
-                found = replace(
-                    found, mechanism=name, predicted=factor * limit / integrator.steps.time_step
-                )
-            run = model.run(point, reduced, integrator)
+                found.mechanism, limit = limiting_step(reduced)
+                found.predicted = factor * limit / integrator.steps.time_step
+            run = self.integrated(found, model, reduced, integrator)
         except CaseError as refused:  # Its steps are too many for any run to end.
-            return replace(found, state="refused", reason=str(refused))
-        found = replace(
-            found,
-            time_step=run.time_step,
-            memory_length=reduced.memory_length,
-            extrapolated=bool(run.outside),
-        )
+            return _failed(found, refused)
+        found.time_step, found.memory_length = run.time_step, reduced.memory_length
+        found.extrapolated = bool(run.outside)
         if run.failure is not None:
-            cause = cause_of_divergence(run, integrator)
-            state = {"state": "unstable", "reason": str(run.failure), "mechanism": cause}
-            return replace(found, **state, diverged_at=run.diverged_at)
+            found.state, found.diverged_at = "unstable", run.diverged_at
+            found.mechanism = cause_of_divergence(run, integrator)
+            found.reason = f"{str(run.failure).partition(';')[0]}: {found.mechanism}"
+            return found
         if (own := run.estimate) is not None:
-            estimates = {
-                "velocity_estimate": own.velocity_percent,
-                "pressure_estimate": own.pressure_percent,
-            }
-            found = replace(found, **estimates)
-        found = replace(found, told="; ".join(run.doubts))
+            found.velocity_estimate = own.velocity_percent
+            found.pressure_estimate = own.pressure_percent
+        found.told = "; ".join(run.doubts)
         if truth is None:
             return found
         if basis not in self._modes:
             self._modes[basis] = GridModes(basis, self.grid)
-        modes, full = self._modes[basis], truth.samples
-        samples = modes.samples(run.coordinates[truth.snapshots.astype(int)])
-        return self._compared(found, samples, truth, modes.nearest(full))
+        modes = self._modes[basis]
+        samples = modes.samples(run.coordinates[truth.snapshots])
+        return _compared(found, samples, truth.samples, modes.nearest(truth.samples))
 
-    def _with_particles(self) -> list[ReducedModelSection]:
-        """Return the models on particles whose steps are varied."""
-        sizes = self.default[1:] if self.quick else ON_PARTICLES
-        return [
-            replaced
-            for model in self.models
-            if model.section.size in sizes
-            for replaced in [model.section.model_copy(update={"evaluation": "particles"})]
-        ]
+    def integrated(
+        self, found: ExtremeRun, model: FastModel, reduced: ReferenceModel, integrator: Integrator
+    ) -> FastRun:
+        """Run a fast model."""
+        return model.run(self._points[found.parameters], reduced, integrator)
 
-    def _on_particles(
-        self,
-        section: ReducedModelSection,
-        varied: str,
-        value: float,
-        point: ParameterPoint,
-        truth: Truth | None,
-        factor: float,
-    ) -> ExtremeRun:
-        """Run a model on particles in steps that are a factor as long as the full model's."""
-        size = {"projection": section.projection, "n_modes": section.size}
-        found = self._described(varied, value, point, "particles", **size)
-        model, state = build_model(self.workspace, section, point)
-        try:
-            close(self.case, section, model, state, self.case.plan.steps.start_time)
-            jacobian = reduced_jacobian(model, state, self.case.plan.steps.start_time)
-            jacobian = jacobian[: section.size, : section.size]
-        except (np.linalg.LinAlgError, ValueError, UnstableError) as error:
-            return replace(found, state="unstable", reason=str(error))
-        values, vectors = np.linalg.eig(jacobian)
-        limits = stability_limits(values.astype(np.complex128))
-        worst = int(limits.argmin())
-        basis = FastModel(self.workspace, section).at_point(point).basis
-        found = replace(
-            found,
-            mechanism=kind_of(basis, values[worst], vectors[:, worst]),
-            predicted=float(limits[worst]) / self.case.plan.steps.time_step,
-        )
-        return self._marched(found, model, state, truth, factor)
+    def _on_particles(self, factor: float, truth: Truth | None) -> Iterator[ExtremeRun]:
+        """Run models on particles in steps that are a factor as long as the full model's."""
+        plan, sizes = self.case.plan.steps, self.default[1:] if self.quick else ON_PARTICLES
+        for section in (model.section for model in self.models if model.section.size in sizes):
+            found = self._described(STEP, factor, self.point, "particles", section)
+            moving = section.model_copy(update={"evaluation": "particles"})
+            model, state = build_model(self.workspace, moving, self.point)
+            close(self.case, moving, model, state, plan.start_time)
+            jacobian = reduced_jacobian(model, state, plan.start_time)
+            values, vectors = np.linalg.eig(jacobian[: section.size, : section.size])
+            limits = stability_limits(values.astype(np.complex128))
+            worst = int(limits.argmin())
+            basis = FastModel(self.workspace, section).at_point(self.point).basis
+            found.mechanism = kind_of(basis, values[worst], vectors[:, worst])
+            found.predicted = float(limits[worst]) / plan.time_step
+            yield self._marched(found, model, state, truth, factor)
 
     def _marched(
         self, found: ExtremeRun, model: Model, state: Array, truth: Truth | None, factor: float
@@ -502,27 +475,41 @@ class _Maps:
         plan, fields = self.case.plan.steps, []
         ratio = Fraction(factor).limit_denominator(1000) / plan.every
         n_kept = (plan.n_snapshots - 1) // ratio.numerator
-        length, every = factor * plan.time_step, ratio.denominator
-        steps = TimeSteps(length, max(1, n_kept * every), every, plan.start_time, every)
-        sample = particles.sampler(self.case, self.grid)
-        found = replace(found, time_step=length)
+        found.time_step, every = factor * plan.time_step, ratio.denominator
+        n_steps = max(1, n_kept * every)
+        steps = TimeSteps(found.time_step, n_steps, every, plan.start_time, every)
+        sample, density = particles.sampler(self.case, self.grid), self.case.fluid.reference_density
         try:
             with np.errstate(all="ignore"):
-                density = self.case.fluid.reference_density
                 for _, kept in march(model, state, steps, density, Clock(), lambda done: None):
                     at = model.snapshot(kept)
                     fields.append(sample(at.position.T, at.density_fluctuation, at.velocity.T))
         except (UnstableError, ValueError) as error:
-            return replace(found, state="unstable", reason=str(error))
-        snapshots = ratio.numerator * np.arange(len(fields))
-        if truth is None or not np.isin(snapshots, truth.snapshots).any():
+            return _failed(found, error)
+        snapshots = ratio.numerator * np.arange(len(fields), dtype=np.int64)
+        if truth is None or not (both := np.isin(snapshots, truth.snapshots)).any():
             return found
-        both = np.isin(snapshots, truth.snapshots)
         densities, velocities = (np.array(each)[both] for each in zip(*fields, strict=True))
-        pressures = pressure_of(densities, self.case.plan.sound_speed)
         full = truth.samples.at(np.searchsorted(truth.snapshots, snapshots[both]))
-        samples = Samples(full.time, velocities, pressures)
-        return self._compared(found, samples, Truth(full, snapshots[both]))
+        pressures = pressure_of(densities, self.case.plan.sound_speed)
+        return _compared(found, Samples(full.time, velocities, pressures), full)
+
+
+def _compared(
+    found: ExtremeRun, samples: Samples, full: Samples, best: Samples | None = None
+) -> ExtremeRun:
+    """Give a run its errors, and those of the nearest states in its basis."""
+    found.velocity_error, found.pressure_error = errors_of(samples, full)
+    if best is not None:
+        found.velocity_best, found.pressure_best = errors_of(best, full)
+    return found
+
+
+def _failed(found: ExtremeRun, error: Exception) -> ExtremeRun:
+    """Return a run that could not be made, or not to its end."""
+    refused = isinstance(error, CaseError | ResourceError)
+    found.state, found.reason = "refused" if refused else "unstable", str(error)
+    return found
 
 
 def _runge_kutta(factor: float, part: ReferenceModel) -> Steps:

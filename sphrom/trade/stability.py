@@ -8,9 +8,9 @@ resolution makes there.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Literal
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 ONE_RUN, RESOLUTION = "reynolds, one training run", "resolution"
 PERCENT = {"unit": "%"}
-Errors = tuple[float | None, float | None]
+Errors = tuple[float, float]
 """Of velocity and pressure [%]."""
 State = Literal["", "right", "stable", "unstable", "refused"]
 COLOURS = {"right": "#9fd8c4", "stable": "#f4d58d", "unstable": "#e8906a", "refused": "#d9d9d9"}
@@ -63,7 +63,7 @@ PER_DECADE, DECADES = 20, 3
 """Memory lengths that are tried for a growing eigenvector."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(kw_only=True)
 class ExtremeRun:
     """One run at the extremes."""
 
@@ -75,7 +75,7 @@ class ExtremeRun:
     projection: str = ""
     n_modes: int | None = None
     steps: str = ""
-    """`exponential` or `runge-kutta`, of a fast model."""
+    """`exponential` or `runge-kutta`, of a fast model; of a full one how it differs, if it does."""
     time_step: float | None = field(default=None, metadata={"unit": "s"})
     memory_length: float | None = field(default=None, metadata={"unit": "s"})
     state: State = ""
@@ -102,7 +102,7 @@ class ExtremeRun:
     def model(self) -> str:
         """The model in words."""
         if self.kind == "full":
-            return "full"
+            return f"full{self.steps}"
         name = "APG" if self.projection == "apg" else "Galerkin"
         on = ", on particles" if self.kind == "particles" else ""
         scheme = ", Runge-Kutta" if self.steps == RUNGE_KUTTA else ""
@@ -111,13 +111,17 @@ class ExtremeRun:
     @property
     def errors(self) -> Errors | None:
         """Errors of velocity and pressure [%]."""
-        return None if self.velocity_error is None else (self.velocity_error, self.pressure_error)
+        return _both(self.velocity_error, self.pressure_error)
 
     @property
     def natural(self) -> float:
         """The value in seconds where it is a ratio of those."""
         seconds = {STEP: self.time_step, MEMORY: self.memory_length}.get(self.varied)
         return self.value if seconds is None else seconds
+
+
+def _both(velocity: float | None, pressure: float | None) -> Errors | None:
+    return None if velocity is None or pressure is None else (velocity, pressure)
 
 
 # Causes
@@ -130,12 +134,19 @@ def limiting_step(reduced: ReferenceModel) -> tuple[str, float]:
     has a good part of its energy, else viscosity where it decays faster than it turns, else
     convection.
     """
-    states = np.vstack((reduced.start, reduced.states))
-    values, vectors = np.linalg.eig(reduced.polynomial.jacobians(states, reduced.strongest))
+    values, vectors = np.linalg.eig(
+        reduced.polynomial.jacobians(_around_which(reduced), reduced.strongest)
+    )
     limits = stability_limits(values.ravel().astype(np.complex128))
     worst = int(limits.argmin())
     vector = vectors.transpose(0, 2, 1).reshape(limits.size, -1)[worst]
     return kind_of(reduced.basis, values.ravel()[worst], vector), float(limits[worst])
+
+
+def _around_which(reduced: ReferenceModel) -> Array:
+    """Return the states that have to be stable (n_states, n_modes)."""
+    start = reduced.start[None]
+    return start if reduced.states is None else np.vstack((start, reduced.states))
 
 
 def kind_of(basis: TrialBasis, value: complex, vector: Array) -> str:
@@ -158,13 +169,13 @@ def growth(reduced: ReferenceModel, states: Array) -> tuple[float, str]:
     return float(values.real.ravel()[worst]), "last" if last > 0.5 else "first"
 
 
-def longest_memory(closed: Callable[[float], ReferenceModel]) -> float | None:
-    """Return the longest memory over the automatic one at which nothing grows around the start.
+def longest_memory(near: ReferenceModel, far: ReferenceModel) -> float | None:
+    """Return the longest memory, over that of `near`, at which nothing grows around its states.
 
-    The closure's part of a Jacobian is proportional to it. None where that is longer than tried.
+    The closure's part of a Jacobian is proportional to it; `far` has twice the memory. None where
+    it is longer than is tried.
     """
-    near, far = closed(1.0), closed(2.0)
-    states = np.vstack((near.start, near.states))
+    states = _around_which(near)
     bare, longer = (m.polynomial.jacobians(states, m.strongest) for m in (near, far))
     for power in range(-DECADES * PER_DECADE, DECADES * PER_DECADE + 1):
         factor = 10.0 ** (power / PER_DECADE)
@@ -193,30 +204,28 @@ def cause_of_divergence(run: FastRun, integrator: Integrator) -> str:
 # States and ranges
 
 
-def judged(runs: Sequence[ExtremeRun], default: tuple[str, int]) -> list[ExtremeRun]:
-    """Return runs with their states and what makes them wrong; `default` is projection and size."""
+def judge(runs: Sequence[ExtremeRun], default: tuple[str, int]) -> None:
+    """Say of runs which state they have, and what makes them wrong.
+
+    `default` is the projection and the size of the model that others are judged by.
+    """
     own = _default_of(runs, default)
     coarse = (r for r in runs if r.kind == "full" and r.varied == REYNOLDS)
     half = next((r for r in coarse if r.parameters == own.parameters), None)
-    allowed = {"fast": own.errors, "particles": own.errors, "full": half and half.errors}
-    found = [replace(r, state=r.state or _state(r, allowed[r.kind])) for r in runs]
+    allowed = {"fast": own.errors, "particles": own.errors}
+    allowed["full"] = None if half is None else half.errors
+    for run in runs:
+        run.state = run.state or _state(run, allowed[run.kind])
     # In exponential steps as long as the automatic ones, and with their memory.
     right = {
-        (r.varied, r.kind, r.projection, r.n_modes)
-        for r in found
-        if (r.value, r.state) == (1.0, "right") and r.steps != RUNGE_KUTTA
+        (run.varied, run.kind, run.projection, run.n_modes)
+        for run in runs
+        if (run.value, run.state) == (1.0, "right") and run.steps != RUNGE_KUTTA
     }
-    return [
-        replace(
-            r,
-            mechanism=_cause(
-                r, allowed[r.kind], (r.varied, r.kind, r.projection, r.n_modes) in right
-            ),
-        )
-        if r.state == "stable"
-        else r
-        for r in found
-    ]
+    for run in runs:
+        if run.state == "stable":
+            by_default = (run.varied, run.kind, run.projection, run.n_modes) in right
+            run.mechanism = _cause(run, allowed[run.kind], by_default)
 
 
 def _default_of(runs: Sequence[ExtremeRun], default: tuple[str, int]) -> ExtremeRun:
@@ -227,8 +236,7 @@ def _default_of(runs: Sequence[ExtremeRun], default: tuple[str, int]) -> Extreme
 def _within(errors: Errors | None, allowed: Errors | None) -> bool:
     if errors is None or allowed is None:
         return False
-    pairs = zip(errors, allowed, strict=True)
-    return all(a is not None and b is not None and a <= MOST_ERROR * b for a, b in pairs)
+    return all(a <= MOST_ERROR * b for a, b in zip(errors, allowed, strict=True))
 
 
 def _state(run: ExtremeRun, allowed: Errors | None) -> State:
@@ -244,8 +252,8 @@ def _cause(run: ExtremeRun, allowed: Errors | None, right_by_default: bool) -> s
         causes = {"Mach number": "compressibility", "h/dx": "smoothing", STEP: run.mechanism}
         return causes.get(run.varied, "spacing")
     before = "extrapolated " if run.extrapolated else ""
-    best = run.velocity_best, run.pressure_best
-    if run.velocity_best is not None and not _within(best, allowed):
+    best = _both(run.velocity_best, run.pressure_best)
+    if best is not None and not _within(best, allowed):
         return f"{before}modes"
     if right_by_default and run.varied == STEP:
         return "convection" if run.steps == EXPONENTIAL else "sound"
@@ -258,7 +266,7 @@ def ranges_in(
     runs: Sequence[ExtremeRun], default: tuple[str, int], own: dict[str, float]
 ) -> Iterator[StableRange]:
     """Yield where each model is stable and right; `own` are the case's own values by quantity."""
-    judge = _default_of(runs, default)
+    own_run = _default_of(runs, default)
     for series in _series(runs):
         first, values = series[0], [run.natural for run in series]
         at = own.get(first.varied, 1.0)
@@ -266,7 +274,7 @@ def ranges_in(
         stable = _around(k, [run.state in ("right", "stable") for run in series])
         right = _around(k, [run.state == "right" for run in series])
         low, high = right or stable or (k, k)
-        predicted, by = _predicted(series[k:], judge)
+        predicted, by = _predicted(series[k:], own_run)
         yield StableRange(
             varied=first.varied,
             kind=first.kind,
@@ -335,11 +343,11 @@ def publish(
     notes: Sequence[str],
 ) -> None:
     """Judge the runs, write their tables and maps, and show where models are stable and right."""
-    runs = judged(runs, default)
+    judge(runs, default)
     ranges, report = list(ranges_in(runs, default, own)), workspace.context.report
     write_csv(workspace.folder(FOLDER) / "extremes.csv", runs)
     about = {"basis": workspace.basis().inputs_digest}
-    tables = {"extremes": runs, "ranges": ranges}
+    tables: dict[str, Sequence[Any]] = {"extremes": runs, "ranges": ranges}
     write_json(workspace.out / FILE, tables, workspace.case.name, workspace.threads, **about)
     save(draw_maps(runs), workspace.folder(FOLDER) / "extremes.png")
     rows: dict[str, list[tuple[str, ...]]] = {}
@@ -347,12 +355,12 @@ def publish(
         rows.setdefault(each.varied, []).append(_cells(each, series[0]))
     for varied, cells in rows.items():
         report.table(f"{varied}{UNITS.get(varied, '')}", HEADINGS, cells)
-    if (judge := _default_of(runs, default)).errors is not None:
-        velocity, pressure = (MOST_ERROR * (error or 0.0) for error in judge.errors)
+    if (own_run := _default_of(runs, default)).errors is not None:
+        velocity, pressure = (MOST_ERROR * error for error in own_run.errors)
         report.info(
             f"right is what is off by at most {format_figure(velocity)} % in velocity and "
-            f"{format_figure(pressure)} % in pressure, twice the errors of {judge.model} at "
-            f"{judge.parameters}"
+            f"{format_figure(pressure)} % in pressure, twice the errors of {own_run.model} at "
+            f"{own_run.parameters}"
         )
     for note in (*notes, *dict.fromkeys(r.reason for r in runs if r.state == "refused")):
         report.info(f"refused: {note}")
@@ -406,8 +414,9 @@ def _draw_map(axes: Axes, name: str, models: Sequence[Sequence[ExtremeRun]], n_r
     for y, series in enumerate(models):
         for run in series:
             x = values.index(run.value)
-            look = {"facecolor": COLOURS[run.state], "edgecolor": "white"}
-            axes.add_patch(Rectangle((x - 0.5, y - 0.5), 1, 1, **look))
+            cell = Rectangle((x - 0.5, y - 0.5), 1, 1, edgecolor="white")
+            cell.set_facecolor(COLOURS[run.state])
+            axes.add_patch(cell)
             words = " / ".join(format_figure(error, 2) for error in run.errors or ())
             if run.state != "right":
                 words = f"{words}\n{run.mechanism or run.state}".strip()

@@ -1,0 +1,212 @@
+"""The maps of docs/stability.md: three scenes and flows of one's own at their extremes.
+
+Each case is run and mapped as `sphrom trade CASE --extremes` does. Beside it scipy's `solve_ivp`
+integrates the rates of about every third fast model, and says whether they diverge and how far the
+project's own run is from its solution. Tables of the limits are printed as Markdown.
+
+    python scripts/stability.py --out runs/stability
+    python scripts/stability.py --out runs/stability --turnovers 100
+
+With `--turnovers` full runs of that many turnover times L/U, at half the resolution, say how
+kinetic energy and the mean density change instead.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import time
+import zlib
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from scipy.integrate import solve_ivp
+
+from sphrom.case.checks import coarser_resolution
+from sphrom.case.loader import load_case
+from sphrom.case.models import Case
+from sphrom.case.studies import at_resolution
+from sphrom.console import Reporter
+from sphrom.errors import UnstableError
+from sphrom.online.fast_model import FastModel, FastRun
+from sphrom.reduction.reference_model import Integrator, ReferenceModel
+from sphrom.setup import particles
+from sphrom.setup.context import StageContext
+from sphrom.sph.time_loop import Clock, TimeSteps, march
+from sphrom.store.starts import scene_start
+from sphrom.store.workspace import Workspace
+from sphrom.offline import fom
+from sphrom.trade.extremes import Maps
+from sphrom.trade.stability import ExtremeRun, publish
+
+CASES = Path(__file__).parents[1] / "cases"
+SCENES: dict[str, tuple[str, dict[str, Any]]] = {
+    "taylor-green": ("taylor_green_demo", {}),
+    "lid-driven-cavity": ("lid_driven_cavity_demo", {}),
+    "open-cavity": (
+        "open_cavity_demo",
+        {
+            "discretization": {"resolution": 48},
+            "parameters": {"train": {"reynolds": [1600, 2400]}, "test": {"reynolds": [2000]}},
+        },
+    ),
+    "cavity-with-fin": ("gallery/cavity_with_fin", {}),
+    "kolmogorov": (
+        "gallery/kolmogorov",
+        {
+            "parameters": {
+                "train": {
+                    "points": [
+                        {"reynolds": 18, "body_force": 1.0},
+                        {"reynolds": 24, "body_force": 1.0},
+                        {"reynolds": 32, "body_force": 1.0},
+                        {"reynolds": 24, "body_force": 0.7},
+                    ]
+                },
+                "test": {"points": [{"reynolds": 28, "body_force": 0.9}]},
+            }
+        },
+    ),
+    "lid-speed": (
+        "lid_driven_cavity_demo",
+        {
+            "discretization": {"resolution": 30},
+            "parameters": {
+                "train": {
+                    "points": [
+                        {"reynolds": 100, "lid": 1.0},
+                        {"reynolds": 200, "lid": 1.0},
+                        {"reynolds": 200, "lid": 0.5},
+                    ]
+                },
+                "test": {"points": [{"reynolds": 150, "lid": 0.8}]},
+            },
+        },
+    ),
+    "body-force": (
+        "open_cavity_demo",
+        {
+            "discretization": {"resolution": 48},
+            "parameters": {
+                "train": {
+                    "points": [
+                        {"reynolds": 1600, "body_force": 0.58},
+                        {"reynolds": 2400, "body_force": 0.58},
+                        {"reynolds": 2400, "body_force": 0.4},
+                    ]
+                },
+                "test": {"points": [{"reynolds": 2000, "body_force": 0.5}]},
+            },
+        },
+    ),
+}
+"""The case that each is made of, and what differs. The last two vary how strongly a flow is driven."""
+STAGES = ("fom", "map", "pod", "fit-psi", "operators")
+ONE_IN = 3
+TOLERANCE = 1e-8
+"""Of scipy's integrator, relative."""
+
+
+class Checked(Maps):
+    """Maps of which another integrator checks some runs."""
+
+    def __init__(self, context: StageContext, quick: bool) -> None:
+        super().__init__(context, quick)
+        self.checks: list[dict[str, Any]] = []
+
+    def integrated(
+        self, found: ExtremeRun, model: FastModel, reduced: ReferenceModel, integrator: Integrator
+    ) -> FastRun:
+        """Run a fast model, and some of them by scipy, too."""
+        run = super().integrated(found, model, reduced, integrator)
+        key = f"{found.varied} {found.value:g} {found.model}"
+        if zlib.crc32(key.encode()) % ONE_IN == 0:
+            about = {"varied": found.varied, "value": found.value, "model": found.model}
+            self.checks.append(about | checked(integrator))
+        return run
+
+
+def checked(integrator: Integrator) -> dict[str, Any]:
+    """Integrate the rates of a model by scipy, and compare with the project's steps."""
+    model, own = integrator.steps.model, integrator.steps.run()
+    times, most = model.output_times.time, model.output_times.largest_square
+
+    def rates(at: float, state: np.ndarray) -> np.ndarray:
+        amplitude = 0.0 if model.amplitude is None else float(model.amplitude(np.array([at]))[0])
+        return model.polynomial(state, amplitude)
+
+    def left(at: float, state: np.ndarray) -> float:
+        return most - float(state @ state)
+
+    left.terminal = True  # type: ignore[attr-defined]
+    absolute = TOLERANCE * float(np.linalg.norm(model.start))
+    solved = solve_ivp(
+        rates, (times[0], times[-1]), model.start, "LSODA", times,
+        events=left, rtol=TOLERANCE, atol=absolute,
+    )  # fmt: skip
+    states = solved.y.T
+    n_both = min(len(states), int(np.isfinite(own.coordinates).all(axis=1).sum()))
+    both = own.coordinates[:n_both] - states[:n_both]
+    difference = float(np.linalg.norm(both) / np.linalg.norm(states[:n_both]))
+    unstable = len(states) < len(times)
+    return {
+        "diverges": unstable,
+        "diverges_here": bool(np.isfinite(own.diverged_at)),
+        "at": float(solved.t_events[0][0]) if unstable and len(solved.t_events[0]) else None,
+        "at_here": None if np.isnan(own.diverged_at) else float(own.diverged_at),
+        "difference": 100.0 * difference,
+    }
+
+
+def written(name: str, out: Path) -> Path:
+    """Write the case of a scene, and return its path."""
+    source, changes = SCENES[name]
+    content = yaml.safe_load((CASES / f"{source}.yaml").read_text(encoding="utf-8"))
+    n_modes = next(m["n_modes"] for m in content["rom"] if m.get("evaluation") == "operators")
+    content.pop("sweep", None)
+    content |= {
+        "name": name,
+        "basis": {"n_modes": 50},
+        "operators": {"error_estimate": True},
+        "rom": [{"name": "fast", "n_modes": n_modes, "evaluation": "operators"}],
+        **changes,
+    }
+    path = out / f"{name}.yaml"
+    path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    return path
+
+
+def mapped(name: str, out: Path) -> None:
+    """Make the artifacts and the maps of a scene, and write what scipy says of some of its runs."""
+    path, folder, started = written(name, out), out / name, time.perf_counter()
+    for stage in STAGES:
+        options = ["--out", str(folder), "--threads", "1", "--force"]
+        subprocess.run(
+            [sys.executable, "-m", "sphrom", stage, str(path), *options[:4]],
+            check=True, stdout=subprocess.DEVNULL,
+        )  # fmt: skip
+    context = StageContext(load_case(path), folder, False, 1, Reporter())
+    maps = Checked(context, False)
+    publish(maps.workspace, list(maps.runs()), maps.default, maps.own_values, maps.notes)
+    text = json.dumps({"seconds": time.perf_counter() - started, "checks": maps.checks}, indent=1)
+    (folder / "checks.json").write_text(text, encoding="utf-8")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("runs/stability"))
+    parser.add_argument("--scenes", nargs="+", choices=SCENES, default=list(SCENES))
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    for name in given.scenes:
+        mapped(name, given.out)
+
+
+if __name__ == "__main__":
+    main()
