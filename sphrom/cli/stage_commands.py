@@ -304,8 +304,7 @@ def import_(
         list[Path],
         typer.Argument(
             metavar="FILES",
-            help="One file a snapshot: PySPH's .hdf5, .vtu, .vtp, .vtk, .npz; or a .pvd or "
-            ".vtkhdf.",
+            help="One file a snapshot: PySPH's .hdf5, .vtu, .vtp, .vtk, .npz; or a .pvd.",
             show_default=False,
         ),
     ],
