@@ -181,7 +181,10 @@ def with_steps(
 def workspace_of(
     workspace: Workspace, variant: Case, folders: Mapping[str, Path] = MappingProxyType({})
 ) -> Workspace:
-    """Return the folder of a variant, below that of the case; some kinds of artifacts lie elsewhere."""
+    """Return the folder of a variant, below that of the case.
+
+    `folders` has those of kinds of artifacts that lie elsewhere.
+    """
     out = workspace.out / FOLDER / variant.name
     context = replace(workspace.context, case=variant, out=out, folders=folders)
     return Workspace(_own_context(context))

@@ -295,7 +295,11 @@ class Maps:
         }
         kinds = ("packing", "state", "trajectory", "reference-snapshots")
         folders = dict.fromkeys(kinds, self.workspace.out)
-        own = self._learnt(case.model_copy(update=changes), folders)
+        try:
+            own = self._learnt(case.model_copy(update=changes), folders)
+        except (UnstableError, CaseError, ResourceError) as error:
+            self.notes.append(f"{ONE_RUN}: {error}")
+            return
         at = self.point.as_dict()
         for value in self._extreme_values(REYNOLDS):
             point = case.plan.point(at | {REYNOLDS: value})
