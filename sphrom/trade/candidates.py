@@ -1,4 +1,4 @@
-"""The models that a trade weighs: reduced ones of some sizes and steps, and the full one otherwise.
+"""The models that a trade weighs: reduced ones of some sizes, and the full one otherwise.
 
 A trade may weigh models that the case has no operators for. Their operators, and further full runs,
 lie in the trade's own folder, and are kept there.
@@ -35,8 +35,6 @@ SIZES = (2, 5, 10, 20, 50)
 """Default numbers of modes, as far as the basis has as many."""
 MOST_CLOSED_MODES = 20
 """The most modes of APG by default: its cost grows with their fourth power."""
-STEP_FACTORS = (1, 2)
-"""Time steps of reduced models over the automatic ones."""
 COURANT_NUMBERS = (0.75, 1.5)
 """About c0 dt / h of further full runs (Eq. 2.19)."""
 SAME_STEP = 1e-9

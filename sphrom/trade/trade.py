@@ -52,7 +52,7 @@ from sphrom.store.trajectory import require_complete
 from sphrom.store.workspace import Workspace
 from sphrom.text import counted
 from sphrom.trade import candidates as weighed_models
-from sphrom.trade.candidates import FOLDER, STEP_FACTORS, candidates, trade_points
+from sphrom.trade.candidates import FOLDER, candidates, trade_points
 from sphrom.trade.weighing import (
     ESTIMATE,
     FRONTS,
@@ -171,32 +171,27 @@ class _Trade:
         return ModelRow.of(runs, family="full", kind="full", resolution=resolution), runs
 
     def _reduced(self) -> list[Rows]:
-        """Run all reduced models; where rounding gives several one step, keep the first."""
-        found: dict[tuple[object, ...], Rows] = {}
         with self.workspace.context.report.progress("reduced models", len(self.models)) as advance:
+            found = []
             for model in self.models:
-                for factor in STEP_FACTORS:
-                    rows = self._of(model, factor)
-                    steps = tuple(run.time_step for run in rows[1])
-                    found.setdefault((model.name, steps), rows)
+                found.append(self._of(model))
                 advance(1)
-        return list(found.values())
+        return found
 
-    def _of(self, section: ReducedModelSection, factor: int) -> Rows:
-        """Run a reduced model at all points, in steps over automatic ones; return its rows."""
+    def _of(self, section: ReducedModelSection) -> Rows:
+        """Run a reduced model at all points; return its rows."""
         fast = FastModel(self.wider, section)
         family = "APG" if section.projection == "apg" else "Galerkin"
         own = [m for m in self.case.rom if m.model_copy(update={"name": section.name}) == section]
-        label = f"{family}, M = {section.size}" + (f", {factor} dt" if factor > 1 else "")
-        label += f" ({own[0].name})" if own and factor == 1 else ""
+        label = f"{family}, M = {section.size}" + (f" ({own[0].name})" if own else "")
         listed = (*own, section)[0].model_dump(exclude_defaults=True)
         keys = ", ".join(f"{key}: {value}" for key, value in listed.items())
-        runs = [self._fast(fast, label, factor, point) for point in self.full]
+        runs = [self._fast(fast, label, point) for point in self.full]
         offline, training = offline_seconds(self.wider, section, list(self.full), self.full_seconds)
         row = ModelRow.of(
             runs,
             family=family,
-            keys=f"{{{keys}}}" if factor == 1 else None,
+            keys=f"{{{keys}}}",
             kind=section.evaluation,
             n_modes=section.n_modes,
             resolution=self.case.discretization.resolution,
@@ -205,11 +200,10 @@ class _Trade:
         )
         return row, runs
 
-    def _fast(self, fast: FastModel, label: str, factor: int, point: ParameterPoint) -> RunRow:
+    def _fast(self, fast: FastModel, label: str, point: ParameterPoint) -> RunRow:
         measure, role = self.case.trade.measure, role_of(self.case, fast.basis_at(point), point)
         reduced = fast.at(point)
-        steps = reference_model.automatic(reduced).with_steps(factor)
-        found, seconds = steps.timed(self.case.trade.repeats)
+        found, seconds = reference_model.automatic(reduced).timed(self.case.trade.repeats)
         run = FastRun(**vars(found), model=fast, point=point, reduced=reduced)
         samples = None
         if run.failure is None:
@@ -264,10 +258,9 @@ def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None)
         write_csv(folder / f"{name}.csv", each)
     words = "`--tolerance 1%` recommends the cheapest model within 1 %"
     if tolerance is not None:
-        possible = [row for row in rows if row.kind == "full" or row.keys is not None]
-        maps = {row.model: _mapped(workspace, row) for row in possible if row.kind != "full"}
+        maps = {row.model: _mapped(workspace, row) for row in rows if row.kind != "full"}
         unstable = [name for name, ranges in maps.items() if any(r.is_unstable for r in ranges)]
-        possible = [row for row in possible if row.model not in unstable]
+        possible = [row for row in rows if row.model not in unstable]
         advice, words = recommend(possible, without, tolerance, measure)
         advice["unstable_by_maps"] = ", ".join(unstable)
         if told := "; ".join(each.words for each in maps.get(advice["model"], ())):

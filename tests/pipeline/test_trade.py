@@ -101,7 +101,7 @@ def test_further_full_runs_are_kept(weigh, place):
 @pytest.fixture
 def few(monkeypatch):
     """Few values in maps of the extremes, and no others of the full model but the given."""
-    values = {STEP: (1.0, 4.0), MEMORY: (1.0, 1e3), TIME: (1.0, 2.0), REYNOLDS: (0.5, 1.0, 5.0)}
+    values = {STEP: (1.0, 40.0), MEMORY: (1.0, 1e3), TIME: (1.0, 2.0), REYNOLDS: (0.5, 1.0, 5.0)}
     for name in values:
         monkeypatch.setitem(extremes.FACTORS, name, values[name])
         monkeypatch.setitem(extremes.QUICK, name, values[name])
