@@ -246,6 +246,9 @@ class Maps:
     def _parameters(self) -> Iterator[ExtremeRun]:
         at = self.point.as_dict()
         for name in at:
+            if not all(point.as_dict()[name] > 0.0 for point in self.trained):
+                self.notes.append(f"{name} is not varied: its trained values aren't above zero")
+                continue
             for value in self._extreme_values(name):
                 point = self.case.plan.point(at | {name: value})
                 truth, coarse = self._truth(point), self._truth(point, coarse=True)
@@ -431,7 +434,7 @@ class Maps:
         except CaseError as refused:  # Its steps are too many for any run to end.
             return _failed(found, refused)
         found.time_step, found.memory_length = run.time_step, reduced.memory_length
-        found.extrapolated = bool(run.outside)
+        found.extrapolated, found.end_time = bool(run.outside), float(run.time[-1])
         if run.failure is not None:
             found.state, found.diverged_at = "unstable", run.diverged_at
             found.mechanism = cause_of_divergence(run, integrator)

@@ -78,6 +78,7 @@ class ExtremeRun:
     """`exponential` or `runge-kutta`, of a fast model; of a full one how it differs, if it does."""
     time_step: float | None = field(default=None, metadata={"unit": "s"})
     memory_length: float | None = field(default=None, metadata={"unit": "s"})
+    end_time: float | None = field(default=None, metadata={"unit": "s"})
     state: State = ""
     mechanism: str = ""
     """What makes it wrong, unstable, or would first."""
@@ -116,8 +117,8 @@ class ExtremeRun:
     @property
     def natural(self) -> float:
         """The value in seconds where it is a ratio of those."""
-        seconds = {STEP: self.time_step, MEMORY: self.memory_length}.get(self.varied)
-        return self.value if seconds is None else seconds
+        found = {STEP: self.time_step, MEMORY: self.memory_length, TIME: self.end_time}
+        return found.get(self.varied) or self.value
 
 
 def _both(velocity: float | None, pressure: float | None) -> Errors | None:
@@ -270,7 +271,7 @@ def ranges_in(
     for series in _series(runs):
         first, values = series[0], [run.natural for run in series]
         at = own.get(first.varied, 1.0)
-        k = min(range(len(series)), key=lambda i: abs(math.log(series[i].value / at)))
+        k = min(range(len(series)), key=lambda i: abs(series[i].value - at))
         stable = _around(k, [run.state in ("right", "stable") for run in series])
         right = _around(k, [run.state == "right" for run in series])
         low, high = right or stable or (k, k)
@@ -320,14 +321,8 @@ def _predicted(series: Sequence[ExtremeRun], own: ExtremeRun) -> tuple[float | N
     if first.predicted is not None:
         way = "formula" if first.kind == "full" else "eigenvalue"
         return first.predicted * first.natural / first.value, way
-    estimates = [(run.velocity_estimate, run.pressure_estimate) for run in series]
-    allowed = own.errors
-    if first.kind != "fast" or allowed is None or None in estimates[0]:
-        return None, ""
-    good = [
-        all(e is not None and e <= MOST_ERROR * a for e, a in zip(pair, allowed, strict=True))
-        for pair in estimates
-    ]
+    estimates = (_both(run.velocity_estimate, run.pressure_estimate) for run in series)
+    good = [_within(each, own.errors) for each in estimates]
     last = _around(0, good)
     return (None, "") if last is None else (series[last[1]].natural, "estimate")
 
@@ -363,12 +358,13 @@ def publish(
             f"{own_run.parameters}"
         )
     for note in (*notes, *dict.fromkeys(r.reason for r in runs if r.state == "refused")):
-        report.info(f"refused: {note}")
-    silent = [r for r in runs if r.errors and max(r.errors) > ALL_WRONG and not r.told]
+        report.info(note)
+    fast = (run for run in runs if run.kind == "fast" and not run.told)
+    silent = sum(max(run.errors or (0.0,)) > ALL_WRONG for run in fast)
     counts = ", ".join(f"{sum(r.state == state for r in runs)} {state}" for state in COLOURS)
     report.result(
-        f"{counted(len(runs), 'run')}: {counts}; {sum(r.kind == 'fast' for r in silent)} off by "
-        f"more than {ALL_WRONG:g} % without a warning of their own"
+        f"{counted(len(runs), 'run')}: {counts}; {silent} off by more than {ALL_WRONG:g} % without "
+        "a warning of their own"
     )
     report.result(f"extremes.csv, extremes.json and extremes.png are in {workspace.out / FOLDER}")
 
@@ -393,17 +389,15 @@ def draw_maps(runs: Sequence[ExtremeRun]) -> Figure:
     maps: dict[str, list[list[ExtremeRun]]] = {}
     for series in _series(runs):
         maps.setdefault(series[0].varied, []).append(series)
-    rows = [list(maps)[k : k + IN_A_ROW] for k in range(0, len(maps), IN_A_ROW)]
-    longest = [max(len(maps[name]) for name in row) for row in rows]
+    sizes = [len(models) for models in maps.values()]
+    longest = [max(sizes[k : k + IN_A_ROW]) for k in range(0, len(sizes), IN_A_ROW)]
     with styled():
         figure = new_figure(IN_A_ROW * WIDTH, sum(ABOUT + HEIGHT * number for number in longest))
-        grid = figure.subplots(len(rows), IN_A_ROW, squeeze=False, height_ratios=longest)
+        grid = figure.subplots(len(longest), IN_A_ROW, squeeze=False, height_ratios=longest)
         for axes in grid.ravel()[len(maps) :]:
             axes.set_axis_off()
-        for axes, (name, models) in zip(grid.ravel(), maps.items(), strict=False):
-            _draw_map(
-                axes, name, models, max(longest[k] for k, row in enumerate(rows) if name in row)
-            )
+        for k, (name, models) in enumerate(maps.items()):
+            _draw_map(grid.ravel()[k], name, models, longest[k // IN_A_ROW])
     return figure
 
 
