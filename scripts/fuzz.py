@@ -224,6 +224,7 @@ OPTIONS = {
     "hdf5": ("--velocity", "u,v"),
     "vtu": ("--pressure", "pressure"),
     "pvd": (),
+    "vtkhdf": (),
 }
 """By kind of file, what its fields are called."""
 
@@ -250,6 +251,7 @@ def write_foreign(whole: Path, folder: Path) -> None:
         shutil.move(path, folder / "pvd")
     for path in folder.glob("pvd/**/*.vtu"):
         shutil.copy(path, folder / "vtu")
+    shutil.copy(whole / IMPORTED, folder / "vtkhdf" / "run.vtkhdf")
 
 
 def check_import(folder: Path, kind: str, values: dict[str, bytes] | None) -> str:

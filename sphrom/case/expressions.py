@@ -80,9 +80,8 @@ class Expression:
         given = [np.atleast_1d(variables[name]).astype(float) for name in sorted(self.depends_on)]
         with np.errstate(all="ignore"):
             value = self.compiled(*given)
-        if not shape:
-            return np.asarray(value, dtype=np.float64).reshape(())
-        return np.broadcast_to(np.asarray(value, dtype=np.float64), shape)
+        values = np.asarray(value, dtype=np.float64)
+        return np.broadcast_to(values, shape) if shape else values.reshape(())
 
     def degree_in(self, names: Collection[str]) -> float:
         """Return the degree of the polynomial of some names that this is, infinite for no such.

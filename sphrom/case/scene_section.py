@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Collection, Iterator, Mapping
+from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
@@ -39,10 +40,10 @@ class SceneSection(Section):
     if TYPE_CHECKING:  # each kind has the key, after its own
         measure: Measures
 
-    @property
-    @abstractmethod
+    @cached_property
     def domain(self) -> Domain:
-        """Where the fluid is."""
+        """Where the fluid is, which no scale of the fluid changes."""
+        return self.flow(Scales(speed=0.0, density=1.0, kinematic_viscosity=1.0)).domain
 
     @abstractmethod
     def flow(self, scales: Scales) -> Scene:

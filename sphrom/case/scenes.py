@@ -24,8 +24,6 @@ from sphrom.scenes.flows import (
     TaylorGreen,
 )
 from sphrom.scenes.reference_profiles import OPEN_CAVITY_SPEED, ReferenceProfile, profiles_for
-from sphrom.sph.box_domain import BoxDomain
-from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import NONE
 from sphrom.text import exact
 
@@ -45,11 +43,6 @@ class TaylorGreenScene(SceneSection):
         "exact", "sign of the initial pressure: exact, or as printed in Eq. 4.4"
     )
     measure: Measures = MEASURE
-
-    @property
-    def domain(self) -> Domain:
-        """The periodic square."""
-        return BoxDomain((0.0, 0.0), (self.length, self.length), (True, True))
 
     def flow(self, scales: Scales) -> Scene:
         """Return the vortex."""
@@ -85,11 +78,6 @@ class LidDrivenCavityScene(SceneSection):
         unit="s",
     )
     measure: Measures = MEASURE
-
-    @property
-    def domain(self) -> Domain:
-        """The box, walls all around."""
-        return LidDrivenCavity(self.length, speed=0.0).domain
 
     def flow(self, scales: Scales) -> Scene:
         """Return the cavity."""
@@ -175,11 +163,6 @@ class OpenCavityScene(SceneSection):
     def parameters(self, reference_speed: float) -> dict[str, float]:
         """Return the magnitude of the body force, b0 [m/s2]."""
         return {"body_force": self.body_force.magnitude}
-
-    @cached_property
-    def domain(self) -> Domain:
-        """Channel and cavity."""
-        return self._cavity.domain
 
     @property
     def length_scale(self) -> float:

@@ -300,7 +300,8 @@ def import_(
         list[Path],
         typer.Argument(
             metavar="FILES",
-            help="One file a snapshot: PySPH's .hdf5, .vtu, .vtp, .vtk, .npz; or a .pvd.",
+            help="One file a snapshot: PySPH's .hdf5, .vtu, .vtp, .vtk, .npz; or a .pvd or "
+            ".vtkhdf.",
             show_default=False,
         ),
     ],

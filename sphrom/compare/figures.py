@@ -91,7 +91,7 @@ def _draw(workspace: Workspace, comparison: StoredComparison, figure: FigureSect
         case ErrorFigure():
             return _draw_errors(case, comparison, figure)
         case SpectrumFigure():
-            return draw_spectrum(workspace, figure.basis, figure.modes)
+            return draw_spectrum(workspace, figure.basis, figure.modes, with_shares=True)
         case ModeFigure():
             fields = mode_fields(workspace, figure.basis, figure.field, figure.modes)
             return draw_grid([*fields.values()][::-1], frame_of(case))

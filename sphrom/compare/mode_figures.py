@@ -65,17 +65,20 @@ def spectrum_rows(workspace: Workspace) -> Iterator[SpectrumRow]:
             yield SpectrumRow(space, basis, part, m, *map(float, figures))
 
 
-def draw_spectrum(workspace: Workspace, basis: str, marked: Sequence[int]) -> Figure:
+def draw_spectrum(
+    workspace: Workspace, basis: str, marked: Sequence[int], *, with_shares: bool = False
+) -> Figure:
     """Return singular values, and the share that so many modes leave out (Eq. 4.3).
 
-    Marked numbers of modes have a line, and the legend has their shares.
+    Marked numbers of modes have a line, and the legend has their shares on request.
     """
     values_of, left_out_of = [], []
     for space, _, part, values in (each for each in _spectra(workspace) if each[1] == basis):
         name = f"{space} space" + ("" if part == "joint" else f", {part}")
         shares = cumulative_singular_value_share(values)
-        known = (f"{shares[m - 1]:.7g} % (M = {m})" for m in marked if m <= len(shares))
-        name = ", ".join((name, *known))
+        if with_shares:
+            known = (f"{_share(shares[m - 1])} % (M = {m})" for m in marked if m <= len(shares))
+            name = f"{name}: {', '.join(known)}"
         number = np.arange(1.0, len(values) + 1.0)
         ratio, left_out = values / values[0], 100.0 - shares
         values_of.append(Curve(name, number, np.where(ratio > SMALLEST_RATIO, ratio, 0.0)))
@@ -86,6 +89,14 @@ def draw_spectrum(workspace: Workspace, basis: str, marked: Sequence[int]) -> Fi
         for label, curves in zip(SPECTRUM, (values_of, left_out_of), strict=True)
     ]
     return draw_grid([panels])
+
+
+def _share(share: float) -> str:
+    """Return a share [%] with two digits of what it leaves out."""
+    for digits in range(1, 12):
+        if round(100.0 - share, digits) >= 10.0 ** (1 - digits):
+            return f"{share:.{digits}f}"
+    return f"{share:.12g}"
 
 
 def mode_fields(

@@ -1,4 +1,4 @@
-"""Command `export`: the fields of runs, and modes, in files of their own for other programs.
+"""Command `export`: the fields of artifacts, in files of their own for other programs.
 
 Artifacts that hold fields open in ParaView from 5.12 on as they are. Exported files open in older
 versions, need no artifact, and show more: the ghosts of walls, and the fields of runs that store
@@ -51,7 +51,7 @@ _TYPES = {"float64": "Float64", "int64": "Int64", "uint8": "UInt8"}
 
 @dataclass(frozen=True)
 class Item:
-    """An artifact of a case: a run of a reduced model at a point, of the full one, or the modes."""
+    """An artifact of a case: a run of a reduced model at a point, of the full one, or no run."""
 
     target: Target
     point: ParameterPoint | None = None
@@ -75,7 +75,7 @@ def run(
     into: Path | None = None,
     at: Sequence[str] | None = None,
 ) -> None:
-    """Export every run of a case that is there, and the modes.
+    """Export every artifact of a case that is there and holds fields.
 
     As CSV the runs alone, at points `at`, each like `0.5,0.5`, or along the line of comparison.
 
@@ -105,12 +105,22 @@ def _runs(workspace: Workspace) -> list[Item]:
     return [item for item in found if item.target.path.exists()]
 
 
+def _others(workspace: Workspace) -> list[Item]:
+    """Return the other artifacts of the case that are there and may hold fields."""
+    case, targets = workspace.case, [workspace.basis()]
+    if case.plan.packed:
+        targets.append(workspace.packing())
+    for point in workspace.context.chosen(case.plan.points):
+        targets.append(workspace.mapped(point))
+        if case.time.spin_up > 0.0:
+            targets.append(workspace.spin_up(point))
+    return [Item(target) for target in targets if target.path.exists()]
+
+
 def _write_all(workspace: Workspace, folder: Path) -> int:
-    """Write the fields of all runs that are there, and the modes; return how many views of them."""
-    context, items, n_written = workspace.context, _runs(workspace), 0
-    if workspace.basis().path.exists() and not context.models:
-        items.append(Item(workspace.basis()))
-    for item in items:
+    """Write the fields of all artifacts that are there, and return how many views they have."""
+    context, n_written = workspace.context, 0
+    for item in [*_runs(workspace), *([] if context.models else _others(workspace))]:
         with _opened(workspace, item) as source:
             for name, view in views(source.schema, source.shapes).items():
                 path = folder / f"{item.target.path.stem}{'-' * bool(name)}{name}.pvd"

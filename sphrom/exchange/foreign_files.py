@@ -1,6 +1,6 @@
 """Snapshots that other programs wrote: PySPH's HDF5 output, VTK files, plain NumPy archives.
 
-A file holds one snapshot. Fields come back by name as one number
+A file holds one snapshot, but VTK's HDF files may hold many. Fields come back by name as one number
 for each particle; those of a vector `velocity` are `velocity.x`, `velocity.y` and `velocity.z`.
 Nothing in a file is run: archives with pickles are refused, and links out of an HDF5 file. VTK's
 files are read by VTK itself, the extra `vtk`, in a process of its own: see `vtk_process`.
@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.arrays import Array
-from sphrom.artifacts.inspection import Fault, damage, inspect, open_file
+from sphrom.artifacts.inspection import Fault, damage, inspect, items, open_file
 from sphrom.artifacts.layout import index_not_finite
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange import vtk_process
@@ -44,13 +44,15 @@ MOST_ARRAYS = 1000
 """Of one NumPy archive."""
 MOST_KINDS = 20
 """Of particles, which a field tells apart."""
+MOST_STEPS = 100_000
+"""Of one file."""
 VTK_SECONDS = (10.0, 1e-7)
 """Time that VTK is given for one snapshot, and in addition for each byte of the file."""
 VTK_BYTES = (2 * 2**30, 8 * 2**30)
 """Memory that VTK is given at least, and at most."""
-PYSPH, NUMPY = (".hdf5", ".h5"), ".npz"
-KINDS = (*PYSPH, NUMPY, ".vtu", ".vtp", ".vtk")
-"""The endings of files."""
+PYSPH, NUMPY, STEPPED = (".hdf5", ".h5"), ".npz", (".vtkhdf", ".hdf")
+KINDS = (*PYSPH, NUMPY, ".vtu", ".vtp", ".vtk", *STEPPED)
+"""The endings of files; those of `STEPPED` may hold many snapshots."""
 Read = tuple[float, dict[str, NDArray[Any]]]
 """The time, nan where a file does not tell it, and the fields."""
 
@@ -62,6 +64,8 @@ class Source:
     path: Path
     time: float = math.nan
     """Not a number where nothing but the snapshot itself may tell."""
+    step: int = 0
+    """Of those that the file holds."""
 
 
 @dataclass(frozen=True)
@@ -103,8 +107,16 @@ def snapshots_in(path: Path) -> list[Source]:
 
     Raises ArtifactError when it is missing or damaged, or lists none.
     """
+    suffix = path.suffix.lower()
     with _refused(path):
-        return _listed(path) if path.suffix.lower() == COLLECTION else [Source(path)]
+        if suffix == COLLECTION:
+            return _listed(path)
+        if suffix not in STEPPED:
+            return [Source(path)]
+        times = _vtk(path, vtk_process.TIMES)[0]["times"]
+        if len(times) > MOST_STEPS or not np.isfinite(times).all():
+            raise Fault(f"is damaged: it has {len(times)} times, or one that is no number")
+        return [Source(path, time, step) for step, time in enumerate(times)] or [Source(path)]
 
 
 def _listed(path: Path) -> list[Source]:
@@ -136,7 +148,7 @@ def read_foreign(source: Source, array: str | None = None) -> ForeignSnapshot:
         if suffix in PYSPH:
             time, values = _read_pysph(path, array)
         else:
-            time, values = _read_numpy(path) if suffix == NUMPY else _read_vtk(path)
+            time, values = _read_numpy(path) if suffix == NUMPY else _read_vtk(path, source.step)
             values = values if array is None else _chosen(values, array)
         require_snapshot_size(8 * sum(value.size for value in values.values()))
         return ForeignSnapshot(path, time, dict(_scalars(values)))
@@ -220,21 +232,26 @@ def _read_numpy(path: Path) -> Read:
     return _time_of(numbers), {name: value for name, value in numbers.items() if value.ndim > 0}
 
 
-def _read_vtk(path: Path) -> Read:
-    numbers, fields = _vtk(path)
+def _read_vtk(path: Path, step: int) -> Read:
+    numbers, fields = _vtk(path, step)
     if (points := fields.pop("Points", None)) is None:
         raise Fault("holds no particles")
     return _time_of(numbers), {**fields, **dict(zip(COMPONENTS, points.T, strict=True))}
 
 
-def _vtk(path: Path) -> tuple[dict[str, float], dict[str, NDArray[Any]]]:
-    """Return the single numbers of a file, and its arrays on points."""
+def _vtk(path: Path, step: int) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Return the single numbers of a file, and its arrays on points at a step."""
     if importlib.util.find_spec("vtkmodules") is None:
         raise CaseError(f"{path}: VTK files are read by VTK: `pip install 'sphrom[vtk]'`")
-    require_size(path, MOST_SNAPSHOT_BYTES)
+    if path.suffix.lower() in STEPPED:
+        with open_file(path) as file:
+            list(items(file))  # all of which has to lie in the file itself
+    else:
+        require_size(path, MOST_SNAPSHOT_BYTES)
     seconds = VTK_SECONDS[0] + VTK_SECONDS[1] * path.stat().st_size
+    request = str(path.absolute()), step, seconds
     try:
-        return _vtk_process().submit(vtk_process.read, str(path.absolute()), seconds).result()
+        return _vtk_process().submit(vtk_process.read, *request).result()
     except (MemoryError, OSError, TypeError, ValueError) as error:
         reason = str(error) or type(error).__name__
         raise Fault(f"is damaged, or no VTK file of points: {reason}") from error

@@ -66,8 +66,9 @@ MODEL_OFF, PER_SPACING, START_OFF = 3.0, 240.0, 20.0
 per length, and that of its start. A finite-volume solution of the cavity departs by 4.2 and 8.2 %
 (50 and 25 spacings) and is slowed by 4.6 and 8.9 %, with a wrong lid by 28 and 23 %. At 20 spacings
 it is slowed by 16 %, more than the limit of 12 %."""
-LEAST_SPEED = 0.05
-"""Over the scene's speed: slower flows are compared relative to it."""
+LEAST_SPEED, MOST_SPEED = 0.05, 5.0
+"""Over the scene's speed: slower flows are compared relative to the first, and of faster ones the
+unit is doubted."""
 Kept = dict[int, tuple[float, Snapshot]]
 """Snapshots, and their times [s], by number."""
 COUNT_TOLERANCE = 0.05
@@ -99,7 +100,7 @@ def run(context: StageContext, files: Sequence[Path], about: ImportOptions) -> l
     made_by = f"sphrom import {context.words} FILES"
     target = replace(workspace.full_run(points[0]), stage="import", made_by=made_by)
     found = find_sources(files, about)
-    choices = choose(found, case.plan.steps)
+    choices = choose(found, case.plan.steps, about)
     options = shlex.join([*about.words, f"--only={points[0].label}"])
     named = f"{_named(files)} {options}"
     origin = {"imported/files": named, "imported/sha256": _digest(choices, options)}
@@ -337,10 +338,12 @@ class Converter:
         self._require_flat(given)
         position = self._place(given)[order]
         scene, found = self._case.plan.max_speed, self.largest_speed
-        if found > self._case.plan.sound_speed:
+        is_fast = found > MOST_SPEED * scene
+        fitting = self.about.fitting("velocity", scene / found) if is_fast else ""
+        if fitting or found > self._case.plan.sound_speed:
             raise CaseError(
                 f"{given.path}: the largest speed is {found:.4g} m/s, this scene's about "
-                f"{scene:.4g} m/s: check the velocity of --units, and fluid.reference_speed"
+                f"{scene:.4g} m/s (fluid.reference_speed){fitting}"
             )
         fluctuation = self._fluctuation(given)[order]
         return Snapshot(np.ascontiguousarray(position.T), fluctuation, velocity)
@@ -377,11 +380,12 @@ class Converter:
         position = domain.wrap(position)
         outside = int(np.sum(~domain.contains(position)))
         if outside or not 0.7 < apart / spacing < 1.9:
+            fitting = self.about.fitting("length", spacing / (apart or spacing))
             raise CaseError(
                 f"{given.path}: {outside} of the particles are outside the scene; all span "
                 f"{low[0]:.6g} to {high[0]:.6g} m and {low[1]:.6g} to {high[1]:.6g} m, {apart:.3g} "
                 f"m apart, the case's {spacing:.3g} m: check --units, --origin, --array and the "
-                "scene's size"
+                f"scene's size{fitting}"
             )
         return position
 

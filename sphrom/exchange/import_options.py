@@ -93,6 +93,13 @@ class ImportOptions:
                 raise CaseError(f"--units: got {part!r}; must be a number, or of {allowed}")
         return scales
 
+    def fitting(self, quantity: str, factor: float) -> str:
+        """Return advice on the unit that is about a factor larger than the given one, if one is."""
+        units = {u: scale / self.scales[quantity] / factor for u, scale in UNITS[quantity].items()}
+        unit = min(units, key=lambda u: abs(math.log(units[u])))
+        fits = 0.2 < units[unit] < 5.0 and not 0.2 < factor * units[unit] < 5.0
+        return f"; {quantity}={unit} of --units would fit" if fits else ""
+
 
 def pair(option: str, text: str) -> tuple[str, str]:
     """Return the two parts of an option such as `0.5,0.5`. Raises CaseError for another number."""

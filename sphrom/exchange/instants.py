@@ -102,7 +102,7 @@ def series(sources: Sequence[Source]) -> str:
     return f"{counted(len(sources), 'snapshot')}, at t = {shortened(times, 60)} s"
 
 
-def choose(sources: Sequence[Source], steps: TimeSteps) -> list[Choice]:
+def choose(sources: Sequence[Source], steps: TimeSteps, about: ImportOptions) -> list[Choice]:
     """Return the snapshots for each instant that a case keeps.
 
     Raises CaseError where the files end before the case, or hold less than half as many snapshots
@@ -127,6 +127,7 @@ def choose(sources: Sequence[Source], steps: TimeSteps) -> list[Choice]:
             f"the files hold {series(sources)}; the case keeps {len(instants)}, every {apart:g} s "
             f"until {instants[-1]:g} s; --units time, --time-step or --start may be others, or "
             "--write-case FILE writes a case that fits them"
+            + about.fitting("time", instants[-1] / times[-1])
         )
     return choices
 

@@ -23,7 +23,9 @@ READERS = {
     "vtp": ("IOXML", "XMLPolyData"),
     "vtk": ("IOLegacy", "GenericDataObject"),
 }
-"""The module and the name of VTK's readers, by endings."""
+"""The module and the name of VTK's readers, by endings; others are of its HDF5 format."""
+TIMES = -1
+"""The step that asks for the times of all steps."""
 
 
 def begin(n_bytes: int) -> None:
@@ -46,25 +48,32 @@ def _end_with_parent() -> None:
     os._exit(1)
 
 
-def read(path: str, seconds: float) -> tuple[dict[str, float], dict[str, np.ndarray]]:
-    """Return the single numbers of a file, and its arrays on points.
+def read(path: str, step: int, seconds: float) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Return the single numbers of a file, or the times of its steps, and its arrays on points.
 
     Ends the process after some seconds. Raises ValueError where VTK finds a fault, or no points.
     """
     signal.setitimer(signal.ITIMER_REAL, seconds)
     try:
-        return _read(path)
+        return _read(path, step)
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
-def _read(path: str) -> tuple[dict[str, float], dict[str, np.ndarray]]:
+def _read(path: str, step: int) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     from vtkmodules.util.numpy_support import vtk_to_numpy
     from vtkmodules.vtkCommonCore import vtkOutputWindow, vtkStringOutputWindow
+    from vtkmodules.vtkCommonExecutionModel import vtkStreamingDemandDrivenPipeline as Pipeline
 
     said = vtkStringOutputWindow()
     vtkOutputWindow.SetInstance(said)
     reader = _reader_of(path)
+    reader.UpdateInformation()
+    _require_sound(reader, said.GetOutput())
+    if step == TIMES:
+        return {"times": list(reader.GetOutputInformation(0).Get(Pipeline.TIME_STEPS()) or ())}, {}
+    if hasattr(reader, "SetStep"):
+        reader.SetStep(step)
     reader.Update()
     _require_sound(reader, said.GetOutput())
     grid = reader.GetOutputDataObject(0)
@@ -81,7 +90,7 @@ def _read(path: str) -> tuple[dict[str, float], dict[str, np.ndarray]]:
 def _reader_of(path: str) -> Any:
     """Return VTK's reader of a file, by how its name ends."""
     ending = path.rpartition(".")[2].lower()
-    module, kind = READERS[ending]
+    module, kind = READERS.get(ending, ("IOHDF", "HDF"))
     reader = getattr(import_module(f"vtkmodules.vtk{module}"), f"vtk{kind}Reader")()
     if ending == "vtk":
         _require_last_line(path)

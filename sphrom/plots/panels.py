@@ -65,6 +65,8 @@ HEADROOM = 1.15
 """Of an axis of errors over the largest one of a run that ran to the end."""
 N_MARKERS, MOST_MARKERS = 12, 26
 """Markers along a run's curve, and along a reference that is known at many points, about."""
+LEAST_GAP = 0.09
+"""Between the labels of two marked numbers, over the width of the axis."""
 PIXELS_PER_SPACING = 3.0
 MAX_PIXELS = 400
 """Along the longer side of a raster."""
@@ -370,8 +372,7 @@ def _draw_curves(axes: Axes, panel: Panel) -> None:
         axes.set(xscale="log", yscale="log")
         plain_logarithmic(axes.xaxis, *axes.get_xlim())
         plain_logarithmic(axes.yaxis, *axes.get_ylim())
-        for number in panel.marked:
-            axes.axvline(number, color="#777777", linewidth=0.9, linestyle=":", zorder=1)
+        _mark(axes, panel.marked)
 
 
 def _highest(panel: Panel) -> float | None:
@@ -380,3 +381,24 @@ def _highest(panel: Panel) -> float | None:
     some = [c for c in known if c.complete] or known
     highest = max((float(c.y.max()) for c in some), default=0.0)
     return HEADROOM * highest if highest > 0.0 else None
+
+
+def _mark(axes: Axes, numbers: Sequence[int]) -> None:
+    """Draw a vertical line at numbers of modes, labelled where no other label stands."""
+    low, high = np.log(axes.get_xlim())
+    last = -np.inf
+    for number in sorted(numbers):
+        axes.axvline(number, color="#777777", linewidth=0.9, linestyle=":", zorder=1)
+        place = (np.log(number) - low) / (high - low)
+        if place - last < LEAST_GAP:
+            continue
+        axes.annotate(
+            f"{number}" if np.isfinite(last) else f"M = {number}",
+            (number, 1.0),
+            xycoords=("data", "axes fraction"),
+            xytext=(0, 2),
+            textcoords="offset points",
+            ha="center",
+            fontsize=8.0,
+        )
+        last = place

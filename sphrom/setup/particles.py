@@ -130,25 +130,20 @@ def fixed_points(case: Case, position: Array) -> FixedPoints:
     """Return the sums over neighbours at the reference points (n_points, 2) [m].
 
     What varies beside the viscosity drives them by parts of its own.
-
-    Raises CaseError for readings of the paper that they don't have.
     """
     point = case.plan.train_points[0]
     flow, _ = _rest_and_units(case)
     force = None if flow.body_force is None else flow.body_force.field(position.T)
-    try:
-        return FixedPoints(
-            position,
-            case.plan.fluid(point),
-            case.plan.discretization,
-            flow.domain,
-            walls(case, flow),
-            force,
-            walls_driven=flow.wall_amplitude is not None,
-            drives=drives(case, position),
-        )
-    except ValueError as error:
-        raise CaseError(f"discretization: {error}") from error
+    return FixedPoints(
+        position,
+        case.plan.fluid(point),
+        case.plan.discretization,
+        flow.domain,
+        walls(case, flow),
+        force,
+        walls_driven=flow.wall_amplitude is not None,
+        drives=drives(case, position),
+    )
 
 
 def sampler(case: Case, points: Array) -> ReferenceMap:

@@ -94,8 +94,8 @@ class FixedPoints:
     density_scale : c0/rho0, q over the density fluctuation [m4/(kg s)].
     fixed_volume : whether the mean of continuity is taken out.
 
-    Raises ValueError for readings of the paper that these sums are not: pair viscosity, and at
-    walls ghosts whose velocities count in continuity, or aren't extrapolated.
+    Other readings of the paper than the default are for the caller to refuse: pair viscosity, and
+    at walls ghosts whose velocities count in continuity, or aren't extrapolated.
     """
 
     def __init__(
@@ -109,12 +109,6 @@ class FixedPoints:
         walls_driven: bool = False,
         drives: Mapping[str, Drive[Array]] | None = None,
     ) -> None:
-        needed = {"viscosity": "laplacian"}
-        if walls is not None:
-            needed |= {"wall_continuity": "adjoint", "no_slip": "linear"}
-        for name, value in needed.items():
-            if getattr(discretization, name) != value:
-                raise ValueError(f"{name} must be {value} for models with evaluation: operators")
         self.position = domain.wrap(position)
         self.sound_speed = fluid.sound_speed
         self.reference_density = fluid.reference_density

@@ -6,6 +6,7 @@ import io
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 
@@ -51,7 +52,7 @@ def given_fields() -> dict[str, np.ndarray]:
 
 def write_vtk(path: Path, kind: str, *settings: str, version: int | None = None) -> None:
     """Write such a grid by VTK's writer of a kind."""
-    module = "IOLegacy" if path.suffix == ".vtk" else "IOXML"
+    module = {"vtk": "IOLegacy", "vtkhdf": "IOHDF"}.get(path.suffix[1:], "IOXML")
     writers = pytest.importorskip(f"vtkmodules.vtk{module}", reason="VTK is not installed")
     writer = getattr(writers, f"vtk{kind}Writer")()
     writer.SetFileName(str(path))
@@ -73,6 +74,7 @@ def write_vtk(path: Path, kind: str, *settings: str, version: int | None = None)
         ("a.vtu", "XMLUnstructuredGrid", ("SetCompressorTypeToLZ4",), None),
         ("a.vtk", "PolyData", ("SetFileTypeToASCII",), 42),
         ("a.vtk", "UnstructuredGrid", ("SetFileTypeToBinary",), 51),
+        ("a.vtkhdf", "HDF", (), None),
     ],
 )
 def test_vtk_files_are_read(tmp_path: Path, name, kind, settings, version) -> None:
@@ -167,6 +169,18 @@ def test_without_vtk_its_files_say_what_to_install(tmp_path: Path, monkeypatch) 
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(CaseError, match=r"pip install 'sphrom\[vtk\]'"):
         read_foreign(Source(tmp_path / "a.vtu"))
+
+
+def test_links_out_of_a_vtk_hdf_file_are_refused(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "secret.vtkhdf", "w") as file:
+        file["points"] = np.zeros((N, 3))
+    with h5py.File(tmp_path / "a.vtkhdf", "w") as file:
+        group = file.create_group("VTKHDF")
+        group.attrs["Type"] = np.bytes_("PolyData")
+        group["NumberOfPoints"] = np.array([N])
+        group["Points"] = h5py.ExternalLink("secret.vtkhdf", "points")
+    with pytest.raises(ArtifactError, match="Points is a link that may lead out of the file"):
+        read_foreign(Source(tmp_path / "a.vtkhdf"))
 
 
 def test_archive_is_judged_by_its_size_before_it_is_unpacked(

@@ -77,13 +77,13 @@ def test_times_are_counted_from_the_start_in_the_unit_of_the_files(hold, options
 def test_the_nearest_snapshots_are_taken_or_four_around_an_instant() -> None:
     steps = TimeSteps(time_step=0.1, n_steps=4, every=2)
     sources = [Source(Path(f"{k}"), time) for k, time in enumerate((0.0, 0.1, 0.201, 0.3, 0.4))]
-    assert choose(sources, steps) == [
+    assert choose(sources, steps, ImportOptions()) == [
         (0.0, [sources[0]]), (0.201, [sources[2]]), (0.4, [sources[4]]),
     ]  # fmt: skip
     uneven = [Source(Path(f"{k}"), 0.09 * k) for k in range(6)]
-    times, nodes = zip(*choose(uneven, steps), strict=True)
+    times, nodes = zip(*choose(uneven, steps, ImportOptions()), strict=True)
     assert times == pytest.approx((0.0, 0.2, 0.4))
     assert nodes == ([uneven[0]], uneven[1:5], uneven[2:6])
     for too_few in (sources[:4], [sources[0], sources[4]]):
         with pytest.raises(CaseError, match="--write-case"):
-            choose(too_few, TimeSteps(0.1, n_steps=4, every=1))
+            choose(too_few, TimeSteps(0.1, n_steps=4, every=1), ImportOptions())

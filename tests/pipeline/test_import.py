@@ -191,14 +191,18 @@ def test_files_without_times_need_a_step(case, sphrom, refused) -> None:
     sphrom("import", case, *names, "--time-step", 0.05, code=0)
 
 
-def test_what_was_exported_comes_back_to_the_last_bit(place, sphrom) -> None:
+@pytest.mark.parametrize("way", ["pvd", "vtkhdf"])
+def test_what_was_exported_comes_back_to_the_last_bit(place, sphrom, way: str) -> None:
     pytest.importorskip("vtkmodules", reason="VTK is not installed")
     run = place / "fom-reynolds100.h5"
     with open_artifact(run, "sphrom/trajectory", made_by="fom") as artifact:
         before = {name: artifact.read(name) for name in artifact.datasets}
     sphrom("export", "tiny.yaml", "--only", "reynolds=100", code=0)
-    file = place / "export" / "fom-reynolds100.pvd"
-    sphrom("import", "tiny.yaml", file, "--only", "reynolds=100", "--force", code=0)
+    artifact_itself = run.rename(place / "run.vtkhdf")
+    files = [place / "export" / "fom-reynolds100.pvd"]
+    if way == "vtkhdf":
+        files = [artifact_itself]
+    sphrom("import", "tiny.yaml", *files, "--only", "reynolds=100", "--force", code=0)
     with open_artifact(run, "sphrom/trajectory", made_by="import") as artifact:
         for name in artifact.datasets:
             np.testing.assert_array_equal(artifact.read(name), before[name])
@@ -349,9 +353,9 @@ def test_particles_that_come_and_go_are_refused(case, sphrom) -> None:
         ({}, ("--density", "rho", "--pressure", "p"), 2, "--density, --pressure"),
         ({}, ("--units", "length=furlong"), 2, "--units: got 'length=furlong'"),
         ({}, ("--units", "density=kg/mm3"), 2, "check the density or pressure of --units"),
-        ({}, ("--units", "time=ms"), 2, "or --write-case FILE writes a case that fits them"),
-        ({"u": HIGH, "v": HIGH}, ("--units", "velocity=100"), 2, "check the velocity of --units"),
-        ({}, ("--units", "length=1000"), 2, "check --units, --origin, --array and the scene"),
+        ({}, ("--units", "time=ms"), 2, "writes a case that fits them; time=s of --units would"),
+        ({"u": HIGH, "v": HIGH}, ("--units", "velocity=6"), 2, "speed); velocity=m/s of --units"),
+        ({}, ("--units", "length=1000"), 2, "the scene's size; length=m of --units would fit"),
         ({}, ("--origin", "0.5,0", "--set", "scene={kind: lid-driven-cavity}"), 2,
          "50 of the particles are outside the scene; all span -0.45 to 0.45 m and 0.05 to 0.95 m"),
         ({}, ("--time-step", "0"), 2, "--time-step"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -113,3 +114,15 @@ def test_logarithmic_axes_have_numbers_wherever_they_lie(ends) -> None:
     low, high = axes.get_ylim()
     assert 3 <= sum(low <= y <= high for y in axes.get_yticks()) <= 12
     assert len({"^" in label.get_text() for label in axes.get_yticklabels()}) == 1
+
+
+def test_labels_of_marked_sizes_stay_apart() -> None:
+    sizes = (2, 3, 19, 20, 21, 40)
+    curve = Curve("reference space", np.arange(1.0, 61.0), 0.5 ** np.arange(60.0))
+    panel = Panel("", "M", "share [%]", [curve], "both logarithmic", sizes)
+    figure = draw_grid([[panel] * 2])
+    figure.canvas.draw()
+    for axes in figure.axes:
+        assert len(axes.lines) == 1 + len(sizes)
+        boxes = [text.get_window_extent() for text in axes.texts]
+        assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))

@@ -212,24 +212,6 @@ def test_the_expansion_is_of_the_order_that_it_says(setting) -> None:
     assert errors[1, 1e-2] / errors[1, 1e-3] == pytest.approx(100.0, rel=0.1)
 
 
-@pytest.mark.parametrize(
-    ("name", "options", "words"),
-    [
-        ("periodic", {"viscosity": "pair"}, "viscosity"),
-        ("box", {"wall_continuity": "normal"}, "continuity"),
-        ("box", {"no_slip": "paper"}, "no_slip"),
-        ("box", {"no_slip": "whole"}, "no_slip"),
-    ],
-)
-def test_other_readings_are_refused(setting, name: str, options: dict, words: str) -> None:
-    with pytest.raises(ValueError, match=words):
-        setting(name, **options)
-
-
-def test_without_walls_their_readings_do_not_matter(setting) -> None:
-    assert setting("periodic", wall_continuity="paper", no_slip="paper").points.n_points == 224
-
-
 def ghost_forces(here: Setting, q, velocity, speed: float, amplitude: float) -> np.ndarray:
     """Return the forces on ghosts (2, 2, n_ghosts) that the points have."""
     points, nu = here.points, FLUID.kinematic_viscosity
