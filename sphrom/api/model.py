@@ -162,7 +162,9 @@ class Model:
         return self._labels.runs(map(fast.run, at), [p.as_dict() for p in at], self.name)
 
     @guarded()
-    def sensitivities(self, *names: str, final_time: float | None = None) -> Sensitivities:
+    def sensitivities(
+        self, *names: str, final_time: float | None = None, step_factor: float = 1.0
+    ) -> Sensitivities:
         """Run the model, and differentiate the run by parameters.
 
         The derivatives follow from the model's own equations, ds/dt = J s + df/dp, in the same
@@ -174,14 +176,17 @@ class Model:
         ----------
         names : parameters, such as `"reynolds", "lid"`; by default all that vary in the case.
         final_time : as for `run`.
+        step_factor : length of the steps over that of automatic ones.
         """
         case, (fast, reduced) = self._workspace.case, self._by_operators("sensitivities")
         self._require_names(names)
+        if not (np.isfinite(step_factor) and step_factor > 0.0):
+            raise CaseError(f"step_factor: must be above zero; got {step_factor:g}")
         if case.time.spin_up > 0.0:
             self._warn("derivatives leave out how the spin-up changes")
         longer = self._lengthened(reduced, final_time)
         wanted = tuple(dict.fromkeys(names)) or case.plan.parameter_names
-        found = tangents(fast, self._point, wanted, longer)
+        found = tangents(fast, self._point, wanted, longer, step_factor)
 
         def changes(points: Array) -> Samples:
             mean, run = reduced.mean_density_fluctuation, found.run

@@ -41,6 +41,7 @@ from sphrom.plots.page import (
 from sphrom.plots.panels import SHOWN, colour_scale
 from sphrom.plots.tables import format_figure, read_csv
 from sphrom.setup.context import StageContext
+from sphrom.setup.cost import described_run
 from sphrom.store.sampling import probes_of
 from sphrom.store.stored_run import StoredRun
 from sphrom.store.workspace import Workspace
@@ -90,6 +91,7 @@ def run(context: StageContext) -> None:
         for name in case.plan.bases
         for part in _pictures(out / "plots", _named(contents["bases"], name), f"Basis {name}. ")
     ]
+    runs = (element("p", described_run(case, point)) for point in case.plan.points)
     sections = [
         *shown.items(),
         ("Errors", list(_tables(out / "tables", contents["tables"], made_by))),
@@ -97,7 +99,7 @@ def run(context: StageContext) -> None:
         *((study["title"], _study(context, study)) for study in contents["studies"]),
         ("Sweeps", list(_sweeps(workspace))),
         ("Costs", list(_tables(out / "tables", contents["costs"], made_by))),
-        ("The case", _case_parts(case, case.text)),
+        ("The case", [*runs, listing("The whole case file", case.text)]),
     ]
     footer = (
         f"{about.get('software', 'sphrom')}, compared {about.get('date', '')} on "
@@ -128,26 +130,6 @@ def _headline(answer: Answer) -> Html:
     if answer.pays_from is not None:
         figures.append(("it pays from", f"{answer.pays_from} runs on"))
     return headline(figures, list(answer.sentences()))
-
-
-def _case_parts(case: Case, text: str) -> list[Html]:
-    steps = case.plan.steps
-    facts = [
-        ("particles", f"{case.plan.n_particles:,}"),
-        ("particle spacing", f"{case.plan.particle_spacing:g} m"),
-        ("smoothing length", f"{case.plan.smoothing_length:g} m"),
-        ("speed of sound", f"{case.plan.sound_speed:g} m/s"),
-        ("trained at", "; ".join(point.label for point in case.plan.train_points)),
-        ("predicted at", "; ".join(point.label for point in case.plan.test_points) or "nothing"),
-        ("recorded", f"t = {steps.start_time:g} s to {steps.end_time:g} s"),
-        ("steps", f"{steps.n_steps:,} of {steps.time_step:.4g} s"),
-        ("snapshots", f"{steps.n_snapshots:,} a run"),
-        *(
-            (f"model {m.name}", f"n_modes: {m.n_modes}, {m.projection}, {m.evaluation}")
-            for m in case.rom
-        ),
-    ]
-    return [table("Settings.", ("", " "), facts), listing("The whole case file", text)]
 
 
 def _measure_captions(case: Case) -> dict[str, str]:
