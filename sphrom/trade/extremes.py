@@ -54,6 +54,7 @@ from sphrom.trade.candidates import (
     make,
     models_of_sizes,
     prepared,
+    trade_points,
     with_steps,
     workspace_of,
 )
@@ -90,8 +91,6 @@ QUICK: dict[str, tuple[float, ...]] = {
 }
 SPARSER = 10
 """Of the snapshots of a longer full run one in so many is kept."""
-ON_PARTICLES = (5, 10)
-"""Modes of models on particles, whose runs take as long as full ones."""
 
 
 @dataclass(frozen=True)
@@ -163,7 +162,7 @@ class Maps:
         own = sized_in(Workspace(context), first_model(case), basis)
         self.factors, self.quick = QUICK if quick else FACTORS, quick
         self.notes: list[str] = []
-        self.point = (case.plan.test_points or case.plan.train_points)[0]
+        self.point = context.chosen(trade_points(case))[0]
         self.default = own.projection, own.size
         sections = self._sized(case, "galerkin", own.size)
         if not case.plan.driving:  # The closure has operators for the viscosity alone.
@@ -460,8 +459,8 @@ class Maps:
 
     def _on_particles(self, factor: float, truth: Truth | None) -> Iterator[ExtremeRun]:
         """Run models on particles in steps that are a factor as long as the full model's."""
-        plan, sizes = self.case.plan.steps, self.default[1:] if self.quick else ON_PARTICLES
-        for section in (model.section for model in self.models if model.section.size in sizes):
+        plan, own = self.case.plan.steps, self.default[1]
+        for section in (model.section for model in self.models if model.section.size == own):
             found = self._described(STEP, factor, self.point, "particles", section)
             moving = section.model_copy(update={"evaluation": "particles"})
             model, state = build_model(self.workspace, moving, self.point)
