@@ -59,6 +59,7 @@ from sphrom.trade.candidates import (
     workspace_of,
 )
 from sphrom.trade.stability import (
+    HALF,
     ONE_RUN,
     RESOLUTION,
     ExtremeRun,
@@ -81,8 +82,8 @@ FACTORS: dict[str, tuple[float, ...]] = {
     TIME: (1.0, 2.0, 5.0, 10.0, 20.0),
     REYNOLDS: (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0),
 }
-"""Over the automatic step and memory length, the trained time, and the trained values: below 1 over
-the least, above over the greatest. At 1 a parameter has the value of the default."""
+"""Over the automatic step and memory length, the trained time, and the trained values: up to 1 over
+the least, from 1 over the greatest."""
 QUICK: dict[str, tuple[float, ...]] = {
     STEP: (0.5, 1.0, 4.0, 40.0),
     MEMORY: (1e-3, 1.0, 30.0, 1e3),
@@ -252,18 +253,18 @@ class Maps:
                 point = self.case.plan.point(at | {name: value})
                 truth, coarse = self._truth(point), self._truth(point, coarse=True)
                 if truth is not None and coarse is not None:
-                    found = self._described(name, value, point, "full", steps=", half as fine")
+                    found = self._described(name, value, point, "full", steps=f", {HALF}")
                     yield _compared(found, coarse.samples, truth.samples)
                 for model in self.models:
                     yield self._fast(model, name, value, point, truth)
 
     def _extreme_values(self, name: str) -> list[float]:
         """Return the values of a parameter in and out of its trained range."""
-        own, trained = self.point.as_dict()[name], [p.as_dict()[name] for p in self.trained]
-        found = [f * (min(trained) if f < 1.0 else max(trained)) for f in self.factors[REYNOLDS]]
+        trained, factors = [p.as_dict()[name] for p in self.trained], self.factors[REYNOLDS]
+        found = [factor * min(trained) for factor in factors if factor <= 1.0]
+        found += [factor * max(trained) for factor in factors if factor >= 1.0]
         # Without rounding errors, which names would show.
-        found = [float(f"{value:.12g}") for value in found]
-        return [own if f == 1.0 else v for f, v in zip(self.factors[REYNOLDS], found, strict=True)]
+        return sorted({self.point.as_dict()[name], *(float(f"{value:.12g}") for value in found)})
 
     def _times(self) -> Iterator[ExtremeRun]:
         n_trained = self.case.plan.steps.n_snapshots - 1
@@ -311,7 +312,7 @@ class Maps:
 
     def _full_models(self) -> Iterator[ExtremeRun]:
         """Yield the runs of varied full models, and of the models that learn from them."""
-        own = self._truth(self.point)
+        own, coarse = self._truth(self.point), self._truth(self.point, coarse=True)
         for varied, value, variant in varied_models(
             self.case, (self.trained, self.point), self._galerkin
         ):
@@ -322,8 +323,9 @@ class Maps:
             except (UnstableError, CaseError, ResourceError) as error:
                 yield _failed(found, error)
                 continue
-            if own is not None:
-                yield _compared(found, truth.samples, own.samples)
+            # As fine as the variant where it isn't the resolution that changes.
+            if (beside := own if varied == RESOLUTION else coarse or own) is not None:
+                yield _compared(found, truth.samples, beside.samples)
             for model in made.case.rom:
                 yield self._fast(FastModel(made, model), varied, value, self.point, truth)
 
@@ -427,7 +429,7 @@ class Maps:
             integrator = basis.integrator(reduced).with_steps(factor)
             if method == RUNGE_KUTTA:
                 integrator = choose(reduced, partial(_runge_kutta, factor))
-                found.mechanism, limit = limiting_step(reduced)
+                found.mechanism, limit = limiting_step(integrator.steps.model)
                 found.predicted = factor * limit / integrator.steps.time_step
             run = self.integrated(found, model, reduced, integrator)
         except CaseError as refused:  # Its steps are too many for any run to end.
@@ -464,8 +466,8 @@ class Maps:
             found = self._described(STEP, factor, self.point, "particles", section)
             moving = section.model_copy(update={"evaluation": "particles"})
             model, state = build_model(self.workspace, moving, self.point)
-            close(self.case, moving, model, state, plan.start_time)
             jacobian = reduced_jacobian(model, state, plan.start_time)
+            close(self.case, moving, model, state, plan.start_time)
             values, vectors = np.linalg.eig(jacobian[: section.size, : section.size])
             limits = stability_limits(values.astype(np.complex128))
             worst = int(limits.argmin())

@@ -8,14 +8,13 @@ resolution makes there.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from sphrom.arrays import Array
-from sphrom.case.points import REYNOLDS
 from sphrom.online.fast_model import FastRun
 from sphrom.online.stable_ranges import (
     FILE,
@@ -42,6 +41,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ONE_RUN, RESOLUTION = "reynolds, one training run", "resolution"
+COARSE = ("Mach number", "h/dx")
+"""What is varied in full models of half the resolution."""
+HALF = "half as fine"
 PERCENT = {"unit": "%"}
 Errors = tuple[float, float]
 """Of velocity and pressure [%]."""
@@ -61,6 +63,8 @@ SOUND = 0.1
 """Share of the pressure in the energy of an eigenvector, above which it is sound."""
 PER_DECADE, DECADES = 20, 3
 """Memory lengths that are tried for a growing eigenvector."""
+FINE_BELOW = (STEP, MEMORY, TIME)
+"""What may be less than the least that is tried."""
 
 
 @dataclass(kw_only=True)
@@ -205,28 +209,40 @@ def cause_of_divergence(run: FastRun, integrator: Integrator) -> str:
 # States and ranges
 
 
-def judge(runs: Sequence[ExtremeRun], default: tuple[str, int]) -> None:
+def judge(runs: Sequence[ExtremeRun], default: tuple[str, int], own: Mapping[str, float]) -> None:
     """Say of runs which state they have, and what makes them wrong.
 
-    `default` is the projection and the size of the model that others are judged by.
+    Parameters
+    ----------
+    default : the projection and the size of the model that others are judged by.
+    own : the case's own values of the varied quantities.
     """
-    own = _default_of(runs, default)
-    coarse = (r for r in runs if r.kind == "full" and r.varied == REYNOLDS)
-    half = next((r for r in coarse if r.parameters == own.parameters), None)
-    allowed = {"fast": own.errors, "particles": own.errors}
-    allowed["full"] = None if half is None else half.errors
-    for run in runs:
-        run.state = run.state or _state(run, allowed[run.kind])
-    # In exponential steps as long as the automatic ones, and with their memory.
-    right = {
-        (run.varied, run.kind, run.projection, run.n_modes)
+    by_default = {
+        (run.varied, run.kind, run.projection, run.n_modes): run
         for run in runs
-        if (run.value, run.state) == (1.0, "right") and run.steps != RUNGE_KUTTA
+        if run.value == 1.0 and run.steps != RUNGE_KUTTA
     }
+    standard = _default_of(runs, default)
+    half = (r for r in runs if r.parameters == standard.parameters and HALF in r.steps)
+    of_full = next((run.errors for run in half), None)
     for run in runs:
+        allowed = standard.errors
+        if run.kind == "full":
+            allowed = of_full
+        elif run.varied in COARSE:
+            # Half as fine: by the same model, there.
+            same = [r for r in runs if r.varied == run.varied and _is(r, default) and r.errors]
+            nearest = min(same, key=lambda r: abs(r.value - own[r.varied]), default=standard)
+            allowed = nearest.errors
+        run.state = run.state or _state(run, allowed)
         if run.state == "stable":
-            by_default = (run.varied, run.kind, run.projection, run.n_modes) in right
-            run.mechanism = _cause(run, allowed[run.kind], by_default)
+            key = run.varied, run.kind, run.projection, run.n_modes
+            is_right = key in by_default and _within(by_default[key].errors, allowed)
+            run.mechanism = _cause(run, allowed, is_right)
+
+
+def _is(run: ExtremeRun, default: tuple[str, int]) -> bool:
+    return run.kind == "fast" and (run.projection, run.n_modes) == default
 
 
 def _default_of(runs: Sequence[ExtremeRun], default: tuple[str, int]) -> ExtremeRun:
@@ -257,14 +273,16 @@ def _cause(run: ExtremeRun, allowed: Errors | None, right_by_default: bool) -> s
     if best is not None and not _within(best, allowed):
         return f"{before}modes"
     if right_by_default and run.varied == STEP:
-        return "convection" if run.steps == EXPONENTIAL else "sound"
+        # Sound is a part of pressure alone, but for a little.
+        carried = run.steps == EXPONENTIAL or run.errors[0] > MOST_ERROR * allowed[0]
+        return "convection" if carried else "sound"
     if right_by_default and run.varied == MEMORY:
         return "closure"
     return f"{before}rates"
 
 
 def ranges_in(
-    runs: Sequence[ExtremeRun], default: tuple[str, int], own: dict[str, float]
+    runs: Sequence[ExtremeRun], default: tuple[str, int], own: Mapping[str, float]
 ) -> Iterator[StableRange]:
     """Yield where each model is stable and right; `own` are the case's own values by quantity."""
     own_run = _default_of(runs, default)
@@ -275,6 +293,7 @@ def ranges_in(
         stable = _around(k, [run.state in ("right", "stable") for run in series])
         right = _around(k, [run.state == "right" for run in series])
         low, high = right or stable or (k, k)
+        lower = [0.0 if first.varied in FINE_BELOW else values[0], *values[1:]]
         predicted, by = _predicted(series[k:], own_run)
         yield StableRange(
             varied=first.varied,
@@ -282,11 +301,11 @@ def ranges_in(
             projection=first.projection,
             n_modes=first.n_modes,
             steps=first.steps,
-            right_from=None if right is None else values[low],
+            right_from=None if right is None else lower[low],
             right_to=None if right is None else values[high],
-            stable_from=None if stable is None else values[stable[0]],
+            stable_from=None if stable is None else lower[stable[0]],
             stable_to=None if stable is None else values[stable[1]],
-            least=values[0],
+            least=lower[0],
             greatest=values[-1],
             below=series[low - 1].mechanism if low > 0 else "",
             above=series[high + 1].mechanism if high + 1 < len(series) else "",
@@ -334,11 +353,11 @@ def publish(
     workspace: Workspace,
     runs: Sequence[ExtremeRun],
     default: tuple[str, int],
-    own: dict[str, float],
+    own: Mapping[str, float],
     notes: Sequence[str],
 ) -> None:
     """Judge the runs, write their tables and maps, and show where models are stable and right."""
-    judge(runs, default)
+    judge(runs, default, own)
     ranges, report = list(ranges_in(runs, default, own)), workspace.context.report
     write_csv(workspace.folder(FOLDER) / "extremes.csv", runs)
     about = {"basis": workspace.basis().inputs_digest}
