@@ -19,20 +19,25 @@ import subprocess
 import sys
 import time
 import zlib
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 from scipy.integrate import solve_ivp
+from small_picture import write_small
 
 from sphrom.case.checks import coarser_resolution
 from sphrom.case.loader import load_case
+from sphrom.case.points import REYNOLDS
 from sphrom.case.studies import at_resolution
 from sphrom.console import Reporter
 from sphrom.errors import UnstableError
 from sphrom.offline import fom
 from sphrom.online.fast_model import FastModel, FastRun
+from sphrom.online.stable_ranges import FILE, StableRange
+from sphrom.plots.canvas import save
 from sphrom.reduction.reference_model import Integrator, ReferenceModel
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
@@ -40,9 +45,11 @@ from sphrom.sph.time_loop import Clock, TimeSteps, march
 from sphrom.store.starts import scene_start
 from sphrom.store.workspace import Workspace
 from sphrom.trade.extremes import Maps
-from sphrom.trade.stability import ExtremeRun, publish
+from sphrom.trade.stability import ExtremeRun, draw_maps, publish
 
-CASES = Path(__file__).parents[1] / "cases"
+CASES, FIGURES = (Path(__file__).parents[1] / name for name in ("cases", "docs/figures"))
+SHOWN = "lid-driven-cavity"
+"""Whose map of Reynolds numbers stands alone, too."""
 SCENES: dict[str, tuple[str, dict[str, Any]]] = {
     "taylor-green": ("taylor_green_demo", {}),
     "lid-driven-cavity": ("lid_driven_cavity_demo", {}),
@@ -86,24 +93,8 @@ SCENES: dict[str, tuple[str, dict[str, Any]]] = {
             },
         },
     ),
-    "body-force": (
-        "open_cavity_demo",
-        {
-            "discretization": {"resolution": 48},
-            "parameters": {
-                "train": {
-                    "points": [
-                        {"reynolds": 1600, "body_force": 0.58},
-                        {"reynolds": 2400, "body_force": 0.58},
-                        {"reynolds": 2400, "body_force": 0.4},
-                    ]
-                },
-                "test": {"points": [{"reynolds": 2000, "body_force": 0.5}]},
-            },
-        },
-    ),
 }
-"""The case that each is made of, and what differs. The last two vary what drives the flow."""
+"""The case that each is made of, and what differs. The last two vary what drives the flow, too."""
 STAGES = ("fom", "map", "pod", "fit-psi", "operators")
 ONE_IN = 5
 TOLERANCE = 1e-8
@@ -220,18 +211,64 @@ def conserved(name: str, out: Path, turnovers: int) -> None:
     )
 
 
+def drawn(name: str, out: Path) -> None:
+    """Draw the maps of a scene for the documentation, and print its limits as Markdown."""
+    document = json.loads((out / name / FILE).read_text(encoding="utf-8"))
+    runs = [ExtremeRun(**row) for row in document["extremes"]]
+    picture = out / f"{name}.png"
+    save(draw_maps(runs), picture)
+    write_small(picture, FIGURES / f"stability-{name}.png")
+    if name == SHOWN:
+        save(draw_maps([run for run in runs if run.varied == REYNOLDS]), picture)
+        write_small(picture, FIGURES / "stability.png")
+    checks = json.loads((out / name / "checks.json").read_text(encoding="utf-8"))
+    counts = Counter(run.state for run in runs)
+    silent = [
+        r for r in runs if max(r.errors or (0.0,)) > 100.0 and r.kind == "fast" and not r.told
+    ]
+    print(
+        f"\n{name}: {len(runs)} runs, {dict(counts)}, {len(silent)} silent, {checks['seconds']:.0f} s"
+    )
+    for title in dict.fromkeys(run.varied for run in runs):
+        some = [each for each in checks["checks"] if each["varied"] == title]
+        agree = sum(each["diverges"] == each["diverges_here"] for each in some)
+        stable = [e["difference"] for e in some if not e["diverges"] and not e["diverges_here"]]
+        print(f"{title}: {agree} of {len(some)} checks agree; differences {sorted(stable)[-3:]}")
+        for each in some:
+            if each["diverges"] != each["diverges_here"]:
+                print(f"    {each}")
+    print("| | model | right | stable | wrong below | wrong above | predicted |")
+    print("|---|---|---|---|---|---|---|")
+    for row in document["ranges"]:
+        print("| " + " | ".join(_cells(StableRange(**row))) + " |")
+
+
+def _cells(each: StableRange) -> tuple[str, ...]:
+    def span(low: float | None, high: float | None) -> str:
+        return "nowhere" if low is None else f"{low:.3g} to {high:.3g}"
+
+    predicted = f"{each.predicted:.3g} ({each.predicted_by})" if each.predicted else ""
+    model = f"{each.kind} {each.projection} {each.n_modes or ''} {each.steps}"
+    right, stable = span(each.right_from, each.right_to), span(each.stable_from, each.stable_to)
+    return each.varied, model, right, stable, each.below, each.above, predicted
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("runs/stability"))
     parser.add_argument("--scenes", nargs="+", choices=SCENES, default=list(SCENES))
     parser.add_argument("--turnovers", type=int)
+    parser.add_argument("--draw", action="store_true", help="only draw what is there")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     for name in given.scenes:
         if given.turnovers:
             conserved(name, given.out, given.turnovers)
+        elif given.draw:
+            drawn(name, given.out)
         else:
             mapped(name, given.out)
+            drawn(name, given.out)
 
 
 if __name__ == "__main__":

@@ -57,8 +57,8 @@ OVER = {
 }
 ALL_WRONG = 100.0
 """Errors above that are no result [%]."""
-IN_A_ROW, WIDTH, HEIGHT, ABOUT, LETTERS = 2, 7.5, 0.3, 0.6, 5.5
-"""Maps in a row, their width, the height of a model and of title and labels [inch], letters."""
+WIDTH, HEIGHT, ABOUT, LETTERS = 8.5, 0.27, 0.55, 5.5
+"""Of maps, of a model in them, of title and labels [inch], and of letters in cells."""
 SOUND = 0.1
 """Share of the pressure in the energy of an eigenvector, above which it is sound."""
 PER_DECADE, DECADES = 20, 3
@@ -409,18 +409,15 @@ def draw_maps(runs: Sequence[ExtremeRun]) -> Figure:
     for series in _series(runs):
         maps.setdefault(series[0].varied, []).append(series)
     sizes = [len(models) for models in maps.values()]
-    longest = [max(sizes[k : k + IN_A_ROW]) for k in range(0, len(sizes), IN_A_ROW)]
     with styled():
-        figure = new_figure(IN_A_ROW * WIDTH, sum(ABOUT + HEIGHT * number for number in longest))
-        grid = figure.subplots(len(longest), IN_A_ROW, squeeze=False, height_ratios=longest)
-        for axes in grid.ravel()[len(maps) :]:
-            axes.set_axis_off()
-        for k, (name, models) in enumerate(maps.items()):
-            _draw_map(grid.ravel()[k], name, models, longest[k // IN_A_ROW])
+        figure = new_figure(WIDTH, sum(ABOUT + HEIGHT * size for size in sizes))
+        grid = figure.subplots(len(maps), squeeze=False, height_ratios=sizes)
+        for axes, (name, models) in zip(grid.ravel(), maps.items(), strict=True):
+            _draw_map(axes, name, models)
     return figure
 
 
-def _draw_map(axes: Axes, name: str, models: Sequence[Sequence[ExtremeRun]], n_rows: int) -> None:
+def _draw_map(axes: Axes, name: str, models: Sequence[Sequence[ExtremeRun]]) -> None:
     from matplotlib.patches import Rectangle
 
     values = sorted({run.value for series in models for run in series})
@@ -434,7 +431,7 @@ def _draw_map(axes: Axes, name: str, models: Sequence[Sequence[ExtremeRun]], n_r
             if run.state != "right":
                 words = f"{words}\n{run.mechanism or run.state}".strip()
             axes.text(x, y, words, ha="center", va="center", fontsize=LETTERS)
-    axes.set(xlim=(-0.5, len(values) - 0.5), ylim=(n_rows - 0.5, -0.5))
+    axes.set(xlim=(-0.5, len(values) - 0.5), ylim=(len(models) - 0.5, -0.5))
     axes.set_title(f"{name}{OVER.get(name, '')}")
     axes.set_xticks(range(len(values)), [f"{value:g}" for value in values])
     axes.set_yticks(range(len(models)), [series[0].model for series in models])
