@@ -156,7 +156,8 @@ def _around_which(reduced: ReferenceModel) -> Array:
 
 def kind_of(basis: TrialBasis, value: complex, vector: Array) -> str:
     """Return what an eigenvalue [1/s] and its eigenvector (n_modes,) of a Jacobian are."""
-    pressure = (basis.density_modes * basis.weights) @ basis.density_modes.T
+    modes = basis.density_modes[: len(vector)]  # the leading ones of a model that integrates them
+    pressure = (modes * basis.weights) @ modes.T
     if (vector.conj() @ pressure @ vector).real > SOUND * np.linalg.norm(vector) ** 2:
         return "sound"
     return "viscosity" if abs(value.real) > abs(value.imag) else "convection"
