@@ -121,7 +121,10 @@ class Checked(Maps):
 
 
 def checked(integrator: Integrator) -> dict[str, Any]:
-    """Integrate the rates of a model by scipy, and compare with the project's steps."""
+    """Integrate the rates of a model by scipy, and compare with the project's steps.
+
+    Raises RuntimeError where scipy's integrator gives up.
+    """
     model, own = integrator.steps.model, integrator.steps.run()
     times, most = model.output_times.time, model.output_times.largest_square
 
@@ -133,11 +136,13 @@ def checked(integrator: Integrator) -> dict[str, Any]:
         return most - float(state @ state)
 
     left.terminal = True  # type: ignore[attr-defined]
-    absolute = TOLERANCE * float(np.linalg.norm(model.start))
+    absolute = TOLERANCE * float(np.sqrt(most))
     solved = solve_ivp(
-        rates, (times[0], times[-1]), model.start, "LSODA", times,
-        events=left, rtol=TOLERANCE, atol=absolute,
+        rates, (times[0], times[-1]), model.start, "LSODA", times, events=left,
+        rtol=TOLERANCE, atol=absolute,
     )  # fmt: skip
+    if solved.status < 0:
+        raise RuntimeError(solved.message)
     states = np.reshape(solved.y, (len(model.start), -1)).T  # none where it diverges at once
     n_both = min(len(states), int(np.isfinite(own.coordinates).all(axis=1).sum()))
     both = own.coordinates[:n_both] - states[:n_both]
