@@ -164,15 +164,16 @@ def kind_of(basis: TrialBasis, value: complex, vector: Array) -> str:
 
 
 def growth(reduced: ReferenceModel, states: Array) -> tuple[float, str]:
-    """Return the fastest growth [1/s] around states (n_states, n_modes), and where it is.
+    """Return the fastest growth [1/s] around states (n_states, n_modes), and a name for it.
 
-    It is in the first or the last half of the modes.
+    In the last half of the modes it is that of their noise; in the first half, of what the modes
+    that are left out would have taken from them.
     """
     values, vectors = np.linalg.eig(reduced.polynomial.jacobians(states, reduced.strongest))
     worst = int(values.real.argmax())
     vector = np.abs(vectors.transpose(0, 2, 1).reshape(values.size, -1)[worst]) ** 2
     last = float(vector[len(vector) // 2 :].sum() / vector.sum())
-    return float(values.real.ravel()[worst]), "last" if last > 0.5 else "first"
+    return float(values.real.ravel()[worst]), "noise modes" if last > 0.5 else "aliasing"
 
 
 def longest_memory(near: ReferenceModel, far: ReferenceModel) -> float | None:
@@ -201,10 +202,12 @@ def cause_of_divergence(run: FastRun, integrator: Integrator) -> str:
             return name
     if reduced.memory_length is not None:
         return "closure"
+    fastest, where = growth(reduced, _around_which(reduced))
+    if fastest * reduced.output_times.duration > math.log(MOST_GROWTH):
+        return where
     if run.outside:
         return "extrapolated rates"
-    _, where = growth(reduced, run.done.coordinates[-1:])
-    return "noise modes" if where == "last" else "aliasing"
+    return growth(reduced, run.done.coordinates[-1:])[1]
 
 
 # States and ranges
