@@ -228,12 +228,10 @@ def drawn(name: str, out: Path) -> None:
         write_small(picture, FIGURES / "stability.png")
     checks = json.loads((out / name / "checks.json").read_text(encoding="utf-8"))
     counts = Counter(run.state for run in runs)
-    silent = [
-        r for r in runs if max(r.errors or (0.0,)) > 100.0 and r.kind == "fast" and not r.told
-    ]
-    print(
-        f"\n{name}: {len(runs)} runs, {dict(counts)}, {len(silent)} silent, {checks['seconds']:.0f} s"
-    )
+    fast = (run for run in runs if run.kind == "fast" and not run.told)
+    silent = sum(max(run.errors or (0.0,)) > 100.0 for run in fast)
+    print(f"\n{name}: {len(runs)} runs, {dict(counts)}, {silent} silent")
+    print(f"{checks['seconds']:.0f} s, with what else ran on the machine")
     for title in dict.fromkeys(run.varied for run in runs):
         some = [each for each in checks["checks"] if each["varied"] == title]
         agree = sum(each["diverges"] == each["diverges_here"] for each in some)

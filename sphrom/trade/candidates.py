@@ -13,7 +13,6 @@ from fractions import Fraction
 from itertools import product
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal
 
 from sphrom.case.checks import coarser_resolution
 from sphrom.case.models import Case
@@ -59,47 +58,30 @@ def first_model(case: Case) -> ReducedModelSection:
     return case.rom[0]
 
 
-def candidates(case: Case, points: Sequence[ParameterPoint]) -> list[ReducedModelSection]:
-    """Return the reduced models to weigh at parameter points, in the basis of the case's first one.
-
-    Raises CaseError when the basis has fewer modes than are listed, or there is no local one, or no
-    reduced model.
-    """
-    first, basis = first_model(case), first_model(case).basis
-    available = min(case.plan.basis_size(case.plan.basis_for(first, point)) for point in points)
-    if (most := max(case.trade.n_modes or (0,))) > available:
-        raise CaseError(f"trade.n_modes: the basis {basis} has {available} modes; got {most}")
-    models = models_of_sizes(case, "galerkin", basis, available)
-    if not case.plan.driving:  # The closure has operators for the viscosity alone.
-        models += models_of_sizes(case, "apg", basis, available)
-    return models
-
-
-def models_of_sizes(
-    case: Case,
-    projection: Literal["galerkin", "apg"],
-    basis: str,
-    available: int,
-    **keys: Any,
+def candidates(
+    case: Case, points: Sequence[ParameterPoint], basis: str, *also: int
 ) -> list[ReducedModelSection]:
-    """Return models of the sizes that a case lists; by default of some, as far as the basis goes.
+    """Return the reduced models in a basis, to weigh or map at parameter points.
 
-    The last of them then has all `available` modes.
+    They have the sizes that a case lists, by default some, as far as the basis goes; and `also`
+    others.
+
+    Raises CaseError when the basis has fewer modes than are listed, or there is no local one.
     """
-    closed = projection == "apg"
-    most = min(available, MOST_CLOSED_MODES) if closed else available
-    sizes = case.trade.n_modes or (*(size for size in SIZES if size < most), most)
-    return [
-        ReducedModelSection(
-            name=f"weighed-{basis}-{projection}-m{size}",
-            evaluation="operators",
-            projection=projection,
-            n_modes=size,
-            basis=basis,
-            **keys,
-        )
-        for size in dict.fromkeys(sizes)
-    ]
+    first = first_model(case).model_copy(update={"basis": basis})
+    available = min(case.plan.basis_size(case.plan.basis_for(first, point)) for point in points)
+    listed, found = case.trade.n_modes, []
+    if (largest := max(listed or (0,))) > available:
+        raise CaseError(f"trade.n_modes: the basis {basis} has {available} modes; got {largest}")
+    ends = {"galerkin": available}
+    if not case.plan.driving:  # The closure has operators for the viscosity alone.
+        ends["apg"] = min(available, MOST_CLOSED_MODES)
+    for projection, end in ends.items():
+        for size in sorted({*(listed or (*filter(end.__gt__, SIZES), end)), *also}):
+            keys = {"name": f"weighed-{basis}-{projection}-m{size}", "projection": projection}
+            keys |= {"evaluation": "operators", "n_modes": size, "basis": basis}
+            found.append(ReducedModelSection.model_validate(keys))
+    return found
 
 
 def prepared(context: StageContext, models: Sequence[ReducedModelSection]) -> Workspace:

@@ -48,11 +48,10 @@ from sphrom.store.trained_models import sized_in
 from sphrom.store.workspace import Workspace
 from sphrom.text import exact
 from sphrom.trade.candidates import (
-    MOST_CLOSED_MODES,
+    candidates,
     first_model,
     global_basis,
     make,
-    models_of_sizes,
     prepared,
     trade_points,
     with_steps,
@@ -165,10 +164,7 @@ class Maps:
         self.notes: list[str] = []
         self.point = context.chosen(trade_points(case))[0]
         self.default = own.projection, own.size
-        sections = self._sized(case, "galerkin", own.size)
-        if not case.plan.driving:  # The closure has operators for the viscosity alone.
-            closed = self._sized(case, "apg", own.size)
-            sections += [each for each in closed if each.size <= MOST_CLOSED_MODES]
+        sections = candidates(case, (self.point,), basis, own.size)
         self.workspace = prepared(context, sections)
         self.case, self.grid = case, probes_of(case).grid
         self.trained = case.plan.bases[basis]
@@ -177,17 +173,6 @@ class Maps:
         self._truths: dict[tuple[ParameterPoint, float, bool], Truth | None] = {}
         self._points: dict[str, ParameterPoint] = {}
         self._modes: dict[BasisModel, GridModes] = {}
-
-    def _sized(
-        self, case: Case, projection: Literal["galerkin", "apg"], own: int
-    ) -> list[ReducedModelSection]:
-        """Return models of all sizes, of which one is the size of the case's own."""
-        basis = global_basis(case)
-        models = models_of_sizes(case, projection, basis, case.plan.basis_size(basis))
-        if own not in {model.size for model in models}:
-            name = f"weighed-{basis}-{projection}-m{own}"
-            models.append(models[0].model_copy(update={"n_modes": own, "name": name}))
-        return sorted(models, key=lambda model: model.size)
 
     def runs(self) -> Iterator[ExtremeRun]:
         """Yield the runs of all maps."""

@@ -52,7 +52,7 @@ from sphrom.store.trajectory import require_complete
 from sphrom.store.workspace import Workspace
 from sphrom.text import counted
 from sphrom.trade import candidates as weighed_models
-from sphrom.trade.candidates import FOLDER, candidates, trade_points
+from sphrom.trade.candidates import FOLDER, candidates, first_model, trade_points
 from sphrom.trade.weighing import (
     ESTIMATE,
     FRONTS,
@@ -112,7 +112,7 @@ class _Trade:
     def __init__(self, context: StageContext) -> None:
         self.workspace, self.case = Workspace(context), context.case
         points = context.chosen(trade_points(self.case))
-        self.models = candidates(self.case, points)
+        self.models = candidates(self.case, points, first_model(self.case).basis)
         self.wider = weighed_models.prepared(context, self.models)
         self.probes = probes_of(self.case)
         self.full: dict[ParameterPoint, Samples] = {}
