@@ -78,9 +78,9 @@ def candidates(
         ends["apg"] = min(available, MOST_CLOSED_MODES)
     for projection, end in ends.items():
         for size in sorted({*(listed or (*filter(end.__gt__, SIZES), end)), *also}):
-            keys = {"name": f"weighed-{basis}-{projection}-m{size}", "projection": projection}
-            keys |= {"evaluation": "operators", "n_modes": size, "basis": basis}
-            found.append(ReducedModelSection.model_validate(keys))
+            name = f"weighed-{basis}-{projection}-m{size}"
+            keys = {"evaluation": "operators", "projection": projection, "basis": basis}
+            found.append(ReducedModelSection.model_validate(keys | {"name": name, "n_modes": size}))
     return found
 
 
