@@ -145,13 +145,9 @@ class _PointFigures:
         full = self._pictures[FULL].items()
         return {LABELS[q]: (float(np.nanmin(f)), float(np.nanmax(f))) for q, f in full}
 
-    def _beside(self, name: str, quantity: str) -> Iterator[Field]:
-        """Yield a quantity of the full run, of a reduced one, and their difference."""
-        full, reduced = (self._pictures[run][quantity] for run in (FULL, name))
-        label, unit = LABELS[quantity], LABELS[quantity].partition("[")[2]
-        yield Field(f"{quantity}, full", label, full)
-        yield Field(f"{quantity}, {name}", label, reduced)
-        yield Field("difference", f"difference [{unit}", reduced - full, difference=True)
+    def _beside(self, name: str, quantity: str) -> list[Field]:
+        both = (self._pictures[run][quantity] for run in (FULL, name))
+        return side_by_side(name, quantity, *both)
 
     def _fields(self) -> Figure:
         rows = [
@@ -165,7 +161,7 @@ class _PointFigures:
         complete = {m.name: self._errors[m.name] for m in self.complete}
         label = "velocity, field, at all instants: relative L2 [%]"
         errors = _error_panel(self.case, "velocity_field_relative_l2", label, complete)
-        frame, fields = frame_of(self.case), [*self._beside(fastest.name, "speed")]
+        frame, fields = frame_of(self.case), self._beside(fastest.name, "speed")
         flat = np.ptp(frame.extent[2:]) < FLAT * np.ptp(frame.extent[:2])
         rows = [[field] for field in fields] if flat else [fields]
         return draw_grid(rows, frame, scales=self._scales, title=self.when, beside=errors)
@@ -244,6 +240,16 @@ class _PointFigures:
                 curves.append(_curve(self.case, name or FULL, found.time, found.velocity[:, 0, 1]))
         title = f"{self.point.label}, at x = {x:.4g} m, y = {y:.4g} m"
         return draw_grid([[Panel("", "time [s]", "v [m/s]", curves)]], title=title)
+
+
+def side_by_side(name: str, quantity: str, full: Array, reduced: Array) -> list[Field]:
+    """Return a quantity of the full run, of a reduced one, and their difference, as pictures."""
+    label, unit = LABELS[quantity], LABELS[quantity].partition("[")[2]
+    return [
+        Field(f"{quantity}, full", label, full),
+        Field(f"{quantity}, {name}", label, reduced),
+        Field("difference", f"difference [{unit}", reduced - full, difference=True),
+    ]
 
 
 def _curve(case: Case, name: str, x: Array, y: Array) -> Curve:

@@ -122,14 +122,10 @@ def mode_fields(
 
 def draw_modes(workspace: Workspace, basis: str) -> Figure:
     """Return density and velocity of the first modes that models use, spaces side by side."""
-    with workspace.open(workspace.basis()) as artifact:
-        lengths = [
-            artifact.length(name)
-            for parent, _ in SPACES.values()
-            if (name := f"{parent}/{basis}/modes/density") in artifact
-        ]
-    number = min([lengths[0], *model_sizes(workspace, basis)[-1:]])
-    numbers, most = list(range(1, number + 1)), MOST_MODES // len(lengths)
+    number, most = max(model_sizes(workspace, basis), default=1), MOST_MODES
+    if workspace.case.basis.lagrangian:
+        most //= len(SPACES)
+    numbers = list(range(1, number + 1))
     if number > most:  # the first ones, and some of the others
         numbers = sorted({round(m) for m in np.geomspace(1, number, most)})
     rows = []

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sphrom.arrays import Array
 from sphrom.artifacts import Artifact
@@ -99,54 +98,6 @@ def profiles_of(case: Case, point: ParameterPoint) -> tuple[ReferenceProfile, ..
     return case.scene.reference_profiles(point.reynolds, case.fluid.reference_speed)
 
 
-@dataclass(frozen=True)
-class _Line:
-    """A reference, where a run is compared with it, and the snapshots whose mean is."""
-
-    reference: ReferenceProfile
-    compared: NDArray[np.bool_]
-    """(n_points,) which of the reference's points are off the walls."""
-    points: Array
-    """(n_compared + n_datum, 2) [m] where they are; then where the mean of the pressure is zero."""
-    window: range
-    before: range
-    """As many snapshots a tenth of the run before, of a flow that should be steady; else none."""
-
-    @classmethod
-    def of(
-        cls, case: Case, reference: ReferenceProfile, probes: Probes, times: Array
-    ) -> _Line | None:
-        """Return the line of a reference, None for an instant that the run does not have."""
-        window, before = window_of(case, reference, times), range(0)
-        if not window:
-            return None
-        if reference.time is None and not reference.averaged:
-            earlier = times[-1] - SETTLING_SHARE * (times[-1] - times[0])
-            last = min(int(np.searchsorted(times, earlier)), len(times) - 2)
-            before = range(max(0, last + 1 - len(window)), max(0, last) + 1)
-        domain, length = case.scene.domain, case.scene.length_scale
-        across = np.full_like(reference.coordinate, reference.offset)
-        columns = (reference.coordinate, across)
-        points = length * np.stack(columns if reference.axis == "x" else columns[::-1], axis=1)
-        # On the walls themselves a run has its boundary conditions, not a solution.
-        off_walls = domain.wall_distance(points) > ON_WALL * case.plan.particle_spacing
-        compared = off_walls & domain.contains(points)
-        datum = np.empty((0, 2))
-        if reference.quantity == "p":
-            centre = 0.5 * np.add(domain.lower, domain.upper)[None]
-            datum = probes.grid if reference.datum == "mean" else centre
-        points = np.concatenate((points[compared], datum))
-        return cls(reference, compared, points, window, before)
-
-    def values(self, case: Case, velocity: Array, pressure: Array) -> Array:
-        """Return the dimensionless profiles (n_snapshots, n_compared) of fields at the points."""
-        speed, number = case.fluid.reference_speed, int(self.compared.sum())
-        if self.reference.quantity != "p":
-            return velocity[..., "uv".index(self.reference.quantity)] / speed
-        zero = pressure[:, number:].mean(axis=1, keepdims=True)
-        return (pressure[:, :number] - zero) / (case.fluid.reference_density * speed**2)
-
-
 def compare_with_references(
     case: Case, point: ParameterPoint, trajectory: Artifact, probes: Probes
 ) -> list[tuple[ReferenceRow, Profile]]:
@@ -156,47 +107,64 @@ def compare_with_references(
     are marked as unsettled, if a velocity shows that the flow still changed: pressure has noise
     that never settles.
     """
-    times = trajectory.read("time")
-    each = (_Line.of(case, reference, probes, times) for reference in profiles_of(case, point))
-    lines = [line for line in each if line is not None]
-    if not lines:
-        return []
-    chosen = sorted({i for line in lines for i in (*line.window, *line.before)})
-    samples = sample_run(
-        case, trajectory, np.concatenate([line.points for line in lines]), snapshots=chosen
-    )
-    found, changes, first = [], [0.0], 0
-    for line in lines:
-        where = slice(first, first + len(line.points))
-        first = where.stop
-        values = line.values(case, samples.velocity[:, where], samples.pressure[:, where])
-        now, then = (values[np.isin(chosen, part)] for part in (line.window, line.before))
-        row, profile = _comparison(case, point, line, times, now, then)
-        found.append((row, profile))
-        if row.last_change is not None and line.reference.quantity != "p":
-            changes.append(row.last_change)
+    times, found, changes = trajectory.read("time"), [], [0.0]
+    for reference in profiles_of(case, point):
+        if window := window_of(case, reference, times):
+            row, profile = _comparison(case, point, trajectory, probes, reference, times, window)
+            found.append((row, profile))
+            if row.last_change is not None and reference.quantity != "p":
+                changes.append(row.last_change)
     if max(changes) <= SETTLED:
         return found
     return [(replace(row, settled=row.last_change is None), profile) for row, profile in found]
 
 
 def _comparison(
-    case: Case, point: ParameterPoint, line: _Line, times: Array, now: Array, then: Array
+    case: Case,
+    point: ParameterPoint,
+    trajectory: Artifact,
+    probes: Probes,
+    reference: ReferenceProfile,
+    times: Array,
+    window: range,
 ) -> tuple[ReferenceRow, Profile]:
-    """Compare the profiles of the window (n_snapshots, n_compared), and of the one before."""
-    reference, several = line.reference, len(now) > 1
-    value, scatter = now.mean(axis=0), now.std(axis=0)
-    expected = reference.value[line.compared]
-    error = value - expected
+    """Compare a reference with the mean over a window of snapshots, where it is off the walls."""
+    domain, length, before = case.scene.domain, case.scene.length_scale, range(0)
     state, transient = "time average" if reference.averaged else "steady", None
     if reference.time is not None:
         state, transient = "transient", reference.time * time_scale(case)
+    elif not reference.averaged:  # as many snapshots, a tenth of the run before
+        earlier = times[-1] - SETTLING_SHARE * (times[-1] - times[0])
+        last = min(int(np.searchsorted(times, earlier)), len(times) - 2)
+        before = range(max(0, last + 1 - len(window)), max(0, last) + 1)
+    across = np.full_like(reference.coordinate, reference.offset)
+    columns = (reference.coordinate, across)
+    points = length * np.stack(columns if reference.axis == "x" else columns[::-1], axis=1)
+    # On the walls themselves a run has its boundary conditions, not a solution.
+    off_walls = domain.wall_distance(points) > ON_WALL * case.plan.particle_spacing
+    compared = off_walls & domain.contains(points)
+    points, number, speed = points[compared], int(compared.sum()), case.fluid.reference_speed
+    if reference.quantity == "p":  # then come the places where its mean is zero
+        centre = 0.5 * np.add(domain.lower, domain.upper)[None]
+        points = np.concatenate((points, probes.grid if reference.datum == "mean" else centre))
+    chosen = sorted({*window, *before})
+    samples = sample_run(case, trajectory, points, snapshots=chosen)
+    if reference.quantity == "p":
+        zero = samples.pressure[:, number:].mean(axis=1, keepdims=True)
+        scale = case.fluid.reference_density * speed**2
+        values = (samples.pressure[:, :number] - zero) / scale
+    else:
+        values = samples.velocity[..., "uv".index(reference.quantity)] / speed
+    now, then = (values[np.isin(chosen, part)] for part in (window, before))
+    value, scatter, several = now.mean(axis=0), now.std(axis=0), len(now) > 1
+    expected = reference.value[compared]
+    error = value - expected
     row = ReferenceRow(
         parameters=point.label,
         profile=reference.name,
         state=state,
-        from_time=float(times[line.window[0]]),
-        time=float(times[line.window[-1]]),
+        from_time=float(times[window[0]]),
+        time=float(times[window[-1]]),
         n_snapshots=len(now),
         reference_time=transient,
         largest_error=float(np.abs(error).max()),
@@ -207,12 +175,8 @@ def _comparison(
         settled=True,
         source=reference.source,
     )
-    return row, Profile(
-        coordinate=reference.coordinate[line.compared],
-        reference_value=expected,
-        value=value,
-        scatter=scatter,
-    )
+    at = reference.coordinate[compared]
+    return row, Profile(coordinate=at, reference_value=expected, value=value, scatter=scatter)
 
 
 def _rms(values: Array) -> float:

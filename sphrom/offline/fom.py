@@ -12,7 +12,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
 from sphrom.setup import assembly, particles
 from sphrom.setup.context import StageContext
-from sphrom.setup.cost import describe_cost, describe_run, require_room
+from sphrom.setup.cost import describe_cost, described_run, require_room
 from sphrom.setup.particles import MeasuredFields
 from sphrom.sph.packing import MAX_ITERATIONS, pack
 from sphrom.sph.time_loop import Clock, TimeSteps, march
@@ -55,7 +55,7 @@ def ensure_run(workspace: Workspace, point: ParameterPoint) -> Target:
     _ensure_spun_up(workspace, point)
     target = workspace.full_run(point)
     if workspace.must_make(target):
-        describe_run(workspace.case, point, workspace.context.report)
+        workspace.context.report.info(described_run(workspace.case, point))
         _run_point(workspace, point)
     return target
 

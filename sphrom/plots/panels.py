@@ -247,7 +247,7 @@ def _draw_pictures(
     first = pictures[0][0]
     for group in groups.values():
         fields, label = [field for _, field in group], group[0][1].label
-        colours, scale = _scale(fields, scales or {})
+        colours, scale = colour_scale(fields, scales or {})
         for axes, field in group:
             image = _show(axes, frame, field.values, colours, scale)
             if axes is not first:
@@ -268,8 +268,8 @@ def _draw_pictures(
         image.colorbar.ax.tick_params(labelsize=min(rcParams["xtick.labelsize"], LETTERS * width))
 
 
-def _scale(fields: Sequence[Field], scales: Mapping[str, Range]) -> tuple[str, Range]:
-    """Return the colours and the scale of fields of one label."""
+def colour_scale(fields: Sequence[Field], scales: Mapping[str, Range] = {}) -> tuple[str, Range]:
+    """Return the colours of fields of one label, as matplotlib calls them, and their ends."""
     known = [field.values[np.isfinite(field.values)] for field in fields]
     ranges = np.array([np.percentile(v, SHOWN) if len(v) else (0.0, 1.0) for v in known])
     low, high = float(ranges[:, 0].min()), float(ranges[:, 1].max())

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -23,16 +23,10 @@ from sphrom.artifacts import open_artifact
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.answer import DIGITS, Answer, find_answer, percent
+from sphrom.compare.comparison_figures import QUANTITIES, side_by_side
 from sphrom.compare.comparison_tables import RECORDS, Tables
 from sphrom.compare.mode_figures import frame_of
-from sphrom.plots.canvas import (
-    DIFFERENCE_MAP,
-    SIGNED_MAP,
-    SOLID_COLOUR,
-    SPEED_MAP,
-    limits,
-    symmetric_limits,
-)
+from sphrom.plots.canvas import SOLID_COLOUR
 from sphrom.plots.page import (
     Html,
     animation,
@@ -44,8 +38,10 @@ from sphrom.plots.page import (
     render,
     table,
 )
+from sphrom.plots.panels import SHOWN, colour_scale
 from sphrom.plots.tables import format_figure, read_csv
 from sphrom.setup.context import StageContext
+from sphrom.setup.cost import described_run
 from sphrom.store.sampling import probes_of
 from sphrom.store.stored_run import StoredRun
 from sphrom.store.workspace import Workspace
@@ -64,17 +60,8 @@ SHARE_DIGITS = 7
 SHORT = 10
 """Characters from which on a figure is rounded."""
 N_FRAMES = 25
-SHOWN_SHARE = 99.5
-"""Of all values in all frames, in percent, the colours tell apart; farther ones share the last."""
-GAP = 4
+GAP = 1
 """White pixels between two panels."""
-LEAST_WIDTH = 160
-"""Of a panel [pixels]: on coarser grids each point is a square of several."""
-QUANTITIES: dict[str, Any] = {
-    "speed": ("m/s", SPEED_MAP, limits),
-    "pressure": ("Pa", SIGNED_MAP, symmetric_limits),
-}
-"""Unit, colours and the ends of their scale by name, from above."""
 
 
 def run(context: StageContext) -> None:
@@ -104,6 +91,7 @@ def run(context: StageContext) -> None:
         for name in case.plan.bases
         for part in _pictures(out / "plots", _named(contents["bases"], name), f"Basis {name}. ")
     ]
+    runs = (element("p", described_run(case, point)) for point in case.plan.points)
     sections = [
         *shown.items(),
         ("Errors", list(_tables(out / "tables", contents["tables"], made_by))),
@@ -111,7 +99,7 @@ def run(context: StageContext) -> None:
         *((study["title"], _study(context, study)) for study in contents["studies"]),
         ("Sweeps", list(_sweeps(workspace))),
         ("Costs", list(_tables(out / "tables", contents["costs"], made_by))),
-        ("The case", _case_parts(case, case.text)),
+        ("The case", [*runs, listing("The whole case file", case.text)]),
     ]
     footer = (
         f"{about.get('software', 'sphrom')}, compared {about.get('date', '')} on "
@@ -142,26 +130,6 @@ def _headline(answer: Answer) -> Html:
     if answer.pays_from is not None:
         figures.append(("it pays from", f"{answer.pays_from} runs on"))
     return headline(figures, list(answer.sentences()))
-
-
-def _case_parts(case: Case, text: str) -> list[Html]:
-    steps = case.plan.steps
-    facts = [
-        ("particles", f"{case.plan.n_particles:,}"),
-        ("particle spacing", f"{case.plan.particle_spacing:g} m"),
-        ("smoothing length", f"{case.plan.smoothing_length:g} m"),
-        ("speed of sound", f"{case.plan.sound_speed:g} m/s"),
-        ("trained at", "; ".join(point.label for point in case.plan.train_points)),
-        ("predicted at", "; ".join(point.label for point in case.plan.test_points) or "nothing"),
-        ("recorded", f"t = {steps.start_time:g} s to {steps.end_time:g} s"),
-        ("steps", f"{steps.n_steps:,} of {steps.time_step:.4g} s"),
-        ("snapshots", f"{steps.n_snapshots:,} a run"),
-        *(
-            (f"model {m.name}", f"n_modes: {m.n_modes}, {m.projection}, {m.evaluation}")
-            for m in case.rom
-        ),
-    ]
-    return [table("Settings.", ("", " "), facts), listing("The whole case file", text)]
 
 
 def _measure_captions(case: Case) -> dict[str, str]:
@@ -268,51 +236,35 @@ def _cell(text: str, digits: int) -> str:
     return text or format_figure(None)
 
 
-@dataclass(frozen=True)
-class Scale:
-    """Which colours stand for which values."""
+def gradient(colours: str, n_colours: int = 9) -> list[str]:
+    """Return colours of one of matplotlib's maps, from the lowest value to the highest, for CSS."""
+    from matplotlib import colormaps
+    from matplotlib.colors import to_hex
 
-    colours: str
-    """Of matplotlib's maps."""
-    low: float
-    high: float
-
-    def gradient(self, n_colours: int = 9) -> list[str]:
-        """Return colours from the lowest value to the highest, as CSS has them."""
-        from matplotlib import colormaps
-        from matplotlib.colors import to_hex
-
-        return [to_hex(c) for c in colormaps[self.colours](np.linspace(0.0, 1.0, n_colours))]
+    return [to_hex(c) for c in colormaps[colours](np.linspace(0.0, 1.0, n_colours))]
 
 
-def paint(field: Array, scale: Scale) -> Pixels:
-    """Return a field (ny, nx), from below, as pixels (rows, columns, 3), from above.
+def paint(field: Array, colours: str, ends: tuple[float, float]) -> Pixels:
+    """Return a field (ny, nx), from below, as pixels (ny, nx, 3), from above.
 
     Where it is NaN there is no fluid.
     """
     from matplotlib import colormaps
     from matplotlib.colors import Normalize, to_rgba
 
-    colours = colormaps[scale.colours].with_extremes(bad=to_rgba(SOLID_COLOUR))
-    values = Normalize(scale.low, scale.high)(np.ma.masked_invalid(field[::-1]))
-    pixels = np.asarray(colours(values, bytes=True))[..., :3]
-    times = -(-LEAST_WIDTH // field.shape[1])
-    return pixels.repeat(times, axis=0).repeat(times, axis=1)
+    shown = colormaps[colours].with_extremes(bad=to_rgba(SOLID_COLOUR))
+    values = Normalize(*ends)(np.ma.masked_invalid(field[::-1]))
+    return np.asarray(shown(values, bytes=True))[..., :3]
 
 
-def arranged(rows: Sequence[Sequence[Pixels]]) -> Pixels:
-    """Return panels of one size in rows, white between them."""
-    gap = ((0, GAP), (0, GAP), (0, 0))
-    padded = [[np.pad(panel, gap, constant_values=255) for panel in row] for row in rows]
-    return np.vstack([np.hstack(row) for row in padded])[:-GAP, :-GAP]
-
-
-def as_png(pixels: Pixels) -> bytes:
-    """Return pixels as a PNG file."""
+def as_png(rows: Sequence[Sequence[Pixels]]) -> bytes:
+    """Return a PNG file of panels of one size in rows, white between them."""
     from matplotlib.image import imsave
 
+    gap = ((0, GAP), (0, GAP), (0, 0))
+    padded = [[np.pad(panel, gap, constant_values=255) for panel in row] for row in rows]
     content = io.BytesIO()
-    imsave(content, pixels, format="png")
+    imsave(content, np.vstack([np.hstack(row) for row in padded])[:-GAP, :-GAP], format="png")
     return content.getvalue()
 
 
@@ -337,20 +289,17 @@ def _animation(workspace: Workspace, name: str, point: ParameterPoint, reduced: 
         times = full.time
         chosen = np.unique(np.linspace(0, len(times) - 1, N_FRAMES).round().astype(int))
         both = [run.sampled(probes.grid, chosen.tolist()) for run in (full, reduced)]
-    rows: list[list[tuple[Array, Scale]]] = []
-    legends = []
-    for quantity, (unit, colours, ends) in QUANTITIES.items():
-        fields = [getattr(samples, quantity) for samples in both]
-        difference = fields[1] - fields[0]
-        scale = Scale(colours, *ends(*map(_usual, fields)))
-        differences = Scale(DIFFERENCE_MAP, *symmetric_limits(_usual(difference)))
-        rows.append([(fields[0], scale), (fields[1], scale), (difference, differences)])
-        for label, each in ((f"{quantity} [{unit}]", scale), (f"difference [{unit}]", differences)):
-            low, high = format_figure(each.low), format_figure(each.high)
-            legends.append(legend(label, low, high, each.gradient()))
+    rows, legends = [], []
+    for quantity in QUANTITIES:
+        fields = side_by_side(name, quantity, *(getattr(samples, quantity) for samples in both))
+        scale, of_difference = colour_scale(fields[:2]), colour_scale(fields[2:])
+        rows.append([*zip(fields, (scale, scale, of_difference), strict=True)])
+        for field, (colours, ends) in rows[-1][1:]:
+            low, high = map(format_figure, ends)
+            legends.append(legend(field.label, low, high, gradient(colours)))
     return animation(
         frames=[
-            as_png(arranged([[paint(probes.picture(v[i]), s) for v, s in row] for row in rows]))
+            as_png([[paint(probes.picture(f.values[i]), *s) for f, s in row] for row in rows])
             for i in range(len(chosen))
         ],
         times=[f"{times[snapshot]:.4g}" for snapshot in chosen],
@@ -359,12 +308,5 @@ def _animation(workspace: Workspace, name: str, point: ParameterPoint, reduced: 
         legends=legends,
         caption=f"{point.label}: speed above, pressure below; full run, {name}, and their "
         f"difference, from t = {times[chosen[0]]:.4g} s to {times[chosen[-1]]:.4g} s. Colours mean "
-        f"the same in all frames; the {100.0 - SHOWN_SHARE:g} % of values at either end share the "
-        "last.",
+        f"the same in all frames; the {SHOWN[0]:g} % of values at either end share the last.",
     )
-
-
-def _usual(values: Array) -> Array:
-    """Return values without extremes, such as the sound of a sudden start has."""
-    low, high = np.percentile(values, (100.0 - SHOWN_SHARE, SHOWN_SHARE))
-    return np.clip(values, low, high)

@@ -196,7 +196,7 @@ def run(context: StageContext) -> None:
     """
     case = context.case
     for point in case.plan.points:
-        describe_run(case, point, context.report)
+        context.report.info(described_run(case, point))
     _describe_shape(case, context.report)
     if (own := case.plan.max_speed / case.fluid.mach_number) < case.plan.sound_speed:
         context.report.info(
@@ -210,15 +210,15 @@ def run(context: StageContext) -> None:
     require_room(case, context.out)
 
 
-def describe_run(case: Case, point: ParameterPoint, report: Reporter) -> None:
-    """Print the numbers of one full run."""
+def described_run(case: Case, point: ParameterPoint) -> str:
+    """Return the numbers of one full run in words."""
     plan, fluid, limits = case.plan, case.plan.fluid(point), case.plan.step_limits(point)
     ghosts = f" and {plan.n_ghosts} ghosts" if plan.n_ghosts else ""
     spin_up, step = plan.steps.n_spin_up_steps, plan.steps.time_step
     before = f" after {counted(spin_up, 'step')} to spin up" if spin_up else ""
     shares = {"acoustic": limits.acoustic, "viscous": limits.viscous}
     told = ", ".join(f"{step / limit:.2g} of the {name} limit" for name, limit in shares.items())
-    report.info(
+    return (
         f"{point.label}: {plan.n_particles} particles{ghosts}, "
         f"{plan.discretization.n_neighbours:.0f} neighbours each, c0 = {fluid.sound_speed:g} m/s, "
         f"nu = {fluid.kinematic_viscosity:.4g} m2/s; {counted(plan.steps.n_steps, 'step')} of "

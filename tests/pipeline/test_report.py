@@ -53,7 +53,7 @@ def test_report_shows_tables_figures_training_and_trade(place, sphrom) -> None:
     drawn = {path.name for path in (place / "plots").iterdir()}
     for kind in ("centrelines", "errors", "fields", "overview"):
         assert {f"{kind}-reynolds{re}.png" for re in (100, 150, 200)} <= drawn
-    pixels = as_png(np.zeros((1, 1, 3), dtype=np.uint8))
+    pixels = as_png([[np.zeros((1, 1, 3), dtype=np.uint8)]])
     tables = {"training/training": "stage,estimate [%]\n1,0.25\n", "trade/models": "model\nfull\n"}
     for table, content in tables.items():
         path = place / table

@@ -8,10 +8,10 @@ from html.parser import HTMLParser
 import numpy as np
 
 from sphrom.plots.page import animation, element, headline, legend, listing, picture, render, table
-from sphrom.report.report import Scale, as_png, paint
+from sphrom.report.report import as_png, paint
 
 HOSTILE = '<script>alert("1")</script> & "quoted"'
-PNG = as_png(np.zeros((2, 2, 3), dtype=np.uint8))
+PNG = as_png([[np.zeros((2, 2, 3), dtype=np.uint8)]])
 LEGEND = legend(HOSTILE, "0", "1", ("#000000", "#ffffff"))
 PARTS = (
     element("p", HOSTILE),
@@ -85,7 +85,7 @@ def test_nothing_leads_out_of_the_page() -> None:
 
 def test_fields_are_painted_from_above_with_solid_grey() -> None:
     field = np.array([[0.0, 0.5], [1.0, np.nan]])
-    pixels = paint(field, Scale("gray", 0.0, 1.0))
+    pixels = paint(field, "gray", (0.0, 1.0))
     top_left, top_right, bottom_left = pixels[0, 0], pixels[0, -1], pixels[-1, 0]
     np.testing.assert_array_equal(top_left, [255, 255, 255])
     np.testing.assert_array_equal(top_right, [0xC9, 0xC9, 0xC9])

@@ -10,13 +10,11 @@ import pytest
 
 from sphrom.case.models import Case
 from sphrom.setup.context import StageContext
-from sphrom.setup.cost import BASELINE, describe_run, full_seconds, needs, run
+from sphrom.setup.cost import BASELINE, described_run, full_seconds, needs, run
 
 
 def described(case: Case) -> str:
-    reporter = Mock()
-    describe_run(case, case.plan.points[0], reporter)
-    return str(reporter.info.call_args.args[0])
+    return described_run(case, case.plan.points[0])
 
 
 def make(kind: str, **sections: object) -> Case:
