@@ -9,7 +9,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.study_sections import FULL
 from sphrom.compare.answer import tell_answer
-from sphrom.compare.comparison_figures import draw_comparison
+from sphrom.compare.comparison_figures import draw_comparison, exact_samples
 from sphrom.compare.comparison_tables import (
     ALONE,
     DecayRow,
@@ -126,19 +126,15 @@ class _PointComparison:
                 writer.profile(row, profile)
             self._describe_flow(FULL, run, self.full)
             self.measured = measured_of(self.case, trajectory)
-        self.exact = None
+        self.references = {FULL: self.full}
         if (flow := plan.flow(point).exact) is not None and self.case.compare.exact:
-            velocity, pressure = (
-                np.array([at(probes.all, t) for t in self.full.time.tolist()])
-                for at in (flow.velocity, flow.pressure)
-            )
-            self.exact = Samples(self.full.time, velocity, pressure)
+            self.references["exact"] = exact_samples(flow, probes.all, self.full.time)
         self.measures: list[MeasureRow] = []
 
     def compare(self) -> None:
         """Add all comparisons at this point to the artifact and the tables."""
         self._measure(FULL, self.measured)
-        if self.exact is not None:
+        if "exact" in self.references:
             self._add(self.full, FULL, against="exact")
         if self.models:
             self._compare_limits()
@@ -190,7 +186,7 @@ class _PointComparison:
                     self.tables.estimates.append(estimate)
                 estimates = measured_estimates(case, trajectory)
                 self._measure(model.name, measured_of(case, trajectory), basis, size, estimates)
-        for against in (FULL, "exact") if self.exact is not None else (FULL,):
+        for against in self.references:
             self._add(reduced, model.name, against, basis, size, status)
 
     def _sampled(self, name: str, run: StoredRun) -> Samples:
@@ -234,11 +230,9 @@ class _PointComparison:
         n_modes: int | None = None,
         status: str = "complete",
     ) -> None:
-        reference = self.exact if against == "exact" else self.full
-        assert reference is not None
         history = compare(
             samples,
-            reference,
+            self.references[against],
             self.probes,
             self.case.compare.from_time,
             self.case.plan.longest_sound_period,

@@ -27,12 +27,10 @@ from sphrom.plots.canvas import (
     SIGNED_MAP,
     SOLID_COLOUR,
     SPEED_MAP,
-    limits,
     line_of,
     new_figure,
     plain_logarithmic,
     styled,
-    symmetric_limits,
 )
 
 if TYPE_CHECKING:
@@ -277,11 +275,10 @@ def colour_scale(fields: Sequence[Field], scales: Mapping[str, Range] = {}) -> t
         least, most = scales[fields[0].label]
         reach = BEYOND * (most - least)
         low, high = max(low, least - reach), min(high, most + reach)
-    ends = np.array([low, high])
-    if fields[0].difference:
-        return DIFFERENCE_MAP, symmetric_limits(ends)
-    # Fields that change their sign are about zero.
-    return (SIGNED_MAP, symmetric_limits(ends)) if low < 0.0 < high else (SPEED_MAP, limits(ends))
+    if fields[0].difference or low < 0.0 < high:  # fields that change their sign are about zero
+        largest = max(-low, high) or 1.0
+        return DIFFERENCE_MAP if fields[0].difference else SIGNED_MAP, (-largest, largest)
+    return SPEED_MAP, (low, high) if high > low else (low - 0.5, high + 0.5)
 
 
 def _show(axes: Axes, frame: Frame, field: Array, colours: str, scale: Range) -> Any:
