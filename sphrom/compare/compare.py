@@ -111,11 +111,7 @@ class _PointComparison:
         self.workspace, self.case, self.point = workspace, workspace.case, writer.point
         self.probes, self.writer, self.tables = writer.probes, writer, tables
         plan, point, probes = self.case.plan, writer.point, writer.probes
-        self.models = [
-            model
-            for model in self.case.rom
-            if point in plan.rom_points(model) and plan.ends_with_case(model)
-        ]
+        self.models = plan.compared_at(point)
         with workspace.open(workspace.full_run(point)) as trajectory:
             require_complete(trajectory)
             run = StoredRun(workspace, trajectory, point)
@@ -174,14 +170,8 @@ class _PointComparison:
             reduced = self._sampled(model.name, run)
             self._describe_flow(model.name, run, reduced)
             if status == "complete":  # a run that stopped early has no estimates, and no speed-up
-                estimate = estimate_row(
-                    trajectory,
-                    reduced,
-                    self.full,
-                    self.probes,
-                    from_time=case.compare.from_time,
-                    **self._described(model.name, basis),
-                )
+                about, begin = self._described(model.name, basis), case.compare.from_time
+                estimate = estimate_row(trajectory, reduced, self.full, self.probes, begin, **about)
                 if estimate is not None:
                     self.tables.estimates.append(estimate)
                 estimates = measured_estimates(case, trajectory)

@@ -179,13 +179,8 @@ class _PointFigures:
         if self.best is not None:
             best = self.comparison.errors(self.best, self.point)
             others.append(("best possible (projection)", "best", best))
-        rows = [
-            [
-                _error_panel(self.case, name, label, self._errors, others)
-                for name, label in row.items()
-            ]
-            for row in ERRORS
-        ]
+        panel = partial(_error_panel, self.case, models=self._errors, others=others)
+        rows = [[panel(name, label) for name, label in row.items()] for row in ERRORS]
         line = f"on the line x = {self.case.plan.probe_line:g} m"
         return draw_grid(rows, title=f"{self.point.label}, over the field and {line}")
 

@@ -202,7 +202,6 @@ def estimate_row(
     run: Samples,
     reference: Samples,
     probes: Probes,
-    *,
     from_time: float,
     **described: str,
 ) -> EstimateRow | None:

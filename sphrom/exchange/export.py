@@ -254,12 +254,10 @@ def _write_tables(workspace: Workspace, folder: Path, at: Sequence[str]) -> int:
             raise ArtifactError(f"{path} exists already; --force replaces it")
         with StoredRun.opened(workspace, item.point, item.model) as run:
             samples = run.sampled(points)
-        snapshots = zip(samples.time.tolist(), samples.velocity, samples.pressure, strict=True)
-        rows = [
-            dict(zip(HEAD, (time, *values), strict=True))
-            for time, velocity, pressure in snapshots
-            for values in np.column_stack((points, velocity, pressure)).tolist()
-        ]
+        times, n_times = np.repeat(samples.time, len(points)), len(samples.time)
+        fields = samples.velocity.reshape(-1, 2), samples.pressure.ravel()
+        values = np.column_stack((times, np.tile(points, (n_times, 1)), *fields)).tolist()
+        rows = [dict(zip(HEAD, row, strict=True)) for row in values]
         if rows:  # of a run that became unstable at once there are none
             make_folder(folder, "--into")
             write_csv(path, rows_of_columns(HEAD, rows))
