@@ -39,6 +39,9 @@ if TYPE_CHECKING:
 
 Extent = tuple[float, float, float, float]
 Range = tuple[float, float]
+Solids = tuple[Array, Array, Array]
+"""Where there is no fluid: x (nx,) and y (ny,) of pixels [m], and their signed distance (ny, nx)
+from walls [m], negative in the solid."""
 Role = Literal["run", "full", "exact", "best", "level", "reference"]
 
 WIDEST = 12.0
@@ -81,27 +84,9 @@ LOOKS: dict[Role, dict[str, Any]] = {
 """The first curves of roles other than reduced runs and references."""
 
 
-@dataclass(frozen=True)
-class Solids:
-    """Where there is no fluid, on pixels."""
-
-    x: Array
-    """(nx,) [m]"""
-    y: Array
-    """(ny,) [m]"""
-    wall_distance: Array
-    """(ny, nx) the signed distance from walls [m], negative in the solid."""
-
-    def cover(self, axes: Axes) -> None:
-        """Draw the solids over what a picture shows there."""
-        axes.contourf(
-            self.x,
-            self.y,
-            self.wall_distance,
-            levels=(-np.inf, 0.0),
-            colors=[SOLID_COLOUR],
-            zorder=0.5,  # above images, below everything else
-        )
+def cover(axes: Axes, solids: Solids) -> None:
+    """Draw solids over what a picture shows there."""
+    axes.contourf(*solids, levels=(-np.inf, 0.0), colors=[SOLID_COLOUR], zorder=0.5)  # above images
 
 
 @dataclass(frozen=True)
@@ -289,7 +274,7 @@ def _show(axes: Axes, frame: Frame, field: Array, colours: str, scale: Range) ->
         shown, origin="lower", extent=frame.extent, cmap=colours, vmin=scale[0], vmax=scale[1]
     )
     if frame.solids is not None:
-        frame.solids.cover(axes)
+        cover(axes, frame.solids)
         axes.set(xlim=frame.extent[:2], ylim=frame.extent[2:])
     return image
 
