@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
+from itertools import chain
+
 import numpy as np
 
 from sphrom.case.models import Case
@@ -125,7 +128,7 @@ class _PointComparison:
         self.references = {FULL: self.full}
         if (flow := plan.flow(point).exact) is not None and self.case.compare.exact:
             self.references["exact"] = exact_samples(flow, probes.all, self.full.time)
-        self.measures: list[MeasureRow] = []
+        self.measures = defaultdict[tuple[str, str], list[MeasureRow]](list)
 
     def compare(self) -> None:
         """Add all comparisons at this point to the artifact and the tables."""
@@ -136,11 +139,7 @@ class _PointComparison:
             self._compare_limits()
         for model in self.models:
             self._compare_model(model)
-        # Rows of one quantity adjoin.
-        order = list(dict.fromkeys((row.measured, row.quantity) for row in self.measures))
-        self.tables.measures.extend(
-            sorted(self.measures, key=lambda row: order.index((row.measured, row.quantity)))
-        )
+        self.tables.measures.extend(chain.from_iterable(self.measures.values()))
 
     def _compare_limits(self) -> None:
         """Compare the mapped snapshots, and the best state in each basis."""
@@ -198,14 +197,12 @@ class _PointComparison:
         n_modes: int | None = None,
         estimates: Measured | None = None,
     ) -> None:
-        self.measures += measure_rows(
-            measured,
-            self.measured,
-            self.full.time >= self.case.compare.from_time,
-            estimates or {},
-            n_modes=n_modes,
-            **self._described(name, basis),
+        counted, about = self.full.time >= self.case.compare.from_time, self._described(name, basis)
+        rows = measure_rows(
+            measured, self.measured, counted, estimates or {}, n_modes=n_modes, **about
         )
+        for row in rows:  # those of one quantity adjoin
+            self.measures[row.measured, row.quantity].append(row)
 
     def _described(self, name: str, basis: str | None) -> dict[str, str]:
         role = "" if basis is None else role_of(self.case, basis, self.point)

@@ -62,7 +62,6 @@ class Item:
 class Source:
     """The fields of an artifact, stored or computed."""
 
-    schema: str
     shapes: Mapping[str, Shape]
     """The lengths of the datasets' axes, by name."""
     read: Callable[[str, Any], NDArray[Any]]
@@ -122,7 +121,7 @@ def _write_all(workspace: Workspace, folder: Path) -> int:
     context, n_written = workspace.context, 0
     for item in [*_runs(workspace), *([] if context.models else _others(workspace))]:
         with _opened(workspace, item) as source:
-            for name, view in views(source.schema, source.shapes).items():
+            for name, view in views(item.target.schema, source.shapes).items():
                 path = folder / f"{item.target.path.stem}{'-' * bool(name)}{name}.pvd"
                 write_vtu(path, source, view, force=context.force)
                 steps = f", {view.n_steps} steps" if view.n_steps else ""
@@ -137,7 +136,7 @@ def _opened(workspace: Workspace, item: Item) -> Iterator[Source]:
 
     Raises ArtifactError when it or its basis is missing, damaged, or of another case.
     """
-    schema, point, model = item.target.schema, item.point, item.model
+    point, model = item.point, item.model
     with workspace.open(item.target) as artifact:
         shapes = {name: artifact.dataset(name).shape for name in artifact.datasets}
         computed: dict[str, Callable[[Any], Array]] = {}
@@ -159,7 +158,7 @@ def _opened(workspace: Workspace, item: Item) -> Iterator[Source]:
                 return computed[name](index)
             return np.asarray(artifact.dataset(name)[index])
 
-        yield Source(schema, shapes, read)
+        yield Source(shapes, read)
 
 
 def write_vtu(path: Path, source: Source, view: View, *, force: bool) -> None:

@@ -347,13 +347,12 @@ def _draw_curves(axes: Axes, panel: Panel) -> None:
         axes.locator_params(axis="x", integer=True)
     if panel.axes == "from zero":
         axes.set_ylim(0.0, _highest(panel))
-    elif panel.axes == "logarithmic":
+    if "log" in panel.axes:
         axes.set_yscale("log")
         plain_logarithmic(axes.yaxis, *axes.get_ylim())
-    elif panel.axes == "both logarithmic":
-        axes.set(xscale="log", yscale="log")
+    if panel.axes == "both logarithmic":
+        axes.set_xscale("log")
         plain_logarithmic(axes.xaxis, *axes.get_xlim())
-        plain_logarithmic(axes.yaxis, *axes.get_ylim())
         _mark(axes, panel.marked)
 
 
