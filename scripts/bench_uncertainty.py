@@ -20,6 +20,7 @@ from pathlib import Path
 
 CASE = Path(__file__).parents[1] / "cases" / "taylor_green_demo.yaml"
 REYNOLDS = "{distribution: truncnorm, a: -3, b: 3, loc: 150, scale: 16}"
+PROBE = ("--set", "scene.measure={there: {probe: [0.25, 0.5]}}")
 STAGES = ("fom", "map", "pod", "fit-psi", "operators")
 
 
@@ -41,16 +42,16 @@ def main() -> None:
     options = parser.parse_args()
     for stage in STAGES:
         if not (options.out / "operators.h5").exists():
-            sphrom(stage, CASE, "--out", options.out)
+            sphrom(stage, CASE, "--out", options.out, *PROBE)
     os.environ.setdefault("NUMBA_NUM_THREADS", "1")
     print("runs | wall [s] | processor [s]\n---|---|---")
     for count in options.runs:
         settings = (
-            "sweep.reynolds=null", "sweep.probes=[[0.25, 0.5]]", f"sweep.name=draws{count}",
+            "sweep.reynolds=null", f"sweep.name=draws{count}",
             f"sweep.sample={{count: {count}, reynolds: {REYNOLDS}}}",
         )  # fmt: skip
         given = [word for setting in settings for word in ("--set", setting)]
-        wall, processor = sphrom("sweep", CASE, "--out", options.out, "--force", *given)
+        wall, processor = sphrom("sweep", CASE, "--out", options.out, "--force", *PROBE, *given)
         print(f"{count} | {wall:.1f} | {processor:.1f}", flush=True)
 
 

@@ -41,7 +41,7 @@ CASE: dict[str, Any] = {
         {**FAST, "name": "local", "n_modes": 2, "basis": "local", "parameters": [100]},
     ],
     "compare": {"plots": False, "grid": 12, "line_points": 21},
-    "sweep": {"model": "fast", "reynolds": [120, 140], "probes": [[0.5, 0.25]]},
+    "sweep": {"model": "fast", "reynolds": [120, 140]},
 }
 
 

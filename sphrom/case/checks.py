@@ -436,9 +436,6 @@ def _check_sweep(case: Case) -> Found:
     if case.sweep.sensitivities and (model is None or not model.from_operators):
         reason = "is for models with evaluation: operators, which have equations to differentiate"
         yield "sweep.sensitivities", reason
-    for place in case.sweep.probes:
-        if (problem := outside_fluid(case, np.array([place]))) is not None:
-            yield "sweep.probes", problem
     yield from _check_repeated("sweep", points)
     if model is None and points:
         thickest = min(points, key=lambda point: point.reynolds)

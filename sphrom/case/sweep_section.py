@@ -17,7 +17,6 @@ from sphrom.case.fields import (
     Coordinate,
     Flag,
     Number,
-    Place,
     SafeName,
     Section,
     Whole,
@@ -190,9 +189,6 @@ class SweepSection(Section):
         False,
         "whether to differentiate the kinetic energy, forces, flow rates and probes at the end by "
         "the parameters, for models with operators",
-    )
-    probes: tuple[Place, ...] = key(
-        (), "places [x, y] in the fluid where velocity and pressure are stored over time", unit="m"
     )
 
     @model_validator(mode="after")

@@ -21,7 +21,6 @@ from sphrom.compare.comparison_tables import (
     error_row,
     estimate_row,
     show,
-    wall_row,
 )
 from sphrom.compare.costs import run_timings, stage_timings
 from sphrom.compare.measured import (
@@ -233,6 +232,4 @@ class _PointComparison:
             history, status, n_modes, against=against, **self._described(compared, basis)
         )
         self.tables.errors.append(row)
-        if against == FULL and (near := wall_row(row, history)) is not None:
-            self.tables.walls.append(near)
         self.writer.run(row, history, samples)

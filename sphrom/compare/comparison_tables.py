@@ -21,7 +21,6 @@ from sphrom.metrics.histories import (
     History,
     effectivity,
     errors_of,
-    means_and_peaks,
     norms_of,
 )
 from sphrom.metrics.samples import Probes, Samples
@@ -56,12 +55,6 @@ WITHOUT_SOUND = tuple(
     for where in ("field", "line")
     for peak in ("", "_peak")
 )
-WALLS = tuple(
-    f"{quantity}_{where}_{statistic}"
-    for quantity in QUANTITIES
-    for where in ("near_walls", "interior")
-    for statistic in ("mean", "peak")
-)
 
 
 def best_name(basis: str, n_modes: int) -> str:
@@ -88,16 +81,6 @@ class ErrorRow:
         """Errors of velocity and pressure over the whole field [%]; None without a result."""
         velocity, pressure = (self.errors[f"{q}_field_relative_l2"] for q in QUANTITIES)
         return None if velocity is None or pressure is None else (velocity, pressure)
-
-
-@dataclass(frozen=True)
-class WallRow:
-    """Errors near walls and away from them, mean and peak over time."""
-
-    compared: str
-    parameters: str
-    role: str
-    errors: Errors = field(metadata=columns(WALLS, "%"))
 
 
 @dataclass(frozen=True)
@@ -142,7 +125,6 @@ class Tables:
     """The rows of each table: each is `tables/NAME.csv`, and all are in `compare.json`."""
 
     errors: list[ErrorRow] = field(default_factory=list)
-    walls: list[WallRow] = field(default_factory=list)
     reference: list[ReferenceRow] = field(default_factory=list)
     flow: list[FlowRow] = field(default_factory=list)
     estimates: list[EstimateRow] = field(default_factory=list)
@@ -189,14 +171,6 @@ def error_row(
     return ErrorRow(**described, n_modes=n_modes, status=status, errors=errors)
 
 
-def wall_row(described: ErrorRow, history: History) -> WallRow | None:
-    """Summarise the errors at walls of a run that ran to the end, where there are walls."""
-    if described.status != "complete" or not history.walls or not len(history.time):
-        return None
-    errors = means_and_peaks(history.walls)
-    return WallRow(described.compared, described.parameters, described.role, errors)
-
-
 def estimate_row(
     artifact: Artifact,
     run: Samples,
@@ -218,7 +192,7 @@ def estimate_row(
 
 
 def show(report: Reporter, tables: Tables) -> None:
-    """Show errors, estimates and measurements; errors near walls and costs as details."""
+    """Show errors, estimates and measurements; costs and more as details."""
     errors = [r for r in tables.errors if "full" in (r.against, r.compared)]
     _show(report, errors, *NORMS)
     _show(report, tables.estimates, *ESTIMATES)
@@ -233,7 +207,6 @@ def show(report: Reporter, tables: Tables) -> None:
         )
     settled = [r for r in tables.reference if r.settled]
     whole: tuple[tuple[str, Sequence[DataclassInstance]], ...] = (
-        ("errors near walls, within a support radius, and farther in", tables.walls),
         ("full runs against reference solutions, means over the time from and to", settled),
         ("the flow", tables.flow),
         ("decay of the full run's kinetic energy", tables.decay),

@@ -50,7 +50,6 @@ class ComparisonWriter:
                 for place, errors in places
                 for name, each in errors.eq41.items()
             },
-            walls=dict(history.walls),
             status=row.status,
             figures={name: v for name, v in flat(row).items() if isinstance(v, float)},
         )

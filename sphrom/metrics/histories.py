@@ -51,7 +51,7 @@ def relative_discrepancy(approximation: Array, reference: Array, extent: Array) 
 
     Raises ValueError for a field that isn't finite, or a range of zero at some instant.
     """
-    return _relative(np.abs(approximation - reference).mean(axis=-1), extent)
+    return _percent(np.abs(approximation - reference).mean(axis=-1), extent)
 
 
 def relative_l2(approximation: Array, reference: Array, *, field_axes: int = 1) -> Array:
@@ -63,18 +63,7 @@ def relative_l2(approximation: Array, reference: Array, *, field_axes: int = 1) 
     """
     axes = tuple(range(-field_axes, 0))
     error, norm = (np.sqrt(np.sum(f**2, axis=axes)) for f in (approximation - reference, reference))
-    return _relative(error, norm)
-
-
-def relative_error_at(points: NDArray[np.bool_], approximation: Array, reference: Array) -> Array:
-    """Return 100 rms|error| over some points / rms|reference| over all of every instant [%].
-
-    Fields are (..., n_points, n_dim), `points` (n_points,) tells which. Over all points it is the
-    relative L2 error. Raises ValueError as `relative_l2` does.
-    """
-    squares = np.sum((approximation - reference) ** 2, axis=-1)[..., points].mean(axis=-1)
-    scale = np.sum(reference**2, axis=-1).mean(axis=-1)
-    return 100.0 * np.sqrt(_relative(squares, scale, 1.0))
+    return _percent(error, norm)
 
 
 def without_mean(field: Array) -> Array:
@@ -82,9 +71,9 @@ def without_mean(field: Array) -> Array:
     return field - field.mean(axis=-1, keepdims=True)
 
 
-def _relative(errors: Array, scale: Array, factor: float = 100.0) -> Array:
+def _percent(errors: Array, scale: Array) -> Array:
     with np.errstate(divide="ignore", invalid="ignore"):
-        found = factor * errors / scale
+        found = 100.0 * errors / scale
     if not np.all(np.isfinite(found)):
         raise ValueError("no error: a field is not finite, or the reference is constant or zero")
     return np.asarray(found)
@@ -100,7 +89,7 @@ def compression_factors(n_particles: int, n_modes: int, n_dim: int = 2) -> tuple
 
 def cumulative_singular_value_share(singular_values: Array) -> Array:
     """Return 100 sum_1^M sigma / sum sigma [%] for M = 1, 2, ... (Eq. 4.3 as printed)."""
-    return _relative(np.cumsum(singular_values), singular_values.sum())
+    return _percent(np.cumsum(singular_values), singular_values.sum())
 
 
 def energy(singular_values: Array) -> Array:
@@ -129,13 +118,6 @@ class History:
     """(n_snapshots,) [s]"""
     places: Mapping[str, Series]
     """By PLACES."""
-    walls: Mapping[str, Array] = field(default_factory=dict)
-    """(n_snapshots,) [%] of `velocity_near_walls`, `velocity_interior` and both of pressure.
-
-    Root mean squares over the grid's points within a support radius of walls, and over those beyond
-    it, relative to that of the reference over all of them: both have one scale, and where fluid is
-    slow its errors don't count for more. Empty unless there are points on both sides.
-    """
     without_sound: Mapping[str, Series] = field(default_factory=dict)
     """Errors of pressures that are averaged over time, by `pressure_field` and `pressure_line`.
 
@@ -176,7 +158,6 @@ def compare(
     return History(
         time=reference.time[kept],
         places=places | _pressure_series(pressures, probes),
-        walls=_wall_split(probes, velocities, pressures),
         without_sound=without_sound,
     )
 
@@ -240,24 +221,6 @@ def _without_sound(
     averages = [moving_average(p, weights)[centres] for p in (run.pressure, reference.pressure)]
     varies = _varies(averages[1], probes)
     return _pressure_series([each[varies] for each in averages], probes) if varies.any() else {}
-
-
-def _wall_split(
-    probes: Probes, velocities: Sequence[Array], pressures: Sequence[Array]
-) -> dict[str, Array]:
-    """Return the errors on both sides of a support radius; none unless there are points on both."""
-    near, grid = probes.near_walls, probes.on_grid
-    if near.all() or not near.any():
-        return {}
-    fields = {
-        "velocity": [v[:, grid] for v in velocities],
-        "pressure": _fluctuations(pressures, grid),
-    }
-    return {
-        f"{quantity}_{where}": relative_error_at(points, *pair)
-        for quantity, pair in fields.items()
-        for where, points in (("near_walls", near), ("interior", ~near))
-    }
 
 
 Errors = Mapping[str, float | None]

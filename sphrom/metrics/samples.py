@@ -28,8 +28,6 @@ class Probes:
     """Rows and columns of the whole grid."""
     in_fluid: Mask
     """(n_rows n_columns,) which points of the whole grid are in the fluid."""
-    near_walls: Mask
-    """(n_grid,) which points are nearer to a wall than a support radius."""
     stations: Array
     """(n_stations, 2), where histories are kept; none in most scenes."""
 

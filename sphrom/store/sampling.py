@@ -11,7 +11,6 @@ from sphrom.arrays import Array
 from sphrom.artifacts import Artifact
 from sphrom.case.models import Case
 from sphrom.errors import ArtifactError, CaseError
-from sphrom.kernels import SUPPORT_RATIO
 from sphrom.metrics.samples import Probes, Samples, grid_points, spread
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.reference_space import ReferenceMap
@@ -42,15 +41,13 @@ def probes_of(case: Case) -> Probes:
     n_columns, n_rows = (max(2, round(case.compare.grid * s / longer)) for s in domain.lengths)
     shape = n_rows, n_columns
     points = grid_points(domain.lower, domain.upper, shape)
-    distance = domain.wall_distance(points)
     # A point on a wall, as a grid can have on edges within the box, is of no fluid.
-    in_fluid = distance > ON_WALL * case.plan.particle_spacing
+    in_fluid = domain.wall_distance(points) > ON_WALL * case.plan.particle_spacing
     return Probes(
         line=np.stack((np.full(n_line, float(x)), spread(spans, n_line)), axis=1),
         grid=points[in_fluid],
         grid_shape=shape,
         in_fluid=in_fluid,
-        near_walls=distance[in_fluid] < SUPPORT_RATIO * case.plan.smoothing_length,
         stations=case.scene.stations(case.plan.probe_line),
     )
 

@@ -333,8 +333,10 @@ class Workspace:
 
     def sweep(self) -> Target:
         """The runs of the case's sweep; which values it has is for who reads it to compare."""
-        model, section = sweep_model(self.case), self.case.sweep
-        about: dict[str, object] = {"sweep": _without(section.of_any_values, "name", "model")}
+        model = sweep_model(self.case)
+        about: dict[str, object] = {
+            "sweep": _without(self.case.sweep.of_any_values, "name", "model")
+        }
         parents = self._packed() if model is None or self.case.time.spin_up == 0.0 else {}
         if model is None:
             about["steps"] = self._steps()
@@ -343,7 +345,7 @@ class Workspace:
             parents["basis"] = self.basis()
             if model.from_operators:
                 parents["operators"] = self.operators()
-            if not model.from_operators or section.probes:
+            else:
                 parents["splines"] = self.splines()
         return self._target("sweep", sweep_name(self.case), about, parents)
 

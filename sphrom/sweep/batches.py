@@ -24,7 +24,6 @@ from sphrom.case.studies import sweep_model, sweep_name
 from sphrom.case.study_sections import FULL
 from sphrom.errors import ArtifactError, SphromError, UnstableError
 from sphrom.metrics.measures import PLACED, Quantities, components, items, of_a_run
-from sphrom.metrics.samples import Samples
 from sphrom.metrics.series import kinetic_energy
 from sphrom.offline import fom
 from sphrom.online import rom
@@ -32,7 +31,6 @@ from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.online.sensitivities import tangents
 from sphrom.reduction.trial_basis import ModeVelocities
 from sphrom.store.checkpoints import remove_checkpoints
-from sphrom.store.sampling import sample_run
 from sphrom.store.trajectory import field_datasets, measured_of
 from sphrom.store.workspace import Target, Workspace
 from sphrom.sweep.workers import Failure, Task
@@ -54,7 +52,7 @@ class RunRecord:
     status: int
     reason: str = ""
     values: Mapping[str, Any] = field(default_factory=dict)
-    """Of a complete run, by the names of datasets of a sweep, such as `probes/velocity`."""
+    """Of a complete run, by the names of datasets of a sweep, such as `time_step`."""
     derivative_names: tuple[str, ...] = ()
     """Of its value `derivatives`."""
 
@@ -93,7 +91,6 @@ class SweptModel:
     def __init__(self, workspace: Workspace) -> None:
         self.workspace = workspace
         self._model = sweep_model(workspace.case)
-        self._probes = probe_places(workspace)
         self._fast = None
         if self._model is not None and self._model.from_operators:
             self._fast = FastModel(workspace, self._model)
@@ -123,7 +120,7 @@ class SweptModel:
         """Return by what the training runs of models at points differ from full ones.
 
         They are values as records have them, with the places of their points; none without
-        estimates, and none at probes where the full run is gone.
+        estimates.
         """
         if self._fast is None:
             return []
@@ -131,22 +128,12 @@ class SweptModel:
         for name in dict.fromkeys(map(self._fast.basis_at, points)):
             if (basis := self._fast.on_basis(name)).trained_errors is None:
                 return []
-            for k, (reduced, run) in enumerate(basis.held_out):
-                values = {PLACE: basis.places[k]}
-                values |= _kept(items(basis.measured_differences, k))
-                target = self.workspace.full_run(basis.points[k])
-                if len(self._probes) and target.path.exists():
-                    with self.workspace.open(target) as trajectory:
-                        full = sample_run(self.workspace.case, trajectory, self._probes)
-                    mean = reduced.mean_density_fluctuation
-                    own = _at_probes(basis.sampled(self._probes, full.time, run, mean))
-                    values |= {path: each - own[path] for path, each in _at_probes(full).items()}
-                found.append(values)
+            for k, place in enumerate(basis.places):
+                found.append({PLACE: place} | _kept(items(basis.measured_differences, k)))
         return found
 
     def _of_trajectory(self, point: ParameterPoint, target: Target) -> RunRecord:
         """Return the record of a run on particles."""
-        case = self.workspace.case
         with self.workspace.open(target) as trajectory:
             if trajectory.text("status") != "complete":
                 return RunRecord(point, UNSTABLE, trajectory.text("status_detail"))
@@ -157,9 +144,7 @@ class SweptModel:
             values = _values(trajectory.read("time"), step, energies, speed)
             if self._model is not None:
                 values["generalized_coordinates"] = trajectory.read("generalized_coordinates")
-            if len(self._probes):
-                values |= _at_probes(sample_run(case, trajectory, self._probes))
-            values |= _kept(measured_of(case, trajectory))
+            values |= _kept(measured_of(self.workspace.case, trajectory))
         remove_checkpoints(target)
         return RunRecord(point, COMPLETE, values=values)
 
@@ -182,8 +167,6 @@ class SweptModel:
                 f"{ERROR}velocity_over_time": found.velocity,
                 f"{ERROR}pressure_over_time": found.pressure,
             }
-        if len(self._probes):
-            values |= _at_probes(run.sampled(self._probes))
         values |= _kept(run.measured)
         derivatives = _derivatives(run) if self.workspace.case.sweep.sensitivities else {}
         if derivatives:
@@ -203,10 +186,6 @@ def _values(time: Array, step: float, energies: Array, speed: float) -> dict[str
 
 def _kept(measured: dict[str, Quantities]) -> dict[str, Array]:
     return field_datasets({name: of_a_run(quantities) for name, quantities in measured.items()})
-
-
-def _at_probes(samples: Samples) -> dict[str, Array]:
-    return {"probes/velocity": samples.velocity, "probes/pressure": samples.pressure}
 
 
 def _derivatives(run: FastRun) -> dict[str, float]:
@@ -230,10 +209,9 @@ def write_records(
     artifact: ArtifactWriter,
     model: str,
     records: Sequence[RunRecord],
-    places: Array,
     statistics: Statistics | None = None,
 ) -> None:
-    """Write runs of a model in their order; `places` (n_probes, 2) [m] are those of the probes."""
+    """Write runs of a model in their order."""
     artifact.annotate("model", model)
     artifact.annotate("parameter_names", ",".join(records[0].point.as_dict()))
     artifact.write("parameters", np.array([[*r.point.as_dict().values()] for r in records]))
@@ -254,8 +232,6 @@ def write_records(
     if first.derivative_names:
         artifact.annotate("derivative_names", ",".join(first.derivative_names))
     artifact.write("time", first.values["time"])
-    if len(places):
-        artifact.write("probes/position", places)
     if estimated:
         artifact.write(f"{ERROR}run", np.array(estimated, dtype=np.int64))
     for name in records[(estimated or complete)[0]].values:
@@ -295,11 +271,6 @@ def read_records(artifact: Artifact) -> list[RunRecord]:
     return found
 
 
-def probe_places(workspace: Workspace) -> Array:
-    """Return where a sweep keeps velocity and pressure (n_probes, 2) [m]."""
-    return np.array(workspace.case.sweep.probes, dtype=float).reshape(-1, 2)
-
-
 def require_folder(workspace: Workspace) -> None:
     """Raise ArtifactError when somebody has removed the folder of the artifacts meanwhile."""
     if not workspace.out.is_dir():
@@ -322,4 +293,4 @@ def write_sweep(
     over = Workspace(replace(workspace.context, force=True))
     with over.create(target) as artifact:
         name = FULL if model is None else model.name
-        write_records(artifact, name, records, probe_places(workspace), statistics)
+        write_records(artifact, name, records, statistics)

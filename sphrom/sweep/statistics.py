@@ -1,7 +1,7 @@
 """Statistics of a sweep's outputs where its points are a sample: records, tables and figures.
 
 Outputs are of all runs: over time, their means over time, or along a line at their end. Errors of
-what is measured, or kept at probes, follow from those of training runs (`output_errors`). With U
+what is measured follow from those of training runs (`output_errors`). With U
 the root mean square of the velocity, e_u that of its error and M the mass, the kinetic energy
 M U^2 / 2 is off by at most M (U e_u + e_u^2 / 2).
 """
@@ -72,7 +72,7 @@ class Output:
 
 
 def outputs_of(case: Case, runs: Values, trained: Values = ()) -> Iterator[Output]:
-    """Yield the outputs of complete runs: kinetic energy, probes, and what the case measures.
+    """Yield the outputs of complete runs: kinetic energy, and what the case measures.
 
     Means over time follow. `trained` has differences, as `SweptModel.in_training` returns them.
     """
@@ -82,21 +82,17 @@ def outputs_of(case: Case, runs: Values, trained: Values = ()) -> Iterator[Outpu
 
 
 def _stacked(runs: Values) -> dict[str, Array]:
-    """Return what all runs have (n_runs, ...): energies, measurements, probes among them.
+    """Return what all runs have (n_runs, ...): energies and measurements.
 
     Errors over the fluid (n_runs, n_snapshots, 2) are of velocity and pressure.
     """
     found = {
         name: np.stack([values[name] for values in runs])
         for name in (set(runs[0]).intersection(*runs) if runs else ())
-        if name.startswith(("measure/", "probes/", PLACE)) or name.endswith("_over_time")
+        if name.startswith(("measure/", PLACE)) or name.endswith("_over_time")
     }
     if (paths := [f"{ERROR}{quantity}_over_time" for quantity in PLACED])[0] in found:
         found[ERROR] = np.stack([found.pop(path) for path in paths], axis=-1)
-    for quantity in PLACED:
-        at_probes = found.pop(f"probes/{quantity}", np.zeros((0, 0, 0)))
-        for k in range(at_probes.shape[2]):
-            found[f"measure/probe{k + 1}/{quantity}"] = at_probes[:, :, k]
     return found
 
 
@@ -123,8 +119,7 @@ def _outputs(
         mass, error = case.plan.mass * case.plan.n_particles, over_fluid[..., 0]
         wrong = mass * (np.sqrt(2.0 * energies / mass) * error + 0.5 * error**2)
     yield Output(f"kinetic_energy{ending}", "J/m", along, energies, wrong)
-    probes = (f"probe{k + 1}" for k in range(len(case.sweep.probes)))
-    for name, head, quantity in product((*probes, *case.scene.measure), ("", FINAL), UNITS):
+    for name, head, quantity in product(case.scene.measure, ("", FINAL), UNITS):
         if (path := f"measure/{name}/{head}{quantity}") not in runs:
             continue
         parts: Mapping[str, Array] = {}

@@ -11,7 +11,6 @@ from sphrom.metrics.histories import (
     energy,
     instantaneous_range,
     relative_discrepancy,
-    relative_error_at,
     relative_l2,
 )
 
@@ -59,20 +58,6 @@ def test_errors_that_are_not_finite_are_refused(measure) -> None:
     for given in (*bad, (field, 0.0 * field)):
         with pytest.raises(ValueError, match="finite"):
             measure(*given)
-
-
-def test_errors_at_some_points_have_the_scale_of_all() -> None:
-    reference = np.array([[[3.0, 4.0], [0.0, 0.0], [5.0, 0.0], [0.0, 5.0]]])
-    error = np.zeros_like(reference)
-    error[0, 1] = (0.3, 0.4)
-    points = np.array([False, True, True, False])
-    expected = 100.0 * 0.5 / np.sqrt(2.0) / (5.0 * np.sqrt(3.0 / 4.0))
-    np.testing.assert_allclose(relative_error_at(points, reference + error, reference), expected)
-    np.testing.assert_allclose(relative_error_at(~points, reference + error, reference), 0.0)
-    np.testing.assert_allclose(
-        relative_error_at(np.ones(4, dtype=bool), reference + error, reference),
-        relative_l2(reference + error, reference, field_axes=2),
-    )
 
 
 def test_compression_factors_of_the_paper() -> None:

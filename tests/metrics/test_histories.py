@@ -1,11 +1,11 @@
-"""Errors of one run against another: with and without the pressure's mean, near walls and apart."""
+"""Errors of one run against another: with and without the pressure's mean."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from sphrom.compare.comparison_tables import error_row, wall_row
+from sphrom.compare.comparison_tables import error_row
 from sphrom.metrics.histories import EQ41, PLACES, History, Series, compare
 from sphrom.metrics.samples import Samples
 from sphrom.plots.tables import flat
@@ -36,11 +36,6 @@ NAMES = {"compared": "map", "against": "full", "parameters": "reynolds=1", "role
 
 def _row(history):
     return flat(error_row(history, **NAMES))
-
-
-def _wall_row(history):
-    found = wall_row(error_row(history, **NAMES), history)
-    return None if found is None else flat(found)
 
 
 def test_a_drifting_mean_is_an_error_of_the_pressure_in_eq41_alone(cavity):
@@ -97,21 +92,6 @@ def test_an_unstable_run_has_no_figures(cavity):
     assert set(figures.values()) == {None}
 
 
-@pytest.mark.parametrize("near", [True, False])
-def test_errors_are_told_apart_by_where_they_are(cavity, near):
-    chosen = np.zeros(len(cavity.all), dtype=bool)
-    chosen[cavity.on_grid] = cavity.near_walls == near
-    history = compare(_samples(cavity, error=chosen), _samples(cavity), cavity, 0.0)
-    described = _wall_row(history)
-    hit, spared = ("near_walls", "interior") if near else ("interior", "near_walls")
-    assert described[f"velocity_{spared}_peak"] == 0.0
-    norm = np.sqrt(np.mean(np.sum(_samples(cavity).velocity[1, cavity.on_grid] ** 2, axis=1)))
-    expected = 100.0 * 0.1 * np.sqrt(2.0) / norm
-    assert described[f"velocity_{hit}_peak"] == pytest.approx(expected)
-    assert described[f"velocity_{hit}_mean"] == pytest.approx(0.75 * expected)
-    assert described["pressure_interior_peak"] == 0.0
-
-
 def test_stations_take_no_part_in_errors(case_of):
     probes = probes_of(case_of("open-cavity", compare={"grid": 20, "line_points": 20}))
     station = np.zeros(len(probes.all), dtype=bool)
@@ -119,8 +99,6 @@ def test_stations_take_no_part_in_errors(case_of):
     assert station.sum() == 1
     history = compare(_samples(probes, error=station), _samples(probes), probes, 0.0)
     assert _row(history)["velocity_field_relative_l2_peak"] == 0.0
-    assert history.walls
-    assert history.walls["velocity_near_walls"].max() == 0.0
 
 
 SNAPSHOTS = 0.05 * np.arange(41)
@@ -163,7 +141,6 @@ def test_pressure_without_sounds_need_the_whole_window(cavity):
     assert compare(full, full, cavity, 0.0).without_sound == {}
 
 
-WALLS = ("velocity_near_walls", "velocity_interior", "pressure_near_walls", "pressure_interior")
 SHAPE = np.array([1.0, 4.0, 2.0])
 
 
@@ -177,7 +154,6 @@ def _numbered():
     return History(
         TIMES,
         {name: _series(k) for k, name in enumerate(PLACES)},
-        walls={name: 10.0**k * SHAPE for k, name in enumerate(WALLS, 4)},
         without_sound={"pressure_line": _series(8), "pressure_field": _series(9)},
     )
 
@@ -194,10 +170,6 @@ def test_every_figure_is_of_its_own_series():
             assert found == pytest.approx([7.0 / 3.0 * factor * 10.0**k, 4.0 * factor * 10.0**k])
     assert described["velocity_field_relative_l2_end"] == 2.0
     assert described["pressure_field_relative_l2_end"] == 200.0
-    at_walls = _wall_row(_numbered())
-    for k, name in enumerate(WALLS, 4):
-        assert at_walls[f"{name}_mean"] == pytest.approx(7.0 / 3.0 * 10.0**k)
-        assert at_walls[f"{name}_peak"] == 4.0 * 10.0**k
 
 
 @pytest.mark.parametrize("place", ["line", "field"])

@@ -86,7 +86,7 @@ def test_tables_tell_walls_flow_and_local_bases(lid, errors_of, peaks):
     for best, point, _ in bests:
         assert error[best.replace("best possible", "each field alone"), point] < error[best, point]
     tables = {path.stem for path in (lid / "tables").glob("*.csv")}
-    assert tables >= {"errors", "walls", "flow", "reference", "timings", "stages"}
+    assert tables >= {"errors", "flow", "reference", "timings", "stages"}
     # The flow still changes, so it is not shown beside steady profiles.
     figures = json.loads((lid / "compare.json").read_text())
     assert {row["settled"] for row in figures["reference"]} == {False}

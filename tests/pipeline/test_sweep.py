@@ -225,7 +225,7 @@ def test_full_runs_are_announced(sphrom, ready, monkeypatch):
 
 def test_full_runs_are_those_of_the_stage(sphrom, ready, digests, tmp_path):
     values = "sweep.reynolds=[100,120,130]"
-    settings = ("--set", "sweep.model=full", "--set", values, "--set", "sweep.probes=[[0.5,0.5]]")
+    settings = ("--set", "sweep.model=full", "--set", values)
     before = (ready / "fom-reynolds100.h5").stat().st_mtime_ns
     sphrom("sweep", "tiny.yaml", "--workers", "2", *settings, code=0)
     assert (ready / "fom-reynolds100.h5").stat().st_mtime_ns == before

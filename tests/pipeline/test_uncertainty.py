@@ -46,7 +46,7 @@ CASE: dict[str, Any] = {
     "parameters": {"train": {"reynolds": [50, 200], "lid": [0.5, 1.0]}, "test": {"reynolds": []}},
     "rom": [{"name": "fast", "evaluation": "operators", "n_modes": 3}],
     "compare": {"plots": False},
-    "sweep": {"sample": SAMPLE, "quantiles": [0.25, 0.5, 0.75], "probes": [[0.3, 0.7]]},
+    "sweep": {"sample": SAMPLE, "quantiles": [0.25, 0.5, 0.75]},
 }
 
 
@@ -243,7 +243,7 @@ def test_unstable_runs_leave_no_indices(swept, folder, monkeypatch, told, counte
 
 def test_noise_has_its_share_of_the_variance_and_means_are_free_of_it():
     """At a probe full runs have noise half as large as the spread: a fifth of the variance."""
-    case = load_case({**CASE, "scene": {"kind": "lid-driven-cavity"}})
+    case = load_case(CASE)
     random = np.random.default_rng(1)
 
     def run(velocity: np.ndarray, place: float) -> dict[str, Any]:
@@ -253,15 +253,15 @@ def test_noise_has_its_share_of_the_variance_and_means_are_free_of_it():
             PLACE: np.array([place]),
             **errors,
             "kinetic_energy_over_time": np.ones(200),
-            "probes/velocity": velocity,
-            "probes/pressure": velocity[..., 0],
+            "measure/there/velocity": velocity,
+            "measure/there/pressure": velocity[:, 0],
         }
 
-    noise = np.tile(np.array([0.5, -0.5])[:, None, None], (100, 1, 2))
+    noise = np.tile(np.array([0.5, -0.5])[:, None], (100, 2))
     trained = [run(noise, place) for place in range(4)]
-    runs = [run(np.full((200, 1, 2), drawn), 1.5) for drawn in random.standard_normal(500)]
+    runs = [run(np.full((200, 2), drawn), 1.5) for drawn in random.standard_normal(500)]
     found = {each.name: each for each in outputs_of(case, runs, trained)}
-    for name, share in (("probe1_velocity_y", 0.2), ("probe1_velocity_y_mean", 0.0)):
+    for name, share in (("there_velocity_y", 0.2), ("there_velocity_y_mean", 0.0)):
         output = found[name]
         shares = spread(output.values, output.errors, (0.5,)).error_share
         assert shares[len(shares) // 2] == pytest.approx(share, abs=0.05)

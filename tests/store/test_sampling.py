@@ -14,7 +14,6 @@ def test_probes_of_a_periodic_box(case_of):
     probes = probes_of(case_of("taylor-green", compare={"grid": 6, "line_points": 4}))
     np.testing.assert_allclose(probes.line, [[0.5, y] for y in (0.125, 0.375, 0.625, 0.875)])
     assert probes.grid.shape == (36, 2)
-    assert not probes.near_walls.any()
     assert len(probes.stations) == 0
     values = np.arange(36.0)
     np.testing.assert_array_equal(probes.picture(values), values.reshape(6, 6))
@@ -30,7 +29,6 @@ def test_probes_of_the_open_cavity(case_of):
     assert domain.contains(probes.all).all()
     distance = domain.wall_distance(probes.grid)
     assert distance.min() == pytest.approx(0.005)
-    np.testing.assert_array_equal(probes.near_walls, distance < 2.0 * case.plan.smoothing_length)
     picture = probes.picture(probes.grid[:, 1])
     assert np.isnan(picture[:10, :10]).all()
     assert not np.isnan(picture[10:]).any()

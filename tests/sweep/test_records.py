@@ -22,8 +22,6 @@ from sphrom.sweep.batches import (
 )
 from sphrom.sweep.sweep import _summary
 
-PLACES = np.array([[0.25, 0.5], [0.75, 0.5]])
-
 
 def complete(reynolds: float, errors: tuple[float, float] | None) -> RunRecord:
     """Return a run of which every number is its own."""
@@ -34,8 +32,8 @@ def complete(reynolds: float, errors: tuple[float, float] | None) -> RunRecord:
         "kinetic_energy": random.random(),
         "largest_speed": random.random(),
         "generalized_coordinates": random.random((3, 2)),
-        "probes/velocity": random.random((3, 2, 2)),
-        "probes/pressure": random.random((3, 2)),
+        "measure/there/velocity": random.random((3, 2)),
+        "measure/there/pressure": random.random(3),
         "measure/drag/force": random.random((3, 2)),
         "derivatives": random.random(2),
     }
@@ -65,7 +63,7 @@ def written(path: Path, records: list[RunRecord]) -> Path:
     """Write records to a sweep's artifact."""
     origin = Origin("inputs", "name: x\n")
     with create_artifact(path, "sphrom/sweep", stage="sweep", origin=origin) as artifact:
-        write_records(artifact, "fast", records, PLACES)
+        write_records(artifact, "fast", records)
     return path
 
 

@@ -11,10 +11,6 @@ _PLACES = {"line": "on the line", "field": "over the whole field"}
 _NORMS = {"velocity": "velocity", "pressure": "pressure less its mean there"}
 _VALUES = {"velocity": "speed", "pressure": "pressure"}
 _RANGES = {"line": "on the line", "field": "of the whole field"}
-_APART = {
-    "near_walls": "within a support radius of walls, over that of the whole field",
-    "interior": "farther from walls, over the r.m.s. of the whole field",
-}
 
 
 class Series(Record):
@@ -37,15 +33,6 @@ class Series(Record):
             for quantity, value in _VALUES.items()
             for place, where in _PLACES.items()
             for over, of in _RANGES.items()
-        },
-        at="*", default_factory=dict,
-    )
-    walls: Mapping[str, Array] = dataset(
-        "snapshot", "%", "r.m.s. error of %s",
-        names={
-            f"{quantity}_{where}": f"{quantity} {meaning}"
-            for quantity in ("velocity", "pressure")
-            for where, meaning in _APART.items()
         },
         at="*", default_factory=dict,
     )

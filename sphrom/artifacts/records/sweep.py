@@ -36,16 +36,6 @@ class Estimates(Record):
     )
 
 
-class Probes(Record):
-    """The fields at some places."""
-
-    position: Array = dataset("probe component", "m", "where velocity and pressure are kept", "x")
-    velocity: Array = dataset(
-        "complete_run snapshot probe component", "m/s", "velocity there", "u", "Eq. 2.7"
-    )
-    pressure: Array = dataset("complete_run snapshot probe", "Pa", "pressure there", "p", "Eq. 2.8")
-
-
 class Measured(Record):
     """What runs have measured: over time, and along a line at their end."""
 
@@ -108,7 +98,6 @@ class Sweep(Record, kind="sphrom/sweep"):
         "complete_run snapshot mode", "of the inner product", "coordinates of reduced runs",
         "omega-hat", "Eq. 3.11", default=None,
     )
-    probes: Probes | None = part(default=None)
     measure: Mapping[str, Measured] = part(default_factory=dict)
     error_estimate: Estimates | None = part(default=None)
     derivatives: Array | None = dataset(
