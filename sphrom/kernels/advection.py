@@ -59,13 +59,13 @@ def transport(
     particle: Indices,
     targets: Indices,
     target: Array,
+    distance: Array,
     source: Array,
-    depth: Array,
-    nearness: Array,
     grid: Grid,
     cell_start: Indices,
     reach: float,
     inverse_length: float,
+    depth: Array,
     reference_density: float,
     out: Array,
 ) -> None:
@@ -76,9 +76,9 @@ def transport(
     Parameters
     ----------
     target : the fluid's sources, of which `targets` are the particles.
+    distance : (n_targets,) from the wall [m]; infinite if sources are the fluid.
     source : the sources to sum over: the same, or ghosts.
     depth : (n_sources,) how deep a ghost lies, where velocities are extrapolated [m].
-    nearness : (n_targets,) 1 over the distance from the wall [1/m]; zeros if sources are the fluid.
     out : (3, n_particles) rows: u . grad rho [kg/m3/s], u . grad u [m/s2].
     """
     for t in prange(targets.size):
@@ -88,6 +88,7 @@ def transport(
         density = target[DENSITY, j]
         u = target[U, j]
         v = target[V, j]
+        nearness = 1.0 / distance[t]
         td = tu = tv = sx = sy = 0.0
         first, last = rows_within(yi, yi, reach, grid)
         for row in range(first, last):
@@ -95,7 +96,7 @@ def transport(
             b = _transport_pairs(
                 xi, yi, density, u, v, source[X, low:high], source[Y, low:high],
                 source[DENSITY, low:high], source[U, low:high], source[V, low:high],
-                source[VOLUME, low:high], depth[low:high], nearness[t], inverse_length,
+                source[VOLUME, low:high], depth[low:high], nearness, inverse_length,
             )
             td += b[0]
             tu += b[1]
@@ -166,9 +167,9 @@ def regularity_and_gradients(
     cell_start: Indices,
     reach: float,
     inverse_length: float,
+    scratch: Array,
     constants: RegularityConstants,
     walls: Array,
-    scratch: Array,
     out: Array,
     slopes: Array,
 ) -> None:

@@ -174,8 +174,8 @@ def finish_regularity(
 @parallel
 def regularity(
     particle: Indices, targets: Indices, block_start: Indices, source: Array, grid: Grid,
-    cell_start: Indices, reach: float, inverse_length: float, constants: RegularityConstants,
-    walls: Array, scratch: Array, out: Array,
+    cell_start: Indices, reach: float, inverse_length: float, scratch: Array,
+    constants: RegularityConstants, walls: Array, out: Array,
 ) -> None:
     """Compute what follows from how particles lie, and what the rates need of their neighbours.
 
@@ -186,8 +186,8 @@ def regularity(
     particle : (n_sources,) the particle that each source is, or is an image of.
     targets : (n_particles,) the sources that are particles, in sorted order.
     block_start : (n_blocks + 1,) where blocks begin among the targets.
-    walls : (6, n_particles) what `wall_regularity` returned, or (6, 0) without walls.
     scratch : (N_CHUNKS, >= 6, longest list) memory to work in.
+    walls : (6, n_particles) what `wall_regularity` returned, or (6, 0) without walls.
     out : (9, n_particles) rows: density fluctuation with the damper's pressure over c0^2 [kg/m3];
         c of the Laplacian; renormalised density gradient x, y [kg/m4] (Eq. 2.11); shifting velocity
         x, y [m/s] (Eq. 2.13-2.14); divergence of the velocity [1/s]; sum of the kernel's gradient
@@ -280,17 +280,17 @@ def _printed_pairs(
 
 @parallel
 def rates(
-    particle: Indices, targets: Indices, block_start: Indices, source: Array, regular: Array,
-    grid: Grid, cell_start: Indices, reach: float, inverse_length: float, fluid: FluidConstants,
-    scratch: Array, out: Array,
+    particle: Indices, targets: Indices, block_start: Indices, source: Array, grid: Grid,
+    cell_start: Indices, reach: float, inverse_length: float, scratch: Array, regular: Array,
+    fluid: FluidConstants, out: Array,
 ) -> None:
     """Compute the rates of density and velocity (Eq. 2.6-2.7 without the body force).
 
     Parameters
     ----------
     source : (10, n_sources), or for sums as printed (12, n_sources).
-    regular : (9, n_particles) what `regularity` returned.
     scratch : (N_CHUNKS, as many rows, longest list) memory to work in.
+    regular : (9, n_particles) what `regularity` returned.
     out : (3, n_particles) rows: density's rate [kg/m3/s], acceleration x, y [m/s2].
     """
     tiny = TINY / (inverse_length * inverse_length)

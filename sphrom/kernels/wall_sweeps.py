@@ -157,9 +157,9 @@ def _wall_pairs(
 
 @parallel
 def wall_rates(
-    particle: Indices, targets: Indices, target: Array, distance: Array, regular: Array,
-    source: Array, grid: Grid, cell_start: Indices, reach: float, inverse_length: float,
-    fluid: FluidConstants, out: Array,
+    particle: Indices, targets: Indices, target: Array, distance: Array, source: Array, grid: Grid,
+    cell_start: Indices, reach: float, inverse_length: float, regular: Array, fluid: FluidConstants,
+    out: Array,
 ) -> None:
     """Add what ghosts contribute to the acceleration (Eq. 2.7).
 

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sphrom.arrays import Array, Indices
+from sphrom.arrays import Array
 from sphrom.kernels import advection, sweeps
-from sphrom.kernels.cells import Grid
 from sphrom.kernels.wendland import kernel
 from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fluid import ROUNDING, Discretization, Fluid, step_limits, volume_of
@@ -68,7 +67,6 @@ class Functional:
         self.mass = fluid.reference_density * discretization.particle_spacing**2
         length = discretization.smoothing_length
         laplacian = discretization.viscosity == "laplacian"
-        self._inverse_length = 1.0 / length
         self._fluid_constants = sweeps.FluidConstants(
             reference_density=fluid.reference_density,
             sound_speed=fluid.sound_speed,
@@ -81,18 +79,13 @@ class Functional:
         self._regularity_constants = sweeps.RegularityConstants(
             magnitude=2.0 * length * fluid.max_speed if discretization.shifting else 0.0,
             amplitude=discretization.shifting_amplitude,
-            inverse_kernel=1.0 / kernel(discretization.particle_spacing, self._inverse_length),
+            inverse_kernel=1.0 / kernel(discretization.particle_spacing, 1.0 / length),
             as_printed=1.0 if discretization.shifting_as_printed else 0.0,
             limit=0.5 * fluid.max_speed,
             damping=damping * fluid.reference_density,
         )
         self._n_fields = sweeps.n_fields(self._fluid_constants)
-        self.neighbourhood = Neighbourhood(
-            domain,
-            discretization.support_radius,
-            discretization.particle_spacing,
-            n_fields=self._n_fields,
-        )
+        self.neighbourhood = Neighbourhood(domain, discretization, self._n_fields)
         self._source = np.empty((self._n_fields, 0))
 
     def __call__(self, state: Array, time: float = 0.0) -> Array:
@@ -123,19 +116,8 @@ class Functional:
         force = None if self.body_force is None else self.body_force(position, time)
         fields = position, density_fluctuation, velocity
         source, walls, regular, moving, slopes = self._first_sums(*fields, force, time, along)
-        near = self.neighbourhood.sources
         out = np.empty((3, density_fluctuation.size))
-        sweeps.rates(
-            near.particle,
-            near.targets,
-            self.neighbourhood.block_start,
-            source,
-            regular,
-            *self._search(),
-            self._fluid_constants,
-            self.neighbourhood.scratch,
-            out,
-        )
+        sweeps.rates(*self.neighbourhood.blocks(source), regular, self._fluid_constants, out)
         if walls is not None:
             walls.add_rates(self._fluid_constants, regular, out[1:])
         if force is not None:
@@ -164,11 +146,16 @@ class Functional:
         """
         source = self._sources(position, density_fluctuation, velocity)
         near = self.neighbourhood.sources
-        walls = self._wall_terms(source, force, time)
-        slopes = None if along is None else np.empty((along.shape[1], 3, 2))
-        if along is not None:
+        walls, constants = self._wall_terms(source, force, time), self._regularity_constants
+        beside = np.empty((6, 0)) if walls is None else walls.regularity(constants)
+        regular, slopes = np.empty((sweeps.N_REGULAR_ROWS, near.targets.size)), None
+        arguments = (*self.neighbourhood.blocks(source), constants, beside, regular)
+        if along is None:
+            sweeps.regularity(*arguments)
+        else:
             sweeps.gather(near.particle, near.image, along, advection.FIRST, source)
-        regular = self._regular(source, walls, slopes)
+            slopes = np.empty((along.shape[1], 3, 2))
+            advection.regularity_and_gradients(*arguments, slopes)
         moving = regular[sweeps.OWN_SHIFT_U : sweeps.OWN_SHIFT_V + 1]
         if walls is not None and self.discretization.shifting:
             moving = self._held_back(moving, walls)
@@ -213,31 +200,6 @@ class Functional:
         speed = 1.0 if self.wall_speed is None else self.wall_speed(time)
         return self.ghosts.beside(near.sources, source, near.reach, force, speed)
 
-    def _regular(self, source: Array, walls: WallTerms | None, slopes: Array | None) -> Array:
-        """Return the rows of `sweeps.regularity`.
-
-        Fills `slopes`, where they are asked for, with gradients of the fields after the volume.
-        """
-        near = self.neighbourhood.sources
-        regular = np.empty((sweeps.N_REGULAR_ROWS, near.targets.size))
-        constants = self._regularity_constants
-        arguments = (
-            near.particle,
-            near.targets,
-            self.neighbourhood.block_start,
-            source,
-            *self._search(),
-            constants,
-            np.empty((6, 0)) if walls is None else walls.regularity(constants),
-            self.neighbourhood.scratch,
-            regular,
-        )
-        if slopes is None:
-            sweeps.regularity(*arguments)
-        else:
-            advection.regularity_and_gradients(*arguments, slopes)
-        return regular
-
     def advection(
         self, position: Array, density_fluctuation: Array, velocity: Array, time: float = 0.0
     ) -> Array:
@@ -245,18 +207,10 @@ class Functional:
         source = self._sources(position, density_fluctuation, velocity)
         near = self.neighbourhood.sources
         out = np.empty((3, density_fluctuation.size))
-        depth, nearness = np.zeros(source.shape[1]), np.zeros(near.targets.size)
-        advection.transport(
-            near.particle,
-            near.targets,
-            source,
-            source,
-            depth,
-            nearness,
-            *self._search(),
-            self.fluid.reference_density,
-            out,
-        )
+        fluid = near.particle, near.targets, source
+        distance, depth = np.full(near.targets.size, np.inf), np.zeros(source.shape[1])
+        pairs = *fluid, distance, source, *self.neighbourhood.search
+        advection.transport(*pairs, depth, self.fluid.reference_density, out)
         force = None if self.body_force is None else self.body_force(position, time)
         walls = self._wall_terms(source, force, time)
         if walls is not None:
@@ -278,11 +232,6 @@ class Functional:
         fields = np.vstack((position, density_fluctuation, velocity, volume))
         sweeps.gather(near.particle, near.image, fields, sweeps.X, self._source)
         return self._source
-
-    def _search(self) -> tuple[Grid, Indices, float, float]:
-        """Return what every sweep searches neighbours with."""
-        near = self.neighbourhood.sources
-        return near.grid, near.cell_start, self.neighbourhood.reach, self._inverse_length
 
     # As the time loop sees it
 

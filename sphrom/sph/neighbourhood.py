@@ -17,6 +17,10 @@ from sphrom.errors import UnstableError
 from sphrom.kernels.blocks import N_CHUNKS, longest_list, split_targets
 from sphrom.kernels.cells import Grid, sort_by_cell
 from sphrom.sph.domain import Domain, first_of
+from sphrom.sph.fluid import Discretization
+
+Search = tuple[Grid, Indices, float, float]
+"""What sweeps search sources with: their cells, how far [m], and 1/h [1/m]."""
 
 CELL_SIZE_RATIO = (0.5, 4.0)
 """Cell width and height over the particle spacing: the fastest of those tried."""
@@ -79,15 +83,23 @@ class Neighbourhood:
     block_start: Indices
     reach: float
 
-    def __init__(
-        self, domain: Domain, support_radius: float, particle_spacing: float, n_fields: int
-    ) -> None:
-        self._domain = domain
-        self._support_radius = support_radius
-        self._particle_spacing = particle_spacing
-        self._move_limit = MOVE_RATIO * particle_spacing
+    def __init__(self, domain: Domain, discretization: Discretization, n_fields: int) -> None:
+        self._domain, self._spacing = domain, discretization.particle_spacing
+        self._support_radius = discretization.support_radius
+        self._inverse_length = 1.0 / discretization.smoothing_length
+        self._move_limit = MOVE_RATIO * self._spacing
         self.built_at: Array | None = None
         self.scratch = np.empty((N_CHUNKS, n_fields, 0))
+
+    @property
+    def search(self) -> Search:
+        """What sweeps search the sources with."""
+        return self.sources.grid, self.sources.cell_start, self.reach, self._inverse_length
+
+    def blocks(self, source: Array) -> tuple[Indices, Indices, Indices, Array, *Search, Array]:
+        """Return what sweeps over blocks take first, from the fields of the sources."""
+        near = self.sources
+        return near.particle, near.targets, self.block_start, source, *self.search, self.scratch
 
     def rebuild_at(self, position: Array | None) -> None:
         """Build the list as it was built at positions (2, n_particles) [m]; None forgets it.
@@ -114,7 +126,7 @@ class Neighbourhood:
         # A particle and its neighbour may each move by the limit before the next build.
         margin = self._support_radius + 2.0 * self._move_limit
         _require_near(position, self._domain, margin)
-        self.sources = sort_sources(position, self._domain, margin, self._particle_spacing)
+        self.sources = sort_sources(position, self._domain, margin, self._spacing)
         self.reach = self._support_radius
         self.built_at = position.copy()
         # Targets are shared out in blocks, and their lists need memory.

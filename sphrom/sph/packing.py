@@ -136,14 +136,8 @@ class KernelGradientSum:
         self, domain: Domain, discretization: Discretization, others: Array | None = None
     ) -> None:
         self._others = np.empty((2, 0)) if others is None else others
-        self._inverse_length = 1.0 / discretization.smoothing_length
         self._volume = discretization.particle_spacing**2
-        self._neighbourhood = Neighbourhood(
-            domain,
-            discretization.support_radius,
-            discretization.particle_spacing,
-            n_fields=sweeps.N_FIELDS,
-        )
+        self._neighbourhood = Neighbourhood(domain, discretization, n_fields=sweeps.N_FIELDS)
         self._constants = sweeps.RegularityConstants(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
     def __call__(self, position: Array) -> Array:
@@ -156,18 +150,6 @@ class KernelGradientSum:
         sweeps.gather(near.particle, near.image, position, sweeps.X, source)
         source[sweeps.VOLUME] = self._volume
         out = np.empty((sweeps.N_REGULAR_ROWS, position.shape[1]))
-        sweeps.regularity(
-            near.particle,
-            near.targets,
-            self._neighbourhood.block_start,
-            source,
-            near.grid,
-            near.cell_start,
-            self._neighbourhood.reach,
-            self._inverse_length,
-            self._constants,
-            np.empty((6, 0)),
-            self._neighbourhood.scratch,
-            out,
-        )
+        no_walls = np.empty((6, 0))
+        sweeps.regularity(*self._neighbourhood.blocks(source), self._constants, no_walls, out)
         return out[sweeps.SUPPORT_X :, :n_particles]

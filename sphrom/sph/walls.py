@@ -15,11 +15,10 @@ import shapely
 
 from sphrom.arrays import Array, Indices
 from sphrom.kernels import advection, ghost_fields, wall_sweeps
-from sphrom.kernels.cells import Grid
 from sphrom.kernels.sweeps import FluidConstants, RegularityConstants, X, gather
 from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fluid import Discretization, Fluid, fluctuation_of, volume_of
-from sphrom.sph.neighbourhood import MOVE_RATIO, Sources, sort_sources
+from sphrom.sph.neighbourhood import MOVE_RATIO, Search, Sources, sort_sources
 from sphrom.sph.polygons import jutting_corners
 
 CLOSEST, TOUCHING, FELT = 0.25, 0.5, 1.5
@@ -81,7 +80,7 @@ class GhostParticles:
         self._inverse_length = 1.0 / discretization.smoothing_length
 
     @property
-    def search(self) -> tuple[Grid, Indices, float, float]:
+    def search(self) -> Search:
         """What sweeps search ghosts with."""
         reach = self.discretization.support_radius
         return self._near.grid, self._near.cell_start, reach, self._inverse_length
@@ -160,7 +159,7 @@ class WallTerms:
         source: Array,
         fields: Array,
         weights: Array,
-        search: tuple[Grid, Indices, float, float],
+        search: Search,
     ) -> None:
         self._ghosts = ghosts
         self._n_particles, self._targets = sources.targets.size, sources.targets
@@ -175,20 +174,17 @@ class WallTerms:
         self._from_wall = np.maximum(distance, nearest)
         self._particle = sources.particle
 
+    @property
+    def _pairs(self) -> tuple[Indices, Indices, Array, Array, Array, *Search]:
+        """What sweeps over pairs of the particles that feel walls with ghosts take first."""
+        fluid = self._particle, self._near, self._source
+        return *fluid, self._distance, self._ghost, *self._ghosts.search
+
     def regularity(self, constants: RegularityConstants) -> Array:
         """Return the sums (6, n_particles) over ghosts that `sweeps.regularity` adds to its own."""
         out = np.zeros((6, self._n_particles))
-        wall_sweeps.wall_regularity(
-            self._particle,
-            self._near,
-            self._source,
-            self._distance,
-            self._ghost,
-            *self._ghosts.search,
-            float(self._ghosts.walls_return),
-            constants,
-            out,
-        )
+        walls_return = float(self._ghosts.walls_return)
+        wall_sweeps.wall_regularity(*self._pairs, walls_return, constants, out)
         return out
 
     def damp(self, pressure: Array) -> None:
@@ -216,17 +212,7 @@ class WallTerms:
 
     def add_rates(self, fluid: FluidConstants, regular: Array, out: Array) -> None:
         """Add the ghosts' part to the acceleration (2, n_particles)."""
-        wall_sweeps.wall_rates(
-            self._particle,
-            self._near,
-            self._source,
-            self._distance,
-            regular,
-            self._ghost,
-            *self._ghosts.search,
-            fluid,
-            out,
-        )
+        wall_sweeps.wall_rates(*self._pairs, regular, fluid, out)
 
     def forces(self, fluid: FluidConstants) -> Array:
         """Return the pressure's and the viscous force on each ghost (2, 2, n_ghosts) [N/m].
@@ -243,16 +229,6 @@ class WallTerms:
 
     def add_transport(self, out: Array) -> None:
         """Add the ghosts' part to the advection (3, n_particles) of Eq. 3.5-3.6."""
-        part = np.zeros_like(out)
-        advection.transport(
-            self._particle,
-            self._near,
-            self._source,
-            self._ghost,
-            self._ghost[wall_sweeps.DEPTH],
-            1.0 / self._distance,
-            *self._ghosts.search,
-            self._ghosts.fluid.reference_density,
-            part,
-        )
+        part, depth = np.zeros_like(out), self._ghost[wall_sweeps.DEPTH]
+        advection.transport(*self._pairs, depth, self._ghosts.fluid.reference_density, part)
         out += part

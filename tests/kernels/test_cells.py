@@ -16,6 +16,7 @@ from hypothesis.extra.numpy import arrays
 from sphrom.kernels import blocks
 from sphrom.kernels.cells import Grid, range_in_row, rows_within, sort_by_cell
 from sphrom.sph.box_domain import BoxDomain
+from sphrom.sph.fluid import Discretization
 from sphrom.sph.neighbourhood import MOVE_RATIO, Neighbourhood
 
 coordinates = arrays(
@@ -123,7 +124,8 @@ def test_no_list_is_longer_than_foreseen_wherever_particles_move(kind: str) -> N
     spacing = 0.1
     random = np.random.default_rng(0)
     position = random.uniform(0.0, 1.0, (2, 200)) ** (1 if kind == "even" else 3)
-    neighbourhood = Neighbourhood(BoxDomain((0, 0), (1, 1), (True, True)), 0.4, spacing, n_fields=2)
+    box = BoxDomain((0, 0), (1, 1), (True, True))
+    neighbourhood = Neighbourhood(box, Discretization(spacing, 0.2), n_fields=2)
     neighbourhood.update(position)
     near = neighbourhood.sources
     longest = 0

@@ -14,8 +14,10 @@ from sphrom.errors import UnstableError
 from sphrom.kernels.cells import range_in_row, rows_within
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
+from sphrom.sph.fluid import Discretization
 from sphrom.sph.neighbourhood import MOVE_RATIO, Neighbourhood, periodic_images, sort_sources
 
+PERIODIC = BoxDomain((0, 0), (1, 1), (True, True))
 shares = arrays(
     np.float64, st.tuples(st.just(2), st.integers(1, 15)), elements=st.floats(-2.0, 3.0, width=32)
 )
@@ -78,7 +80,7 @@ def test_the_list_is_kept_until_some_particle_has_moved_far() -> None:
     spacing = 0.1
     random = np.random.default_rng(0)
     position = random.uniform(0.0, 1.0, (2, 100))
-    neighbourhood = Neighbourhood(BoxDomain((0, 0), (1, 1), (True, True)), 0.4, spacing, n_fields=2)
+    neighbourhood = Neighbourhood(PERIODIC, Discretization(spacing, 0.2), n_fields=2)
     neighbourhood.update(position)
     built = neighbourhood.sources
     assert neighbourhood.reach == pytest.approx(0.4)
@@ -106,7 +108,7 @@ def test_the_list_holds_what_may_come_near_across_a_periodic_edge(axis: int, sid
     apart = support + 1.999 * limit
     position = np.full((2, 2), 0.5)
     position[axis] = [float(side) - 1e-9 * outward, side - outward + outward * apart]
-    neighbourhood = Neighbourhood(BoxDomain((0, 0), (1, 1), (True, True)), support, 0.1, n_fields=2)
+    neighbourhood = Neighbourhood(PERIODIC, Discretization(0.1, support / 2), n_fields=2)
     neighbourhood.update(position)
     built = neighbourhood.sources
     moved = position.copy()
@@ -118,7 +120,7 @@ def test_the_list_holds_what_may_come_near_across_a_periodic_edge(axis: int, sid
 
 
 def test_another_number_of_particles_builds_the_list_anew() -> None:
-    neighbourhood = Neighbourhood(BoxDomain((0, 0), (1, 1), (True, True)), 0.4, 0.1, n_fields=2)
+    neighbourhood = Neighbourhood(PERIODIC, Discretization(0.1, 0.2), n_fields=2)
     neighbourhood.update(np.full((2, 3), 0.5))
     neighbourhood.update(np.full((2, 4), 0.5))
     assert neighbourhood.sources.targets.size == 4
@@ -127,7 +129,7 @@ def test_another_number_of_particles_builds_the_list_anew() -> None:
 def test_particles_that_no_list_can_cover_are_named():
     """Beyond walls there are no images: cells up to such a particle could take all memory."""
     box = BoxDomain((0.0, 0.0), (1.0, 1.0), (True, False))
-    near = Neighbourhood(box, 0.1, 0.05, n_fields=2)
+    near = Neighbourhood(box, Discretization(0.05, 0.05), n_fields=2)
     position = np.array([[0.5, 0.2, 0.7], [0.5, 1e12, -3.0]])
     with pytest.raises(
         UnstableError, match=r"particle 1 at \(0\.2, 1e\+12\) m .* beyond the reach"
@@ -141,7 +143,7 @@ def test_particles_that_no_list_can_cover_are_named():
 def test_a_list_is_built_again_as_it_was():
     rng = np.random.default_rng(0)
     box = BoxDomain((0.0, 0.0), (1.0, 1.0), (True, True))
-    first, second = (Neighbourhood(box, 0.2, 0.05, n_fields=2) for _ in range(2))
+    first, second = (Neighbourhood(box, Discretization(0.05, 0.1), n_fields=2) for _ in range(2))
     position = rng.random((2, 300))
     first.update(position)
     moved = position + 0.002 * rng.standard_normal(position.shape)

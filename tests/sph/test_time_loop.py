@@ -7,6 +7,7 @@ import pytest
 
 from sphrom.errors import UnstableError
 from sphrom.sph.box_domain import BoxDomain, Rectangle
+from sphrom.sph.fluid import Discretization
 from sphrom.sph.neighbourhood import Neighbourhood
 from sphrom.sph.time_loop import (
     Clock,
@@ -64,7 +65,7 @@ class _Drifting:
 
     def __init__(self) -> None:
         self.times: list[float] = []
-        self.neighbourhood = Neighbourhood(BOX, 0.1, 0.05, n_fields=1)
+        self.neighbourhood = Neighbourhood(BOX, Discretization(0.05, 0.05), n_fields=1)
 
     def position(self, state: np.ndarray) -> np.ndarray:
         return state[:2]
