@@ -34,8 +34,6 @@ class SceneSection(Section):
     """The scene's name in a report."""
     defaults: ClassVar[Defaults] = {}
     """Defaults of other sections that differ from their own."""
-    has_exact_solution: ClassVar[bool] = False
-    """Whether an exact solution is known."""
 
     if TYPE_CHECKING:  # each kind has the key, after its own
         measure: Measures
