@@ -31,7 +31,7 @@ from sphrom.offline import fit_psi, fom, operators, pod
 from sphrom.offline import map as mapping
 from sphrom.online.basis_model import BasisModel
 from sphrom.online.fast_model import FastModel, FastRun
-from sphrom.online.particle_runs import build_model, close
+from sphrom.online.particle_runs import build_model, close, doubts_of_step
 from sphrom.online.stable_ranges import MEMORY, STEP, TIME
 from sphrom.reduction.particle_model import reduced_jacobian
 from sphrom.reduction.polynomial_model import EXPONENTIAL, RUNGE_KUTTA, steps_within
@@ -449,6 +449,7 @@ class Maps:
         plan, own = self.case.plan.steps, self.default[1]
         for section in (model.section for model in self.models if model.section.size == own):
             found = self._described(STEP, factor, self.point, "particles", section)
+            found.told = "; ".join(doubts_of_step(factor))
             moving = section.model_copy(update={"evaluation": "particles"})
             model, state = build_model(self.workspace, moving, self.point)
             jacobian = reduced_jacobian(model, state, plan.start_time)
