@@ -96,6 +96,8 @@ SCENES: dict[str, tuple[str, dict[str, Any]]] = {
 }
 """The case that each is made of, and what differs. The last two vary what drives the flow, too."""
 STAGES = ("fom", "map", "pod", "fit-psi", "operators")
+SMALL = (1050, 12)
+"""Pixels and colours of pictures in the documentation."""
 ONE_IN = 5
 TOLERANCE = 1e-8
 """Of scipy's integrator, relative."""
@@ -222,10 +224,10 @@ def drawn(name: str, out: Path) -> None:
     runs = [ExtremeRun(**row) for row in document["extremes"]]
     picture = out / f"{name}.png"
     save(draw_maps(runs), picture)
-    write_small(picture, FIGURES / f"stability-{name}.png")
+    write_small(picture, FIGURES / f"stability-{name}.png", *SMALL)
     if name == SHOWN:
         save(draw_maps([run for run in runs if run.varied == REYNOLDS]), picture)
-        write_small(picture, FIGURES / "stability.png")
+        write_small(picture, FIGURES / "stability.png", *SMALL)
     checks = json.loads((out / name / "checks.json").read_text(encoding="utf-8"))
     counts = Counter(run.state for run in runs)
     fast = (run for run in runs if run.kind == "fast" and not run.told)

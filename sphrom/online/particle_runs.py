@@ -23,8 +23,8 @@ from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Workspace
 
 LONGEST_STEP = 4.0
-"""Of models on particles, over the full model's: longer steps were stable in some flows and right in
-none (`docs/stability.md`)."""
+"""Of models on particles, over the full model's: longer ones were right in no flow
+(`docs/stability.md`)."""
 
 
 def build_model(

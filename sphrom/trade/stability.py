@@ -184,10 +184,12 @@ def longest_memory(near: ReferenceModel, far: ReferenceModel) -> float | None:
     """
     states = _around_which(near)
     bare, longer = (m.polynomial.jacobians(states, m.strongest) for m in (near, far))
+    # Where the flow itself has a growing perturbation, faster than that.
+    without = max(0.0, float(np.linalg.eigvals(2.0 * bare - longer).real.max()))
     for power in range(-DECADES * PER_DECADE, DECADES * PER_DECADE + 1):
         factor = 10.0 ** (power / PER_DECADE)
         jacobians = bare + (factor - 1.0) * (longer - bare)
-        fastest = np.linalg.eigvals(jacobians).real.max()
+        fastest = float(np.linalg.eigvals(jacobians).real.max()) - without
         if fastest * near.output_times.duration > math.log(MOST_GROWTH):
             return factor
     return None
@@ -433,7 +435,8 @@ def _draw_map(axes: Axes, name: str, models: Sequence[Sequence[ExtremeRun]]) -> 
             axes.add_patch(cell)
             words = " / ".join(format_figure(error, 2) for error in run.errors or ())
             if run.state != "right":
-                words = f"{words}\n{run.mechanism or run.state}".strip()
+                cause = (run.mechanism or run.state).replace("extrapolated", "extr.")
+                words = f"{words}\n{cause}".strip()
             axes.text(x, y, words, ha="center", va="center", fontsize=LETTERS)
     axes.set(xlim=(-0.5, len(values) - 0.5), ylim=(len(models) - 0.5, -0.5))
     axes.set_title(f"{name}{OVER.get(name, '')}")
