@@ -250,14 +250,6 @@ class PolygonDomain(Domain):
         position = ghost_rows(self.fluid_with_images, frame, particle_spacing, n_layers)
         return Walls(position, np.zeros_like(position), self.nearest_wall(position), None)
 
-    def n_ghosts(self, particle_spacing: float, n_layers: int) -> int:
-        """Return how many ghosts there are."""
-        return len(self.ghosts(particle_spacing, n_layers).position)
-
-    def fits_lattice(self, particle_spacing: float) -> bool:
-        """Whether particles fill the domain without a remainder: packed, they always do."""
-        return True
-
 
 def list_by_cell(
     segments: Array, lower: Array, upper: Array, cell_width: float, reach: float
