@@ -17,7 +17,7 @@ from sphrom.case.fields import only_one
 from sphrom.case.models import Case
 from sphrom.case.plan import MAX_STEPS, WHOLE_STEPS_TOLERANCE
 from sphrom.case.points import REYNOLDS, ParameterPoint, nearest_point
-from sphrom.case.scene_section import KINDS, MeasureSection
+from sphrom.case.scene_section import MeasureSection
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection
 from sphrom.case.studies import (
     Region,
@@ -236,7 +236,7 @@ def _check_scene(case: Case) -> Found:
     for name, reason in case.scene.problems(case.time.final_time):
         yield f"scene.{name}", reason
     for name, measured in case.scene.measure.items():
-        kind = only_one(measured, KINDS)
+        kind = only_one(measured, type(measured).model_fields)
         if (problem := _measure_problem(case, measured)) is not None:
             yield f"scene.measure.{name}.{kind}", problem
 
@@ -394,7 +394,7 @@ def _check_compare(case: Case) -> Found:
     if section.from_time >= end:
         reason = f"must be before time.final_time, {exact(end)} s; got {exact(section.from_time)}"
         yield "compare.from_time", reason
-    if section.exact and not case.scene.has_exact_solution:
+    if section.exact and case.plan.flow(case.plan.points[0]).exact is None:
         yield "compare.exact", f"a scene of kind {case.scene.kind} has no exact solution"
     left, right, line = domain.lower[0], domain.upper[0], case.plan.probe_line
     if not left < line < right:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -23,7 +23,6 @@ from sphrom.case.fields import Coordinate, Place, Positive, SafeName, Section, k
 from sphrom.case.initial_file import read_start, start_fields
 from sphrom.case.scene_section import MEASURE, OF_WALLS, Defaults, Measures, SceneSection
 from sphrom.case.shapes import ShapeSection
-from sphrom.errors import CaseError
 from sphrom.scenes.flows import CustomFlow, Drive, Scales, Scene
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import SIDES, Domain
@@ -102,13 +101,6 @@ class InitialSection(Section):
         if self.file is not None and any(value != 0.0 for value in (self.u, self.v, self.p)):
             raise ValueError("file takes the place of u, v and p; give one or the other")
         return self
-
-    def of_file(self, position: Array) -> Array:
-        """Return u, v [m/s] and p [Pa] of the file (n_points, 3). Raises CaseError without it."""
-        try:
-            return start_fields(str(self.file), str(self.sha256))(position)
-        except ValueError as error:
-            raise CaseError(f"scene.initial.file: {error}") from error
 
 
 class CustomScene(SceneSection):
@@ -205,8 +197,7 @@ class CustomScene(SceneSection):
             here.domain,
             {name: here._wall_velocity(name) for name in here.walls},
             here._force,
-            lambda at: here._initial[0](at),
-            lambda at: here._initial[1](at),
+            lambda at: here._initial(at),
         )
 
     @cached_property
@@ -222,7 +213,7 @@ class CustomScene(SceneSection):
         _ = self.domain, self._shapes  # they are the same, and needn't be built again
         other = self.model_copy()
         other._values = values
-        for built in ("_force", "_initial", "_known"):
+        for built in ("_force", "_force_parts", "_start", "_initial", "_known"):
             other.__dict__.pop(built, None)
         return other
 
@@ -267,9 +258,7 @@ class CustomScene(SceneSection):
             for value in wall.velocity or ():
                 where = f"walls.{name}.velocity"
                 yield where, name, self._expression(where, value, "x", "y")
-        for value in self.body_force:
-            whole = self._expression("body_force", value, "x", "y", "t")
-            yield "body_force", "", whole.separated("t")[0]
+        yield from (("body_force", "", field) for field, _ in self._force_parts)
 
     def check_at(self, values: Mapping[str, float]) -> None:
         """Raise ValueError where the scene can't be had with some values of its parameters."""
@@ -297,23 +286,11 @@ class CustomScene(SceneSection):
         try:
             constants = {name: self._values.get(name, own) for name, own in self.constants.items()}
             expression = Expression(text, variables, constants)
-            if "t" not in variables:  # of the body force, parts are compiled
-                _ = expression.compiled
+            # Of the body force, parts are compiled.
+            _ = expression.separated("t") if "t" in variables else expression.compiled
             return expression
         except ValueError as error:
             raise ValueError(f"{where}: {error}") from error
-
-    def _field(self, where: str, value: float | str) -> Callable[[Array], Array]:
-        """Return values (n_points,) at positions (n_points, 2), looked at all over the box."""
-        if not isinstance(value, str):
-            return lambda position: np.full(len(position), value, dtype=np.float64)
-        expression = self._expression(where, value, "x", "y")
-
-        def at(position: Array) -> Array:
-            return np.array(expression(x=position[:, 0], y=position[:, 1]))
-
-        _require_finite(where, at(self._samples), self._samples)
-        return at
 
     @cached_property
     def _samples(self) -> Array:
@@ -327,19 +304,28 @@ class CustomScene(SceneSection):
         return points[self.domain.contains(points)]
 
     @cached_property
-    def _initial(self) -> tuple[Callable[[Array], Array], Callable[[Array], Array]]:
-        of_file = self.initial.of_file
+    def _start(self) -> dict[str, Expression]:
+        """The expressions of u, v and p."""
+        given = {name: getattr(self.initial, name) for name in ("u", "v", "p")}
+        return {n: self._expression(f"initial.{n}", v, "x", "y") for n, v in given.items()}
+
+    @cached_property
+    def _initial(self) -> Callable[[Array], Array]:
+        """Returns u, v [m/s] and p [Pa] (n_points, 3) at positions (n_points, 2) [m]."""
         if self.initial.file is not None:
-            return (lambda at: of_file(at)[:, :2]), (lambda at: of_file(at)[:, 2])
-        u, v, p = (
-            self._field(f"initial.{name}", getattr(self.initial, name)) for name in ("u", "v", "p")
-        )
-        return (lambda at: np.stack((u(at), v(at)), axis=1)), p
+            return partial(start_fields, self.initial.file, str(self.initial.sha256))
+
+        def at(position: Array) -> Array:
+            x, y = position.T
+            return np.stack([part(x=x, y=y) for part in self._start.values()], axis=1)
+
+        for name, values in zip(self._start, at(self._samples).T, strict=True):
+            _require_finite(f"initial.{name}", values, self._samples)
+        return at
 
     def starts_by(self, name: str) -> bool:
         """Return whether the start of runs depends on a parameter beside the viscosity."""
-        given = [(f"initial.{field}", getattr(self.initial, field)) for field in ("u", "v", "p")]
-        return any(self._expression(*each, "x", "y").degree_in([name]) > 0.0 for each in given)
+        return any(part.degree_in([name]) > 0.0 for part in self._start.values())
 
     def _wall_velocity(self, name: str) -> Callable[[Array], Array]:
         """Return the velocity (n_points, 2) [m/s] of a wall at places on it (n_points, 2) [m]."""
@@ -391,22 +377,19 @@ class CustomScene(SceneSection):
             )
 
     @cached_property
+    def _force_parts(self) -> list[tuple[Expression, Expression]]:
+        """The field and the amplitude of each component of the body force."""
+        wholes = (self._expression("body_force", value, "x", "y", "t") for value in self.body_force)
+        return [whole.separated("t") for whole in wholes]
+
+    @cached_property
     def _force(self) -> Drive | None:
         """The body force as a field times an amplitude, of which parameters give a factor."""
-        if all(value == 0.0 for value in self.body_force):
+        parts = zip(self.body_force, self._force_parts, strict=True)
+        # A component that is zero has any amplitude.
+        moving = {amplitude.text: amplitude for value, (_, amplitude) in parts if value != 0.0}
+        if not moving:
             return None
-        fields, moving = list[Expression | None](), dict[str, Expression]()
-        for value in self.body_force:
-            if value == 0.0:  # it has any amplitude
-                fields.append(None)
-                continue
-            whole = self._expression("body_force", value, "x", "y", "t")
-            try:
-                part, amplitude = whole.separated("t")
-            except ValueError as error:
-                raise ValueError(f"body_force: {error}") from error
-            fields.append(part)
-            moving[amplitude.text] = amplitude
         if len(moving) > 1:
             raise ValueError(
                 "body_force: both components must have the same amplitude in time; got "
@@ -415,8 +398,7 @@ class CustomScene(SceneSection):
         (amplitude,) = moving.values()
 
         def field(position: Array) -> Array:
-            x, y = position
-            return np.stack([np.zeros_like(x) if f is None else f(x=x, y=y) for f in fields])
+            return np.stack([part(x=position[0], y=position[1]) for part, _ in self._force_parts])
 
         _require_finite("body_force", field(self._samples.T).T, self._samples)
         factor = self._values.get(BODY_FORCE, 1.0)
@@ -427,10 +409,7 @@ class CustomScene(SceneSection):
     @property
     def force_changes(self) -> bool:
         """Whether the body force changes with time."""
-        return any(
-            "t" in self._expression("body_force", value, "x", "y", "t").depends_on
-            for value in self.body_force
-        )
+        return any(amplitude.depends_on for _, amplitude in self._force_parts)
 
     def largest_head(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
         """Return what the body force's head along the box doesn't exceed until a time [m2/s2]."""

@@ -24,7 +24,6 @@ from sphrom.case.studies import Region, trained_at
 from sphrom.case.yaml_reader import (
     MAX_DEPTH,
     Document,
-    InvalidText,
     Path,
     Problem,
     read_yaml,
@@ -136,8 +135,6 @@ def _read(path: FilePath) -> Document:
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
         raise CaseError(f"{path}:{line}: is not UTF-8 text") from error
-    except InvalidText as error:
-        raise _error(str(path), Document(), [Problem((), error.reason, error.line)]) from error
     if document.problems:
         raise _error(str(path), document, document.problems)
     if not isinstance(document.value, dict):
@@ -151,10 +148,7 @@ def _override(data: dict[str, Any], override: str) -> Path:
     name, equals, text = override.partition("=")
     if not equals:
         raise CaseError(f"{OVERRIDE}: must be path.to.key=value; got {quoted(override)}")
-    try:
-        document = read_yaml(text)
-    except InvalidText as error:
-        raise CaseError(f"{OVERRIDE}: {name}: {error.reason}") from error
+    document = read_yaml(text)
     if document.problems:
         raise CaseError(f"{OVERRIDE}: {name}: {document.problems[0].reason}")
     return _assign(data, name.strip(), document.value)

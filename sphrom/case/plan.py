@@ -300,6 +300,11 @@ class Plan:
         """Return whether a model's runs end when full runs do, so that they can be compared."""
         return self.model_steps(model) == self.steps
 
+    def compared_at(self, point: ParameterPoint) -> list[ReducedModelSection]:
+        """Return the reduced models whose runs at a point are compared with the full one."""
+        models = filter(self.ends_with_case, self._case.rom)
+        return [model for model in models if point in self.rom_points(model)]
+
     # Parameter points
 
     @cached_property

@@ -34,8 +34,6 @@ class SceneSection(Section):
     """The scene's name in a report."""
     defaults: ClassVar[Defaults] = {}
     """Defaults of other sections that differ from their own."""
-    has_exact_solution: ClassVar[bool] = False
-    """Whether an exact solution is known."""
 
     if TYPE_CHECKING:  # each kind has the key, after its own
         measure: Measures
@@ -136,10 +134,6 @@ class SceneSection(Section):
         yield from ()
 
 
-KINDS = ("force_on", "flow_rate", "probe", "line")
-"""What can be measured."""
-
-
 class SegmentSection(Section):
     """A straight segment in the fluid; its ends may be on walls."""
 
@@ -172,7 +166,7 @@ class MeasureSection(Section):
 
     @model_validator(mode="after")
     def _one_kind(self) -> MeasureSection:
-        only_one(self, KINDS)
+        only_one(self, type(self).model_fields)
         return self
 
     @property

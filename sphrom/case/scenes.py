@@ -35,7 +35,6 @@ class TaylorGreenScene(SceneSection):
     """The Taylor-Green vortex in a periodic square (Eq. 4.4)."""
 
     title: ClassVar[str] = "The Taylor-Green vortex"
-    has_exact_solution: ClassVar[bool] = True
 
     kind: Literal["taylor-green"] = key(..., "which flow")
     length: Positive = key(1.0, "side of the periodic square", unit="m")

@@ -55,12 +55,8 @@ def show_path(path: Path) -> str:
     )
 
 
-class InvalidText(Exception):
-    """The text as a whole can't be read."""
-
-    def __init__(self, reason: str, line: int | None = None) -> None:
-        super().__init__(reason)
-        self.reason, self.line = reason, line
+class _TooLarge(Exception):
+    """A text nests too deep, or holds too many values: why, and the line."""
 
 
 class Loader(yaml.SafeLoader):
@@ -95,9 +91,9 @@ for _class in (Loader, Dumper):
 
 def _require_small(depth: int, n_values: int, line: int) -> None:
     if depth > MAX_DEPTH:
-        raise InvalidText(f"nests deeper than {MAX_DEPTH} levels", line)
+        raise _TooLarge(f"nests deeper than {MAX_DEPTH} levels", line)
     if n_values > MAX_VALUES:
-        raise InvalidText(f"holds more than {MAX_VALUES} values", line)
+        raise _TooLarge(f"holds more than {MAX_VALUES} values", line)
 
 
 def dump_yaml(value: Any) -> str:
@@ -106,27 +102,25 @@ def dump_yaml(value: Any) -> str:
 
 
 def read_yaml(text: str) -> Document:
-    """Read one YAML document.
-
-    Raises InvalidText where there is no document to speak of; what is wrong with single keys is in
-    the document's `problems`.
-    """
+    """Read one YAML document; what is wrong with it is in its `problems`."""
+    line, document = None, Document()
     try:
-        node = Loader(text).get_single_node()
+        if (node := Loader(text).get_single_node()) is not None:
+            document.value = document.convert(node, ())
+        return document
+    except _TooLarge as error:
+        reason, line = error.args
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         words = error.problem or error.context or "can't be read"
-        raise InvalidText(f"not valid YAML: {words}", mark.line + 1 if mark else None) from error
+        reason = f"not valid YAML: {words}"
+        line = mark and mark.line + 1
     except yaml.reader.ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
-        code = int(error.character)
-        raise InvalidText(f"not valid YAML: character #x{code:04x} is not allowed", line) from error
-    except (ValueError, OverflowError) as error:  # an escape beyond the last character
-        raise InvalidText("not valid YAML: an escaped character does not exist") from error
-    document = Document()
-    if node is not None:
-        document.value = document.convert(node, ())
-    return document
+        reason = f"not valid YAML: character #x{int(error.character):04x} is not allowed"
+    except (ValueError, OverflowError):  # an escape beyond the last character
+        reason = "not valid YAML: an escaped character does not exist"
+    return Document(problems=[Problem((), reason, line)])
 
 
 @dataclass

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
+from itertools import chain
+
 import numpy as np
 
 from sphrom.case.models import Case
@@ -9,7 +12,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.study_sections import FULL
 from sphrom.compare.answer import tell_answer
-from sphrom.compare.comparison_figures import draw_comparison
+from sphrom.compare.comparison_figures import draw_comparison, exact_samples
 from sphrom.compare.comparison_tables import (
     ALONE,
     DecayRow,
@@ -110,11 +113,7 @@ class _PointComparison:
         self.workspace, self.case, self.point = workspace, workspace.case, writer.point
         self.probes, self.writer, self.tables = writer.probes, writer, tables
         plan, point, probes = self.case.plan, writer.point, writer.probes
-        self.models = [
-            model
-            for model in self.case.rom
-            if point in plan.rom_points(model) and plan.ends_with_case(model)
-        ]
+        self.models = plan.compared_at(point)
         with workspace.open(workspace.full_run(point)) as trajectory:
             require_complete(trajectory)
             run = StoredRun(workspace, trajectory, point)
@@ -125,29 +124,21 @@ class _PointComparison:
                 writer.profile(row, profile)
             self._describe_flow(FULL, run, self.full)
             self.measured = measured_of(self.case, trajectory)
-        self.exact = None
+        self.references = {FULL: self.full}
         if (flow := plan.flow(point).exact) is not None and self.case.compare.exact:
-            velocity, pressure = (
-                np.array([at(probes.all, t) for t in self.full.time.tolist()])
-                for at in (flow.velocity, flow.pressure)
-            )
-            self.exact = Samples(self.full.time, velocity, pressure)
-        self.measures: list[MeasureRow] = []
+            self.references["exact"] = exact_samples(flow, probes.all, self.full.time)
+        self.measures = defaultdict[tuple[str, str], list[MeasureRow]](list)
 
     def compare(self) -> None:
         """Add all comparisons at this point to the artifact and the tables."""
         self._measure(FULL, self.measured)
-        if self.exact is not None:
+        if "exact" in self.references:
             self._add(self.full, FULL, against="exact")
         if self.models:
             self._compare_limits()
         for model in self.models:
             self._compare_model(model)
-        # Rows of one quantity adjoin.
-        order = list(dict.fromkeys((row.measured, row.quantity) for row in self.measures))
-        self.tables.measures.extend(
-            sorted(self.measures, key=lambda row: order.index((row.measured, row.quantity)))
-        )
+        self.tables.measures.extend(chain.from_iterable(self.measures.values()))
 
     def _compare_limits(self) -> None:
         """Compare the mapped snapshots, and the best state in each basis."""
@@ -177,19 +168,13 @@ class _PointComparison:
             reduced = self._sampled(model.name, run)
             self._describe_flow(model.name, run, reduced)
             if status == "complete":  # a run that stopped early has no estimates, and no speed-up
-                estimate = estimate_row(
-                    trajectory,
-                    reduced,
-                    self.full,
-                    self.probes,
-                    from_time=case.compare.from_time,
-                    **self._described(model.name, basis),
-                )
+                about, begin = self._described(model.name, basis), case.compare.from_time
+                estimate = estimate_row(trajectory, reduced, self.full, self.probes, begin, **about)
                 if estimate is not None:
                     self.tables.estimates.append(estimate)
                 estimates = measured_estimates(case, trajectory)
                 self._measure(model.name, measured_of(case, trajectory), basis, size, estimates)
-        for against in (FULL, "exact") if self.exact is not None else (FULL,):
+        for against in self.references:
             self._add(reduced, model.name, against, basis, size, status)
 
     def _sampled(self, name: str, run: StoredRun) -> Samples:
@@ -211,14 +196,12 @@ class _PointComparison:
         n_modes: int | None = None,
         estimates: Measured | None = None,
     ) -> None:
-        self.measures += measure_rows(
-            measured,
-            self.measured,
-            self.full.time >= self.case.compare.from_time,
-            estimates or {},
-            n_modes=n_modes,
-            **self._described(name, basis),
+        counted, about = self.full.time >= self.case.compare.from_time, self._described(name, basis)
+        rows = measure_rows(
+            measured, self.measured, counted, estimates or {}, n_modes=n_modes, **about
         )
+        for row in rows:  # those of one quantity adjoin
+            self.measures[row.measured, row.quantity].append(row)
 
     def _described(self, name: str, basis: str | None) -> dict[str, str]:
         role = "" if basis is None else role_of(self.case, basis, self.point)
@@ -233,11 +216,9 @@ class _PointComparison:
         n_modes: int | None = None,
         status: str = "complete",
     ) -> None:
-        reference = self.exact if against == "exact" else self.full
-        assert reference is not None
         history = compare(
             samples,
-            reference,
+            self.references[against],
             self.probes,
             self.case.compare.from_time,
             self.case.plan.longest_sound_period,

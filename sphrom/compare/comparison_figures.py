@@ -27,6 +27,7 @@ from sphrom.metrics.measures import UNITS, components
 from sphrom.metrics.samples import Samples
 from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Field, Panel, Role, draw_grid
+from sphrom.scenes.flows import TaylorGreen
 from sphrom.setup.assembly import field_measures
 from sphrom.store.sampling import probes_of
 from sphrom.store.stored_run import StoredRun
@@ -113,12 +114,7 @@ class _PointFigures:
         if self.complete:
             yield "fields", self._fields
             yield "overview", self._overview
-        rows: list[Row] = [(tuple(self.complete), (self.point,))]
-        middle = self.time[self.middle]
-        yield (
-            "centrelines",
-            partial(draw_lines, self.case, self.comparison, rows, middle, tuple(LABELS)),
-        )
+        yield "centrelines", self._centrelines
         if self._errors:
             yield "errors", self._draw_errors
         if self.references:
@@ -172,6 +168,10 @@ class _PointFigures:
         each = {m.name: self.comparison.errors(m.name, self.point) for m in self.models}
         return {name: series for name, series in each.items() if series is not None}
 
+    def _centrelines(self) -> Figure:
+        rows, time = [(tuple(self.complete), (self.point,))], self.time[self.middle]
+        return draw_lines(self.case, self.comparison, rows, time, tuple(LABELS))
+
     def _draw_errors(self) -> Figure:
         others: list[tuple[str, Role, Series | None]] = [
             ("full against exact", "level", self.comparison.errors(FULL, self.point, "exact")),
@@ -179,13 +179,8 @@ class _PointFigures:
         if self.best is not None:
             best = self.comparison.errors(self.best, self.point)
             others.append(("best possible (projection)", "best", best))
-        rows = [
-            [
-                _error_panel(self.case, name, label, self._errors, others)
-                for name, label in row.items()
-            ]
-            for row in ERRORS
-        ]
+        panel = partial(_error_panel, self.case, models=self._errors, others=others)
+        rows = [[panel(name, label) for name, label in row.items()] for row in ERRORS]
         line = f"on the line x = {self.case.plan.probe_line:g} m"
         return draw_grid(rows, title=f"{self.point.label}, over the field and {line}")
 
@@ -296,8 +291,7 @@ def draw_lines(
             for quantity in quantities:
                 curves = []
                 if (flow := case.plan.flow(point).exact) is not None:
-                    fields = flow.velocity(where, time), flow.pressure(where, time)
-                    exact = Samples(np.array([time]), fields[0][None], fields[1][None])
+                    exact = exact_samples(flow, where, full.time[index : index + 1])
                     curves.append(Curve("exact", y, _along(exact, quantity)[0], "exact"))
                 for name, line in {FULL: full, **lines}.items():
                     if index < len(line.time):
@@ -309,6 +303,13 @@ def draw_lines(
                 row.append(Panel(point.label, "y [m]", LABELS[quantity], curves))
             panels.append(row)
     return draw_grid(panels, title=f"x = {where[0, 0]:.4g} m, t = {time:.4g} s")
+
+
+def exact_samples(flow: TaylorGreen, points: Array, times: Array) -> Samples:
+    """Return an exact solution at points (n_points, 2) [m], at instants [s]."""
+    fields = [(flow.velocity(points, t), flow.pressure(points, t)) for t in times.tolist()]
+    velocity, pressure = map(np.array, zip(*fields, strict=True))
+    return Samples(times, velocity, pressure)
 
 
 def _along(line: Samples, quantity: str) -> Array:

@@ -176,7 +176,6 @@ def estimate_row(
     run: Samples,
     reference: Samples,
     probes: Probes,
-    *,
     from_time: float,
     **described: str,
 ) -> EstimateRow | None:

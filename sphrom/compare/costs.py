@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -126,9 +125,7 @@ def run_timings(workspace: Workspace) -> Iterator[RunTiming]:
     case, plan, found = workspace.case, workspace.case.plan, []
     timers: dict[object, Callable[[], float]] = {}
     fast = {m.name: FastModel(workspace, m) for m in case.rom if m.from_operators}
-    for point, model in product(plan.points, case.rom):
-        if point not in plan.rom_points(model) or not plan.ends_with_case(model):
-            continue
+    for point, model in ((p, m) for p in plan.points for m in plan.compared_at(p)):
         with workspace.open(workspace.full_run(point)) as run:
             imported, known = is_imported(run), known_seconds(run)
         with workspace.open(workspace.reduced_run(model, point)) as run:

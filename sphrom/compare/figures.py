@@ -28,7 +28,6 @@ from sphrom.case.study_sections import (
 from sphrom.compare.comparison_figures import LABELS, draw_lines
 from sphrom.compare.mode_figures import draw_spectrum, frame_of, mode_fields
 from sphrom.compare.stored_comparison import StoredComparison
-from sphrom.errors import ArtifactError
 from sphrom.plots.canvas import COLOURS, save
 from sphrom.plots.panels import Curve, Field, Panel, draw_grid
 from sphrom.setup.context import StageContext
@@ -41,23 +40,24 @@ if TYPE_CHECKING:
 FOLDER = "figures"
 """Where the pictures are, beside the artifacts."""
 
-Snapshot = tuple[float, bool, Array, dict[str, Array]]
-"""Time [s], whether the run became unstable before the instant that was asked for, its points
-(n_points, 2) [m], and there `speed` [m/s] and `pressure` [Pa]."""
+Snapshot = tuple[float, str, Array, dict[str, Array]]
+"""Time [s], what a title says of a run that became unstable before the instant asked for, its
+points (n_points, 2) [m], and there `speed` [m/s] and `pressure` [Pa], if it has a snapshot."""
 
 
 def _snapshot(
     workspace: Workspace, model: ReducedModelSection | None, point: ParameterPoint, time: float
-) -> Snapshot | None:
-    """Return the fields of a run nearest to an instant [s]; None where it was unstable at once."""
+) -> Snapshot:
+    """Return the fields of a run nearest to an instant [s]."""
     with StoredRun.opened(workspace, point, model) as run:
         if not len(run.time):
-            return None
-        index = int(np.argmin(np.abs(run.time - time)))
-        last = not run.is_complete and time > run.time[-1]
+            return 0.0, "\nunstable at the start", np.empty((0, 2)), {}
+        index, told = int(np.argmin(np.abs(run.time - time))), ""
+        if not run.is_complete and time > run.time[-1]:
+            told = f"\nunstable, its last: t = {run.time[-1]:.3g} s"
         velocity, pressure = run.fields(index)
         values = {"speed": np.hypot(*velocity.T), "pressure": pressure}
-        return float(run.time[index]), last, run.position(index), values
+        return float(run.time[index]), told, run.position(index), values
 
 
 def run(context: StageContext) -> None:
@@ -100,26 +100,19 @@ def _draw(workspace: Workspace, comparison: StoredComparison, figure: FigureSect
 def _draw_fields(workspace: Workspace, figure: FieldFigure) -> Figure:
     """Return fields at an instant, one that has become unstable at its last."""
     rows, frame = rows_of(workspace.case, figure), frame_of(workspace.case)
-    full: dict[ParameterPoint, Snapshot] = {}
-    for point in dict.fromkeys(point for _, some in rows for point in some):
-        if (found := _snapshot(workspace, None, point, figure.time)) is None:
-            raise ArtifactError(f"{point.label}: the full run has no snapshot")
-        full[point] = found
+    points = dict.fromkeys(point for _, some in rows for point in some)
+    full = {point: _snapshot(workspace, None, point, figure.time) for point in points}
     panels = []
     for models, some in rows:
         row = []
         for quantity, point, model in product(figure.quantities, some, models):
-            found = full[point]
-            if model is not None:
-                found = _snapshot(workspace, model, point, figure.time)
-            time, unstable, position, fields = found or full[point]
-            told = f"{FULL if model is None else model.name}\n{point.label}"
-            values = fields[quantity]
-            if found is None:
-                told, values = f"{told}\nunstable at the start", np.full(len(values), np.nan)
-            elif unstable:
-                told += f"\nunstable, its last: t = {time:.3g} s"
-            row.append(Field(told, LABELS[quantity], frame.raster(position)(values)))
+            run = full[point] if model is None else _snapshot(workspace, model, point, figure.time)
+            _, unstable, position, fields = run
+            told = f"{FULL if model is None else model.name}\n{point.label}{unstable}"
+            picture = np.full((1, 1), np.nan)
+            if fields:
+                picture = frame.raster(position)(fields[quantity])
+            row.append(Field(told, LABELS[quantity], picture))
         panels.append(row)
     scales = {}
     for quantity in figure.quantities:

@@ -62,7 +62,6 @@ class Item:
 class Source:
     """The fields of an artifact, stored or computed."""
 
-    schema: str
     shapes: Mapping[str, Shape]
     """The lengths of the datasets' axes, by name."""
     read: Callable[[str, Any], NDArray[Any]]
@@ -122,7 +121,7 @@ def _write_all(workspace: Workspace, folder: Path) -> int:
     context, n_written = workspace.context, 0
     for item in [*_runs(workspace), *([] if context.models else _others(workspace))]:
         with _opened(workspace, item) as source:
-            for name, view in views(source.schema, source.shapes).items():
+            for name, view in views(item.target.schema, source.shapes).items():
                 path = folder / f"{item.target.path.stem}{'-' * bool(name)}{name}.pvd"
                 write_vtu(path, source, view, force=context.force)
                 steps = f", {view.n_steps} steps" if view.n_steps else ""
@@ -137,7 +136,7 @@ def _opened(workspace: Workspace, item: Item) -> Iterator[Source]:
 
     Raises ArtifactError when it or its basis is missing, damaged, or of another case.
     """
-    schema, point, model = item.target.schema, item.point, item.model
+    point, model = item.point, item.model
     with workspace.open(item.target) as artifact:
         shapes = {name: artifact.dataset(name).shape for name in artifact.datasets}
         computed: dict[str, Callable[[Any], Array]] = {}
@@ -159,7 +158,7 @@ def _opened(workspace: Workspace, item: Item) -> Iterator[Source]:
                 return computed[name](index)
             return np.asarray(artifact.dataset(name)[index])
 
-        yield Source(schema, shapes, read)
+        yield Source(shapes, read)
 
 
 def write_vtu(path: Path, source: Source, view: View, *, force: bool) -> None:
@@ -254,12 +253,10 @@ def _write_tables(workspace: Workspace, folder: Path, at: Sequence[str]) -> int:
             raise ArtifactError(f"{path} exists already; --force replaces it")
         with StoredRun.opened(workspace, item.point, item.model) as run:
             samples = run.sampled(points)
-        snapshots = zip(samples.time.tolist(), samples.velocity, samples.pressure, strict=True)
-        rows = [
-            dict(zip(HEAD, (time, *values), strict=True))
-            for time, velocity, pressure in snapshots
-            for values in np.column_stack((points, velocity, pressure)).tolist()
-        ]
+        times, n_times = np.repeat(samples.time, len(points)), len(samples.time)
+        fields = samples.velocity.reshape(-1, 2), samples.pressure.ravel()
+        values = np.column_stack((times, np.tile(points, (n_times, 1)), *fields)).tolist()
+        rows = [dict(zip(HEAD, row, strict=True)) for row in values]
         if rows:  # of a run that became unstable at once there are none
             make_folder(folder, "--into")
             write_csv(path, rows_of_columns(HEAD, rows))

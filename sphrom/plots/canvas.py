@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sphrom.arrays import Array
 from sphrom.whole_files import write_whole
 
 if TYPE_CHECKING:
@@ -99,16 +98,3 @@ def plain_logarithmic(axis: Axis, low: float, high: float) -> None:
     plain = of.FuncFormatter(lambda value, _: f"{value:g}")
     axis.set_major_formatter(plain if PLAIN[0] <= low and high < PLAIN[1] else powers)
     axis.set_minor_formatter(of.NullFormatter())
-
-
-def symmetric_limits(*fields: Array) -> tuple[float, float]:
-    """Return colour limits about zero that hold every finite value; never of zero width."""
-    largest = max(float(np.nanmax(np.abs(field))) for field in fields)
-    return (-largest, largest) if largest > 0.0 else (-1.0, 1.0)
-
-
-def limits(*fields: Array) -> tuple[float, float]:
-    """Return colour limits that hold every finite value; never of zero width."""
-    low = min(float(np.nanmin(field)) for field in fields)
-    high = max(float(np.nanmax(field)) for field in fields)
-    return (low, high) if high > low else (low - 0.5, high + 0.5)

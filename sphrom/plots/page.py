@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 from collections.abc import Sequence
 from html import escape as html_escape
 from importlib.resources import files
@@ -61,7 +62,8 @@ def headline(figures: Sequence[tuple[str, str]], sentences: Sequence[str]) -> Ht
 def table(caption: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> Html:
     """Return a table of cells as they are to be shown; columns of text stand to the left."""
     columns = list(zip(*rows, strict=True)) or [()] * len(headings)
-    kinds = [{} if _has_figures(column) else {"class_": "text"} for column in columns]
+    first = (next((cell for cell in column if cell.strip("– ")), "") for column in columns)
+    kinds = [{} if re.match(r"-?\d", cell) else {"class_": "text"} for cell in first]
 
     def line(tag: str, cells: Sequence[str]) -> Html:
         each = zip(cells, kinds, strict=True)
@@ -154,9 +156,3 @@ def _axis(name: str, first: str, last: str, number: int) -> Html:
 def _image(png: bytes, caption: str) -> Html:
     data = base64.b64encode(png).decode("ascii")
     return element("img", alt=caption, src=f"data:image/png;base64,{data}")
-
-
-def _has_figures(column: Sequence[str]) -> bool:
-    """Whether the first cell that holds anything begins like a number."""
-    first = next((cell for cell in column if cell.strip("– ")), "")
-    return first[:1].isdigit() or first[:2] in {f"-{digit}" for digit in range(10)}

@@ -27,12 +27,10 @@ from sphrom.plots.canvas import (
     SIGNED_MAP,
     SOLID_COLOUR,
     SPEED_MAP,
-    limits,
     line_of,
     new_figure,
     plain_logarithmic,
     styled,
-    symmetric_limits,
 )
 
 if TYPE_CHECKING:
@@ -41,6 +39,9 @@ if TYPE_CHECKING:
 
 Extent = tuple[float, float, float, float]
 Range = tuple[float, float]
+Solids = tuple[Array, Array, Array]
+"""Where there is no fluid: x (nx,) and y (ny,) of pixels [m], and their signed distance (ny, nx)
+from walls [m], negative in the solid."""
 Role = Literal["run", "full", "exact", "best", "level", "reference"]
 
 WIDEST = 12.0
@@ -83,27 +84,9 @@ LOOKS: dict[Role, dict[str, Any]] = {
 """The first curves of roles other than reduced runs and references."""
 
 
-@dataclass(frozen=True)
-class Solids:
-    """Where there is no fluid, on pixels."""
-
-    x: Array
-    """(nx,) [m]"""
-    y: Array
-    """(ny,) [m]"""
-    wall_distance: Array
-    """(ny, nx) the signed distance from walls [m], negative in the solid."""
-
-    def cover(self, axes: Axes) -> None:
-        """Draw the solids over what a picture shows there."""
-        axes.contourf(
-            self.x,
-            self.y,
-            self.wall_distance,
-            levels=(-np.inf, 0.0),
-            colors=[SOLID_COLOUR],
-            zorder=0.5,  # above images, below everything else
-        )
+def cover(axes: Axes, solids: Solids) -> None:
+    """Draw solids over what a picture shows there."""
+    axes.contourf(*solids, levels=(-np.inf, 0.0), colors=[SOLID_COLOUR], zorder=0.5)  # above images
 
 
 @dataclass(frozen=True)
@@ -277,11 +260,10 @@ def colour_scale(fields: Sequence[Field], scales: Mapping[str, Range] = {}) -> t
         least, most = scales[fields[0].label]
         reach = BEYOND * (most - least)
         low, high = max(low, least - reach), min(high, most + reach)
-    ends = np.array([low, high])
-    if fields[0].difference:
-        return DIFFERENCE_MAP, symmetric_limits(ends)
-    # Fields that change their sign are about zero.
-    return (SIGNED_MAP, symmetric_limits(ends)) if low < 0.0 < high else (SPEED_MAP, limits(ends))
+    if fields[0].difference or low < 0.0 < high:  # fields that change their sign are about zero
+        largest = max(-low, high) or 1.0
+        return DIFFERENCE_MAP if fields[0].difference else SIGNED_MAP, (-largest, largest)
+    return SPEED_MAP, (low, high) if high > low else (low - 0.5, high + 0.5)
 
 
 def _show(axes: Axes, frame: Frame, field: Array, colours: str, scale: Range) -> Any:
@@ -292,7 +274,7 @@ def _show(axes: Axes, frame: Frame, field: Array, colours: str, scale: Range) ->
         shown, origin="lower", extent=frame.extent, cmap=colours, vmin=scale[0], vmax=scale[1]
     )
     if frame.solids is not None:
-        frame.solids.cover(axes)
+        cover(axes, frame.solids)
         axes.set(xlim=frame.extent[:2], ylim=frame.extent[2:])
     return image
 
@@ -365,13 +347,12 @@ def _draw_curves(axes: Axes, panel: Panel) -> None:
         axes.locator_params(axis="x", integer=True)
     if panel.axes == "from zero":
         axes.set_ylim(0.0, _highest(panel))
-    elif panel.axes == "logarithmic":
+    if "log" in panel.axes:
         axes.set_yscale("log")
         plain_logarithmic(axes.yaxis, *axes.get_ylim())
-    elif panel.axes == "both logarithmic":
-        axes.set(xscale="log", yscale="log")
+    if panel.axes == "both logarithmic":
+        axes.set_xscale("log")
         plain_logarithmic(axes.xaxis, *axes.get_xlim())
-        plain_logarithmic(axes.yaxis, *axes.get_ylim())
         _mark(axes, panel.marked)
 
 

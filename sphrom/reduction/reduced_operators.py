@@ -33,7 +33,6 @@ Monomials are ordered as in `sphrom.kernels.polynomial`, up to the second degree
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -174,26 +173,17 @@ class ResidualFactor(Record):
         products = np.flatnonzero(np.isin(first, modes) & np.isin(second, modes))
         kept = np.concatenate(([0], 1 + modes, 1 + n_modes + products))
         left_out = np.setdiff1d(np.arange(n_modes), modes)
-
-        def restricted(own: Any, rates: Any) -> Any:
-            if own is None:
-                return None
-            used = kept[: np.searchsorted(kept, own.shape[1])]
-            others = pack(tuple(tensor[left_out] for tensor in rates))
-            parts.append(np.concatenate((own[:, used], others[:, used])))
-            return parts[-1]
-
-        names = "inertia", "viscosity", "walls", "force"
-        own = {name: restricted(getattr(self, name), getattr(operators, name)) for name in names}
-        drives = {}
-        for name, drive in self.drives.items():
-            rates = operators.drives[name]
-            walls = restricted(drive.walls, rates.walls)
-            drives[name] = DriveResidual(walls=walls, force=restricted(drive.force, rates.force))
+        drives = [(drive, operators.drives[name]) for name, drive in self.drives.items()]
+        for own, rates in ((self, operators), *drives):
+            for name in ("inertia", "viscosity", "walls", "force"):
+                if (columns := getattr(own, name, None)) is not None:
+                    used = kept[: np.searchsorted(kept, columns.shape[1])]
+                    others = pack(tuple(tensor[left_out] for tensor in getattr(rates, name)))
+                    parts.append(np.concatenate((columns[:, used], others[:, used])))
         triangle = np.linalg.qr(np.hstack(parts), mode="r")
         ends = np.cumsum([part.shape[1] for part in parts])
         folded = iter(np.split(triangle, ends[:-1], axis=1))
-        return replace(self, **own, drives=drives).mapped(lambda _: next(folded))
+        return self.mapped(lambda _: next(folded))
 
     def at(self, kinematic_viscosity: float, factors: Factors = NONE) -> tuple[Array, ...]:
         """Return F (n_directions, n_monomials) by power of the amplitude."""

@@ -118,10 +118,8 @@ class CustomFlow(Scene):
     wall_velocities: Mapping[str, VectorField]
     """By the names of walls that move, their velocity [m/s] at places on them."""
     force: Drive | None
-    start_velocity: VectorField
-    """[m/s]."""
-    start_pressure: Callable[[Array], Array]
-    """From positions (n_points, 2) [m], (n_points,) [Pa]."""
+    start: Callable[[Array], Array]
+    """From positions (n_points, 2) [m], velocity [m/s] and pressure [Pa] (n_points, 3)."""
 
     @property
     def domain(self) -> Domain:
@@ -130,11 +128,11 @@ class CustomFlow(Scene):
 
     def initial_velocity(self, position: Array) -> Array:
         """Return the velocity (n_particles, 2) [m/s] at the start."""
-        return self.start_velocity(position)
+        return self.start(position)[:, :2]
 
     def initial_pressure(self, position: Array) -> Array:
         """Return the pressure (n_particles,) [Pa] at the start."""
-        return self.start_pressure(position)
+        return self.start(position)[:, 2]
 
     def wall_velocity(self, position: Array) -> Array:
         """Return the velocity (n_ghosts, 2) [m/s] of the walls that ghosts (n_ghosts, 2) are of."""

@@ -11,7 +11,7 @@ from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
 from sphrom.plots.canvas import COLOURS, FORMATS, INK, new_figure, save, styled
-from sphrom.plots.panels import Extent, Solids
+from sphrom.plots.panels import Extent, Solids, cover
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.sph.domain import SIDES, Domain, Walls
@@ -105,7 +105,7 @@ def solids_within(domain: Domain, frame: Extent) -> Solids:
     nx, ny = (max(2, round(length / width)) for length in (right - left, upper - lower))
     x, y = np.linspace(left, right, nx), np.linspace(lower, upper, ny)
     points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    return Solids(x, y, domain.distance_and_normal(points)[0].reshape(ny, nx))
+    return x, y, domain.distance_and_normal(points)[0].reshape(ny, nx)
 
 
 def _draw_points(axes: Axes, position: Array, size: float, colour: str, label: str) -> None:
@@ -125,10 +125,8 @@ def _draw_points(axes: Axes, position: Array, size: float, colour: str, label: s
 def _draw_walls(axes: Axes, case: Case, walls: Walls, solids: Solids, arrow: float) -> None:
     """Draw walls with their names, and velocities at most as long as an arrow [m]."""
     domain, spacing = case.scene.domain, case.plan.particle_spacing
-    solids.cover(axes)
-    axes.contour(
-        solids.x, solids.y, solids.wall_distance, levels=(0.0,), colors=[INK], linewidths=1.6
-    )
+    cover(axes, solids)
+    axes.contour(*solids, levels=(0.0,), colors=[INK], linewidths=1.6)
     surface = -domain.distance_and_normal(walls.position)[0] < spacing
     speed = np.hypot(*walls.velocity.T)
     fastest = float(speed[surface].max(initial=0.0))

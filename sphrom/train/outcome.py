@@ -54,15 +54,6 @@ class HeldOut:
     failure: str | None = None
     """Why there is no full run to learn from; it then has no errors."""
 
-    def told(self, fields: Sequence[int]) -> str:
-        """Return what it tells, in a line."""
-        parts = [
-            f"{QUANTITIES[k]}: estimated {_percent(self.estimate[k])}, "
-            f"true {_percent(self.error[k])}, at best {_percent(self.floor[k])}"
-            for k in fields
-        ]
-        return f"{self.point.label}, not seen before: {'; '.join(parts)}"
-
 
 @dataclass(frozen=True)
 class Stage:

@@ -30,9 +30,7 @@ from sphrom.errors import CaseError, UnstableError
 from sphrom.metrics.histories import TIME_TOLERANCE
 from sphrom.offline import fit_psi, fom, operators, pod
 from sphrom.offline import map as map_stage
-from sphrom.online.error_estimates import measured_errors, measured_shares
 from sphrom.online.fast_model import FastModel, FastRun
-from sphrom.plots.tables import format_figure
 from sphrom.reduction.greedy import choose, ending
 from sphrom.reduction.trial_basis import (
     TrialBasis,
@@ -43,7 +41,6 @@ from sphrom.reduction.trial_basis import (
 )
 from sphrom.setup.context import KnownArtifacts, StageContext
 from sphrom.setup.cost import require_room, runs_that_fit
-from sphrom.store.trajectory import measured_of
 from sphrom.store.workspace import Workspace
 from sphrom.sweep.workers import Failure, Task, check_options, start_workers
 from sphrom.text import exact
@@ -245,7 +242,6 @@ class _Training:
                 )
                 continue
             found.append(HeldOut(point, estimate, *model.compared(point)))
-            self.context.report.info(found[-1].told(self.section.fields) + model.told(point))
         return tuple(found)
 
     def share(self, points: Sequence[ParameterPoint]) -> list[str]:
@@ -297,19 +293,6 @@ class StageModel:
         late = self._counted(run.time)
         squares = np.sum(found.errors[late] ** 2, axis=0), np.sum(found.sizes[late] ** 2, axis=0)
         return _percent(*squares)
-
-    def told(self, point: ParameterPoint) -> str:
-        """Return how wrong what is measured is, and estimated to be, at a point with a full run."""
-        if (run := self._run(point)) is None:
-            return ""
-        with self.workspace.open(self.workspace.full_run(point)) as full:
-            recorded, own = measured_of(self.workspace.case, full), run.measured
-        wrong = {n: {q: own[n][q] - v for q, v in each.items()} for n, each in recorded.items()}
-        true = measured_shares(run, wrong)
-        return "".join(
-            f"; {name}: estimated {format_figure(share)} %, true {format_figure(true[name])} %"
-            for name, share in measured_shares(run, measured_errors(run)).items()
-        )
 
     def floor(self) -> Array:
         """Return the largest errors (2,) of the best approximations of the training runs."""

@@ -12,7 +12,7 @@ import pytest
 from sphrom.errors import ArtifactError
 from sphrom.metrics.samples import grid_points
 from sphrom.plots.canvas import save
-from sphrom.plots.panels import Curve, Field, Frame, Panel, Solids, draw_grid
+from sphrom.plots.panels import Curve, Field, Frame, Panel, draw_grid
 
 FRAME = Frame((0.0, 1.0, 0.0, 1.0))
 X = np.linspace(0.0, 1.0, 31)
@@ -74,7 +74,7 @@ def test_a_round_solid_is_drawn_by_its_outline_not_in_the_steps_of_the_grid() ->
     x = np.linspace(0.0, 1.0, 101)
     distance = np.hypot(x - 0.5, x[:, None] - 0.5) - 0.25
     speed = np.where(distance[5::10, 5::10] > 0.0, 1.0 + x[5::10], np.nan)
-    frame = Frame(FRAME.extent, Solids(x, x, distance))
+    frame = Frame(FRAME.extent, (x, x, distance))
     for axes in draw_grid([[replace(FULL, values=speed)]], frame).axes:
         for image in axes.images:
             assert np.isfinite(image.get_array()).all()
