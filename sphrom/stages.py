@@ -52,12 +52,7 @@ STAGES = {
 
 
 def context_of(
-    case: Case,
-    report: Reporter,
-    *,
-    out: Path | None,
-    force: bool,
-    threads: int | None,
+    case: Case, report: Reporter, out: Path | None, force: bool, threads: int | None
 ) -> StageContext:
     """Return what a stage needs to know to run on a case, and report the case's warnings."""
     from sphrom.case.hints import case_warnings

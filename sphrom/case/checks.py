@@ -17,7 +17,7 @@ from sphrom.case.fields import only_one
 from sphrom.case.models import Case
 from sphrom.case.plan import MAX_STEPS, WHOLE_STEPS_TOLERANCE
 from sphrom.case.points import REYNOLDS, ParameterPoint, nearest_point
-from sphrom.case.scene_section import KINDS, MeasureSection
+from sphrom.case.scene_section import MeasureSection
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection
 from sphrom.case.studies import (
     Region,
@@ -236,7 +236,7 @@ def _check_scene(case: Case) -> Found:
     for name, reason in case.scene.problems(case.time.final_time):
         yield f"scene.{name}", reason
     for name, measured in case.scene.measure.items():
-        kind = only_one(measured, KINDS)
+        kind = only_one(measured, type(measured).model_fields)
         if (problem := _measure_problem(case, measured)) is not None:
             yield f"scene.measure.{name}.{kind}", problem
 

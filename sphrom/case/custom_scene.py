@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -23,7 +23,6 @@ from sphrom.case.fields import Coordinate, Place, Positive, SafeName, Section, k
 from sphrom.case.initial_file import read_start, start_fields
 from sphrom.case.scene_section import MEASURE, OF_WALLS, Defaults, Measures, SceneSection
 from sphrom.case.shapes import ShapeSection
-from sphrom.errors import CaseError
 from sphrom.scenes.flows import CustomFlow, Drive, Scales, Scene
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import SIDES, Domain
@@ -102,13 +101,6 @@ class InitialSection(Section):
         if self.file is not None and any(value != 0.0 for value in (self.u, self.v, self.p)):
             raise ValueError("file takes the place of u, v and p; give one or the other")
         return self
-
-    def of_file(self, position: Array) -> Array:
-        """Return u, v [m/s] and p [Pa] of the file (n_points, 3). Raises CaseError without it."""
-        try:
-            return start_fields(str(self.file), str(self.sha256))(position)
-        except ValueError as error:
-            raise CaseError(f"scene.initial.file: {error}") from error
 
 
 class CustomScene(SceneSection):
@@ -221,7 +213,7 @@ class CustomScene(SceneSection):
         _ = self.domain, self._shapes  # they are the same, and needn't be built again
         other = self.model_copy()
         other._values = values
-        for built in ("_force", "_force_parts", "_initial", "_known"):
+        for built in ("_force", "_force_parts", "_start", "_initial", "_known"):
             other.__dict__.pop(built, None)
         return other
 
@@ -300,16 +292,6 @@ class CustomScene(SceneSection):
         except ValueError as error:
             raise ValueError(f"{where}: {error}") from error
 
-    def _field(self, where: str, value: float | str) -> Callable[[Array], Array]:
-        """Return values (n_points,) at positions (n_points, 2), looked at all over the box."""
-        expression = self._expression(where, value, "x", "y")
-
-        def at(position: Array) -> Array:
-            return np.array(expression(x=position[:, 0], y=position[:, 1]))
-
-        _require_finite(where, at(self._samples), self._samples)
-        return at
-
     @cached_property
     def _samples(self) -> Array:
         """Points (n_points, 2) of the fluid, all over the box [m]."""
@@ -322,18 +304,28 @@ class CustomScene(SceneSection):
         return points[self.domain.contains(points)]
 
     @cached_property
+    def _start(self) -> dict[str, Expression]:
+        """The expressions of u, v and p."""
+        given = {name: getattr(self.initial, name) for name in ("u", "v", "p")}
+        return {n: self._expression(f"initial.{n}", v, "x", "y") for n, v in given.items()}
+
+    @cached_property
     def _initial(self) -> Callable[[Array], Array]:
         """Returns u, v [m/s] and p [Pa] (n_points, 3) at positions (n_points, 2) [m]."""
         if self.initial.file is not None:
-            return self.initial.of_file
-        names = ("u", "v", "p")
-        parts = [self._field(f"initial.{name}", getattr(self.initial, name)) for name in names]
-        return lambda at: np.stack([part(at) for part in parts], axis=1)
+            return partial(start_fields, self.initial.file, str(self.initial.sha256))
+
+        def at(position: Array) -> Array:
+            x, y = position.T
+            return np.stack([part(x=x, y=y) for part in self._start.values()], axis=1)
+
+        for name, values in zip(self._start, at(self._samples).T, strict=True):
+            _require_finite(f"initial.{name}", values, self._samples)
+        return at
 
     def starts_by(self, name: str) -> bool:
         """Return whether the start of runs depends on a parameter beside the viscosity."""
-        given = [(f"initial.{field}", getattr(self.initial, field)) for field in ("u", "v", "p")]
-        return any(self._expression(*each, "x", "y").degree_in([name]) > 0.0 for each in given)
+        return any(part.degree_in([name]) > 0.0 for part in self._start.values())
 
     def _wall_velocity(self, name: str) -> Callable[[Array], Array]:
         """Return the velocity (n_points, 2) [m/s] of a wall at places on it (n_points, 2) [m]."""

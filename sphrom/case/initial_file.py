@@ -11,6 +11,7 @@ import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.case.fields import LARGEST
+from sphrom.errors import CaseError
 from sphrom.text import shortened, visible
 from sphrom.whole_files import read_whole
 
@@ -26,11 +27,17 @@ _KNOWN: dict[str, Callable[[Array], Array]] = {}
 """Fields of files that were read, by their digests: copies of a case know no folder."""
 
 
-def start_fields(name: str, digest: str) -> Callable[[Array], Array]:
-    """Return the fields of a file that has a digest, as `read_start` does."""
-    if digest not in _KNOWN and read_start(Path(name)) != digest:
-        raise ValueError(f"{visible(name)} has changed since the case was read")
-    return _KNOWN[digest]
+def start_fields(name: str, digest: str, position: Array) -> Array:
+    """Return u, v [m/s] and p [Pa] (n_points, 3) of a file that has a digest.
+
+    Raises CaseError without it.
+    """
+    try:
+        if digest not in _KNOWN and read_start(Path(name)) != digest:
+            raise ValueError(f"{visible(name)} has changed since the case was read")
+        return _KNOWN[digest](position)
+    except ValueError as error:
+        raise CaseError(f"scene.initial.file: {error}") from error
 
 
 def read_start(path: Path) -> str:

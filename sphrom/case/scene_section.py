@@ -134,10 +134,6 @@ class SceneSection(Section):
         yield from ()
 
 
-KINDS = ("force_on", "flow_rate", "probe", "line")
-"""What can be measured."""
-
-
 class SegmentSection(Section):
     """A straight segment in the fluid; its ends may be on walls."""
 
@@ -170,7 +166,7 @@ class MeasureSection(Section):
 
     @model_validator(mode="after")
     def _one_kind(self) -> MeasureSection:
-        only_one(self, KINDS)
+        only_one(self, type(self).model_fields)
         return self
 
     @property

@@ -100,18 +100,14 @@ def _section(values: dict[str, Any], path: Path, indent: str, kind: str) -> Iter
         elif isinstance(value, list) and value and isinstance(value[0], dict):
             yield f"{indent}{key}:"
             for i, entry in enumerate(value):
-                yield from _entry(entry, (*at, i), indent + 2 * INDENT, kind)
+                lines = list(_section(entry, (*at, i), indent + 2 * INDENT, kind))
+                first = next(n for n, line in enumerate(lines) if not line.lstrip().startswith("#"))
+                lines[first] = f"{indent}{INDENT}- {lines[first].lstrip()}"
+                yield from lines
         else:
             yield f"{indent}{key}: {_inline(value)}"
             for below in () if value else _keys_of(at, kind):
                 yield from _comment(below, indent, kind, f"  {show_path(below[len(path) :])}: ")
-
-
-def _entry(entry: dict[str, Any], path: Path, indent: str, kind: str) -> Iterator[str]:
-    lines = list(_section(entry, path, indent, kind))
-    first = next(n for n, line in enumerate(lines) if not line.lstrip().startswith("#"))
-    lines[first] = f"{indent[: -len(INDENT)]}- {lines[first].lstrip()}"
-    yield from lines
 
 
 def _keys_of(path: Path, kind: str, above: tuple[list[str], ...] = ()) -> Iterator[Path]:

@@ -173,14 +173,11 @@ def run_stage(stage: str, options: Options, **asked: object) -> Any:
     with log.recorded(["sphrom", *sys.argv[1:]]):
         if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
             report.info("SIGINT is ignored here: stop this command with SIGTERM (`kill PID`)")
-        context = stages.context_of(
-            case, report, out=options.out, force=options.force, threads=options.threads
-        )
-        context = stages.with_checkpoints(
-            context, resume=options.resume, every=options.checkpoint_every
-        )
-        context = stages.selected(context, stage, options.only or ())
+        context = stages.context_of(case, report, options.out, options.force, options.threads)
+        resume, every = options.resume, options.checkpoint_every
+        context = stages.with_checkpoints(context, resume=resume, every=every)
         context = replace(context, words=options.words)
+        context = stages.selected(context, stage, options.only or ())
         if stage == "run":
             return stages.run_all(context)
         return stages.run_stage(stage, context, **asked)
