@@ -1,8 +1,9 @@
 """The maps of docs/stability.md: three scenes and flows of one's own at their extremes.
 
 Each case is run and mapped as `sphrom trade CASE --extremes` does. Beside it scipy's `solve_ivp`
-integrates the rates of every fifth fast model or so, and of other full models every second, and says whether they diverge and how far the
-project's own run is from its solution. Tables of the limits are printed as Markdown.
+integrates the rates of every fifth fast model or so, of those of other full models every second. It
+says whether they diverge, and how far the project's own run is from its solution. Tables of the
+limits are printed as Markdown.
 
     python scripts/stability.py --out runs/stability
     python scripts/stability.py --out runs/stability --turnovers 100

@@ -90,10 +90,6 @@ def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
         artifact.write(
             "residual", trained.residual(run.point, run.reduced, run.time, run.coordinates)
         )
-        report.warn(
-            f"{run.name}: no estimate of errors: the training runs have "
-            "none, or all of them diverge"
-        )
         return
     artifact.write("residual", found.residual)
     factors = [None, None]

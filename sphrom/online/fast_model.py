@@ -139,7 +139,8 @@ class FastRun(Run):
         """Why a run that went to its end may be wrong, known without a full run."""
         found = self.estimate
         if found is None and self.model.at_point(self.point).trained_errors is not None:
-            return (*self.outside, "its errors can't be estimated, as its training runs diverge")
+            told = "no estimate of errors: the training runs have none, or all of them diverge"
+            return (*self.outside, told)
         if found is None or max(found.velocity_percent, found.pressure_percent) < DOUBTFUL:
             return self.outside
         shares = found.velocity_percent, found.pressure_percent

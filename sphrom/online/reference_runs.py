@@ -129,7 +129,7 @@ def run_point(workspace: Workspace, section: ReducedModelSection, point: Paramet
         if run.failure is None:
             estimate_errors(run, artifact)
             for doubt in run.doubts[len(run.outside) :]:
-                workspace.context.report.warn(f"{run.name}: {doubt}: it may be no result")
+                workspace.context.report.warn(f"{run.name}: {doubt}")
             if section.steady:
                 seek_steady_state(run, artifact)
 
