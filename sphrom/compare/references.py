@@ -18,7 +18,8 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.metrics.samples import Probes
 from sphrom.scenes.reference_profiles import ReferenceProfile
-from sphrom.store.sampling import ON_WALL, ROUNDING, sample_run
+from sphrom.sph.fluid import ROUNDING
+from sphrom.store.sampling import ON_WALL, sample_run
 
 SETTLED = 0.01
 """The largest change of a settled flow, over U, or rho U2 for a pressure."""

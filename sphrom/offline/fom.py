@@ -62,37 +62,15 @@ def ensure_run(workspace: Workspace, point: ParameterPoint) -> Target:
 
 def ensure_packed(workspace: Workspace) -> None:
     """Pack the starting positions if that is yet to be done."""
-    target = workspace.packing()
-    if (
-        workspace.case.plan.packed
-        and workspace.reason_to_make(target) is not None
-        and workspace.must_make(target)
-    ):
-        _pack(workspace)
-
-
-def _ensure_spun_up(workspace: Workspace, point: ParameterPoint) -> None:
-    """Run the spin-up if there is to be one and it is yet to be done.
-
-    A reduced run needs its end too, so it is made though the full run may be there. With `force` a
-    valid one is kept: the recorded part alone is then run again.
-    """
-    if workspace.case.time.spin_up == 0.0:
+    case, target = workspace.case, workspace.packing()
+    if not case.plan.packed or workspace.reason_to_make(target) is None:
         return
-    target = workspace.spin_up(point)
-    if workspace.reason_to_make(target) is None:
-        workspace.context.report.info(f"{target.path.name}: there, and of this case: kept")
-    elif workspace.must_make(target):
-        _spin_up(workspace, point)
-    remove_checkpoints(target)
-
-
-def _pack(workspace: Workspace) -> None:
-    case = workspace.case
+    if not workspace.must_make(target):
+        return
     settings = case.discretization.packing
     walls = particles.walls(case, case.plan.flow(case.plan.points[0]))
     with (
-        workspace.create(workspace.packing()) as artifact,
+        workspace.create(target) as artifact,
         workspace.context.report.progress("packing particles", MAX_ITERATIONS) as advance,
     ):
         packing = pack(
@@ -119,6 +97,22 @@ def _pack(workspace: Workspace) -> None:
             f"packing stopped after {MAX_ITERATIONS} iterations with a residual above its "
             f"tolerance of {settings.tolerance:g}"
         )
+
+
+def _ensure_spun_up(workspace: Workspace, point: ParameterPoint) -> None:
+    """Run the spin-up if there is to be one and it is yet to be done.
+
+    A reduced run needs its end too, so it is made though the full run may be there. With `force` a
+    valid one is kept: the recorded part alone is then run again.
+    """
+    if workspace.case.time.spin_up == 0.0:
+        return
+    target = workspace.spin_up(point)
+    if workspace.reason_to_make(target) is None:
+        workspace.context.report.info(f"{target.path.name}: there, and of this case: kept")
+    elif workspace.must_make(target):
+        _spin_up(workspace, point)
+    remove_checkpoints(target)
 
 
 def _spin_up(workspace: Workspace, point: ParameterPoint) -> None:

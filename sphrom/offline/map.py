@@ -12,6 +12,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.setup import particles
+from sphrom.setup.assembly import medium
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import require_room
 from sphrom.store.starts import initial_positions
@@ -51,13 +52,8 @@ def _map_point(workspace: Workspace, point: ParameterPoint, points: Array) -> No
     with workspace.open(workspace.full_run(point)) as trajectory:
         require_complete(trajectory)
         times = trajectory.read("time")
-        attributes = {f"parameters/{name}": value for name, value in point.as_dict().items()}
-        attributes |= {
-            "reference_density": case.fluid.reference_density,
-            "sound_speed": case.plan.sound_speed,
-        }
         with (
-            workspace.create(workspace.mapped(point), attributes) as artifact,
+            workspace.create(workspace.mapped(point), medium(case, point)) as artifact,
             workspace.context.report.progress(f"map, {point.label}", len(times)) as advance,
         ):
             artifact.write("reference_position", points)

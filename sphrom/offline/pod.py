@@ -14,7 +14,7 @@ from sphrom.errors import CaseError
 from sphrom.metrics.histories import cumulative_singular_value_share, energy
 from sphrom.reduction.decomposition import decompose
 from sphrom.reduction.trial_basis import JOINT, Modes, TrialBasis, weighted_mean
-from sphrom.setup.assembly import inner_product
+from sphrom.setup.assembly import inner_product, medium
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import decomposition_ram_limit, require_room
 from sphrom.store.trajectory import require_complete
@@ -31,11 +31,7 @@ def run(context: StageContext) -> None:
     if not workspace.must_make(target):
         return
     case = context.case
-    attributes = {
-        "inner_product": case.basis.inner_product,
-        "reference_density": case.fluid.reference_density,
-        "sound_speed": case.plan.sound_speed,
-    }
+    attributes = {"inner_product": case.basis.inner_product, **medium(case)}
     with workspace.create(target, attributes) as artifact:
         with ExitStack() as stack:
             maps = [

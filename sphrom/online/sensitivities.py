@@ -201,12 +201,11 @@ def _forces(
 ) -> dict[str, Quantities]:
     """Return the derivatives of the forces and torques."""
     times, mean = reduced.output_times.time, reduced.mean_density_fluctuation
-    found: dict[str, list[Array]] = {name: [] for name in reduced.forces}
+    found = []
     for side, change, of_mean in zip(sides, changes, means, strict=True):
         low, high = (
             forces_of(model, times, run + step * change, mean + step * of_mean)
             for model, step in ((side.below, -0.5 * side.width), (side.above, 0.5 * side.width))
         )
-        for name, loads in found.items():
-            loads.append((high[name] - low[name]) / side.width)
-    return {name: totals(np.stack(each)) for name, each in found.items()}
+        found.append({name: (high[name] - low[name]) / side.width for name in low})
+    return {name: totals(np.stack([each[name] for each in found])) for name in reduced.forces}

@@ -36,12 +36,20 @@ def inner_product(case: Case) -> InnerProduct:
     return product.without_mean() if case.plan.separate_mean_density else product
 
 
+def medium(case: Case, point: ParameterPoint | None = None) -> dict[str, object]:
+    """Return where density and pressure start from, and the parameters' values at a point."""
+    values = {} if point is None else point.as_dict()
+    return {
+        **{f"parameters/{name}": value for name, value in values.items()},
+        "reference_density": case.fluid.reference_density,
+        "sound_speed": case.plan.sound_speed,
+    }
+
+
 def run_attributes(case: Case, point: ParameterPoint, time_step: float) -> dict[str, object]:
     """Return the physical constants that a trajectory is stored with."""
     return {
-        **{f"parameters/{name}": value for name, value in point.as_dict().items()},
-        "reference_density": case.fluid.reference_density,
-        "sound_speed": case.plan.sound_speed,
+        **medium(case, point),
         "kinematic_viscosity": case.plan.kinematic_viscosity(point),
         "particle_spacing": case.plan.particle_spacing,
         "smoothing_length": case.plan.smoothing_length,

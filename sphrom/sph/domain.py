@@ -228,9 +228,9 @@ class Domain(ABC):
         share[share < ROUNDING] = 0.0
         return np.asarray(share)
 
-    @abstractmethod
     def fits_lattice(self, particle_spacing: float) -> bool:
-        """Whether particles of a spacing [m] fill the domain without a remainder."""
+        """Whether particles of a spacing [m] fill the domain without a rest, as packed ones do."""
+        return True
 
     @abstractmethod
     def fill(self, particle_spacing: float) -> Array:
@@ -244,9 +244,9 @@ class Domain(ABC):
     def ghosts(self, particle_spacing: float, n_layers: int) -> Walls:
         """Return the points beyond the fluid's edge, within some layers of it, of walls at rest."""
 
-    @abstractmethod
     def n_ghosts(self, particle_spacing: float, n_layers: int) -> int:
         """Return how many ghosts there are."""
+        return len(self.ghosts(particle_spacing, n_layers).position)
 
     def wrap(self, position: Array) -> Array:
         """Return positions moved into the box along its periodic axes."""

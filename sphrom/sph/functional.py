@@ -113,9 +113,8 @@ class Functional:
         ----------
         along : (3, n_particles) fields whose gradients are summed up in passing.
         """
-        force = None if self.body_force is None else self.body_force(position, time)
         fields = position, density_fluctuation, velocity
-        source, walls, regular, moving, slopes = self._first_sums(*fields, force, time, along)
+        source, walls, force, regular, moving, slopes = self._first_sums(*fields, time, along)
         out = np.empty((3, density_fluctuation.size))
         sweeps.rates(*self.neighbourhood.blocks(source), regular, self._fluid_constants, out)
         if walls is not None:
@@ -135,18 +134,18 @@ class Functional:
         position: Array,
         density_fluctuation: Array,
         velocity: Array,
-        force: Array | None,
         time: float,
         along: Array | None = None,
-    ) -> tuple[Array, WallTerms | None, Array, Array, Array | None]:
-        """Return sources with pressures, walls, rows of `sweeps.regularity`, shifting, and slopes.
+    ) -> tuple[Array, WallTerms | None, Array | None, Array, Array, Array | None]:
+        """Return sources with pressures, and what follows of their places.
 
+        That is: what walls add; the body force; rows of `sweeps.regularity`; shifting; and slopes.
         Shifting is the velocity (2, n_particles) that particles move with; rows have the one that
         carries fields.
         """
         source = self._sources(position, density_fluctuation, velocity)
         near = self.neighbourhood.sources
-        walls, constants = self._wall_terms(source, force, time), self._regularity_constants
+        (walls, force), constants = self._around(source, position, time), self._regularity_constants
         beside = np.empty((6, 0)) if walls is None else walls.regularity(constants)
         regular, slopes = np.empty((sweeps.N_REGULAR_ROWS, near.targets.size)), None
         arguments = (*self.neighbourhood.blocks(source), constants, beside, regular)
@@ -163,7 +162,7 @@ class Functional:
         sweeps.gather(near.particle, near.image, shared, sweeps.PRESSURE, source)
         if walls is not None and self.discretization.acoustic_damping > 0.0:
             walls.damp(source[sweeps.PRESSURE])
-        return source, walls, regular, moving, slopes
+        return source, walls, force, regular, moving, slopes
 
     def _held_back(self, shifting: Array, walls: WallTerms) -> Array:
         """Limit what carries fields beside walls, in place, and return what particles move with.
@@ -188,17 +187,20 @@ class Functional:
         a wall at rest it is the whole, and along one that turns the torque lacks -2 mu times its
         angular velocity and the area that it encloses.
         """
-        force = None if self.body_force is None else self.body_force(state[:2], time)
-        _, walls, *_ = self._first_sums(state[:2], state[2], state[3:], force, time)
+        _, walls, *_ = self._first_sums(state[:2], state[2], state[3:], time)
         assert walls is not None
         return walls.forces(self._fluid_constants)
 
-    def _wall_terms(self, source: Array, force: Array | None, time: float) -> WallTerms | None:
+    def _around(
+        self, source: Array, position: Array, time: float
+    ) -> tuple[WallTerms | None, Array | None]:
+        """Return what walls add, and the body force (2, n_particles) [m/s2], if there are any."""
+        force = None if self.body_force is None else self.body_force(position, time)
         if self.ghosts is None:
-            return None
+            return None, force
         near = self.neighbourhood
         speed = 1.0 if self.wall_speed is None else self.wall_speed(time)
-        return self.ghosts.beside(near.sources, source, near.reach, force, speed)
+        return self.ghosts.beside(near.sources, source, near.reach, force, speed), force
 
     def advection(
         self, position: Array, density_fluctuation: Array, velocity: Array, time: float = 0.0
@@ -211,8 +213,7 @@ class Functional:
         distance, depth = np.full(near.targets.size, np.inf), np.zeros(source.shape[1])
         pairs = *fluid, distance, source, *self.neighbourhood.search
         advection.transport(*pairs, depth, self.fluid.reference_density, out)
-        force = None if self.body_force is None else self.body_force(position, time)
-        walls = self._wall_terms(source, force, time)
+        walls, _ = self._around(source, position, time)
         if walls is not None:
             walls.add_transport(out)
         return out

@@ -131,17 +131,10 @@ class Neighbourhood:
         self.built_at = position.copy()
         # Targets are shared out in blocks, and their lists need memory.
         near = self.sources
-        self.block_start = split_targets(near.targets, near.grid, near.cell_start)
-        limit = SLACK * self._move_limit
-        length = longest_list(
-            near.place,
-            near.targets,
-            self.block_start,
-            near.grid,
-            near.cell_start,
-            self._support_radius + limit,
-            limit,
-        )
+        cells, limit = (near.grid, near.cell_start), SLACK * self._move_limit
+        self.block_start = split_targets(near.targets, *cells)
+        listed = near.place, near.targets, self.block_start, *cells
+        length = longest_list(*listed, self._support_radius + limit, limit)
         if length > self.scratch.shape[2]:
             self.scratch = np.empty((*self.scratch.shape[:2], length))
 

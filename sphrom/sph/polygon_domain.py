@@ -27,6 +27,7 @@ from sphrom.sph.polygons import (
     digest,
     edges_of,
     joined_areas,
+    outline_of,
     periodic_shifts,
     require_few_crossings,
 )
@@ -160,10 +161,8 @@ class PolygonDomain(Domain):
     @cached_property
     def _segments(self) -> tuple[Array, Indices]:
         """The segments (n_segments, 6) of all walls, and which wall each is of."""
-        parts = shapely.orient_polygons(shapely.get_parts(self.fluid_with_images))
-        rings = shapely.get_rings(parts)
-        segments = np.concatenate([chain(shapely.get_coordinates(ring)[:-1]) for ring in rings])
-        wall = self._walls_of(0.5 * (segments[:, :2] + segments[:, 2:4]))
+        before, start, end, _ = outline_of(self.fluid_with_images)
+        segments, wall = np.hstack((start, end, before)), self._walls_of(0.5 * (start + end))
         return np.ascontiguousarray(segments[wall >= 0]), wall[wall >= 0]
 
     def _walls_of(self, place: Array) -> Indices:
@@ -251,14 +250,6 @@ class PolygonDomain(Domain):
         position = ghost_rows(self.fluid_with_images, frame, particle_spacing, n_layers)
         return Walls(position, np.zeros_like(position), self.nearest_wall(position), None)
 
-    def n_ghosts(self, particle_spacing: float, n_layers: int) -> int:
-        """Return how many ghosts there are."""
-        return len(self.ghosts(particle_spacing, n_layers).position)
-
-    def fits_lattice(self, particle_spacing: float) -> bool:
-        """Whether particles fill the domain without a remainder: packed, they always do."""
-        return True
-
 
 def list_by_cell(
     segments: Array, lower: Array, upper: Array, cell_width: float, reach: float
@@ -293,9 +284,3 @@ def nearest_segments(position: Array, walls: WallSearch) -> tuple[Array, Array, 
     out, nearest = np.empty((3, len(position))), np.empty(len(position), np.int64)
     walls.kernels.signed_distances(place, *walls.lists, out, nearest)
     return out[0], np.ascontiguousarray(out[1:].T), nearest
-
-
-def chain(corners: Array) -> Array:
-    """Return the segments (n_corners, 6) of a closed chain of corners (n_corners, 2) [m]."""
-    before, after = np.roll(corners, 1, axis=0), np.roll(corners, -1, axis=0)
-    return np.hstack((corners, after, before))

@@ -175,14 +175,14 @@ def least_widths(
     def within(place: Array) -> Mask:
         return np.asarray(np.all((place >= lower - slack) & (place <= upper + slack), axis=1))
 
-    edges = _edges(fluid)
+    edges = outline_of(fluid)
     wall = is_wall(0.5 * (edges[1] + edges[2])) & within(0.5 * (edges[1] + edges[2]))
     ends = _ends(edges, wall, 1), _ends(edges, wall, -1)
     holes = [hole for part in shapely.get_parts(fluid) for hole in part.interiors]
     radii = shapely.maximum_inscribed_circle(shapely.polygons(np.array(holes, object)), 1e-3 * size)
     least_gap = float(ends[0].min(initial=math.inf))
     least_solid = float(np.min((*ends[1], *(2.0 * shapely.length(radii))), initial=math.inf))
-    cut = _edges(shapely.segmentize(fluid, size / N_PLACES))
+    cut = outline_of(shapely.segmentize(fluid, size / N_PLACES))
     cut_wall = is_wall(0.5 * (cut[1] + cut[2]))
     # The least widths are sought near by first: of thousands of edges, few are near each other.
     reach = size / N_PLACES
@@ -196,7 +196,7 @@ def least_widths(
         reach *= 2.0
 
 
-def _edges(fluid: BaseGeometry) -> Array:
+def outline_of(fluid: BaseGeometry) -> Array:
     """Return the ends of edges, and those of the edges before and after (4, n_edges, 2) [m].
 
     The fluid is on the left.

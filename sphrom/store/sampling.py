@@ -23,8 +23,6 @@ ON_WALL = 1e-6
 """Points nearer to a wall than this part of the spacing are on it."""
 LEAST_SHARE = 1e-10
 """Of a combination of modes that holds nothing of a field."""
-ROUNDING = 1e-9
-"""Slack for what is equal but for rounding."""
 
 
 def probes_of(case: Case) -> Probes:

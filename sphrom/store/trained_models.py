@@ -19,7 +19,7 @@ from sphrom.artifacts import Artifact, read_record
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import AUTO, ReducedModelSection
-from sphrom.metrics.measures import UNITS, Quantities
+from sphrom.metrics.measures import Quantities
 from sphrom.reduction.calibration import Calibration, TrainingRun, calibrate
 from sphrom.reduction.held_out import best_size
 from sphrom.reduction.mode_splines import ModeSplines
@@ -27,7 +27,7 @@ from sphrom.reduction.reduced_measures import ReducedForce
 from sphrom.reduction.reduced_operators import ReducedOperators
 from sphrom.reduction.trial_basis import TrialBasis, project, truncate
 from sphrom.setup import assembly
-from sphrom.store.trajectory import totals
+from sphrom.store.trajectory import read_by_quantity, totals
 from sphrom.store.workspace import Workspace
 
 N_BLOCK_SNAPSHOTS = 16
@@ -154,8 +154,7 @@ def read_recorded(case: Case, artifact: Artifact, basis: str) -> dict[str, Quant
         if section.force_on is not None:
             found[name] = totals(artifact.read(f"{group}/wall_force/{name}/training_loads"))
         else:
-            paths = {q: f"{group}/measure/{name}/training_{q}" for q in UNITS}
-            found[name] = {q: artifact.read(path) for q, path in paths.items() if path in artifact}
+            found[name] = read_by_quantity(artifact, f"{group}/measure/{name}/training_")
     return found
 
 

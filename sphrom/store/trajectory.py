@@ -59,8 +59,12 @@ def read_quantities(artifact: Artifact, name: str) -> Quantities:
     """Return the values of a measurement that a run has, by quantity (n_snapshots, ...)."""
     if f"force/{name}/pressure" in artifact:
         return totals(read_forces(artifact, name))
-    paths = {quantity: f"measure/{name}/{quantity}" for quantity in UNITS}
-    return {q: artifact.read(path) for q, path in paths.items() if path in artifact}
+    return read_by_quantity(artifact, f"measure/{name}/")
+
+
+def read_by_quantity(artifact: Artifact, begin: str) -> Quantities:
+    """Return those quantities that have datasets, whose names begin in one way."""
+    return {q: artifact.read(begin + q) for q in UNITS if begin + q in artifact}
 
 
 def totals(loads: Array) -> Quantities:

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from sphrom.kernels.sweeps import SHIFT_V, U, V, X, Y
 from sphrom.sph.box_domain import BoxDomain, Rectangle
 from sphrom.sph.domain import Domain, WallSearch
-from sphrom.sph.polygon_domain import PolygonDomain, chain, list_by_cell, nearest_segments
+from sphrom.sph.polygon_domain import PolygonDomain, list_by_cell, nearest_segments
 
 LIMITS = CLOSEST, TOUCHING, FELT = 0.25, 0.5, 1.5
 """In spacings, which are the unit of length here."""
@@ -52,7 +52,8 @@ places = st.tuples(near, near)
 
 def listed(corners: np.ndarray, cell_width: float, reach: float = 0.0) -> WallSearch:
     box = np.array([-4.0, -2.0]), np.array([11.0, 12.0])
-    return list_by_cell(chain(corners), *box, cell_width, reach)
+    segments = np.hstack((corners, np.roll(corners, -1, axis=0), np.roll(corners, 1, axis=0)))
+    return list_by_cell(segments, *box, cell_width, reach)
 
 
 @pytest.mark.parametrize("cell_width", [0.3, 2.0, 50.0])
