@@ -336,7 +336,8 @@ def _model_problems(case: Case, model: ReducedModelSection) -> Found:
 
 def steady_problem(case: Case) -> str | None:
     """Return why a case has no steady states, or None."""
-    if not case.scene.force_changes:
+    force = case.plan.flow(case.plan.points[0]).body_force
+    if force is None or not force.changes:
         return None
     return "the scene's body force changes with time: there is no steady state"
 

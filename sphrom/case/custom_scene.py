@@ -404,12 +404,8 @@ class CustomScene(SceneSection):
         factor = self._values.get(BODY_FORCE, 1.0)
         # All runs of a case ask for it at the same snapshots.
         at = lru_cache(N_TIMES)(lambda time: factor * float(amplitude(t=time)))
-        return Drive(field, at, lambda times: factor * amplitude(t=times))
-
-    @property
-    def force_changes(self) -> bool:
-        """Whether the body force changes with time."""
-        return any(amplitude.depends_on for _, amplitude in self._force_parts)
+        changes = bool(amplitude.depends_on)
+        return Drive(field, at, lambda times: factor * amplitude(t=times), changes)
 
     def largest_head(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
         """Return what the body force's head along the box doesn't exceed until a time [m2/s2]."""

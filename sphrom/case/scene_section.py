@@ -91,11 +91,6 @@ class SceneSection(Section):
         """
         return 0.0
 
-    @property
-    def force_changes(self) -> bool:
-        """Whether there is a body force that changes with time."""
-        return False
-
     def stations(self, line: float) -> Array:
         """Return where histories are kept (n_stations, 2) [m], given x of the compared line [m]."""
         return np.empty((0, 2))

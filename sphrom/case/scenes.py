@@ -178,11 +178,6 @@ class OpenCavityScene(SceneSection):
         cavity, length = self._cavity.cavity_length, self._cavity.channel_length
         return abs(self._force(values).largest) * cavity * (1.0 - cavity / length)
 
-    @property
-    def force_changes(self) -> bool:
-        """Whether the body force changes with time: it does."""
-        return True
-
     def stations(self, line: float) -> Array:
         """Return the place on the line in the shear layer over the cavity (1, 2) [m]."""
         return np.array([[line, self._cavity.cavity_height]])

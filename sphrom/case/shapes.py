@@ -32,10 +32,6 @@ QUADRANT_CORNERS = 64
 MOST_BRACKETS = 8
 """Brackets within each other in well-known text; several polygons with holes have three."""
 
-KINDS = (
-    "circle", "rectangle", "polygon", "file", "wkt",
-    "union", "intersection", "difference", "buffer",
-)  # fmt: skip
 COMBINATIONS: dict[str, Callable[[list[BaseGeometry]], BaseGeometry]] = {
     "union": shapely.union_all,
     "intersection": shapely.intersection_all,
@@ -144,6 +140,9 @@ class ShapeSection(Section):
         shape = affinity.rotate(shape, self.rotate, origin="centroid")
         shape = affinity.translate(shape, self.translate[0], self.translate[1])
         return checked(shape)
+
+
+KINDS = [name for name, field in ShapeSection.model_fields.items() if field.default is None]
 
 
 def checked(shape: BaseGeometry) -> BaseGeometry:

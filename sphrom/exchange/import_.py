@@ -204,7 +204,7 @@ def _doubts(
         along = np.sum((own - theirs) * theirs) / scale
         return 100.0 * math.sqrt(np.sum((own - theirs) ** 2) / scale), 100.0 * float(along)
 
-    scene = assembly.initial_fields(case, point, first.position.T)[1]
+    scene = plan.flow(point).initial_velocity(first.position.T)
     if (start := apart(scene, first.velocity.T)[0]) > START_OFF:
         yield (
             f"its start is {format_figure(start, 2)} % off the scene's in velocity, with which "

@@ -119,7 +119,6 @@ def tangents(
     if case.time.spin_up > 0.0:
         sides = [s.mapped(lambda side: _starting_as(side, reduced)) for s in sides]
     steps = (integrator or reference_model.automatic(reduced)).with_steps(step_factor)
-    times = reduced.output_times
     run, changes = _completed(reduced, sides, steps)
     if not (np.isfinite(run).all() and np.isfinite(changes).all()):
         raise UnstableError("the run diverges, so that it has no derivatives")
@@ -128,15 +127,10 @@ def tangents(
     means = np.array([s.slope(lambda model: model.mean_density_fluctuation) for s in sides])
     measured = _forces(reduced, sides, run, changes, means)
     measured |= _fields(reduced, run, changes, means)
-    return Tangents(
-        tuple(names),
-        times.time,
-        run,
-        changes,
-        means,
-        np.asarray(case.plan.mass * np.einsum("sm,psm->ps", gradient, changes)),
-        {name: measured[name] for name in (*case.scene.measure, *measured)},
-    )
+    energy = np.asarray(case.plan.mass * np.einsum("sm,psm->ps", gradient, changes))
+    ordered = {name: measured[name] for name in (*case.scene.measure, *measured)}
+    times = reduced.output_times.time
+    return Tangents(tuple(names), times, run, changes, means, energy, ordered)
 
 
 def _completed(

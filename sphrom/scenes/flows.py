@@ -52,6 +52,8 @@ class Drive:
     amplitude: Amplitude
     series: Callable[[Array], Array] | None = None
     """The amplitude at many times at once, where that is faster."""
+    changes: bool = True
+    """Whether the amplitude changes with time."""
 
     def __call__(self, position: Array, time: float) -> Array:
         """Return the acceleration (2, n_particles) [m/s2]."""

@@ -21,19 +21,11 @@ from sphrom.reduction.correction import interpolation_weights
 from sphrom.reduction.polynomial_model import Amplitude, OutputTimes
 from sphrom.reduction.reduced_rates import memory_length
 from sphrom.reduction.trial_basis import InnerProduct
-from sphrom.sph.fluid import fluctuation_of
 from sphrom.sph.time_loop import TimeSteps
 
 MOST_GROWTH = 3.0
 """Of a model's coordinates, over training's; flows that start from rest grow to 1.7 times at up to
 ten times the trained Reynolds numbers, and to 5.4 times in five times the trained time."""
-
-
-def initial_fields(case: Case, point: ParameterPoint, position: Array) -> tuple[Array, Array]:
-    """Return the density fluctuation (N,) and the velocity (N, 2) at positions (N, 2)."""
-    flow = case.plan.flow(point)
-    fluctuation = fluctuation_of(flow.initial_pressure(position), case.plan.sound_speed)
-    return fluctuation, flow.initial_velocity(position)
 
 
 def inner_product(case: Case) -> InnerProduct:

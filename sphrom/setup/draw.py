@@ -110,16 +110,16 @@ def solids_within(domain: Domain, frame: Extent) -> Solids:
 
 def _draw_points(axes: Axes, position: Array, size: float, colour: str, label: str) -> None:
     """Draw points (n_points, 2) as dots of a size [points squared]."""
-    if len(position):
-        axes.scatter(
-            position[:, 0],
-            position[:, 1],
-            s=size,
-            color=colour,
-            linewidths=0.0,
-            label=f"{label}, {len(position)}",
-            rasterized=len(position) > VECTORS_BELOW,
-        )
+    x, y = position.T
+    axes.scatter(
+        x,
+        y,
+        s=size,
+        color=colour,
+        linewidths=0.0,
+        label=f"{label}, {len(position)}",
+        rasterized=len(position) > VECTORS_BELOW,
+    )
 
 
 def _draw_walls(axes: Axes, case: Case, walls: Walls, solids: Solids, arrow: float) -> None:

@@ -12,7 +12,7 @@ from sphrom.artifacts import Artifact, read_record
 from sphrom.artifacts.records.reduced_models import Starts
 from sphrom.artifacts.records.runs import Start
 from sphrom.case.points import ParameterPoint
-from sphrom.setup import assembly
+from sphrom.sph.fluid import fluctuation_of
 from sphrom.store.trained_models import read_points
 from sphrom.store.workspace import Workspace
 
@@ -46,7 +46,9 @@ def start(workspace: Workspace, point: ParameterPoint) -> Start:
 def scene_start(workspace: Workspace, point: ParameterPoint) -> Start:
     """Return the scene's state, from which a spin-up or a run without one starts."""
     position = initial_positions(workspace)
-    density, velocity = assembly.initial_fields(workspace.case, point, position)
+    plan, flow = workspace.case.plan, workspace.case.plan.flow(point)
+    density = fluctuation_of(flow.initial_pressure(position), plan.sound_speed)
+    velocity = flow.initial_velocity(position)
     return Start(position=position, density_fluctuation=density, velocity=velocity)
 
 

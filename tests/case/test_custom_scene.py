@@ -194,7 +194,6 @@ def test_a_scene_without_force_or_start_is_at_rest(load) -> None:
     flow = case.plan.flow(case.plan.points[0])
     assert flow.body_force is None
     assert case.scene.largest_head(1.0) == 0.0
-    assert not case.scene.force_changes
     assert not flow.initial_velocity(np.ones((3, 2))).any()
     assert case.plan.kinematic_viscosity(case.plan.points[0]) == pytest.approx(2.0 / 100.0)
     assert case.plan.particle_spacing == pytest.approx(2.0 / 60.0)
