@@ -10,8 +10,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
 from sphrom.compare.comparison_tables import ErrorRow, Tables, best_name
 from sphrom.compare.costs import N_REPEATS, RunTiming, break_even, offline_seconds
 from sphrom.online.stable_ranges import against
@@ -177,7 +175,10 @@ def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
             training_seconds=training,
             n_training=len(plan.bases[basis]),
             since=f" from {since:g} s on" if (since := workspace.case.compare.from_time) else "",
-            doubts=(*_doubts(workspace), *_against(workspace, model, point)),
+            doubts=(
+                *_doubts(workspace),
+                *(f"This run is doubtful: {t}." for t in against(workspace, model, point)),
+            ),
             forces=tuple(
                 (name, force, forces.get((best, name)), expected.get((compared, name)))
                 for (compared, name), force in forces.items()
@@ -195,13 +196,6 @@ def _doubts(workspace: Workspace) -> Iterator[str]:
         (first, *more), doubts = said, next(iter(said.values())).replace("\n", "; ")
         also = f"; so may those at {', '.join(more)}" if more else ""
         yield f"The run at {first} was imported, and may be of another flow: {doubts}{also}."
-
-
-def _against(
-    workspace: Workspace, model: ReducedModelSection, point: ParameterPoint
-) -> Iterator[str]:
-    """Yield a sentence for each map of the extremes that speaks against the model there."""
-    yield from (f"This run is doubtful: {text}." for text in against(workspace, model, point))
 
 
 def _force_errors(

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.plots.tables import format_figure, read_json
+from sphrom.reduction.polynomial_model import EXPONENTIAL, RUNGE_KUTTA
+from sphrom.sph.fluid import ROUNDING
 from sphrom.store.trained_models import sized_in
 from sphrom.store.workspace import Workspace
 
@@ -55,26 +57,24 @@ class StableRange:
     @property
     def words(self) -> str:
         """Where it is right, as a sentence has it."""
-        if self.right_from is None or self.right_to is None:
-            return f"right at no {self.varied}"
-        span = f"{format_figure(self.right_from)} to {format_figure(self.right_to)}"
-        return f"right for a {self.varied} from {span}{UNITS.get(self.varied, '')}"
+        return f"right {self._span(self.right_from, self.right_to)}"
+
+    def _span(self, low: float | None, high: float | None) -> str:
+        if low is None or high is None:
+            return f"at no {self.varied}"
+        ends = f"{format_figure(low)} to {format_figure(high)}"
+        return f"for a {self.varied} from {ends}{UNITS.get(self.varied, '')}"
 
     def says(self, value: float) -> str:
         """Return in words why a run at a value may be unstable or not right; empty if it is."""
-        unit = UNITS.get(self.varied, "")
-        ends = {
-            "stable": (self.stable_from, self.stable_to),
-            "right": (self.right_from, self.right_to),
-        }
-        for verb, (low, high) in ends.items():
+        stable, right = (self.stable_from, self.stable_to), (self.right_from, self.right_to)
+        for verb, (low, high) in {"stable": stable, "right": right}.items():
             if low is None or high is None:
-                return f"by its map it is {verb} at no {self.varied}"
-            if not low <= value <= high:
+                return f"by its map it is {verb} {self._span(low, high)}"
+            if not low * (1.0 - ROUNDING) <= value <= high * (1.0 + ROUNDING):
                 cause = self.below if value < low else self.above
                 tried = f"; beyond: {cause}" if cause else ", and was not tried beyond"
-                span = f"{format_figure(low)} to {format_figure(high)}{unit}"
-                return f"by its map it is {verb} for a {self.varied} from {span}{tried}"
+                return f"by its map it is {verb} {self._span(low, high)}{tried}"
         return ""
 
 
@@ -91,33 +91,23 @@ def stable_ranges(workspace: Workspace) -> list[StableRange]:
     return list(document["ranges"]) if own else []
 
 
-def ranges_of(
-    workspace: Workspace, section: ReducedModelSection, point: ParameterPoint
-) -> list[StableRange]:
-    """Return the ranges of a model of the case, with its number of modes at a parameter point."""
-    case = workspace.case
-    basis, n_modes = case.plan.basis_for(section, point), section.n_modes
-    if n_modes == AUTO:
-        n_modes = sized_in(workspace, section, basis).size
-    kind = "fast" if section.from_operators else "particles"
-    method = {"": "", STEP: "exponential" if section.time_step == AUTO else "runge-kutta"}
-    return [
-        each
-        for each in stable_ranges(workspace)
-        if (each.kind, each.projection, each.n_modes) == (kind, section.projection, n_modes)
-        and each.steps in ("", method.get(each.varied, "exponential"))
-    ]
-
-
 def against(
     workspace: Workspace, section: ReducedModelSection, point: ParameterPoint
 ) -> Iterator[str]:
     """Yield what maps of the extremes say against a run of a model at a parameter point."""
-    asked: dict[str, float] = dict(point.as_dict())
-    asked[TIME] = workspace.case.plan.model_steps(section).end_time
+    plan, n_modes = workspace.case.plan, section.n_modes
+    if not (ranges := stable_ranges(workspace)):
+        return
+    if n_modes == AUTO:
+        n_modes = sized_in(workspace, section, plan.basis_for(section, point)).size
+    asked = {**point.as_dict(), TIME: plan.model_steps(section).end_time}
     for name, value in ((STEP, section.time_step), (MEMORY, section.memory_length)):
         if isinstance(value, float):
             asked[name] = value
-    for each in ranges_of(workspace, section, point):
-        if each.varied in asked and (text := each.says(asked[each.varied])):
+    kind = "fast" if section.from_operators else "particles"
+    for each in ranges:
+        method = RUNGE_KUTTA if each.varied == STEP else EXPONENTIAL
+        is_own = (each.kind, each.projection, each.n_modes) == (kind, section.projection, n_modes)
+        is_own &= each.varied in asked and each.steps in ("", method)
+        if is_own and (text := each.says(asked[each.varied])):
             yield text

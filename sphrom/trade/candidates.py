@@ -187,9 +187,6 @@ def sampled(
 ) -> Samples:
     """Sample a full run at the probes, with a measurement by its name."""
     report, text = workspace.context.report, f"sample full run, {point.label}"
-    with (
-        StoredRun.opened(workspace, point) as run,
-        report.progress(text, len(run.time)) as advance,
-    ):
+    with StoredRun.opened(workspace, point) as run, report.progress(text, len(run.time)) as advance:
         found = run.sampled(probes.all, advance=advance)
         return found if measured is None else replace(found, measured=run.measured(measured))

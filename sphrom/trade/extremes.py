@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
 from itertools import product
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -62,6 +62,7 @@ from sphrom.trade.stability import (
     ONE_RUN,
     RESOLUTION,
     ExtremeRun,
+    Kind,
     cause_of_divergence,
     kind_of,
     limiting_step,
@@ -217,16 +218,15 @@ class Maps:
             if model.section.projection == "galerkin":
                 continue
             automatic = model.at(self.point).memory_length or 0.0
-            closed = partial(self._closed, model.section, automatic)
-            longest = longest_memory(*(closed(factor).at(self.point) for factor in (1.0, 2.0)))
+            closed = {}
+            for factor in (1.0, 2.0, *self.factors[MEMORY]):
+                length = {"memory_length": factor * automatic}
+                closed[factor] = FastModel(self.workspace, model.section.model_copy(update=length))
+            longest = longest_memory(*(closed[factor].at(self.point) for factor in (1.0, 2.0)))
             for factor in self.factors[MEMORY]:
-                found = self._fast(closed(factor), MEMORY, factor, self.point, truth)
+                found = self._fast(closed[factor], MEMORY, factor, self.point, truth)
                 found.predicted = longest
                 yield found
-
-    def _closed(self, section: ReducedModelSection, automatic: float, factor: float) -> FastModel:
-        length = {"memory_length": factor * automatic}
-        return FastModel(self.workspace, section.model_copy(update=length))
 
     def _parameters(self) -> Iterator[ExtremeRun]:
         at = self.point.as_dict()
@@ -238,7 +238,7 @@ class Maps:
                 point = self.case.plan.point(at | {name: value})
                 truth, coarse = self._truth(point), self._truth(point, coarse=True)
                 if truth is not None and coarse is not None:
-                    found = self._described(name, value, point, "full", steps=f", {HALF}")
+                    found = self._described(name, value, point, "full", f", {HALF}")
                     yield _compared(found, coarse.samples, truth.samples)
                 for model in self.models:
                     yield self._fast(model, name, value, point, truth)
@@ -319,10 +319,7 @@ class Maps:
     def _truth(
         self, point: ParameterPoint, until: float = 1.0, *, coarse: bool = False
     ) -> Truth | None:
-        """Return a full run, of half the resolution if `coarse`; None where there can't be one.
-
-        `until` is how long it is, over the trained time.
-        """
+        """Return a full run `until` times as long, maybe half as fine; None where none can be."""
         if (key := (point, until, coarse)) not in self._truths:
             self._truths[key] = self._find(*key)
         return self._truths[key]
@@ -358,11 +355,7 @@ class Maps:
         return truth.within(since - 1e-6, np.inf)
 
     def _learnt(self, variant: Case, folders: Mapping[str, Any]) -> Workspace:
-        """Make a variant's full runs and its reduced models; return their workspace.
-
-        Raises UnstableError when a full run is unstable, CaseError when the case can't have that
-        value, ResourceError when a run would not fit this machine.
-        """
+        """Make a variant's full runs and its reduced models; return their workspace."""
         for problem in case_problems(variant):
             raise CaseError(str(problem))
         context = self.workspace.context
@@ -375,21 +368,11 @@ class Maps:
     # Runs
 
     def _described(
-        self,
-        varied: str,
-        value: float,
-        point: ParameterPoint,
-        kind: Literal["full", "particles", "fast"],
-        section: ReducedModelSection | None = None,
-        steps: str = "",
+        self, varied: str, value: float, point: ParameterPoint, kind: Kind, steps: str = ""
     ) -> ExtremeRun:
         self._points[point.label] = point
-        found = ExtremeRun(
-            varied=varied, value=value, parameters=point.label, kind=kind, steps=steps
-        )
-        if section is not None:
-            found.projection, found.n_modes = section.projection, section.size
-        return found
+        at = point.label
+        return ExtremeRun(varied=varied, value=value, parameters=at, kind=kind, steps=steps)
 
     def _fast(
         self,
@@ -405,7 +388,8 @@ class Maps:
     ) -> ExtremeRun:
         """Run a fast model in steps that are a factor as long as the automatic ones."""
         basis = model.at_point(point)
-        found = self._described(varied, value, point, "fast", basis.section, steps=method)
+        found = self._described(varied, value, point, "fast", method)
+        found.projection, found.n_modes = basis.section.projection, basis.section.size
         try:
             reduced = model.at(point)
             times = reduced.output_times
@@ -448,7 +432,8 @@ class Maps:
         """Run models on particles in steps that are a factor as long as the full model's."""
         plan, own = self.case.plan.steps, self.default[1]
         for section in (model.section for model in self.models if model.section.size == own):
-            found = self._described(STEP, factor, self.point, "particles", section)
+            found = self._described(STEP, factor, self.point, "particles")
+            found.projection, found.n_modes = section.projection, own
             found.told = "; ".join(doubts_of_step(factor))
             moving = section.model_copy(update={"evaluation": "particles"})
             model, state = build_model(self.workspace, moving, self.point)
@@ -520,20 +505,15 @@ def varied_models(
     points: tuple[tuple[ParameterPoint, ...], ParameterPoint],
     sections: list[ReducedModelSection],
 ) -> Iterator[tuple[str, float, Case]]:
-    """Yield the full model at every value of its properties, with reduced models to make of it.
-
-    It runs at half the resolution where that fits. Its only basis is of all trained points.
-    """
+    """Yield the full model, half as fine, at every value of its properties, and its models."""
     for varied, (section, key, values) in FULL_MODEL.items():
         for value in values:
             resolution = coarser_resolution(case) or case.discretization.resolution
+            changes = {section: getattr(case, section).model_copy(update={key: value})}
             if varied == RESOLUTION:
+                resolution, changes = int(value), {}
                 if value >= case.discretization.resolution:
                     continue
-                resolution, changes = int(value), {}
-            else:
-                changed = getattr(case, section).model_copy(update={key: value})
-                changes = {section: changed}
             name = f"{key}-{exact(value)}"
             variant = varied_case(case, *points, name, resolution, changes)
             yield varied, value, variant.model_copy(update={"rom": _of_all(sections)})
@@ -548,10 +528,7 @@ def varied_case(
     changes: Mapping[str, Any],
     snapshots: TimeSteps | None = None,
 ) -> Case:
-    """Return the full model at a resolution and some points, with other sections.
-
-    It has one basis, and the case's snapshots or given ones.
-    """
+    """Return the full model at some points, with one basis and the case's or given snapshots."""
     parameters = trained_at(case, points).parameters
     test = TestValues() if tested is None else trained_at(case, [tested]).parameters.train
     whole: dict[str, Any] = {

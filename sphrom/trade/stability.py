@@ -16,15 +16,7 @@ import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.online.fast_model import FastRun
-from sphrom.online.stable_ranges import (
-    FILE,
-    MEMORY,
-    MOST_ERROR,
-    STEP,
-    TIME,
-    UNITS,
-    StableRange,
-)
+from sphrom.online.stable_ranges import FILE, MEMORY, MOST_ERROR, STEP, TIME, UNITS, StableRange
 from sphrom.plots.canvas import new_figure, save, styled
 from sphrom.plots.tables import format_figure, write_csv, write_json
 from sphrom.reduction.polynomial_model import EXPONENTIAL, RUNGE_KUTTA
@@ -47,6 +39,7 @@ HALF = "half as fine"
 PERCENT = {"unit": "%"}
 Errors = tuple[float, float]
 """Of velocity and pressure [%]."""
+Kind = Literal["full", "particles", "fast"]
 State = Literal["", "right", "stable", "unstable", "refused"]
 COLOURS = {"right": "#9fd8c4", "stable": "#f4d58d", "unstable": "#e8906a", "refused": "#d9d9d9"}
 HEADINGS = ("model", "right", "stable", "wrong below", "wrong above", "predicted")
@@ -75,7 +68,7 @@ class ExtremeRun:
     value: float
     """Of the varied quantity: steps and memories over the automatic, times over the trained."""
     parameters: str
-    kind: Literal["full", "particles", "fast"]
+    kind: Kind
     projection: str = ""
     n_modes: int | None = None
     steps: str = ""
@@ -237,7 +230,8 @@ def judge(runs: Sequence[ExtremeRun], default: tuple[str, int], own: Mapping[str
             allowed = of_full
         elif run.varied in COARSE:
             # Half as fine: by the same model, there.
-            same = [r for r in runs if r.varied == run.varied and _is(r, default) and r.errors]
+            of_map = (r for r in runs if r.varied == run.varied and r.errors)
+            same = [r for r in of_map if (r.kind, r.projection, r.n_modes) == ("fast", *default)]
             nearest = min(same, key=lambda r: abs(r.value - own[r.varied]), default=standard)
             allowed = nearest.errors
         run.state = run.state or _state(run, allowed)
@@ -245,10 +239,6 @@ def judge(runs: Sequence[ExtremeRun], default: tuple[str, int], own: Mapping[str
             key = run.varied, run.kind, run.projection, run.n_modes
             is_right = key in by_default and _within(by_default[key].errors, allowed)
             run.mechanism = _cause(run, allowed, is_right)
-
-
-def _is(run: ExtremeRun, default: tuple[str, int]) -> bool:
-    return run.kind == "fast" and (run.projection, run.n_modes) == default
 
 
 def _default_of(runs: Sequence[ExtremeRun], default: tuple[str, int]) -> ExtremeRun:

@@ -36,13 +36,7 @@ from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.online.stable_ranges import TIME, StableRange, stable_ranges
 from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Panel, draw_grid
-from sphrom.plots.tables import (
-    UNKNOWN,
-    format_figure,
-    rows_of_columns,
-    write_csv,
-    write_json,
-)
+from sphrom.plots.tables import UNKNOWN, format_figure, rows_of_columns, write_csv, write_json
 from sphrom.reduction import reference_model
 from sphrom.reduction.polynomial_model import EXPONENTIAL
 from sphrom.setup.assembly import role_of
