@@ -97,7 +97,7 @@ SCENES: dict[str, tuple[str, dict[str, Any]]] = {
 }
 """The case that each is made of, and what differs. The last two vary what drives the flow, too."""
 STAGES = ("fom", "map", "pod", "fit-psi", "operators")
-SMALL = (950, 12)
+SMALL = (740, 7)
 """Pixels and colours of pictures in the documentation."""
 ONE_IN = 5
 TOLERANCE = 1e-8
