@@ -179,9 +179,9 @@ def _agrees(point: ParameterPoint, text: str) -> bool:
 def _points(case: Case, stage: str) -> tuple[ParameterPoint, ...]:
     """Return the points that a stage can run at."""
     if stage in ("trade", "extremes"):
-        from sphrom.trade.candidates import extreme_points, trade_points
+        from sphrom.trade.candidates import trade_points
 
-        return extreme_points(case) if stage == "extremes" else trade_points(case)
+        return trade_points(case)
     if stage in ("rom", "export"):
         reduced = (point for model in case.rom for point in case.plan.rom_points(model))
         return tuple(dict.fromkeys((*case.plan.points, *reduced)))

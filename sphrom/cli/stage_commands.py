@@ -171,8 +171,10 @@ def trade(
         ),
     ] = None,
     extremes: Annotated[
-        bool,
-        typer.Option("--extremes", help="Map where models on the reference points are stable."),
+        bool, typer.Option("--extremes", help="Map where models are stable, and where right.")
+    ] = False,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Map the extremes with fewer values and full runs.")
     ] = False,
 ) -> None:
     """Weigh speed against accuracy: run and time the models that the case lists.
@@ -184,12 +186,14 @@ def trade(
     Example, after a run: the cheapest model that is wrong by at most one percent:
       sphrom trade cases/taylor_green_demo.yaml --tolerance 1%
     """
-    if not extremes:
-        run_stage("trade", options, tolerance=tolerance)
-    elif tolerance is None:
-        run_stage("extremes", options)
-    else:
+    if extremes and tolerance is not None:
         raise CaseError("--tolerance: is not for --extremes, which weighs no models")
+    if quick and not extremes:
+        raise CaseError("--quick: is for --extremes")
+    if extremes:
+        run_stage("extremes", options, quick=quick)
+    else:
+        run_stage("trade", options, tolerance=tolerance)
 
 
 @command(stages, "sweep", WITHOUT_THREADS)

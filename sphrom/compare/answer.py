@@ -12,6 +12,7 @@ from typing import Literal
 
 from sphrom.compare.comparison_tables import ErrorRow, Tables, best_name
 from sphrom.compare.costs import N_REPEATS, RunTiming, break_even, offline_seconds
+from sphrom.online.stable_ranges import against
 from sphrom.plots.tables import format_figure
 from sphrom.store.trained_models import basis_used
 from sphrom.store.workspace import Workspace
@@ -174,7 +175,10 @@ def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
             training_seconds=training,
             n_training=len(plan.bases[basis]),
             since=f" from {since:g} s on" if (since := workspace.case.compare.from_time) else "",
-            doubts=tuple(_doubts(workspace)),
+            doubts=(
+                *_doubts(workspace),
+                *(f"This run is doubtful: {t}." for t in against(workspace, model, point)),
+            ),
             forces=tuple(
                 (name, force, forces.get((best, name)), expected.get((compared, name)))
                 for (compared, name), force in forces.items()

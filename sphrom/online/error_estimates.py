@@ -90,10 +90,6 @@ def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
         artifact.write(
             "residual", trained.residual(run.point, run.reduced, run.time, run.coordinates)
         )
-        report.warn(
-            f"{run.name}: no estimate of errors: the training runs have "
-            "none, or all of them diverge"
-        )
         return
     artifact.write("residual", found.residual)
     factors = [None, None]
@@ -272,14 +268,5 @@ def _told(run: FastRun, found: ErrorEstimate, factors: Sequence[float | None]) -
     for name, mean, end, factor in zip(QUANTITIES, means, at_end, factors, strict=True):
         trust = "" if factor is None else f", right to a factor of {factor:.2g} in training"
         parts.append(f"{name} {format_figure(mean)} % ({format_figure(end)} % at the end{trust})")
-    text = f"{run.name}: estimated errors: {', '.join(parts)}"
-    if not found.extrapolated:
-        return text
-    points = [point.as_dict() for point in run.model.at_point(run.point).points]
-    trained = ", ".join(
-        f"{name} " + " to ".join(f"{v:g}" for v in sorted({min(values), max(values)}))
-        for name in points[0]
-        if (values := [point[name] for point in points])
-    )
-    until = run.model.workspace.case.plan.steps.end_time
-    return f"{text}; extrapolated, as the model was trained on {trained} until {until:g} s only"
+    outside = ("extrapolated", *run.outside) if found.extrapolated else ()
+    return "; ".join((f"{run.name}: estimated errors: {', '.join(parts)}", *outside))

@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from sphrom.arrays import Array
+from sphrom.case.hints import beyond_training, extrapolation
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
@@ -21,11 +22,16 @@ from sphrom.metrics.measures import Quantities
 from sphrom.metrics.samples import Samples
 from sphrom.online.basis_model import BasisModel, quantities_of
 from sphrom.online.error_estimates import ErrorEstimate, estimate
+from sphrom.plots.tables import format_figure
 from sphrom.reduction.polynomial_model import Run
 from sphrom.reduction.reference_model import Integrator, ReferenceModel
 from sphrom.setup.assembly import MOST_GROWTH
+from sphrom.sph.fluid import ROUNDING
 from sphrom.store.starts import MappedStarts
 from sphrom.store.workspace import Workspace
+
+DOUBTFUL = 50.0
+"""The estimated error from which a run is doubtful [%]: errors are up to twice their estimates."""
 
 
 class FastModel:
@@ -118,6 +124,29 @@ class FastRun(Run):
     def estimate(self) -> ErrorEstimate | None:
         """The estimated errors of the run; None where the case wants none or can't have them."""
         return estimate(self)
+
+    @cached_property
+    def outside(self) -> tuple[str, ...]:
+        """Warnings of a run outside of the trained values, or longer than training runs."""
+        case, end = self.model.workspace.case, self.reduced.output_times.time[-1]
+        trained = case.plan.steps.end_time
+        longer = (beyond_training(trained),) if end > trained * (1.0 + ROUNDING) else ()
+        beyond = extrapolation(case, self.point)
+        return longer if beyond is None else (beyond, *longer)
+
+    @cached_property
+    def doubts(self) -> tuple[str, ...]:
+        """Why a run that went to its end may be wrong, known without a full run."""
+        found = self.estimate
+        if found is None and self.model.at_point(self.point).trained_errors is not None:
+            told = "no estimate of errors: the training runs have none, or all of them diverge"
+            return (*self.outside, told)
+        if found is None or max(found.velocity_percent, found.pressure_percent) < DOUBTFUL:
+            return self.outside
+        shares = found.velocity_percent, found.pressure_percent
+        velocity, pressure = (f"{format_figure(share, 2)} %" for share in shares)
+        told = f"its estimated errors are {velocity} in velocity and {pressure} in pressure"
+        return (*self.outside, told)
 
     @property
     def done(self) -> FastRun:

@@ -9,6 +9,7 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
+from sphrom.online.stable_ranges import against
 from sphrom.reduction.particle_model import ParticleModel, reduced_jacobian
 from sphrom.reduction.trial_basis import mean_density_fluctuation, project
 from sphrom.setup import assembly, particles
@@ -20,6 +21,10 @@ from sphrom.store.starts import start
 from sphrom.store.trained_models import read_modes, read_points
 from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Workspace
+
+LONGEST_STEP = 4.0
+"""Of models on particles, over the full model's: longer ones were right in no flow
+(`docs/stability.md`)."""
 
 
 def build_model(
@@ -63,6 +68,15 @@ def close(
         )
 
 
+def doubts_of_step(factor: float) -> list[str]:
+    """Return what speaks against steps that are a factor as long as the full model's."""
+    if factor <= LONGEST_STEP:
+        return []
+    return [
+        f"steps {factor:.3g} times as long as the full model's lose sound, and with it pressure"
+    ]
+
+
 def run_point(workspace: Workspace, model: ReducedModelSection, point: ParameterPoint) -> None:
     """Run a model on particles at a parameter point."""
     case = workspace.case
@@ -73,6 +87,8 @@ def run_point(workspace: Workspace, model: ReducedModelSection, point: Parameter
     steps = TimeSteps(time_step, n_steps, every, plan.start_time, check_every=every)
     workspace.require(workspace.basis())
     workspace.require(workspace.splines())
+    for text in (*against(workspace, model, point), *doubts_of_step(time_step / plan.time_step)):
+        workspace.context.report.warn(f"{model.name}, {point.label}: {text}")
     reduced, state = build_model(workspace, model, point)
     target = workspace.reduced_run(model, point)
     with workspace.create(target, assembly.run_attributes(case, point, time_step)) as artifact:

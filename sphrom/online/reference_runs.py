@@ -26,10 +26,11 @@ from sphrom.online.error_estimates import (
     steady_errors,
 )
 from sphrom.online.fast_model import FastModel, FastRun
+from sphrom.online.stable_ranges import against
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.polynomial_model import EXPONENTIAL, steady_state
 from sphrom.reduction.reduced_rates import largest_growth
-from sphrom.reduction.reference_model import Integrator
+from sphrom.reduction.reference_model import Integrator, ReferenceModel
 from sphrom.reduction.trial_basis import reconstruct
 from sphrom.setup import assembly
 from sphrom.setup.assembly import field_measures
@@ -113,6 +114,7 @@ def run_point(workspace: Workspace, section: ReducedModelSection, point: Paramet
     model = _fast_model(workspace, section.name)
     reduced = model.at(point)
     integrator = model.at_point(point).integrator(reduced)
+    _warn(workspace, section, point, reduced, integrator)
     attributes = assembly.run_attributes(workspace.case, point, integrator.steps.time_step)
     with workspace.create(target, attributes) as artifact:
         found, seconds = integrator.timed(N_TIMED)
@@ -126,6 +128,8 @@ def run_point(workspace: Workspace, section: ReducedModelSection, point: Paramet
         _tell(run, integrator, seconds)
         if run.failure is None:
             estimate_errors(run, artifact)
+            for doubt in run.doubts[len(run.outside) :]:
+                workspace.context.report.warn(f"{run.name}: {doubt}")
             if section.steady:
                 seek_steady_state(run, artifact)
 
@@ -136,15 +140,26 @@ def _fast_model(workspace: Workspace, name: str) -> FastModel:
     return FastModel(workspace, next(m for m in workspace.case.rom if m.name == name))
 
 
+def _warn(
+    workspace: Workspace,
+    section: ReducedModelSection,
+    point: ParameterPoint,
+    reduced: ReferenceModel,
+    integrator: Integrator,
+) -> None:
+    """Warn of a run that is known to be unstable, or not right, before it starts."""
+    found, step = list(against(workspace, section, point)), integrator.steps.time_step
+    if integrator.steps.system.integrator != EXPONENTIAL and step > reduced.step_limit:
+        limit = f"the model's stability limit of {reduced.step_limit:.3g} s"
+        found.append(f"a step of {step:.3g} s is beyond {limit}")
+    for text in found:
+        workspace.context.report.warn(f"{section.name}, {point.label}: {text}")
+
+
 def _tell(run: FastRun, integrator: Integrator, seconds: float) -> None:
     """Report the number of steps of a run, their length, and the time that they took."""
     report, reduced, step = run.model.workspace.context.report, run.reduced, run.time_step
     exponential = integrator.steps.system.integrator == EXPONENTIAL
-    if not exponential and step > reduced.step_limit:
-        report.warn(
-            f"{run.name}: a step of {step:.3g} s is beyond the model's limit of "
-            f"{reduced.step_limit:.3g} s"
-        )
     if run.failure is not None:
         report.warn(f"{run.name}: {run.failure}")
         return

@@ -1,4 +1,4 @@
-"""The models that a trade weighs: reduced ones of some sizes and steps, and the full one otherwise.
+"""The models that a trade weighs: reduced ones of some sizes, and the full one otherwise.
 
 A trade may weigh models that the case has no operators for. Their operators, and further full runs,
 lie in the trade's own folder, and are kept there.
@@ -7,11 +7,12 @@ lie in the trade's own folder, and are kept there.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from itertools import product
-from typing import Any, Literal
+from pathlib import Path
+from types import MappingProxyType
 
 from sphrom.case.checks import coarser_resolution
 from sphrom.case.models import Case
@@ -33,12 +34,8 @@ SIZES = (2, 5, 10, 20, 50)
 """Default numbers of modes, as far as the basis has as many."""
 MOST_CLOSED_MODES = 20
 """The most modes of APG by default: its cost grows with their fourth power."""
-STEP_FACTORS = (1, 2)
-"""Time steps of reduced models over the automatic ones."""
 COURANT_NUMBERS = (0.75, 1.5)
 """About c0 dt / h of further full runs (Eq. 2.19)."""
-REYNOLDS_FACTORS = (0.1, 0.3, 1.0, 3.0, 10.0)
-"""Of maps of stability: below 1 over the least trained Reynolds number, else over the greatest."""
 SAME_STEP = 1e-9
 """Steps that differ by less, relatively, are one."""
 
@@ -50,70 +47,41 @@ def trade_points(case: Case) -> tuple[ParameterPoint, ...]:
 
 def global_basis(case: Case) -> str:
     """Return the basis that models of a case have at any value: that of the first."""
-    first = _first(case).basis
+    first = first_model(case).basis
     return ALL if first == LOCAL else first
 
 
-def _first(case: Case) -> ReducedModelSection:
+def first_model(case: Case) -> ReducedModelSection:
     """Return the first reduced model of a case. Raises CaseError where there is none."""
     if not case.rom:
         raise CaseError("rom: the case has no reduced models, so there is nothing to weigh")
     return case.rom[0]
 
 
-def extreme_points(case: Case) -> tuple[ParameterPoint, ...]:
-    """Return the values at which stability is mapped, from the least Reynolds number on.
-
-    Other parameters are those of the training value with the greatest Reynolds number.
-    """
-    trained = case.plan.bases[global_basis(case)]
-    low, high = min(trained).reynolds, max(trained)
-    products = (f * (low if f < 1.0 else high.reynolds) for f in REYNOLDS_FACTORS)
-    # Without their rounding errors, which names would show: 220 of 1.1 * 200.
-    return tuple(replace(high, reynolds=float(f"{value:.12g}")) for value in products)
-
-
-def candidates(case: Case, points: Sequence[ParameterPoint]) -> list[ReducedModelSection]:
-    """Return the reduced models to weigh at parameter points, in the basis of the case's first one.
-
-    Raises CaseError when the basis has fewer modes than are listed, or there is no local one, or no
-    reduced model.
-    """
-    first, basis = _first(case), _first(case).basis
-    available = min(case.plan.basis_size(case.plan.basis_for(first, point)) for point in points)
-    if (most := max(case.trade.n_modes or (0,))) > available:
-        raise CaseError(f"trade.n_modes: the basis {basis} has {available} modes; got {most}")
-    models = models_of_sizes(case, "galerkin", basis, available)
-    if not case.plan.driving:  # The closure has operators for the viscosity alone.
-        models += models_of_sizes(case, "apg", basis, available)
-    return models
-
-
-def models_of_sizes(
-    case: Case,
-    projection: Literal["galerkin", "apg"],
-    basis: str,
-    available: int,
-    **keys: Any,
+def candidates(
+    case: Case, points: Sequence[ParameterPoint], basis: str, *also: int
 ) -> list[ReducedModelSection]:
-    """Return models of the sizes that a case lists; by default of some, as far as the basis goes.
+    """Return the reduced models in a basis, to weigh or map at parameter points.
 
-    The last of them then has all `available` modes.
+    They have the sizes that a case lists, by default some, as far as the basis goes; and `also`
+    others.
+
+    Raises CaseError when the basis has fewer modes than are listed, or there is no local one.
     """
-    closed = projection == "apg"
-    most = min(available, MOST_CLOSED_MODES) if closed else available
-    sizes = case.trade.n_modes or (*(size for size in SIZES if size < most), most)
-    return [
-        ReducedModelSection(
-            name=f"weighed-{basis}-{projection}-m{size}",
-            evaluation="operators",
-            projection=projection,
-            n_modes=size,
-            basis=basis,
-            **keys,
-        )
-        for size in dict.fromkeys(sizes)
-    ]
+    first = first_model(case).model_copy(update={"basis": basis})
+    available = min(case.plan.basis_size(case.plan.basis_for(first, point)) for point in points)
+    listed, found = case.trade.n_modes, []
+    if (largest := max(listed or (0,))) > available:
+        raise CaseError(f"trade.n_modes: the basis {basis} has {available} modes; got {largest}")
+    ends = {"galerkin": available}
+    if not case.plan.driving:  # The closure has operators for the viscosity alone.
+        ends["apg"] = min(available, MOST_CLOSED_MODES)
+    for projection, end in ends.items():
+        for size in sorted({*(listed or (*filter(end.__gt__, SIZES), end)), *also}):
+            name = f"weighed-{basis}-{projection}-m{size}"
+            keys = {"evaluation": "operators", "projection": projection, "basis": basis}
+            found.append(ReducedModelSection.model_validate(keys | {"name": name, "n_modes": size}))
+    return found
 
 
 def prepared(context: StageContext, models: Sequence[ReducedModelSection]) -> Workspace:
@@ -190,10 +158,15 @@ def with_steps(
     return coarser.model_copy(update=changes)
 
 
-def workspace_of(workspace: Workspace, variant: Case) -> Workspace:
-    """Return the folder of a variant, below that of the case."""
+def workspace_of(
+    workspace: Workspace, variant: Case, folders: Mapping[str, Path] = MappingProxyType({})
+) -> Workspace:
+    """Return the folder of a variant, below that of the case.
+
+    `folders` has those of kinds of artifacts that lie elsewhere.
+    """
     out = workspace.out / FOLDER / variant.name
-    context = replace(workspace.context, case=variant, out=out, folders={})
+    context = replace(workspace.context, case=variant, out=out, folders=folders)
     return Workspace(_own_context(context))
 
 
@@ -214,9 +187,6 @@ def sampled(
 ) -> Samples:
     """Sample a full run at the probes, with a measurement by its name."""
     report, text = workspace.context.report, f"sample full run, {point.label}"
-    with (
-        StoredRun.opened(workspace, point) as run,
-        report.progress(text, len(run.time)) as advance,
-    ):
+    with StoredRun.opened(workspace, point) as run, report.progress(text, len(run.time)) as advance:
         found = run.sampled(probes.all, advance=advance)
         return found if measured is None else replace(found, measured=run.measured(measured))

@@ -1,385 +1,543 @@
-"""Stage `trade --extremes`: where models on the reference points are stable, and accurate.
+"""Stage `trade --extremes`: where full and reduced models are stable, and where they are right.
 
-Models of several sizes run at several values of each property of `AXES`. Time steps are varied at
-Reynolds numbers in and out of training, the other properties at the greatest trained one. Some are
-properties of the full model: a reduced model has them from the runs that it learns from. So each of
-their values has full runs, bases and operators of its own, in a folder of its own.
+Models run at several values of each property, and are compared with full runs of their own.
+`sphrom.trade.stability` judges the runs, says what sets a limit, and draws the maps. Mach number,
+h/dx and resolution are properties of the full model: a reduced model has them from the runs that it
+learns from. So each of their values has full runs, a basis and operators of its own, in a folder of
+its own. Runs on particles in other steps leave no artifacts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import partial
+from itertools import product
+from typing import Any
 
 import numpy as np
 
+from sphrom.arrays import Array, Indices
 from sphrom.case.checks import case_problems, coarser_resolution
 from sphrom.case.models import Case
-from sphrom.case.points import ParameterPoint, ParameterSection
+from sphrom.case.points import REYNOLDS, ParameterPoint, TestValues
 from sphrom.case.sections import ALL, ReducedModelSection
 from sphrom.case.studies import trained_at
 from sphrom.errors import CaseError, ResourceError, UnstableError
-from sphrom.metrics.histories import compare, errors_of
+from sphrom.metrics.histories import relative_l2, without_mean
 from sphrom.metrics.samples import Samples
 from sphrom.offline import fit_psi, fom, operators, pod
 from sphrom.offline import map as mapping
+from sphrom.online.basis_model import BasisModel
 from sphrom.online.fast_model import FastModel, FastRun
-from sphrom.plots.canvas import save
-from sphrom.plots.panels import Curve, Panel, draw_grid
-from sphrom.plots.tables import format_figure, write_csv, write_json
-from sphrom.reduction.reference_model import Integrator, runge_kutta
+from sphrom.online.particle_runs import build_model, close, doubts_of_step
+from sphrom.online.stable_ranges import MEMORY, STEP, TIME
+from sphrom.reduction.particle_model import reduced_jacobian
+from sphrom.reduction.polynomial_model import EXPONENTIAL, RUNGE_KUTTA, steps_within
+from sphrom.reduction.reduced_rates import stability_limits
+from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps, choose, runge_kutta
+from sphrom.setup import particles
 from sphrom.setup.context import StageContext
+from sphrom.sph.fluid import fluctuation_of, pressure_of
+from sphrom.sph.time_loop import Clock, Model, TimeSteps, march
 from sphrom.store.sampling import probes_of
+from sphrom.store.starts import start
+from sphrom.store.stored_run import StoredRun
+from sphrom.store.trained_models import sized_in
 from sphrom.store.workspace import Workspace
 from sphrom.text import exact
 from sphrom.trade.candidates import (
-    FOLDER,
-    MOST_CLOSED_MODES,
-    extreme_points,
+    candidates,
+    first_model,
     global_basis,
     make,
-    models_of_sizes,
     prepared,
-    sampled,
+    trade_points,
     with_steps,
     workspace_of,
 )
+from sphrom.trade.stability import (
+    HALF,
+    ONE_RUN,
+    RESOLUTION,
+    ExtremeRun,
+    Kind,
+    cause_of_divergence,
+    kind_of,
+    limiting_step,
+    longest_memory,
+    publish,
+)
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-
-@dataclass(frozen=True)
-class Axis:
-    """A property that is varied."""
-
-    label: str
-    """In pictures."""
-    values: tuple[float, ...]
-    of_full_model: tuple[str, str] | None = None
-    """Section and key of a property of the full model."""
-
-
-TIME_STEP, MEMORY = "time step", "memory length"
-AXES = {
-    TIME_STEP: Axis("step over its limit [–]", (0.25, 0.5, 0.9, 1.0, 1.1, 1.5, 2.0, 4.0)),
-    MEMORY: Axis(
-        "memory length over automatic [–]", (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
-    ),
-    "Mach number": Axis("Mach number [–]", (0.02, 0.05, 0.1, 0.2, 0.3), ("fluid", "mach_number")),
-    "h/dx": Axis(
-        "h/dx [–]", (1.3, 1.5, 2.0, 3.0, 4.0), ("discretization", "smoothing_length_ratio")
-    ),
+FULL_MODEL: dict[str, tuple[str, str, tuple[float, ...]]] = {
+    "Mach number": ("fluid", "mach_number", (0.05, 0.1, 0.2, 0.3, 0.4)),
+    "h/dx": ("discretization", "smoothing_length_ratio", (1.2, 1.5, 2.0, 3.0, 4.0)),
+    RESOLUTION: ("discretization", "resolution", (10, 14, 20, 28, 40)),
 }
-INACCURATE = 10.0
-"""The velocity error from which a run counts as inaccurate [%]."""
-MOST_GROWTH = 2.0
-"""How far the coordinates of a run without a full one may exceed training's, to be accurate."""
-FULL_UNSTABLE, REFUSED = "full unstable", "refused"
-"""States of models that can't be made: a full run to learn from is unstable, or refused."""
-STATES = (REFUSED, "unstable", "stable", FULL_UNSTABLE, "inaccurate")
-"""In the order of colours of pictures: stable is green, unstable red, inaccurate orange."""
-MARKER = 8.0
-IN_A_ROW = 3
-
-
-@dataclass(frozen=True, kw_only=True)
-class ExtremeRow:
-    """One run at the extremes."""
-
-    parameters: str
-    varied: str
-    """A key of AXES."""
-    value: float
-    """Of the varied property; time steps over the limit, memory lengths over the automatic one."""
-    n_modes: int
-    projection: str
-    calibrated: bool
-    step_factor: float | None = None
-    """Ratio of the time step to the limit of Runge-Kutta steps; None where there was no run."""
-    time_step: float | None = field(default=None, metadata={"unit": "s"})
-    memory_length: float | None = field(default=None, metadata={"unit": "s"})
-    state: Literal["refused", "unstable", "stable", "full unstable", "inaccurate"]
-    velocity_error: float | None = field(default=None, metadata={"unit": "%"})
-    """None where the run was unstable, or there is no full run to compare with."""
-    growth: float | None = None
-    """Largest norm of the coordinates, over that of training snapshots."""
-    compared_with: str = ""
-    detail: str = ""
-    """Why a full run was unstable, or a run refused."""
+"""Properties of the full model: section, key and values."""
+FACTORS: dict[str, tuple[float, ...]] = {
+    STEP: (0.25, 0.5, 1.0, 2.0, 4.0, 10.0, 20.0, 40.0),
+    MEMORY: (1e-3, 1e-2, 0.1, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1e3),
+    TIME: (1.0, 2.0, 5.0, 10.0, 20.0),
+    REYNOLDS: (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0),
+}
+"""Over the automatic step and memory length, the trained time, and the trained values: up to 1 over
+the least, from 1 over the greatest."""
+QUICK: dict[str, tuple[float, ...]] = {
+    STEP: (0.5, 1.0, 4.0, 40.0),
+    MEMORY: (1e-3, 1.0, 30.0, 1e3),
+    TIME: (1.0, 2.0, 5.0),
+    REYNOLDS: (0.1, 0.5, 1.0, 2.0, 10.0),
+}
+SPARSER = 10
+"""Of the snapshots of a longer full run one in so many is kept."""
 
 
 @dataclass(frozen=True)
-class Beside:
-    """A parameter point, and the full run there that models are compared with."""
+class Truth:
+    """A full run to compare with."""
 
-    point: ParameterPoint
-    full_run: str = ""
-    """Its name; empty without one."""
-    samples: Samples | None = None
+    samples: Samples
+    """At the points where runs are compared."""
+    snapshots: Indices
+    """Which snapshots of a reduced run these are."""
+
+    def within(self, first: float, last: float) -> Truth:
+        """Return the part between two snapshots of a reduced run."""
+        kept = np.flatnonzero((self.snapshots >= first) & (self.snapshots <= last))
+        return Truth(self.samples.at(kept), self.snapshots[kept])
 
 
-def run(context: StageContext) -> None:
-    """Run models at their extremes, and write a table and a map of their stability.
+class GridModes:
+    """The modes of a model at the points where runs are compared."""
 
-    Raises CaseError when the case has no reduced models, ArtifactError when the basis, its splines
-    or the operators are missing.
+    def __init__(self, basis: BasisModel, grid: Array) -> None:
+        self._values = basis.splines.values(grid).reshape(len(grid), -1, 3)
+        self._product = basis.basis.inner_product
+        self._sound_speed = basis.workspace.case.plan.sound_speed
+        # Pressures are compared less their means.
+        constant = np.tile([1.0, 0.0, 0.0], len(grid))[:, None]
+        columns = self._values.transpose(0, 2, 1).reshape(len(constant), -1)
+        self._inverse = np.linalg.pinv(np.hstack((columns, constant)))[:-1]
+
+    def samples(self, coordinates: Array) -> Samples:
+        """Return the fields of coordinates (n_snapshots, n_modes), at times of no meaning."""
+        fields = np.tensordot(coordinates, self._values, (1, 1))
+        density = self._product.density_fluctuation(fields[..., 0])
+        times = np.arange(len(fields), dtype=np.float64)
+        return Samples(times, fields[..., 1:], pressure_of(density, self._sound_speed))
+
+    def nearest(self, full: Samples) -> Samples:
+        """Return the states in the basis that are nearest to a full run's at these points."""
+        first = self._product.first_field(fluctuation_of(full.pressure, self._sound_speed))
+        states = np.concatenate((first[..., None], full.velocity), axis=2)
+        return self.samples(states.reshape(len(states), -1) @ self._inverse.T)
+
+
+def errors_of(run: Samples, full: Samples) -> tuple[float, float]:
+    """Return the relative L2 errors [%] of velocity and of pressure less its mean."""
+    pressures = (without_mean(each.pressure)[..., None] for each in (run, full))
+    velocity = float(relative_l2(run.velocity, full.velocity, field_axes=3))
+    return velocity, float(relative_l2(*pressures, field_axes=3))
+
+
+def run(context: StageContext, quick: bool = False) -> None:
+    """Run models at their extremes, and write tables and maps into the case's folder `trade`.
+
+    Quick maps have fewer values, and no full runs at other Mach numbers, h/dx and resolutions.
+
+    Raises CaseError when the case has no reduced models, ArtifactError when a full run, the basis,
+    its splines or the operators are missing.
     """
-    case = context.case
-    models, closed = _models(case, "galerkin"), []
-    if not case.plan.driving:
-        closed = [model for model in _models(case, "apg") if model.size <= MOST_CLOSED_MODES]
-    workspace = prepared(context, [*models, *closed])
-    points, notes = context.chosen(extreme_points(case)), []
-    rows = list(_of_case(workspace, points, models, closed))
-    if _top(case) in points:
-        if _may_run(case):
-            rows += _of_full_models(workspace, models)
-        else:
-            why = "a spin-up" if case.time.spin_up > 0.0 else "trade.full_runs: false"
-            notes = [f"with {why}, Mach number and h/dx are not varied: they need full runs"]
-    publish(workspace, rows, notes)
+    maps = Maps(context, quick)
+    publish(maps.workspace, list(maps.runs()), maps.default, maps.own_values, maps.notes)
 
 
-def _models(case: Case, projection: Literal["galerkin", "apg"]) -> list[ReducedModelSection]:
-    """Return models of all sizes, calibrated where the case has such models."""
-    calibrated, basis = any(model.is_calibrated for model in case.rom), global_basis(case)
-    keys = {"calibrated": calibrated and "auto", "corrected": False}
-    return models_of_sizes(case, projection, basis, case.plan.basis_size(basis), **keys)
+class Maps:
+    """All runs of the maps of a case."""
 
+    def __init__(self, context: StageContext, quick: bool) -> None:
+        case = context.case
+        basis = global_basis(case)
+        own = sized_in(Workspace(context), first_model(case), basis)
+        self.factors, self.quick = QUICK if quick else FACTORS, quick
+        self.notes: list[str] = []
+        self.point = context.chosen(trade_points(case))[0]
+        self.default = own.projection, own.size
+        sections = candidates(case, (self.point,), basis, own.size)
+        self.workspace = prepared(context, sections)
+        self.case, self.grid = case, probes_of(case).grid
+        self.trained = case.plan.bases[basis]
+        self.models = [FastModel(self.workspace, section) for section in sections]
+        self._galerkin = [each for each in sections if each.projection == "galerkin"]
+        self._truths: dict[tuple[ParameterPoint, float, bool], Truth | None] = {}
+        self._points: dict[str, ParameterPoint] = {}
+        self._modes: dict[BasisModel, GridModes] = {}
 
-def _top(case: Case) -> ParameterPoint:
-    """Return where more than steps is varied: the greatest trained value."""
-    return max(case.plan.bases[global_basis(case)])
-
-
-def _may_run(case: Case) -> bool:
-    """Whether full runs may be made that the case doesn't have."""
-    return case.time.spin_up == 0.0 and case.trade.full_runs
-
-
-def _of_case(
-    workspace: Workspace,
-    points: Sequence[ParameterPoint],
-    models: Sequence[ReducedModelSection],
-    closed: Sequence[ReducedModelSection],
-) -> Iterator[ExtremeRow]:
-    """Yield the rows of models that are made from the case's artifacts."""
-    fast = [FastModel(workspace, model) for model in models]
-    with workspace.context.report.progress("extremes", len(points) * len(models)) as advance:
-        for point in points:
-            beside = _full_run(workspace, point)
-            for model in fast:
-                yield from (_row(model, beside, TIME_STEP, v) for v in AXES[TIME_STEP].values)
+    def runs(self) -> Iterator[ExtremeRun]:
+        """Yield the runs of all maps."""
+        parts = [self._steps, self._memory_lengths, self._parameters, self._times]
+        if not self.quick:
+            parts.append(self._one_training_run)
+        if not self.quick and self.case.trade.full_runs:
+            parts.append(self._full_models)
+        with self.workspace.context.report.progress("extremes", len(parts)) as advance:
+            for part in parts:
+                yield from part()
                 advance(1)
-            for section in closed if point == _top(workspace.case) else ():
-                automatic = FastModel(workspace, section).at(point).memory_length or 0.0
-                for factor in AXES[MEMORY].values:
-                    length = {"memory_length": factor * automatic}
-                    model = FastModel(workspace, section.model_copy(update=length))
-                    yield _row(model, beside, MEMORY, factor)
 
+    @property
+    def own_values(self) -> dict[str, float]:
+        """The values that varied quantities have in the default."""
+        of_case = {
+            name: float(getattr(getattr(self.case, section), key))
+            for name, (section, key, _) in FULL_MODEL.items()
+        }
+        return {**self.point.as_dict(), ONE_RUN: self.trained[0].reynolds, **of_case}
 
-def _full_run(workspace: Workspace, point: ParameterPoint) -> Beside:
-    """Return a full run to compare with: the case's, or a coarser one, where there is one."""
-    case = workspace.case
-    if point in case.plan.points:
-        return Beside(point, "full run", sampled(workspace, point, probes_of(case)))
-    if not _may_run(case):
-        return Beside(point)
-    # Its own step: viscosity may allow less than at the case's values.
-    made = workspace_of(workspace, coarser(case, (point,), point.file_label, {}))
-    return Beside(point) if make(made, made.case.name, [point]) else _beside(made, point)
+    # Maps
 
+    def _steps(self) -> Iterator[ExtremeRun]:
+        truth, plan = self._truth(self.point), self.case.plan
+        limits = plan.step_limits(self.point)
+        begin = start(self.workspace, self.point).state
+        for factor in self.factors[STEP]:
+            found = self._described(STEP, factor, self.point, "full")
+            found.mechanism = "sound" if limits.acoustic <= limits.viscous else "viscosity"
+            found.predicted = limits.least / plan.steps.time_step
+            functional = particles.functional(self.case, self.point)
+            yield self._marched(found, functional, begin, truth, factor)
+            yield from self._on_particles(factor, truth)
+            for method, fast in product((EXPONENTIAL, RUNGE_KUTTA), self.models):
+                yield self._fast(fast, STEP, factor, self.point, truth, factor, method)
 
-def _beside(made: Workspace, point: ParameterPoint) -> Beside:
-    samples = sampled(made, point, probes_of(made.case))
-    return Beside(point, f"full run, {made.case.discretization.resolution} across", samples)
+    def _memory_lengths(self) -> Iterator[ExtremeRun]:
+        truth = self._truth(self.point)
+        for model in self.models:
+            if model.section.projection == "galerkin":
+                continue
+            automatic = model.at(self.point).memory_length or 0.0
+            closed = {}
+            for factor in (1.0, 2.0, *self.factors[MEMORY]):
+                length = {"memory_length": factor * automatic}
+                closed[factor] = FastModel(self.workspace, model.section.model_copy(update=length))
+            longest = longest_memory(*(closed[factor].at(self.point) for factor in (1.0, 2.0)))
+            for factor in self.factors[MEMORY]:
+                found = self._fast(closed[factor], MEMORY, factor, self.point, truth)
+                found.predicted = longest
+                yield found
 
+    def _parameters(self) -> Iterator[ExtremeRun]:
+        at = self.point.as_dict()
+        for name in at:
+            if not all(point.as_dict()[name] > 0.0 for point in self.trained):
+                self.notes.append(f"{name} is not varied: its trained values aren't above zero")
+                continue
+            for value in self._extreme_values(name):
+                point = self.case.plan.point(at | {name: value})
+                truth, coarse = self._truth(point), self._truth(point, coarse=True)
+                if truth is not None and coarse is not None:
+                    found = self._described(name, value, point, "full", f", {HALF}")
+                    yield _compared(found, coarse.samples, truth.samples)
+                for model in self.models:
+                    yield self._fast(model, name, value, point, truth)
 
-def _of_full_models(
-    workspace: Workspace, models: Sequence[ReducedModelSection]
-) -> Iterator[ExtremeRow]:
-    """Yield the rows of the models of varied full models; one that fails stops nothing."""
-    point, variants = _top(workspace.case), varied_models(workspace.case, models)
-    with workspace.context.report.progress("other full models", len(variants)) as advance:
-        for (varied, value), variant in variants.items():
+    def _extreme_values(self, name: str) -> list[float]:
+        """Return the values of a parameter in and out of its trained range."""
+        trained, factors = [p.as_dict()[name] for p in self.trained], self.factors[REYNOLDS]
+        found = [factor * min(trained) for factor in factors if factor <= 1.0]
+        found += [factor * max(trained) for factor in factors if factor >= 1.0]
+        # Without rounding errors, which names would show.
+        return sorted({self.point.as_dict()[name], *(float(f"{value:.12g}") for value in found)})
+
+    def _times(self) -> Iterator[ExtremeRun]:
+        n_trained = self.case.plan.steps.n_snapshots - 1
+        truth = self._truth(self.point, self.factors[TIME][-1])
+        for factor in self.factors[TIME]:
+            # Errors count over the last part, which is as long as training runs.
+            ends = (factor - 1.0) * n_trained, factor * n_trained
+            last = truth and truth.within(*ends)
+            for model in self.models:
+                yield self._fast(model, TIME, factor, self.point, last, until=factor)
+
+    def _one_training_run(self) -> Iterator[ExtremeRun]:
+        """Yield the runs of models that learn from the first training run alone."""
+        case, only = self.case, self.trained[0]
+        others = [point for point in case.plan.points if point != only]
+        if not others:
+            return
+        # The same points, so that all full runs and their maps serve.
+        parameters = trained_at(case, [only]).parameters
+        parameters = parameters.model_copy(
+            update={"test": trained_at(case, others).parameters.train}
+        )
+        n_modes = min(case.plan.n_modes, case.plan.steps.n_snapshots)
+        alone = {"subsets": {}, "lagrangian": False, "n_modes": n_modes}
+        sections = [m for m in self._galerkin if m.size <= n_modes]
+        changes = {
+            "name": "extreme-one-training-run",
+            "parameters": parameters,
+            "basis": case.basis.model_copy(update=alone),
+            "rom": _of_all(sections),
+        }
+        kinds = ("packing", "state", "trajectory", "reference-snapshots")
+        folders = dict.fromkeys(kinds, self.workspace.out)
+        try:
+            own = self._learnt(case.model_copy(update=changes), folders)
+        except (UnstableError, CaseError, ResourceError) as error:
+            self.notes.append(f"{ONE_RUN}: {error}")
+            return
+        at = self.point.as_dict()
+        for value in self._extreme_values(REYNOLDS):
+            point = case.plan.point(at | {REYNOLDS: value})
+            truth = self._truth(point)
+            for model in own.case.rom:
+                yield self._fast(FastModel(own, model), ONE_RUN, value, point, truth)
+
+    def _full_models(self) -> Iterator[ExtremeRun]:
+        """Yield the runs of varied full models, and of the models that learn from them."""
+        own, coarse = self._truth(self.point), self._truth(self.point, coarse=True)
+        for varied, value, variant in varied_models(
+            self.case, (self.trained, self.point), self._galerkin
+        ):
+            found = self._described(varied, value, self.point, "full")
             try:
-                own = learnt(workspace, variant, f"{varied} {exact(value)}")
-                beside = _beside(own, point)
-                yield from [_row(FastModel(own, m), beside, varied, value) for m in variant.rom]
+                made = self._learnt(variant, {})
+                truth = self._full_run(made, self.point)
             except (UnstableError, CaseError, ResourceError) as error:
-                state = FULL_UNSTABLE if isinstance(error, UnstableError) else REFUSED
-                found = {"varied": varied, "value": value, "state": state, "detail": str(error)}
-                yield from [_described(model, point, **found) for model in variant.rom]
-            advance(1)
+                yield _failed(found, error)
+                continue
+            # As fine as the variant where it isn't the resolution that changes.
+            if (beside := own if varied == RESOLUTION else coarse or own) is not None:
+                yield _compared(found, truth.samples, beside.samples)
+            for model in made.case.rom:
+                yield self._fast(FastModel(made, model), varied, value, self.point, truth)
+
+    # Full runs to compare with
+
+    def _truth(
+        self, point: ParameterPoint, until: float = 1.0, *, coarse: bool = False
+    ) -> Truth | None:
+        """Return a full run `until` times as long, maybe half as fine; None where none can be."""
+        if (key := (point, until, coarse)) not in self._truths:
+            self._truths[key] = self._find(*key)
+        return self._truths[key]
+
+    def _find(self, point: ParameterPoint, until: float, coarse: bool) -> Truth | None:
+        case = self.case
+        if point in case.plan.points and until == 1.0 and not coarse:
+            return self._full_run(self.workspace, point)
+        resolution = coarser_resolution(case) if coarse else case.discretization.resolution
+        if not case.trade.full_runs or resolution is None:
+            return None
+        changes, steps = {}, case.plan.steps
+        if until > 1.0:
+            end = case.time.spin_up + until * case.plan.recorded_time
+            changes = {"time": case.time.model_copy(update={"final_time": end})}
+            steps = replace(steps, every=SPARSER * steps.every)
+        name = f"{point.file_label}-{exact(until)}"
+        variant = varied_case(case, (point,), None, name, resolution, changes, steps)
+        made = workspace_of(self.workspace, variant)
+        try:
+            failed = make(made, variant.name, [point])
+        except (CaseError, ResourceError) as error:
+            self.notes.append(f"{variant.name}, refused: {error}")
+            return None
+        return None if failed else self._full_run(made, point, SPARSER if until > 1.0 else 1)
+
+    def _full_run(self, workspace: Workspace, point: ParameterPoint, stride: int = 1) -> Truth:
+        with StoredRun.opened(workspace, point) as stored:
+            samples = stored.sampled(self.grid)
+        truth = Truth(samples, stride * np.arange(len(samples.time), dtype=np.int64))
+        steps = self.case.plan.steps
+        since = (self.case.compare.from_time - steps.start_time) / steps.snapshot_interval
+        return truth.within(since - 1e-6, np.inf)
+
+    def _learnt(self, variant: Case, folders: Mapping[str, Any]) -> Workspace:
+        """Make a variant's full runs and its reduced models; return their workspace."""
+        for problem in case_problems(variant):
+            raise CaseError(str(problem))
+        context = self.workspace.context
+        context = replace(context, only=None, report=context.report.brief(label=variant.name))
+        own = workspace_of(Workspace(context), variant, folders)
+        for stage in (fom, mapping, pod, fit_psi, operators):
+            stage.run(own.context)
+        return own
+
+    # Runs
+
+    def _described(
+        self, varied: str, value: float, point: ParameterPoint, kind: Kind, steps: str = ""
+    ) -> ExtremeRun:
+        self._points[point.label] = point
+        at = point.label
+        return ExtremeRun(varied=varied, value=value, parameters=at, kind=kind, steps=steps)
+
+    def _fast(
+        self,
+        model: FastModel,
+        varied: str,
+        value: float,
+        point: ParameterPoint,
+        truth: Truth | None,
+        factor: float = 1.0,
+        method: str = EXPONENTIAL,
+        *,
+        until: float = 1.0,
+    ) -> ExtremeRun:
+        """Run a fast model in steps that are a factor as long as the automatic ones."""
+        basis = model.at_point(point)
+        found = self._described(varied, value, point, "fast", method)
+        found.projection, found.n_modes = basis.section.projection, basis.section.size
+        try:
+            reduced = model.at(point)
+            times = reduced.output_times
+            n_snapshots = round(until * (times.n_snapshots - 1)) + 1
+            reduced = replace(reduced, output_times=replace(times, n_snapshots=n_snapshots))
+            integrator = basis.integrator(reduced).with_steps(factor)
+            if method == RUNGE_KUTTA:
+                integrator = choose(reduced, partial(_runge_kutta, factor))
+                found.mechanism, limit = limiting_step(integrator.steps.model)
+                found.predicted = factor * limit / integrator.steps.time_step
+            run = self.integrated(found, model, reduced, integrator)
+        except CaseError as refused:  # Its steps are too many for any run to end.
+            return _failed(found, refused)
+        found.time_step, found.memory_length = run.time_step, reduced.memory_length
+        found.extrapolated, found.end_time = bool(run.outside), float(run.time[-1])
+        if run.failure is not None:
+            found.state, found.diverged_at = "unstable", run.diverged_at
+            found.mechanism = cause_of_divergence(run, integrator)
+            found.reason = f"{str(run.failure).partition(';')[0]}: {found.mechanism}"
+            return found
+        if (own := run.estimate) is not None:
+            found.velocity_estimate = own.velocity_percent
+            found.pressure_estimate = own.pressure_percent
+        found.told = "; ".join(run.doubts)
+        if truth is None:
+            return found
+        if basis not in self._modes:
+            self._modes[basis] = GridModes(basis, self.grid)
+        modes = self._modes[basis]
+        samples = modes.samples(run.coordinates[truth.snapshots])
+        return _compared(found, samples, truth.samples, modes.nearest(truth.samples))
+
+    def integrated(
+        self, found: ExtremeRun, model: FastModel, reduced: ReferenceModel, integrator: Integrator
+    ) -> FastRun:
+        """Run a fast model."""
+        return model.run(self._points[found.parameters], reduced, integrator)
+
+    def _on_particles(self, factor: float, truth: Truth | None) -> Iterator[ExtremeRun]:
+        """Run models on particles in steps that are a factor as long as the full model's."""
+        plan, own = self.case.plan.steps, self.default[1]
+        for section in (model.section for model in self.models if model.section.size == own):
+            found = self._described(STEP, factor, self.point, "particles")
+            found.projection, found.n_modes = section.projection, own
+            found.told = "; ".join(doubts_of_step(factor))
+            moving = section.model_copy(update={"evaluation": "particles"})
+            model, state = build_model(self.workspace, moving, self.point)
+            jacobian = reduced_jacobian(model, state, plan.start_time)
+            close(self.case, moving, model, state, plan.start_time)
+            values, vectors = np.linalg.eig(jacobian[: section.size, : section.size])
+            limits = stability_limits(values.astype(np.complex128))
+            worst = int(limits.argmin())
+            basis = FastModel(self.workspace, section).at_point(self.point).basis
+            found.mechanism = kind_of(basis, values[worst], vectors[:, worst])
+            found.predicted = float(limits[worst]) / plan.time_step
+            yield self._marched(found, model, state, truth, factor)
+
+    def _marched(
+        self, found: ExtremeRun, model: Model, state: Array, truth: Truth | None, factor: float
+    ) -> ExtremeRun:
+        """Run a model of particles in steps over the full model's, without leaving artifacts."""
+        plan, fields = self.case.plan.steps, []
+        ratio = Fraction(factor).limit_denominator(1000) / plan.every
+        n_kept = (plan.n_snapshots - 1) // ratio.numerator
+        found.time_step, every = factor * plan.time_step, ratio.denominator
+        n_steps = max(1, n_kept * every)
+        steps = TimeSteps(found.time_step, n_steps, every, plan.start_time, every)
+        sample, density = particles.sampler(self.case, self.grid), self.case.fluid.reference_density
+        try:
+            with np.errstate(all="ignore"):
+                for _, kept in march(model, state, steps, density, Clock(), lambda done: None):
+                    at = model.snapshot(kept)
+                    fields.append(sample(at.position.T, at.density_fluctuation, at.velocity.T))
+        except (UnstableError, ValueError) as error:
+            return _failed(found, error)
+        snapshots = ratio.numerator * np.arange(len(fields), dtype=np.int64)
+        if truth is None or not (both := np.isin(snapshots, truth.snapshots)).any():
+            return found
+        densities, velocities = (np.array(each)[both] for each in zip(*fields, strict=True))
+        full = truth.samples.at(np.searchsorted(truth.snapshots, snapshots[both]))
+        pressures = pressure_of(densities, self.case.plan.sound_speed)
+        return _compared(found, Samples(full.time, velocities, pressures), full)
 
 
-def varied_models(
-    case: Case, models: Sequence[ReducedModelSection]
-) -> dict[tuple[str, float], Case]:
-    """Return the full model at every value of its properties, with reduced models to make of it.
-
-    It learns at the trained points. Its only basis is of all of its runs.
-    """
-    asked = tuple(model.model_copy(update={"basis": ALL}) for model in models)
-    points, found = case.plan.bases[global_basis(case)], {}
-    for varied, axis in AXES.items():
-        if axis.of_full_model is not None:
-            section, key = axis.of_full_model
-            for value in axis.values:
-                changed = {section: getattr(case, section).model_copy(update={key: value})}
-                variant = coarser(case, points, f"{key}-{exact(value)}", changed)
-                found[varied, value] = variant.model_copy(update={"rom": asked})
+def _compared(
+    found: ExtremeRun, samples: Samples, full: Samples, best: Samples | None = None
+) -> ExtremeRun:
+    """Give a run its errors, and those of the nearest states in its basis."""
+    found.velocity_error, found.pressure_error = errors_of(samples, full)
+    if best is not None:
+        found.velocity_best, found.pressure_best = errors_of(best, full)
     return found
 
 
-def coarser(
-    case: Case, points: Sequence[ParameterPoint], name: str, changed: dict[str, Any]
-) -> Case:
-    """Return the full model at half the resolution where the case fits that, with other sections.
+def _failed(found: ExtremeRun, error: Exception) -> ExtremeRun:
+    """Return a run that could not be made, or not to its end."""
+    refused = isinstance(error, CaseError | ResourceError)
+    found.state, found.reason = "refused" if refused else "unstable", str(error)
+    return found
 
-    It has runs at some points and no others, one basis, and the case's snapshots.
-    """
-    changes: dict[str, Any] = {
-        "parameters": ParameterSection(train=trained_at(case, points).parameters.train),
+
+def _runge_kutta(factor: float, part: ReferenceModel) -> Steps:
+    n_steps = steps_within(part.output_times.duration, factor * part.step_limit)
+    return runge_kutta(part, n_steps)
+
+
+def _of_all(models: list[ReducedModelSection]) -> tuple[ReducedModelSection, ...]:
+    return tuple(model.model_copy(update={"basis": ALL}) for model in models)
+
+
+def varied_models(
+    case: Case,
+    points: tuple[tuple[ParameterPoint, ...], ParameterPoint],
+    sections: list[ReducedModelSection],
+) -> Iterator[tuple[str, float, Case]]:
+    """Yield the full model, half as fine, at every value of its properties, and its models."""
+    for varied, (section, key, values) in FULL_MODEL.items():
+        for value in values:
+            resolution = coarser_resolution(case) or case.discretization.resolution
+            changes = {section: getattr(case, section).model_copy(update={key: value})}
+            if varied == RESOLUTION:
+                resolution, changes = int(value), {}
+                if value >= case.discretization.resolution:
+                    continue
+            name = f"{key}-{exact(value)}"
+            variant = varied_case(case, *points, name, resolution, changes)
+            yield varied, value, variant.model_copy(update={"rom": _of_all(sections)})
+
+
+def varied_case(
+    case: Case,
+    points: tuple[ParameterPoint, ...],
+    tested: ParameterPoint | None,
+    name: str,
+    resolution: int,
+    changes: Mapping[str, Any],
+    snapshots: TimeSteps | None = None,
+) -> Case:
+    """Return the full model at some points, with one basis and the case's or given snapshots."""
+    parameters = trained_at(case, points).parameters
+    test = TestValues() if tested is None else trained_at(case, [tested]).parameters.train
+    whole: dict[str, Any] = {
+        "parameters": parameters.model_copy(update={"test": test}),
         "basis": case.basis.model_copy(update={"subsets": {}, "lagrangian": False}),
-        "operators": case.operators.model_copy(update={"error_estimate": False}),
         "compare": case.compare.model_copy(update={"figures": ()}),
         # Sections of other studies, which ask for models that it doesn't have.
         **{name: type(getattr(case, name))() for name in ("sweep", "fit", "training")},
     }
-    other = case.model_copy(update=changes | changed)
-    resolution = coarser_resolution(case) or case.discretization.resolution
-    variant = with_steps(other, resolution, case.time.courant_number, case.plan.steps)
+    other = case.model_copy(update=whole | dict(changes))
+    variant = with_steps(other, resolution, other.time.courant_number, snapshots or case.plan.steps)
     return variant.model_copy(update={"name": f"extreme-{resolution}-{name}"})
-
-
-def learnt(workspace: Workspace, variant: Case, label: str) -> Workspace:
-    """Make a variant's full runs and the artifacts of its reduced models; return their workspace.
-
-    Raises UnstableError when one of its full runs is unstable, CaseError when the case can't have
-    that value, ResourceError when a run would not fit this machine.
-    """
-    for problem in case_problems(variant):
-        raise CaseError(str(problem))
-    report = workspace.context.report.brief(label=label)
-    wider = Workspace(replace(workspace.context, report=report, only=None))
-    own = workspace_of(wider, variant)
-    for stage in (fom, mapping, pod, fit_psi, operators):
-        stage.run(own.context)
-    return own
-
-
-def _row(model: FastModel, beside: Beside, varied: str, value: float) -> ExtremeRow:
-    """Run a model in its own steps, or where these are varied in steps over its limit.
-
-    Steps over the limit are of Runge and Kutta; a whole number of them makes the run.
-    """
-    reduced, integrator = model.at(beside.point), None
-    if varied == TIME_STEP:
-        n_steps = max(1, round(reduced.output_times.duration / (value * reduced.step_limit)))
-        integrator = Integrator(reduced, runge_kutta(reduced, n_steps))
-    found: dict[str, Any] = {"varied": varied, "value": value, "compared_with": beside.full_run}
-    found["memory_length"] = reduced.memory_length
-    state = "unstable"
-    try:
-        run = model.run(beside.point, reduced, integrator)
-    except CaseError as refused:  # Its steps are too many for any run to end.
-        return _described(model.section, beside.point, **found, state=REFUSED, detail=str(refused))
-    found |= {"time_step": run.time_step, "step_factor": run.time_step / reduced.step_limit}
-    if run.failure is None:
-        trained = np.linalg.norm(model.at_point(beside.point).states, axis=1).max()
-        growth = float(np.linalg.norm(run.coordinates, axis=1).max() / trained)
-        error = _velocity_error(run, beside.samples)
-        found |= {"velocity_error": error, "growth": growth}
-        state = state_of(error, growth)
-    return _described(model.section, beside.point, **found, state=state)
-
-
-def _velocity_error(run: FastRun, full: Samples | None) -> float | None:
-    """Return the velocity error [%] of a run, None without a full run to compare with."""
-    case = run.model.workspace.case
-    if full is None:
-        return None
-    probes = probes_of(case)
-    history = compare(run.sampled(probes.all), full, probes, case.compare.from_time)
-    name = f"velocity_{case.trade.probes}_relative_l2"
-    return errors_of(history)[name] if len(history.time) else None
-
-
-def state_of(error: float | None, growth: float) -> str:
-    """Return the state of a run from its velocity error [%], without one from its growth."""
-    inaccurate = growth > MOST_GROWTH if error is None else error > INACCURATE
-    return "inaccurate" if inaccurate else "stable"
-
-
-def _described(model: ReducedModelSection, point: ParameterPoint, **found: Any) -> ExtremeRow:
-    return ExtremeRow(
-        parameters=point.label,
-        n_modes=model.size,
-        projection=model.projection,
-        calibrated=model.is_calibrated,
-        **found,
-    )
-
-
-def publish(workspace: Workspace, rows: Sequence[ExtremeRow], notes: Sequence[str]) -> None:
-    """Write the tables and the maps of stability, and show them with some notes."""
-    report, folder = workspace.context.report, workspace.folder(FOLDER)
-    write_csv(folder / "extremes.csv", rows)
-    path, name = folder / "extremes.json", workspace.case.name
-    write_json(path, {"extremes": rows}, name, workspace.threads)
-    save(draw_extremes(rows), folder / "extremes.png")
-    for title, some in _maps(rows).items():
-        cells = {(row.n_modes, row.value): _cell(row) for row in some}
-        values = sorted({row.value for row in some})
-        against = some[0].compared_with or f"no full run: inaccurate above {MOST_GROWTH:g} growth"
-        report.table(
-            f"{title} ({against}): velocity error [%] by {AXES[some[0].varied].label}, ~ where "
-            f"above {format_figure(INACCURATE)} %",
-            ("M", *map(exact, values)),
-            [
-                (str(n), *(cells[n, value] for value in values))
-                for n in dict.fromkeys(row.n_modes for row in some)
-            ],
-        )
-    failed = (f"{r.varied} {exact(r.value)}, {r.state}: {r.detail}" for r in rows if r.detail)
-    for note in (*notes, *dict.fromkeys(failed)):
-        report.info(note)
-    report.info(f"extremes.csv, extremes.json and extremes.png are in {folder}")
-
-
-def _cell(row: ExtremeRow) -> str:
-    """Return the velocity error of a run, or its state alone."""
-    if row.velocity_error is None:
-        return row.state
-    return format_figure(row.velocity_error) + (" ~" if row.state == "inaccurate" else "")
-
-
-def _maps(rows: Sequence[ExtremeRow]) -> dict[str, list[ExtremeRow]]:
-    """Return the rows of each map by its title."""
-    maps: dict[str, list[ExtremeRow]] = {}
-    for row in rows:
-        maps.setdefault(f"{row.varied}, {row.parameters}", []).append(row)
-    return maps
-
-
-def draw_extremes(rows: Sequence[ExtremeRow]) -> Figure:
-    """Draw where models are stable: the number of modes against each varied quantity."""
-    panels = []
-    for title, some in _maps(rows).items():
-        curves = []
-        for k, state in enumerate(STATES):
-            places = [(row.value, row.n_modes) for row in some if row.state == state]
-            values, modes = np.array(places, dtype=float).reshape(-1, 2).T
-            curves.append(Curve(state, values, modes, "reference", place=k))
-        label = AXES[some[0].varied].label
-        panels.append(Panel(title, label, "modes M [–]", curves, "both logarithmic"))
-    figure = draw_grid([panels[k : k + IN_A_ROW] for k in range(0, len(panels), IN_A_ROW)])
-    for axes in figure.axes:
-        for line in axes.get_lines():
-            line.set(markersize=MARKER, markevery=1)
-        axes.margins(0.1)
-    return figure

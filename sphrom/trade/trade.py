@@ -33,16 +33,12 @@ from sphrom.metrics.measures import mean_square
 from sphrom.metrics.samples import Samples
 from sphrom.online.error_estimates import measured_errors, measured_shares
 from sphrom.online.fast_model import FastModel, FastRun
+from sphrom.online.stable_ranges import TIME, StableRange, stable_ranges
 from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Panel, draw_grid
-from sphrom.plots.tables import (
-    UNKNOWN,
-    format_figure,
-    rows_of_columns,
-    write_csv,
-    write_json,
-)
+from sphrom.plots.tables import UNKNOWN, format_figure, rows_of_columns, write_csv, write_json
 from sphrom.reduction import reference_model
+from sphrom.reduction.polynomial_model import EXPONENTIAL
 from sphrom.setup.assembly import role_of
 from sphrom.setup.context import StageContext
 from sphrom.store.sampling import probes_of
@@ -50,7 +46,7 @@ from sphrom.store.trajectory import require_complete
 from sphrom.store.workspace import Workspace
 from sphrom.text import counted
 from sphrom.trade import candidates as weighed_models
-from sphrom.trade.candidates import FOLDER, STEP_FACTORS, candidates, trade_points
+from sphrom.trade.candidates import FOLDER, candidates, first_model, trade_points
 from sphrom.trade.weighing import (
     ESTIMATE,
     FRONTS,
@@ -110,7 +106,7 @@ class _Trade:
     def __init__(self, context: StageContext) -> None:
         self.workspace, self.case = Workspace(context), context.case
         points = context.chosen(trade_points(self.case))
-        self.models = candidates(self.case, points)
+        self.models = candidates(self.case, points, first_model(self.case).basis)
         self.wider = weighed_models.prepared(context, self.models)
         self.probes = probes_of(self.case)
         self.full: dict[ParameterPoint, Samples] = {}
@@ -169,32 +165,27 @@ class _Trade:
         return ModelRow.of(runs, family="full", kind="full", resolution=resolution), runs
 
     def _reduced(self) -> list[Rows]:
-        """Run all reduced models; where rounding gives several one step, keep the first."""
-        found: dict[tuple[object, ...], Rows] = {}
         with self.workspace.context.report.progress("reduced models", len(self.models)) as advance:
+            found = []
             for model in self.models:
-                for factor in STEP_FACTORS:
-                    rows = self._of(model, factor)
-                    steps = tuple(run.time_step for run in rows[1])
-                    found.setdefault((model.name, steps), rows)
+                found.append(self._of(model))
                 advance(1)
-        return list(found.values())
+        return found
 
-    def _of(self, section: ReducedModelSection, factor: int) -> Rows:
-        """Run a reduced model at all points, in steps over automatic ones; return its rows."""
+    def _of(self, section: ReducedModelSection) -> Rows:
+        """Run a reduced model at all points; return its rows."""
         fast = FastModel(self.wider, section)
         family = "APG" if section.projection == "apg" else "Galerkin"
         own = [m for m in self.case.rom if m.model_copy(update={"name": section.name}) == section]
-        label = f"{family}, M = {section.size}" + (f", {factor} dt" if factor > 1 else "")
-        label += f" ({own[0].name})" if own and factor == 1 else ""
+        label = f"{family}, M = {section.size}" + (f" ({own[0].name})" if own else "")
         listed = (*own, section)[0].model_dump(exclude_defaults=True)
         keys = ", ".join(f"{key}: {value}" for key, value in listed.items())
-        runs = [self._fast(fast, label, factor, point) for point in self.full]
+        runs = [self._fast(fast, label, point) for point in self.full]
         offline, training = offline_seconds(self.wider, section, list(self.full), self.full_seconds)
         row = ModelRow.of(
             runs,
             family=family,
-            keys=f"{{{keys}}}" if factor == 1 else None,
+            keys=f"{{{keys}}}",
             kind=section.evaluation,
             n_modes=section.n_modes,
             resolution=self.case.discretization.resolution,
@@ -203,11 +194,10 @@ class _Trade:
         )
         return row, runs
 
-    def _fast(self, fast: FastModel, label: str, factor: int, point: ParameterPoint) -> RunRow:
+    def _fast(self, fast: FastModel, label: str, point: ParameterPoint) -> RunRow:
         measure, role = self.case.trade.measure, role_of(self.case, fast.basis_at(point), point)
         reduced = fast.at(point)
-        steps = reference_model.automatic(reduced).with_steps(factor)
-        found, seconds = steps.timed(self.case.trade.repeats)
+        found, seconds = reference_model.automatic(reduced).timed(self.case.trade.repeats)
         run = FastRun(**vars(found), model=fast, point=point, reduced=reduced)
         samples = None
         if run.failure is None:
@@ -262,8 +252,13 @@ def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None)
         write_csv(folder / f"{name}.csv", each)
     words = "`--tolerance 1%` recommends the cheapest model within 1 %"
     if tolerance is not None:
-        possible = [row for row in rows if row.kind == "full" or row.keys is not None]
+        maps = {row.model: _mapped(workspace, row) for row in rows if row.kind != "full"}
+        unstable = [name for name, ranges in maps.items() if any(r.is_unstable for r in ranges)]
+        possible = [row for row in rows if row.model not in unstable]
         advice, words = recommend(possible, without, tolerance, measure)
+        advice["unstable_by_maps"] = ", ".join(unstable)
+        if told := "; ".join(each.words for each in maps.get(advice["model"], ())):
+            words += f". Its maps: {told}"
         tables["recommendation"] = rows_of_columns(dict.fromkeys(advice), [advice])
     case, path, seconds = workspace.case, folder / "trade.json", timed_words(workspace.case)
     words_of = {"seconds": seconds, "judged_by": measure.words}
@@ -284,6 +279,16 @@ def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None)
     )
     report.prose(words)
     report.info(f"tables, trade.json and trade.png are in {folder}")
+
+
+def _mapped(workspace: Workspace, row: ModelRow) -> list[StableRange]:
+    """Return what maps of the extremes say of a model in its automatic steps."""
+    name = "apg" if row.family == "APG" else "galerkin"
+    found = (r for r in stable_ranges(workspace) if (r.kind, r.steps) == ("fast", EXPONENTIAL))
+    asked = (*workspace.case.plan.parameter_names, TIME)
+    return [
+        r for r in found if (r.projection, r.n_modes) == (name, row.n_modes) and r.varied in asked
+    ]
 
 
 def timed_words(case: Case) -> str:

@@ -291,10 +291,7 @@ class Tolerance:
 
 
 def recommend(
-    rows: Sequence[ModelRow],
-    without: Sequence[Alternative],
-    tolerance: Tolerance,
-    measure: Measure,
+    rows: Sequence[ModelRow], without: Sequence[Alternative], tolerance: Tolerance, measure: Measure
 ) -> tuple[dict[str, Any], str]:
     """Return which model to take within a tolerance, and the same in words.
 

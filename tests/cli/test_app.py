@@ -126,10 +126,9 @@ def test_only(sphrom, stages, case_file):
 def test_only_of_what_trade_weighs(sphrom, stages, case_file):
     sphrom("trade", case_file, "--only", "reynolds=150", code=0)
     sphrom("trade", case_file, "--only", "reynolds=100", code=2)
-    sphrom("trade", case_file, "--only", "reynolds=2000", "--extremes", code=0)
-    sphrom("trade", case_file, "--only", "reynolds=2000", code=2)
+    sphrom("trade", case_file, "--only", "reynolds=150", "--extremes", code=0)
     found = [context.only for stage in ("trade", "extremes") for context in stages[stage]]
-    assert found == [(ParameterPoint(value),) for value in (150.0, 2000.0)]
+    assert found == [(ParameterPoint(150.0),)] * 2
 
 
 @pytest.mark.parametrize("command", ["fom --quiet", "case check"])

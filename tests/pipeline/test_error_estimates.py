@@ -125,8 +125,8 @@ def test_each_prediction_comes_with_its_estimate(made) -> None:
 @pytest.mark.parametrize(
     ("case", "inside", "outside", "trained"),
     [
-        (LID, "125", "400", "reynolds 100 to 200 until 3 s"),
-        (OPEN, "2400", "1800", "reynolds 2400 until 0.03 s"),
+        (LID, "125", "400", "100 to 200 of reynolds"),
+        (OPEN, "2400", "1800", "2400 of reynolds"),
     ],
     ids=["lid", "spun up"],
 )
@@ -137,7 +137,7 @@ def test_outside_of_training_no_factor_of_training_is_claimed(
     found = dict(re.findall(r"^fast, reynolds=(\d+): estimated errors: (.*)$", told, re.MULTILINE))
     assert "factor" in found[inside]
     assert "factor" not in found[outside]
-    assert found[outside].endswith(f"extrapolated, as the model was trained on {trained} only")
+    assert f"outside of the trained range, {trained}: a reduced" in found[outside]
 
 
 def test_estimates_rise_with_what_the_basis_does_not_hold_of_the_change(made) -> None:

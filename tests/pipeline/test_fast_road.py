@@ -254,7 +254,7 @@ def test_a_run_that_diverges(place, sphrom, peaks):
     change = ("--set", "rom.1.memory_length=1000", "--set", "rom.1.time_step=fom")
     result = sphrom("run", "vortex.yaml", *change, "--force", "--threads", 1, code=4)
     assert "error: apg, reynolds=100: unstable after t = " in result.stderr
-    assert "is beyond the model's limit of" in result.stderr
+    assert "is beyond the model's stability limit of" in result.stderr
     with run_of(place, "apg-reynolds100") as run:
         run.verify_content()
         assert run.text("status") == "unstable"

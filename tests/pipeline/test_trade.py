@@ -2,14 +2,15 @@ from __future__ import annotations
 
 import csv
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import yaml
 
+from sphrom.case.points import REYNOLDS
 from sphrom.errors import UnstableError
-from sphrom.trade import candidates, extremes
+from sphrom.online.stable_ranges import MEMORY, STEP, TIME
+from sphrom.trade import extremes
 
 FEW = ("trade.repeats=1", "trade.n_modes=[2,3]", "trade.resolutions=[12,16]", "compare.plots=false")
 REFERENCE = {"name": "fast", "evaluation": "operators", "n_modes": 3}
@@ -98,99 +99,125 @@ def test_further_full_runs_are_kept(weigh, place):
 
 
 @pytest.fixture
-def vary(monkeypatch):
-    """Choose the values that are varied; by default steps alone, at the greatest trained value."""
+def few(monkeypatch):
+    """Few values in maps of the extremes, and no others of the full model but the given."""
+    values = {STEP: (1.0, 40.0), MEMORY: (1.0, 1e3), TIME: (1.0, 2.0), REYNOLDS: (0.5, 1.0, 5.0)}
+    for name in values:
+        monkeypatch.setitem(extremes.FACTORS, name, values[name])
+        monkeypatch.setitem(extremes.QUICK, name, values[name])
 
-    def choose(reynolds: tuple[float, ...] = (1.0,), **changes: tuple[float, ...]) -> None:
-        monkeypatch.setattr(candidates, "REYNOLDS_FACTORS", reynolds)
-        for name, axis in extremes.AXES.items():
-            default = () if axis.of_full_model else axis.values
-            values = changes.get(name.split()[0].replace("/", "_"), default)
-            monkeypatch.setitem(extremes.AXES, name, replace(axis, values=values))
+    def choose(**values: tuple[float, ...]) -> None:
+        for name, (section, key, _) in extremes.FULL_MODEL.items():
+            found = values.get(key, ())
+            monkeypatch.setitem(extremes.FULL_MODEL, name, (section, key, found))
 
     return choose
 
 
-def of(rows: list[dict[str, str]], varied: str) -> list[dict[str, str]]:
-    return [row for row in rows if row["varied"] == varied]
+def of(rows: list[dict[str, str]], **wanted: str) -> list[dict[str, str]]:
+    return [row for row in rows if all(row[name] == value for name, value in wanted.items())]
 
 
-def test_extremes(weigh, place, vary):
-    vary((0.1, 1.0), memory=())
-    weigh((), "--extremes")
+def test_quick_maps_say_where_models_are_stable_and_right(sphrom, weigh, place, few):
+    with_model()
+    few()
+    assert sphrom("operators", *options()).exit_code == 0
+    before = written(place)
+    words = weigh((), "--extremes", "--quick")
     rows = rows_of(place, "extremes")
-    assert {row["varied"] for row in rows} == {"time step"}
-    assert len(rows) == 2 * 2 * 8
-    assert {row["parameters"] for row in rows} == {"reynolds=10", "reynolds=200"}
-    assert {row["state"] for row in rows} <= {"stable", "inaccurate", "unstable"}
-    small = [row for row in rows if float(row["step_factor"]) < 0.95]
-    assert len(small) >= 12
-    assert all(row["state"] != "unstable" for row in small)
-    compared = {row["parameters"]: row["compared_with"] for row in rows}
-    assert compared == {"reynolds=10": "full run, 8 across", "reynolds=200": "full run"}
+    assert {row["varied"] for row in rows} == {STEP, MEMORY, REYNOLDS, TIME}
+    assert {row["kind"] for row in rows} == {"full", "particles", "fast"}
+    assert written(place) == before
+    assert (place / "trade" / "extreme-16-reynolds1000-1" / "fom-reynolds1000.h5").exists()
     assert (place / "trade" / "extremes.png").stat().st_size > 10_000
-    assert (place / "trade" / "extreme-8-reynolds10" / "fom-reynolds10.h5").exists()
+    assert f"{len(rows)} runs: " in words
+    assert "right is what is off by at most" in words
+
+    (own,) = of(rows, varied=STEP, value="1.0", n_modes="3", steps="exponential", kind="fast",
+                projection="galerkin")  # fmt: skip
+    assert own["state"] == "right"
+    # No sound limits exponential steps; it does others, where the eigenvalue says so.
+    steps = of(rows, varied=STEP, kind="fast")
+    assert all(row["state"] != "unstable" for row in of(steps, steps="exponential"))
+    for row in of(steps, steps="runge-kutta") + of(rows, varied=STEP, kind="full"):
+        if row["state"] == "unstable":
+            assert float(row["value"]) > float(row["predicted"])
+            assert row["mechanism"] == "sound"
+            assert "t = " in row["reason"]
+    assert of(rows, varied=STEP, kind="full", state="unstable")
+    # What is right is so by its errors, and what isn't says why.
+    for row in of(rows, kind="fast"):
+        errors = [row["velocity_error"], row["pressure_error"]]
+        allowed = [2.0 * float(own[name]) for name in ("velocity_error", "pressure_error")]
+        if all(errors):
+            within = all(float(e) <= a for e, a in zip(errors, allowed, strict=True))
+            assert (row["state"] == "right") == within
+        assert (row["state"] == "right") or row["mechanism"]
+        assert (row["extrapolated"] == "True") == bool(row["told"])
 
 
 @pytest.mark.slow
-def test_extremes_of_memory_and_of_the_full_model(weigh, place, vary):
-    vary(Mach=(0.05, 0.2), h_dx=(1.3, 4.0))
-    before = written(place)
+def test_maps_of_the_full_model_and_of_one_training_run(sphrom, weigh, place, few):
+    with_model()
+    assert sphrom("operators", *options()).exit_code == 0
+    few(mach_number=(0.05, 0.2), smoothing_length_ratio=(1.3, 4.0), resolution=(8, 12, 40))
     words = weigh((), "--extremes")
     rows = rows_of(place, "extremes")
-    steps, memories, mach, smoothing = (of(rows, name) for name in extremes.AXES)
-    assert [len(some) for some in (steps, memories, mach, smoothing)] == [16, 18, 4, 4]
-
-    assert {row["projection"] for row in memories} == {"apg"}
-    ratios = [float(row["memory_length"]) / float(row["value"]) for row in memories[:9]]
-    assert ratios == pytest.approx([ratios[0]] * 9)
-    for row in (*memories[:5], *mach, *smoothing[:2]):
-        assert row["state"] == "stable"
-        assert 0.0 < float(row["velocity_error"]) < 10.0
-        assert float(row["time_step"]) > 0.0
-    assert len({row["velocity_error"] for row in mach}) == 4
-
+    ratios = {
+        float(row["memory_length"]) / float(row["value"])
+        for row in of(rows, varied=MEMORY, n_modes="3")
+    }
+    assert max(ratios) == pytest.approx(min(ratios))
+    for varied in ("Mach number", "h/dx", "resolution", "reynolds, one training run"):
+        fast = of(rows, varied=varied, kind="fast")
+        assert fast
+        assert all(0.0 < float(row["velocity_error"]) < 20.0 for row in fast)
+    # A finer full model than the case's is not made.
+    assert {row["value"] for row in rows if row["varied"] == "resolution"} == {"8", "12"}
     # A kernel wider than the box is a state too, and stops nothing.
-    for row in smoothing[2:]:
-        assert (row["state"], row["velocity_error"], row["time_step"]) == ("refused", "", "")
-        assert "a support of radius" in row["detail"]
-    assert "h/dx 4, refused: discretization.smoothing_length_ratio: a support of" in words
-    assert {row["compared_with"] for row in (*mach, *smoothing[:2])} == {"full run, 8 across"}
-    assert written(place) == before
+    (refused,) = of(rows, varied="h/dx", value="4.0")
+    assert (refused["state"], refused["velocity_error"]) == ("refused", "")
+    assert "a support of radius" in refused["reason"]
+    assert "discretization.smoothing_length_ratio: a support" in words
 
 
-def test_an_unstable_full_run_is_a_state(weigh, place, vary, monkeypatch):
+def test_an_unstable_full_run_is_a_state(weigh, place, few, monkeypatch):
     def explode(context: object) -> None:
         raise UnstableError("reynolds=100: it burst")
 
+    few(mach_number=(0.2,))
     monkeypatch.setattr("sphrom.offline.fom.run", explode)
-    vary(Mach=(0.2,), memory=())
-    words = weigh((), "--extremes")
-    lost = of(rows_of(place, "extremes"), "Mach number")
-    assert [row["state"] for row in lost] == ["full unstable"] * 2
-    assert "Mach number 0.2, full unstable: reynolds=100: it burst" in words
+    weigh((), "--extremes")
+    rows = rows_of(place, "extremes")
+    (lost,) = of(rows, varied="Mach number")
+    assert (lost["state"], lost["reason"]) == ("unstable", "reynolds=100: it burst")
+    # Where there is no full run to compare with, nothing says that a model is right.
+    outside = of(rows, varied=REYNOLDS, value="50.0", kind="fast")
+    assert {row["state"] for row in outside} == {"stable"}
 
 
-@pytest.mark.parametrize("only", ["full_runs", "value"])
-def test_the_full_model_is_varied_only_where_it_may_run(weigh, place, vary, only):
-    vary((0.5, 1.0), Mach=(0.2,), memory=())
-    if only == "full_runs":
-        words = weigh(("trade.full_runs=false",), "--extremes")
-    else:
-        words = weigh((), "--extremes", "--only", "reynolds=50")
-    assert {row["varied"] for row in rows_of(place, "extremes")} == {"time step"}
-    assert ("trade.full_runs: false, Mach" in words) == (only == "full_runs")
-
-
-@pytest.mark.slow
-def test_extremes_are_of_calibrated_models_where_the_case_has_some(sphrom, weigh, place, vary):
-    with_model(calibrated=True)
-    vary(Mach=(0.2,))
-    few = ("snapshots.every=1", "trade.n_modes=[2]")
-    assert sphrom("run", *options(*few), "--force").exit_code == 0
-    weigh(few, "--extremes")
-    found = {(row["varied"], row["calibrated"]) for row in rows_of(place, "extremes")}
-    assert found == {("time step", "True"), ("memory length", "False"), ("Mach number", "True")}
+def test_runs_comparisons_and_trades_read_the_maps(sphrom, weigh, place, few):
+    with_model()
+    assert sphrom("operators", *options()).exit_code == 0
+    weigh((), "--extremes", "--quick")
+    path = place / "trade" / "extremes.json"
+    document = json.loads(path.read_text())
+    for row in document["ranges"]:
+        if (row["varied"], row["kind"]) == (REYNOLDS, "fast"):
+            row |= {"right_from": 160.0, "right_to": 200.0, "below": "extrapolated modes"}
+    path.write_text(json.dumps(document))
+    said = "by its map it is right for a reynolds from 160 to 200; beyond: extrapolated modes"
+    rom = sphrom("rom", *options(), "--only", "fast").output
+    assert f"fast, reynolds=150: {said}" in " ".join(rom.split())
+    compared = sphrom("compare", *options(), "--force").output
+    assert f"This run is doubtful: {said}" in " ".join(compared.split())
+    assert "Its maps: right for a reynolds from 160 to 200" in weigh((), "--tolerance", "90%,1000%")
+    # Maps of another basis say nothing.
+    document["about"]["basis"] = "another"
+    path.write_text(json.dumps(document))
+    assert "by its map" not in sphrom("rom", *options(), "--only", "fast", "--force").output
+    path.write_text("{")
+    assert sphrom("rom", *options(), "--only", "fast", "--force").exit_code == 3
 
 
 ONE = "basis.subsets={one: {reynolds: [100]}}"
@@ -201,6 +228,7 @@ ONE = "basis.subsets={one: {reynolds: [100]}}"
     [
         (("rom=[]",), (), "rom: the case has no reduced models"),
         ((), ("--tolerance", "1%", "--extremes"), "--tolerance: is not for --extremes"),
+        ((), ("--quick",), "--quick: is for --extremes"),
         ((ONE, "basis.n_modes=8", "trade.n_modes=[8]", "rom.0.basis=one", "rom.0.n_modes=6"), (),
          "trade.n_modes: the basis one has 6 modes; got 8"),
     ],

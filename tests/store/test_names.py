@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +11,8 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
-from sphrom.trade import candidates
-from sphrom.trade.candidates import extreme_points, variants
-from sphrom.trade.extremes import AXES, varied_models
+from sphrom.trade.candidates import variants
+from sphrom.trade.extremes import FULL_MODEL, varied_models
 
 CLOSE = (100.0, 100.0000001)
 
@@ -51,10 +49,12 @@ def test_artifacts_of_close_values_have_names_of_their_own(workspace):
 
 def test_full_models_at_close_values_are_told_apart(monkeypatch):
     for name, values in {"Mach number": (0.1, 0.1000001), "h/dx": (2.0, 2.0000001)}.items():
-        monkeypatch.setitem(AXES, name, replace(AXES[name], values=values))
-    found = varied_models(case(), [])
-    assert len(found) == len({variant.name for variant in found.values()}) == 4
-    assert found["Mach number", 0.1].name == "extreme-16-mach_number-0.1"
+        section, key, _ = FULL_MODEL[name]
+        monkeypatch.setitem(FULL_MODEL, name, (section, key, values))
+    own = case()
+    found = [v.name for *_, v in varied_models(own, (own.plan.points, own.plan.points[0]), [])]
+    assert len(set(found)) == len(found) >= 4
+    assert "extreme-16-mach_number-0.1" in found
 
 
 def test_full_runs_of_a_trade_are_told_apart():
@@ -64,10 +64,3 @@ def test_full_runs_of_a_trade_are_told_apart():
         across = variant.discretization.resolution
         ratio = variant.plan.steps.time_step / own.plan.steps.time_step
         assert label == f"full, {across} across, {ratio:.2g} dt"
-
-
-def test_products_are_not_called_after_their_rounding_errors(monkeypatch):
-    monkeypatch.setattr(candidates, "REYNOLDS_FACTORS", (0.3, 1.1))
-    given = case().model_copy(update={"parameters": type(case().parameters).model_validate(
-        {"train": {"reynolds": [100, 200]}})})  # fmt: skip
-    assert [point.label for point in extreme_points(given)] == ["reynolds=30", "reynolds=220"]

@@ -28,7 +28,7 @@ def case(*models: dict[str, object], **trade: object) -> Case:
 
 def test_what_is_weighed_unless_a_case_says_else():
     assert [p.reynolds for p in trade_points(case())] == [150]
-    found = candidates(case(), trade_points(case()))
+    found = candidates(case(), trade_points(case()), "all")
     assert {model.evaluation for model in found} == {"operators"}
     sizes = {p: {m.n_modes for m in found if m.projection == p} for p in ("galerkin", "apg")}
     assert sizes == {"galerkin": {2, 5, 10, 20, 30}, "apg": {2, 5, 10, 20}}
@@ -39,9 +39,9 @@ def test_what_is_weighed_unless_a_case_says_else():
 
 def test_models_have_the_basis_of_the_first():
     local = case({**FAST, "basis": "local"}, n_modes=[2])
-    found = candidates(local, [ParameterPoint(150.0)])
+    found = candidates(local, [ParameterPoint(150.0)], "local")
     assert {each.basis for each in found} == {"local"}
     assert global_basis(local) == "all"
     assert global_basis(case({**FAST, "basis": "low"})) == "low"
     with pytest.raises(CaseError, match="200"):
-        candidates(local, [ParameterPoint(200.0)])
+        candidates(local, [ParameterPoint(200.0)], "local")

@@ -1,68 +1,164 @@
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from sphrom.case.checks import case_problems
 from sphrom.case.models import Case
+from sphrom.case.points import REYNOLDS
 from sphrom.case.sections import ReducedModelSection
-from sphrom.errors import CaseError
+from sphrom.online.stable_ranges import STEP, TIME, StableRange
 from sphrom.plots.canvas import save
+from sphrom.reduction.polynomial_model import OutputTimes
+from sphrom.reduction.reduced_rates import Polynomial
+from sphrom.reduction.reference_model import ReferenceModel
+from sphrom.reduction.trial_basis import InnerProduct, TrialBasis
 from sphrom.sph.fluid import COURANT_LIMIT
 from sphrom.trade import extremes
-from sphrom.trade.candidates import extreme_points
-from sphrom.trade.extremes import (
-    AXES,
-    ExtremeRow,
-    draw_extremes,
-    learnt,
-    state_of,
-    varied_models,
+from sphrom.trade.extremes import varied_models
+from sphrom.trade.stability import (
+    ExtremeRun,
+    draw_maps,
+    judge,
+    limiting_step,
+    longest_memory,
+    ranges_in,
 )
 
-MODELS = [ReducedModelSection(name="one", evaluation="operators", n_modes=3)]
+
+def fast(
+    varied: str, value: float, errors: tuple[float, float] | None = None, **more
+) -> ExtremeRun:
+    velocity, pressure = errors or (None, None)
+    given = {"parameters": "reynolds=150", "kind": "fast", "steps": "exponential"}
+    given |= {"projection": "galerkin", "n_modes": 5} | more
+    return ExtremeRun(
+        varied=varied, value=value, velocity_error=velocity, pressure_error=pressure, **given
+    )
+
+
+OWN = {REYNOLDS: 150.0, "Mach number": 0.1}
+
+
+def runs() -> list[ExtremeRun]:
+    best = {"velocity_best": 0.5, "pressure_best": 5.0}
+    full = {"kind": "full", "projection": "", "n_modes": None, "steps": ", half as fine"}
+    far = {"velocity_best": 5.0, "pressure_best": 50.0, "extrapolated": True}
+    return [
+        fast(STEP, 1.0, (1.0, 10.0), time_step=0.1, **best),
+        fast(STEP, 4.0, (1.0, 21.0), time_step=0.4, **best),
+        fast(STEP, 1.0, (1.0, 25.0), steps="runge-kutta", time_step=0.01, predicted=1.1, **best),
+        fast(STEP, 2.0, steps="runge-kutta", time_step=0.02, state="unstable", mechanism="sound"),
+        fast(REYNOLDS, 50.0, (2.1, 10.0), parameters="reynolds=50", **far),
+        fast(REYNOLDS, 150.0, (1.0, 10.0), **best),
+        fast(REYNOLDS, 400.0, (1.9, 19.0), parameters="reynolds=400", **best),
+        fast(REYNOLDS, 150.0, (3.0, 40.0), **full),
+        fast(REYNOLDS, 400.0, (7.0, 40.0), **full | {"parameters": "reynolds=400"}),
+        fast("Mach number", 0.1, (4.0, 40.0), velocity_best=1.0, pressure_best=1.0),
+        fast("Mach number", 0.4, state="refused"),
+    ]  # fmt: skip
+
+
+def test_runs_are_right_within_twice_the_errors_of_the_default() -> None:
+    found = runs()
+    judge(found, ("galerkin", 5), OWN)
+    assert [(run.state, run.mechanism) for run in found] == [
+        ("right", ""), ("stable", "convection"), ("stable", "sound"), ("unstable", "sound"),
+        ("stable", "extrapolated modes"), ("right", ""), ("right", ""),
+        ("right", ""), ("stable", "spacing"), ("right", ""), ("refused", ""),
+    ]  # fmt: skip
+
+
+def test_ranges_reach_to_the_last_run_that_is_right() -> None:
+    found = runs()
+    judge(found, ("galerkin", 5), OWN)
+    ranges = {(r.varied, r.kind, r.steps): r for r in ranges_in(found, ("galerkin", 5), OWN)}
+    parameter = ranges[REYNOLDS, "fast", "exponential"]
+    assert (parameter.right_from, parameter.right_to) == (150.0, 400.0)
+    assert (parameter.stable_from, parameter.stable_to) == (50.0, 400.0)
+    assert (parameter.below, parameter.above) == ("extrapolated modes", "")
+    steps = ranges[STEP, "fast", "runge-kutta"]
+    assert (steps.right_from, steps.stable_to, steps.above) == (None, 0.01, "sound")
+    assert steps.predicted == pytest.approx(0.011)
+    mach = ranges["Mach number", "fast", "exponential"]
+    assert (mach.stable_to, mach.greatest, mach.is_unstable) == (0.1, 0.4, True)
+
+
+RANGE = StableRange(
+    varied=TIME, kind="fast", projection="galerkin", n_modes=5, steps="exponential",
+    right_from=1.0, right_to=2.0, stable_from=1.0, stable_to=5.0, least=1.0, greatest=10.0,
+    below="", above="extrapolated rates", predicted=None, predicted_by="",
+)  # fmt: skip
 
 
 @pytest.mark.parametrize(
-    ("error", "growth", "state"),
+    ("value", "words"),
     [
-        (9.0, 100.0, "stable"),
-        (11.0, 1.0, "inaccurate"),
-        (None, extremes.MOST_GROWTH, "stable"),
-        (None, 1.1 * extremes.MOST_GROWTH, "inaccurate"),
+        (1.5, ""),
+        (3.0, "by its map it is right for a time from 1.00 to 2.00 s; beyond: extrapolated rates"),
+        (7.0, "by its map it is stable for a time from 1.00 to 5.00 s; beyond: extrapolated rates"),
+        (0.5, "by its map it is stable for a time from 1.00 to 5.00 s, and was not tried beyond"),
     ],
 )
-def test_states(error, growth, state):
-    assert state_of(error, growth) == state
+def test_a_range_says_what_speaks_against_a_value(value, words):
+    assert RANGE.says(value) == words
 
 
-def test_a_map_has_a_marker_for_each_run(tmp_path):
-    rows = [
-        ExtremeRow(
-            parameters="a",
-            varied=varied,
-            value=value,
-            n_modes=n_modes,
-            projection="galerkin",
-            calibrated=False,
-            state=state,
-        )
-        for varied, value, n_modes, state in [
-            ("time step", 0.5, 2, "stable"),
-            ("time step", 2.0, 2, "unstable"),
-            ("time step", 0.5, 5, "inaccurate"),
-            ("h/dx", 1.0, 2, "full unstable"),
-            ("h/dx", 1.0, 2, "refused"),
-        ]
-    ]
-    figure = draw_extremes(rows)
-    first, second, *_ = figure.axes
-    drawn = {line.get_label(): line.get_xydata().tolist() for line in first.get_lines()}
-    assert {name: places for name, places in drawn.items() if places} == {
-        "stable": [[0.5, 2.0]], "unstable": [[2.0, 2.0]], "inaccurate": [[0.5, 5.0]],
-    }  # fmt: skip
-    assert second.get_xlabel() == "h/dx [–]"
+def test_a_model_that_is_right_nowhere_says_so():
+    nowhere = replace(RANGE, right_from=None, right_to=None)
+    assert nowhere.says(1.5) == "by its map it is right at no time"
+    assert replace(RANGE, stable_from=None).says(1.5) == "by its map it is stable at no time"
+
+
+def model(linear: list[list[float]]) -> ReferenceModel:
+    """A linear model of two modes on one point: the first all pressure, the second all velocity."""
+    basis = TrialBasis(
+        density_modes=np.array([[1.0], [0.0]]),
+        velocity_modes=np.array([[[0.0, 0.0]], [[1.0, 0.0]]]),
+        singular_values={},
+        weights=np.ones(1),
+        gram_error=0.0,
+        inner_product=InnerProduct.acoustic(1000.0, 10.0),
+    )
+    rates = Polynomial(((np.zeros(2), np.array(linear)),))
+    times = OutputTimes(0.1, 11)
+    return ReferenceModel(rates, basis, np.array([1.0, 1.0]), times, states=np.ones((1, 2)))
+
+
+@pytest.mark.parametrize(
+    ("linear", "name", "limit"),
+    [
+        ([[0.0, -50.0], [50.0, 0.0]], "sound", 2.0 * math.sqrt(2.0) / 50.0),
+        ([[-1.0, 0.0], [0.0, -50.0]], "viscosity", 2.7853 / 50.0),
+    ],
+)
+def test_an_eigenvector_limits_runge_kutta_steps(linear, name, limit):
+    found, step = limiting_step(model(linear))
+    assert (found, step) == (name, pytest.approx(limit, rel=1e-4))
+
+
+def test_the_longest_memory_is_where_something_grows():
+    """The closure adds 0.1 f to a rate of 1: over a second, exp(0.1 f) is 3 at f = 10.99."""
+    near, far = model([[1.1, 0.0], [0.0, -1.0]]), model([[1.2, 0.0], [0.0, -1.0]])
+    longest = longest_memory(near, far)
+    assert longest == pytest.approx(10.99, rel=0.13)
+    still = model([[-1.0, 0.0], [0.0, -1.0]])
+    assert longest_memory(still, still) is None
+
+
+def test_a_map_has_a_cell_for_each_run(tmp_path):
+    found = runs()
+    judge(found, ("galerkin", 5), OWN)
+    figure = draw_maps(found)
+    assert [axes.get_title() for axes in figure.axes[:3]] == [
+        "time step over the automatic one", REYNOLDS, "Mach number",
+    ]  # fmt: skip
+    assert sum(len(axes.patches) for axes in figure.axes) == len(found)
+    words = [text.get_text() for text in figure.axes[0].texts]
+    assert words == ["1.0 / 10", "1.0 / 21\nconvection", "1.0 / 25\nsound", "sound"]
     save(figure, tmp_path / "extremes.png")
 
 
@@ -85,45 +181,29 @@ def case() -> Case:
     )
 
 
-def test_values_reach_out_of_the_trained_range():
-    assert [p.reynolds for p in extreme_points(case())] == [10.0, 30.0, 200.0, 600.0, 2000.0]
-
-
-@pytest.fixture
-def variant_of(monkeypatch):
-    """The full model with another value of a property."""
-
-    def vary(what: str, value: float) -> Case:
-        monkeypatch.setitem(AXES, what, replace(AXES[what], values=(value,)))
-        return varied_models(case(), MODELS)[what, value]
-
-    return vary
-
-
 @pytest.mark.parametrize(
-    ("what", "value"), [("Mach number", 0.02), ("Mach number", 0.3), ("h/dx", 1.3), ("h/dx", 3.9)]
-)
-def test_a_variant_is_the_case_but_for_one_thing(variant_of, what, value):
-    own, other = case(), variant_of(what, value)
+    ("what", "value", "resolution"),
+    [("Mach number", 0.02, 16), ("Mach number", 0.3, 16), ("h/dx", 1.3, 16), ("h/dx", 3.9, 16),
+     ("resolution", 20.0, 20)],
+)  # fmt: skip
+def test_a_variant_is_the_case_but_for_one_thing(monkeypatch, what, value, resolution):
+    for name, (section, key, _) in extremes.FULL_MODEL.items():
+        values = (value,) if name == what else ()
+        monkeypatch.setitem(extremes.FULL_MODEL, name, (section, key, values))
+    own, models = case(), [ReducedModelSection(name="one", evaluation="operators", n_modes=3)]
+    points = own.plan.bases["low"], own.plan.test_points[0]
+    ((varied, at, other),) = varied_models(own, points, models)
+    assert (varied, at, other.discretization.resolution) == (what, value, resolution)
     assert not case_problems(other)
-    assert other.discretization.resolution == 16
     mach = value if what == "Mach number" else 0.1
     assert other.plan.sound_speed == pytest.approx(1.0 / mach)
     ratio = value if what == "h/dx" else 2.0
-    assert other.plan.smoothing_length == pytest.approx(ratio / 16)
+    assert other.plan.smoothing_length == pytest.approx(ratio / resolution)
     # It learns where the first basis does, and from as many snapshots at the same times.
-    assert [point.reynolds for point in other.plan.points] == [100, 200]
+    assert [point.reynolds for point in other.plan.points] == [100, 200, 150]
     assert other.plan.bases.keys() == {"all"}
     assert other.plan.steps.n_snapshots == own.plan.steps.n_snapshots
     assert other.plan.steps.snapshot_interval == pytest.approx(own.plan.steps.snapshot_interval)
-    step = other.plan.steps.time_step
     courant = other.plan.steps.time_step * other.plan.sound_speed / other.plan.smoothing_length
-    assert courant == pytest.approx(step / mach / (ratio / 16))
     assert courant <= own.time.courant_number * 1.000001 < COURANT_LIMIT
     assert [(model.name, model.basis) for model in other.rom] == [("one", "all")]
-
-
-def test_a_support_wider_than_the_box_is_refused(variant_of):
-    variant = variant_of("h/dx", 4.5)
-    with pytest.raises(CaseError, match="smoothing_length_ratio: a support of radius"):
-        learnt(None, variant, "h/dx 4.5")  # type: ignore[arg-type]
