@@ -15,8 +15,8 @@ WIDTH = 1480
 """Of a copy, in pixels: twice what a page shows."""
 
 
-def write_small(source: Path, target: Path, width: int = WIDTH, colours: int = COLOURS) -> None:
-    """Write a copy of a picture that is at most `width` pixels wide, of so many colours."""
+def write_small(source: Path, target: Path, width: int = WIDTH) -> None:
+    """Write a copy of a picture that is at most `width` pixels wide."""
     with Image.open(source) as picture:
         small = picture.convert("RGB")
     if small.width > width:
@@ -24,7 +24,7 @@ def write_small(source: Path, target: Path, width: int = WIDTH, colours: int = C
         small = small.resize((width, height), Image.Resampling.LANCZOS)
     content = io.BytesIO()
     few = small.quantize(
-        colours, Image.Quantize.MAXCOVERAGE, kmeans=ROUNDS, dither=Image.Dither.NONE
+        COLOURS, Image.Quantize.MAXCOVERAGE, kmeans=ROUNDS, dither=Image.Dither.NONE
     )
     few.save(content, "PNG", optimize=True)
     target.write_bytes(content.getvalue())

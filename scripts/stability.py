@@ -21,13 +21,14 @@ import sys
 import time
 import zlib
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
+from PIL import Image, ImageColor
 from scipy.integrate import solve_ivp
-from small_picture import write_small
 
 from sphrom.case.checks import coarser_resolution
 from sphrom.case.loader import load_case
@@ -46,7 +47,7 @@ from sphrom.sph.time_loop import Clock, TimeSteps, march
 from sphrom.store.starts import scene_start
 from sphrom.store.workspace import Workspace
 from sphrom.trade.extremes import FULL_MODEL, Maps
-from sphrom.trade.stability import ExtremeRun, draw_maps, publish
+from sphrom.trade.stability import COLOURS, ExtremeRun, draw_maps, publish
 
 CASES, FIGURES = (Path(__file__).parents[1] / name for name in ("cases", "docs/figures"))
 SHOWN = "lid-driven-cavity"
@@ -97,8 +98,8 @@ SCENES: dict[str, tuple[str, dict[str, Any]]] = {
 }
 """The case that each is made of, and what differs. The last two vary what drives the flow, too."""
 STAGES = ("fom", "map", "pod", "fit-psi", "operators")
-SMALL = (740, 7)
-"""Pixels and colours of pictures in the documentation."""
+WIDTH = 740
+"""Of pictures in the documentation [pixels]."""
 ONE_IN = 5
 TOLERANCE = 1e-8
 """Of scipy's integrator, relative."""
@@ -219,16 +220,29 @@ def conserved(name: str, out: Path, turnovers: int) -> None:
     )
 
 
+def pictured(runs: Sequence[ExtremeRun], out: Path, name: str) -> None:
+    """Draw maps as a small picture of the documentation, in the colours of states and letters."""
+    save(draw_maps(runs), out / name)
+    with Image.open(out / name) as picture:
+        small = picture.convert("RGB")
+    size = WIDTH, round(small.height * WIDTH / small.width)
+    ink, states = (34, 34, 34), [ImageColor.getrgb(colour) for colour in COLOURS.values()]
+    plain = [(255, 255, 255), *states]
+    mixed = [tuple((a + b) // 2 for a, b in zip(ink, one, strict=True)) for one in plain]
+    colours = [ink, *plain, *mixed]
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([value for colour in colours for value in colour])
+    few = small.resize(size, Image.Resampling.LANCZOS)
+    few.quantize(palette=palette, dither=Image.Dither.NONE).save(FIGURES / name, optimize=True)
+
+
 def drawn(name: str, out: Path) -> None:
     """Draw the maps of a scene for the documentation, and print its limits as Markdown."""
     document = json.loads((out / name / FILE).read_text(encoding="utf-8"))
     runs = [ExtremeRun(**row) for row in document["extremes"]]
-    picture = out / f"{name}.png"
-    save(draw_maps(runs), picture)
-    write_small(picture, FIGURES / f"stability-{name}.png", *SMALL)
+    pictured(runs, out, f"stability-{name}.png")
     if name == SHOWN:
-        save(draw_maps([run for run in runs if run.varied == REYNOLDS]), picture)
-        write_small(picture, FIGURES / "stability.png", *SMALL)
+        pictured([run for run in runs if run.varied == REYNOLDS], out, "stability.png")
     checks = json.loads((out / name / "checks.json").read_text(encoding="utf-8"))
     counts = Counter(run.state for run in runs)
     fast = (run for run in runs if run.kind == "fast" and not run.told)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator
 
 from sphrom.case.checks import beyond_limits
@@ -69,14 +68,6 @@ def _of_numerics(case: Case) -> Iterator[str]:
         yield (
             "basis.inner_product: in the raw product operators on the reference points let sound "
             "grow; in the acoustic one they can't"
-        )
-    fastest = max(point.reynolds for point in plan.points)
-    layer = case.scene.length_scale / math.sqrt(fastest)
-    if case.scene.domain.has_walls and layer < plan.particle_spacing:
-        yield (
-            f"discretization.resolution: at reynolds={fastest:g} layers at walls are about L / "
-            f"sqrt(Re) = {layer:.2g} m thick, less than the spacing of "
-            f"{plan.particle_spacing:.2g} m: full runs don't resolve them"
         )
     if steps.n_steps % steps.every:
         last = f"the last snapshot is at {steps.end_time:g} s"

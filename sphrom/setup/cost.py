@@ -218,11 +218,14 @@ def described_run(case: Case, point: ParameterPoint) -> str:
     before = f" after {counted(spin_up, 'step')} to spin up" if spin_up else ""
     shares = {"acoustic": limits.acoustic, "viscous": limits.viscous}
     told = ", ".join(f"{step / limit:.2g} of the {name} limit" for name, limit in shares.items())
+    layer, thin = case.scene.length_scale / math.sqrt(point.reynolds), ""
+    if case.scene.domain.has_walls and layer < plan.particle_spacing:
+        thin = f"; no particles resolve layers of L / sqrt(Re) = {layer:.2g} m at walls"
     return (
         f"{point.label}: {plan.n_particles} particles{ghosts}, "
         f"{plan.discretization.n_neighbours:.0f} neighbours each, c0 = {fluid.sound_speed:g} m/s, "
         f"nu = {fluid.kinematic_viscosity:.4g} m2/s; {counted(plan.steps.n_steps, 'step')} of "
-        f"{step:.4g} s{before}, {told}; {counted(plan.steps.n_snapshots, 'snapshot')}"
+        f"{step:.4g} s{before}, {told}; {counted(plan.steps.n_snapshots, 'snapshot')}{thin}"
     )
 
 

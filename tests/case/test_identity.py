@@ -23,8 +23,7 @@ CASES = sorted((Path(sphrom.__file__).parents[1] / "cases").glob("*.yaml"))
 def test_shipped_cases(path):
     case = load_case(path)
     assert case.name == path.stem
-    coarse = ["don't resolve"] if path.stem == "open_cavity_demo" else []
-    assert [warning[-18:-5] for warning in case_warnings(case)] == coarse
+    assert case_warnings(case) == []
 
 
 def test_case_of_the_paper_is_as_printed_but_for_its_sign_and_steps():
@@ -105,7 +104,7 @@ def test_short_template_is_short_and_leads_to_the_fast_model(kind, load):
     assert max(map(len, text.splitlines())) <= 80
     case = load(text, base="")
     assert case.scene.kind == kind
-    assert len(case_warnings(case)) == (kind == "open-cavity")  # it is coarse, and says so
+    assert case_warnings(case) == []
     (fast,) = case.rom
     assert fast.from_operators
     assert sweep_model(case) == fast
