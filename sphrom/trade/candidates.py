@@ -75,9 +75,12 @@ def candidates(
         raise CaseError(f"trade.n_modes: the basis {basis} has {available} modes; got {largest}")
     ends = {"galerkin": available}
     if not case.plan.driving:  # The closure has operators for the viscosity alone.
-        ends["apg"] = min(available, MOST_CLOSED_MODES)
+        own = also if first.projection == "apg" else ()
+        ends["apg"] = min(available, max((MOST_CLOSED_MODES, *own)))
     for projection, end in ends.items():
-        for size in sorted({*(listed or (*filter(end.__gt__, SIZES), end)), *also}):
+        for size in sorted(
+            {*(listed or (*filter(end.__gt__, SIZES), end)), *filter(end.__ge__, also)}
+        ):
             name = f"weighed-{basis}-{projection}-m{size}"
             keys = {"evaluation": "operators", "projection": projection, "basis": basis}
             found.append(ReducedModelSection.model_validate(keys | {"name": name, "n_modes": size}))

@@ -10,6 +10,7 @@ its own. Runs on particles in other steps leave no artifacts.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
@@ -91,7 +92,7 @@ QUICK: dict[str, tuple[float, ...]] = {
     REYNOLDS: (0.1, 0.5, 1.0, 2.0, 10.0),
 }
 SPARSER = 10
-"""Of the snapshots of a longer full run one in so many is kept."""
+"""Of the snapshots of a longer full run at most one in so many is kept, and as many in a part."""
 
 
 @dataclass(frozen=True)
@@ -331,11 +332,12 @@ class Maps:
         resolution = coarser_resolution(case) if coarse else case.discretization.resolution
         if not case.trade.full_runs or resolution is None:
             return None
-        changes, steps = {}, case.plan.steps
+        changes, steps, stride = {}, case.plan.steps, 1
         if until > 1.0:
+            stride = max(1, min(SPARSER, (steps.n_snapshots - 1) // SPARSER))
             end = case.time.spin_up + until * case.plan.recorded_time
             changes = {"time": case.time.model_copy(update={"final_time": end})}
-            steps = replace(steps, every=SPARSER * steps.every)
+            steps = replace(steps, every=stride * steps.every)
         name = f"{point.file_label}-{exact(until)}"
         variant = varied_case(case, (point,), None, name, resolution, changes, steps)
         made = workspace_of(self.workspace, variant)
@@ -344,7 +346,7 @@ class Maps:
         except (CaseError, ResourceError) as error:
             self.notes.append(f"{variant.name}, refused: {error}")
             return None
-        return None if failed else self._full_run(made, point, SPARSER if until > 1.0 else 1)
+        return None if failed else self._full_run(made, point, stride)
 
     def _full_run(self, workspace: Workspace, point: ParameterPoint, stride: int = 1) -> Truth:
         with StoredRun.opened(workspace, point) as stored:
@@ -477,10 +479,11 @@ class Maps:
 def _compared(
     found: ExtremeRun, samples: Samples, full: Samples, best: Samples | None = None
 ) -> ExtremeRun:
-    """Give a run its errors, and those of the nearest states in its basis."""
-    found.velocity_error, found.pressure_error = errors_of(samples, full)
-    if best is not None:
-        found.velocity_best, found.pressure_best = errors_of(best, full)
+    """Give a run its errors, and those of the nearest states in its basis; none beside no flow."""
+    with suppress(ValueError):
+        found.velocity_error, found.pressure_error = errors_of(samples, full)
+        if best is not None:
+            found.velocity_best, found.pressure_best = errors_of(best, full)
     return found
 
 
@@ -530,7 +533,8 @@ def varied_case(
 ) -> Case:
     """Return the full model at some points, with one basis and the case's or given snapshots."""
     parameters = trained_at(case, points).parameters
-    test = TestValues() if tested is None else trained_at(case, [tested]).parameters.train
+    others = [each for each in (tested,) if each is not None and each not in points]
+    test = trained_at(case, others).parameters.train if others else TestValues()
     whole: dict[str, Any] = {
         "parameters": parameters.model_copy(update={"test": test}),
         "basis": case.basis.model_copy(update={"subsets": {}, "lagrangian": False}),

@@ -207,3 +207,6 @@ def test_a_variant_is_the_case_but_for_one_thing(monkeypatch, what, value, resol
     courant = other.plan.steps.time_step * other.plan.sound_speed / other.plan.smoothing_length
     assert courant <= own.time.courant_number * 1.000001 < COURANT_LIMIT
     assert [(model.name, model.basis) for model in other.rom] == [("one", "all")]
+    # Where the models are judged at a trained value, it isn't tested too.
+    ((_, _, untested),) = varied_models(own, (points[0], points[0][0]), models)
+    assert untested.plan.test_points == ()
