@@ -338,6 +338,8 @@ def rates_at_points(points, q, u, gradients, conditions, order=None) -> Array:
         acceleration = push + head + own
     else:
         acceleration = (push + head) * (1.0 - share) + more + own
+    if terms.slowing is not None:
+        acceleration += terms.slowing[..., 0]
     carried = np.einsum("dn,fdn->fn", u, gradients)
     return np.concatenate((continuity[None], acceleration)) - carried
 

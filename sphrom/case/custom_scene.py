@@ -8,25 +8,35 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import shapely
-from pydantic import Field, PrivateAttr, ValidationInfo, model_validator
+from pydantic import PrivateAttr, ValidationInfo, model_validator
 from shapely.geometry.base import BaseGeometry
 
 from sphrom.arrays import Array
 from sphrom.case.expressions import CONSTANTS, FUNCTIONS, MOST_QUOTED, Expression
 from sphrom.case.fields import Coordinate, Place, Positive, SafeName, Section, key
 from sphrom.case.initial_file import read_start, start_fields
+from sphrom.case.resistances import (
+    InflowSection,
+    PorousSection,
+    Value,
+    Vector,
+    inverse_permeability,
+    ramp_share,
+)
 from sphrom.case.scene_section import MEASURE, OF_WALLS, Defaults, Measures, SceneSection
 from sphrom.case.shapes import ShapeSection
 from sphrom.scenes.flows import CustomFlow, Drive, Scales, Scene
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import SIDES, Domain
 from sphrom.sph.fluid import NONE
+from sphrom.sph.resistance import Resistance, Strip
 from sphrom.text import shortened
 
 N_SAMPLES = 200
@@ -39,17 +49,16 @@ TOUCHING = 1e-6
 """How far a wall may be from the edge of the fluid, over its length."""
 MOST_KNOWN = 4000
 """Values of the parameters at which a scene is kept."""
-BODY_FORCE = "body_force"
-"""What the body force's factor is called as a parameter."""
+BODY_FORCE, INFLOW = "body_force", "inflow"
+"""What their factors are called as parameters."""
+KEYS = {BODY_FORCE: "body_force", INFLOW: "inflow.velocity"}
+"""The keys that they have."""
 OTHER_UNIT = 100.0
 """A solid so many times as wide as the box, or as narrow, may be in another unit."""
 MOST_AREAS = 4
 """Areas of parts of the fluid that a warning names."""
 N_TIMES = 4096
 """Times whose amplitude of the body force is kept."""
-Value = Coordinate | Annotated[str, Field(max_length=1000)]
-"""A number, or an expression."""
-Vector = Annotated[tuple[Value, ...], Field(min_length=2, max_length=2)]
 
 
 class BoxSection(Section):
@@ -122,6 +131,11 @@ class CustomScene(SceneSection):
     body_force: Vector = key(
         (0.0, 0.0), "acceleration, numbers or expressions in x, y, t", unit="m/s2"
     )
+    resistance: Value = key(
+        0.0, "rate at which it slows the fluid, a number or an expression in x, y", unit="1/s"
+    )
+    porous: dict[SafeName, PorousSection] = key({}, "porous bodies in the box, by name")
+    inflow: InflowSection | None = key(None, "what flows in, where the box is open")
     initial: InitialSection = key(InitialSection(), "the fields that a run starts with")
     reference_length: Positive | None = key(
         None, "L of the Reynolds number; null is the width of the box", unit="m"
@@ -147,13 +161,7 @@ class CustomScene(SceneSection):
 
     @cached_property
     def _shapes(self) -> dict[str, BaseGeometry]:
-        shapes = {}
-        for name, section in self.solids.items():
-            try:
-                shapes[name] = section.geometry()
-            except ValueError as error:
-                raise ValueError(f"solids.{name}: {error}") from error
-        return shapes
+        return _geometries("solids", self.solids)
 
     @cached_property
     def domain(self) -> Domain:
@@ -198,6 +206,7 @@ class CustomScene(SceneSection):
             {name: here._wall_velocity(name) for name in here.walls},
             here._force,
             lambda at: here._initial(at),
+            self._resistance,
         )
 
     @cached_property
@@ -210,24 +219,29 @@ class CustomScene(SceneSection):
         return self._known(tuple(values.items())) if values else self
 
     def _changed(self, values: Mapping[str, float]) -> CustomScene:
-        _ = self.domain, self._shapes  # they are the same, and needn't be built again
+        # They are the same, and needn't be built again.
+        _ = self.domain, self._shapes, self._resistance
         other = self.model_copy()
         other._values = values
-        for built in ("_force", "_force_parts", "_start", "_initial", "_known"):
+        for built in ("_force", "_pushes", "_start", "_initial", "_known"):
             other.__dict__.pop(built, None)
         return other
 
     def parameters(self, reference_speed: float) -> dict[str, float]:
         """Return constants, rates of rotation, and factors of velocities and of the body force."""
         own = {name: 1.0 if w.rotation is None else w.rotation for name, w in self.walls.items()}
-        force = {} if self._force is None else {BODY_FORCE: 1.0}
-        return {**self.constants, **own, **force}
+        return {**self.constants, **own, **dict.fromkeys(self._factor, 1.0)}
+
+    @property
+    def _factor(self) -> tuple[str, ...]:
+        """What the factor of all that pushes the fluid is called; none where two things do."""
+        return tuple(self._pushes) if len(self._pushes) == 1 else ()
 
     def parameter_problems(self, names: Collection[str]) -> Iterator[tuple[str, str]]:
         """Yield constants in which walls or the force aren't affine, and names of two things."""
         varied = [name for name in names if name in self.constants]
         for name in varied:
-            if name in (*self.walls, BODY_FORCE):
+            if name in (*self.walls, BODY_FORCE, INFLOW):
                 yield name, "is a constant's name and a wall's or the force's; rename the constant"
         for where, factor, expression in self._drives():
             found = [one for one in varied if expression.degree_in([one]) > 0.0]
@@ -258,7 +272,8 @@ class CustomScene(SceneSection):
             for value in wall.velocity or ():
                 where = f"walls.{name}.velocity"
                 yield where, name, self._expression(where, value, "x", "y")
-        yield from (("body_force", "", field) for field, _ in self._force_parts)
+        for name, push in self._pushes.items():
+            yield from ((KEYS[name], "", field) for field in push.fields)
 
     def check_at(self, values: Mapping[str, float]) -> None:
         """Raise ValueError where the scene can't be had with some values of its parameters."""
@@ -316,7 +331,7 @@ class CustomScene(SceneSection):
             return partial(start_fields, self.initial.file, str(self.initial.sha256))
 
         def at(position: Array) -> Array:
-            x, y = position.T
+            x, y = self._in_box(position.T)
             return np.stack([part(x=x, y=y) for part in self._start.values()], axis=1)
 
         for name, values in zip(self._start, at(self._samples).T, strict=True):
@@ -337,7 +352,12 @@ class CustomScene(SceneSection):
         where = f"walls.{name}.velocity"
         parts = [self._expression(where, value, "x", "y") for value in wall.velocity]
         factor = self._values.get(name, 1.0)
-        return lambda at: factor * np.stack([e(x=at[:, 0], y=at[:, 1]) for e in parts], axis=1)
+
+        def velocity(place: Array) -> Array:
+            x, y = self._in_box(place.T)
+            return factor * np.stack([part(x=x, y=y) for part in parts], axis=1)
+
+        return velocity
 
     def _edge(self, name: str) -> Array:
         """Return places (n_points, 2) [m] along a wall where fluid touches it, but for corners."""
@@ -376,43 +396,106 @@ class CustomScene(SceneSection):
                 f"{across[worst]:.3g} m/s; walls may only slide along themselves"
             )
 
+    def _in_box(self, position: Array) -> Array:
+        """Return positions (2, n_positions) [m] in the box: periodic axes may have been left."""
+        low, high = (np.array(end)[:, None] for end in (self.domain.lower, self.domain.upper))
+        left = ((position < low) | (position > high)).any(axis=0)
+        if not left.any():
+            return position
+        found = position.copy()
+        found[:, left] = self.domain.wrap(position[:, left].T).T
+        return found
+
     @cached_property
-    def _force_parts(self) -> list[tuple[Expression, Expression]]:
-        """The field and the amplitude of each component of the body force."""
-        wholes = (self._expression("body_force", value, "x", "y", "t") for value in self.body_force)
-        return [whole.separated("t") for whole in wholes]
+    def _pushes(self) -> dict[str, _Push]:
+        """What pushes the fluid, by what its factor is called as a parameter."""
+        found, inflow = {}, () if self.inflow is None else self.inflow.velocity
+        for name, values in {BODY_FORCE: self.body_force, INFLOW: inflow}.items():
+            if any(value != 0.0 for value in values):
+                wholes = [self._expression(KEYS[name], value, "x", "y", "t") for value in values]
+                parts = [whole.separated("t") for whole in wholes]
+                # A component that is zero has any amplitude.
+                moving = {a.text: a for v, (_, a) in zip(values, parts, strict=True) if v != 0.0}
+                found[name] = _Push([field for field, _ in parts], moving)
+        return found
 
     @cached_property
     def _force(self) -> Drive | None:
-        """The body force as a field times an amplitude, of which parameters give a factor."""
-        parts = zip(self.body_force, self._force_parts, strict=True)
-        # A component that is zero has any amplitude.
-        moving = {amplitude.text: amplitude for value, (_, amplitude) in parts if value != 0.0}
+        """What pushes the fluid: a field times an amplitude, of which parameters give a factor."""
+        pushes, strip = self._pushes, self._strip
+        moving = {text: a for push in pushes.values() for text, a in push.amplitudes.items()}
         if not moving:
             return None
         if len(moving) > 1:
             raise ValueError(
-                "body_force: both components must have the same amplitude in time; got "
-                f"{' and '.join(moving)}"
+                f"{' and '.join(KEYS[name] for name in pushes)}: all components must have the same "
+                f"amplitude in time; got {' and '.join(moving)}"
             )
         (amplitude,) = moving.values()
 
         def field(position: Array) -> Array:
-            return np.stack([part(x=position[0], y=position[1]) for part, _ in self._force_parts])
+            place = self._in_box(position)
+            found = [
+                push(place) if strip is None or name != INFLOW else strip.forcing(place, push)
+                for name, push in pushes.items()
+            ]
+            return np.sum(found, axis=0) if len(found) > 1 else found[0]
 
-        _require_finite("body_force", field(self._samples.T).T, self._samples)
-        factor = self._values.get(BODY_FORCE, 1.0)
+        for name, push in pushes.items():
+            _require_finite(KEYS[name], push(self._samples.T).T, self._samples)
+        factor = next((self._values.get(name, 1.0) for name in self._factor), 1.0)
+        share = partial(ramp_share, self.inflow_ramp)
         # All runs of a case ask for it at the same snapshots.
-        at = lru_cache(N_TIMES)(lambda time: factor * float(amplitude(t=time)))
+        at = lru_cache(N_TIMES)(lambda t: factor * float(share(t) * amplitude(t=t)))
         changes = bool(amplitude.depends_on)
-        return Drive(field, at, lambda times: factor * amplitude(t=times), changes)
+        return Drive(field, at, lambda times: factor * (share(times) * amplitude(t=times)), changes)
+
+    @cached_property
+    def _strip(self) -> Strip | None:
+        """The strip of the inflow, which no parameter changes."""
+        if self.inflow is None:
+            return None
+        if INFLOW not in self._pushes:
+            raise ValueError("inflow.velocity: is zero; leave inflow out")
+        return self.inflow.strip_in(self.domain, self._samples, self._pushes[INFLOW])
+
+    @cached_property
+    def inflow_ramp(self) -> float:
+        """How long the inflow takes to come up to speed [s]; 0 without one."""
+        if self.inflow is None or self._strip is None:
+            return 0.0
+        length, start = self.domain.lengths[self._strip.axis], self.initial
+        return self.inflow.ramp_over(length, abs(self._strip.speed), start == InitialSection())
+
+    @cached_property
+    def _resistance(self) -> Resistance | None:
+        """What slows the fluid, which no parameter changes."""
+        own, shapes = None, _geometries("porous", self.porous)
+        if self.resistance != 0.0:
+            expression = self._expression("resistance", self.resistance, "x", "y")
+            rate = expression(x=self._samples[:, 0], y=self._samples[:, 1])
+            _require_finite("resistance", rate, self._samples)
+            if rate.min() < 0.0:
+                x, y = self._samples[np.argmin(rate)]
+                raise ValueError(f"resistance: is negative at ({x:g}, {y:g}) m")
+            own = partial(_at_places, expression)
+        inverse = inverse_permeability((self.porous[name], shape) for name, shape in shapes.items())
+        if own is None and inverse is None and self._strip is None:
+            return None
+        return Resistance(own, inverse, self._strip, self._in_box)
+
+    def largest_resistance(self, viscosity: float) -> float:
+        """Return the largest rate that slows the fluid [1/s], at a viscosity [m2/s]."""
+        resistance = self._resistance
+        return 0.0 if resistance is None else resistance.largest(self._samples.T, viscosity)
 
     def largest_head(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
         """Return what the body force's head along the box doesn't exceed until a time [m2/s2]."""
-        drive = self._at(values)._force
-        if drive is None:
+        here = self._at(values)
+        drive, push = here._force, here._pushes.get(BODY_FORCE)
+        if drive is None or push is None:  # an inflow is forced no more than it falls short
             return 0.0
-        field = drive.field(self._samples.T)
+        field = push(self._samples.T)
         if self.domain.fills_box:
             rows = field.reshape(2, N_SAMPLES + 1, -1)
             for axis in np.flatnonzero(self.domain.periodic):  # a mean presses on nothing there
@@ -423,12 +506,41 @@ class CustomScene(SceneSection):
         return largest if math.isfinite(largest) else 0.0  # else `problems` says so
 
     def problems(self, final_time: float) -> Iterator[tuple[str, str]]:
-        """Refuse a body force that isn't finite at some time of the run."""
+        """Refuse what pushes the fluid where it isn't finite at some time, or up to speed."""
+        if self.inflow_ramp >= final_time:
+            yield "inflow.ramp", f"takes {self.inflow_ramp:g} s, until time.final_time or longer"
         if self._force is not None:
             for time in np.linspace(0.0, final_time, N_INSTANTS):
                 if not math.isfinite(self._force.amplitude(time)):
-                    yield "body_force", f"is not finite at t = {time:.4g} s"
+                    yield KEYS[next(iter(self._pushes))], f"is not finite at t = {time:.4g} s"
                     return
+
+
+@dataclass(frozen=True)
+class _Push:
+    """What pushes the fluid: a field, and its amplitudes in time by their texts."""
+
+    fields: list[Expression]
+    amplitudes: dict[str, Expression]
+
+    def __call__(self, position: Array) -> Array:
+        """Return the field (2, n_positions) at positions (2, n_positions) [m]."""
+        return np.stack([field(x=position[0], y=position[1]) for field in self.fields])
+
+
+def _geometries(where: str, sections: Mapping[str, ShapeSection]) -> dict[str, BaseGeometry]:
+    """Return the shapes of sections by name. Raises ValueError, which names the one it is for."""
+    shapes = {}
+    for name, section in sections.items():
+        try:
+            shapes[name] = section.geometry()
+        except ValueError as error:
+            raise ValueError(f"{where}.{name}: {error}") from error
+    return shapes
+
+
+def _at_places(expression: Expression, position: Array) -> Array:
+    return expression(x=position[0], y=position[1])
 
 
 def _require_finite(where: str, values: Array, position: Array) -> None:

@@ -230,9 +230,10 @@ class Plan:
 
     def step_limits(self, point: ParameterPoint) -> StepLimits:
         """Return the largest stable time steps at a parameter point."""
-        domain, sharpness = self._case.scene.domain, self._sharpest_corner
+        scene, sharpness = self._case.scene, self._sharpest_corner
+        slowing = scene.largest_resistance(self.kinematic_viscosity(point))
         return fluid.step_limits(
-            self.fluid(point), self.discretization, domain.has_walls, sharpness
+            self.fluid(point), self.discretization, scene.domain.has_walls, sharpness, slowing
         )
 
     @cached_property

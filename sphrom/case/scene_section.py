@@ -91,6 +91,10 @@ class SceneSection(Section):
         """
         return 0.0
 
+    def largest_resistance(self, viscosity: float) -> float:
+        """Return the largest rate that slows the fluid [1/s], at a viscosity [m2/s]."""
+        return 0.0
+
     def stations(self, line: float) -> Array:
         """Return where histories are kept (n_stations, 2) [m], given x of the compared line [m]."""
         return np.empty((0, 2))

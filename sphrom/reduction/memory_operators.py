@@ -59,7 +59,10 @@ class _States:
     def only(self, k: int) -> _States:
         """Return one of the states."""
         one, t = (..., slice(k, k + 1)), self.terms
-        terms = Terms(t.divergence[one], t.pressure_gradient[one], t.laplacian[one])
+        slowing = None if t.slowing is None else t.slowing[one]
+        terms = Terms(
+            t.divergence[one], t.pressure_gradient[one], t.laplacian[one], slowing=slowing
+        )
         return _States(self.scaled_density[one], self.velocity[one], self.slopes[one], terms)
 
 
@@ -99,6 +102,8 @@ class _Rates:
             out[0] = points.diffusion(states.scaled_density) - speed * terms.divergence
             out[0] = self._kept(out[0])
             out[1:] = self.viscosity * terms.laplacian - speed * terms.pressure_gradient
+            if terms.slowing is not None:
+                out[1:] += terms.slowing
         elif self.head is not None and points.body_force is not None:
             out[1:] = points.head_push(points.body_force[..., None] * share)
             out[1:] -= self.head[..., None] * share

@@ -217,6 +217,8 @@ class _Sums(_Fields):
         if terms.damping is not None:
             linear += speed * _projected(weights[:, 2:], terms.damping)
         self.acoustic[...] += linear
+        if terms.slowing is not None:
+            self.inertia[1][...] += _projected(weights[:, 2:], terms.slowing)
         self.viscosity[1][...] += _projected(weights[:, 2:], terms.laplacian)
         for k in range(self.fields.n_fields):
             inertia, viscosity = self.products(k, rows, terms, slopes)
@@ -308,6 +310,8 @@ class _Residuals(_Fields):
         sound, friction = np.zeros((2, 3, *terms.divergence.shape))
         sound[0] = self.diffusion[rows] - points.sound_speed * terms.divergence - self._means[0]
         sound[1:] = -points.sound_speed * terms.pressure_gradient
+        if terms.slowing is not None:
+            sound[1:] += terms.slowing
         friction[1:] = terms.laplacian
         inertia = np.empty((*sound.shape, self.fields.n_fields))
         viscosity = np.zeros_like(inertia)

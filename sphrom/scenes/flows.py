@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from sphrom.arrays import Array
 from sphrom.sph.box_domain import BoxDomain, Rectangle
 from sphrom.sph.domain import Domain
+from sphrom.sph.resistance import Resistance
 
 VectorField = Callable[[Array], Array]
 """From positions (n_points, 2) [m], vectors (n_points, 2)."""
@@ -101,6 +102,11 @@ class Scene(ABC):
         return None
 
     @property
+    def resistance(self) -> Resistance | None:
+        """What slows the fluid, or None where nothing does."""
+        return None
+
+    @property
     def amplitude(self) -> Amplitude | None:
         """How strongly the flow is driven, by force or walls, or None where that never changes."""
         return self.wall_amplitude if self.body_force is None else self.body_force.amplitude
@@ -122,6 +128,7 @@ class CustomFlow(Scene):
     force: Drive | None
     start: Callable[[Array], Array]
     """From positions (n_points, 2) [m], velocity [m/s] and pressure [Pa] (n_points, 3)."""
+    resists: Resistance | None = None
 
     @property
     def domain(self) -> Domain:
@@ -151,6 +158,11 @@ class CustomFlow(Scene):
     def body_force(self) -> Drive | None:
         """What pushes the fluid, or None where nothing does."""
         return self.force
+
+    @property
+    def resistance(self) -> Resistance | None:
+        """What slows the fluid, or None where nothing does."""
+        return self.resists
 
 
 @dataclass(frozen=True)

@@ -39,6 +39,7 @@ def functional(case: Case, point: ParameterPoint) -> Functional:
         walls=walls(case, flow),
         body_force=flow.body_force,
         wall_speed=flow.wall_amplitude,
+        resistance=flow.resistance,
     )
 
 
@@ -143,6 +144,7 @@ def fixed_points(case: Case, position: Array) -> FixedPoints:
         force,
         walls_driven=flow.wall_amplitude is not None,
         drives=drives(case, position),
+        resistance=flow.resistance,
     )
 
 

@@ -25,6 +25,12 @@ however the points lie, and the damper -G D only takes some. rho0/rho = 1 / (1 +
 is not a polynomial. To first order it is 1 - q/c0, and products of three fields are left out; to
 zeroth order K (1 + q/c0) b is K b too.
 
+What slows the fluid, at the rate lambda in itself and at nu/k in porous bodies, adds -lambda u and
+its head, -K lambda u, to du/dt, and to nu V u what it is with lambda = nu/k; heads are at the
+density rho0. Where a strip holds the flow rate (`sphrom.sph.resistance`), its unit vector e along
+an axis takes the mean e (e . a) of accelerations out of G q, V u and w. As D = -G^T and V = V^T,
+that takes a product of q with -D e and of u with V e.
+
 Ghosts take as much momentum as they give. Per unit of time and depth, with m = rho0 V, a ghost g of
 a wall takes the force
 
@@ -57,6 +63,7 @@ from sphrom.sph.point_sums import (
     scaled,
     some_rows,
 )
+from sphrom.sph.resistance import Resistance
 
 N_BLOCK_FIELDS = 8
 """Fields whose diffusion is computed at once."""
@@ -74,6 +81,21 @@ class Terms:
     """V u (2, n, n_fields) [1/(m s)]."""
     damping: Array | None = None
     """-alpha h G D u, the damper's part of the pressure gradient; None without a damper."""
+    slowing: Array | None = None
+    """-(1 + K) lambda u (2, n, n_fields) [1/s]; None where nothing slows the fluid."""
+
+
+@dataclass(frozen=True)
+class _Held:
+    """The strip that holds the flow rate."""
+
+    axis: int
+    unit: Array
+    """(n_points,) e."""
+    of_density: Array
+    """(n_points,) what e . G q is a product of q with."""
+    of_velocity: Array
+    """(n_points,) what e . V u is a product of u with, along the axis."""
 
 
 class FixedPoints:
@@ -87,6 +109,7 @@ class FixedPoints:
     walls_driven : whether walls move with the amplitude, and not steadily.
     drives : by parameter, per unit of its value, the velocity of ghosts' walls (n_ghosts, 2) [m/s]
         and the body force (2, n_points) [m/s2], which come on top of those that are given.
+    resistance : what slows the fluid, if anything.
 
     Attributes
     ----------
@@ -108,6 +131,7 @@ class FixedPoints:
         body_force: Array | None = None,
         walls_driven: bool = False,
         drives: Mapping[str, Drive[Array]] | None = None,
+        resistance: Resistance | None = None,
     ) -> None:
         self.position = domain.wrap(position)
         self.sound_speed = fluid.sound_speed
@@ -129,6 +153,34 @@ class FixedPoints:
         self._viscous = -2.0 / moment
         self._friction_sum = row_sums(self._fluid.friction)
         self._friction_of_factors = self._fluid.friction @ self._viscous
+        self._slow_down(resistance)
+
+    def _slow_down(self, resistance: Resistance | None) -> None:
+        """Keep what slows the fluid: rates at the points, and products of the strip's vector."""
+        self.slowing_rate = self.inverse_permeability = None
+        self._held: _Held | None = None
+        if resistance is None:
+            return
+        place = self.position.T
+        if resistance.own is not None or resistance.strip is not None:
+            self.slowing_rate = resistance.steady(place)
+        if resistance.inverse_permeability is not None:
+            self.inverse_permeability = resistance.inverse_permeability(place)
+        if (strip := resistance.strip) is not None:
+            rates = strip.rates(place)
+            vector = np.zeros((2, self.n_points, 1))
+            vector[strip.axis, :, 0] = rates / np.linalg.norm(rates)
+            of_density = -self.divergence(vector)[:, 0]
+            of_velocity = self._laplacian(vector, EVERYWHERE)[strip.axis, :, 0]
+            unit = vector[strip.axis, :, 0]
+            self._held = _Held(strip.axis, unit, of_density, of_velocity)
+
+    def _slowed(self, rate: Array | None, velocity: Array, rows: Rows) -> Array | None:
+        """Return (1 + K) rate u (2, n, n_fields) of velocities at some points."""
+        if rate is None:
+            return None
+        slowed = rate[:, None] * velocity
+        return np.asarray(slowed[:, rows] + self.head_push(slowed, rows))
 
     @property
     def n_points(self) -> int:
@@ -143,7 +195,11 @@ class FixedPoints:
     def friction_of(self, wall_velocity: Array) -> Array:
         """Return w (2, n_points) [1/(m s)] of walls' velocities (2, n_ghosts) [m/s]."""
         drag, friction = -2.0 * self._viscous, self._beside_walls.friction
-        return np.stack([drag * (friction @ u) for u in wall_velocity])
+        found = np.stack([drag * (friction @ u) for u in wall_velocity])
+        if self._held is not None:
+            along, unit = found[self._held.axis], self._held.unit
+            along -= unit * (unit @ along)
+        return found
 
     def terms(
         self,
@@ -163,7 +219,12 @@ class FixedPoints:
         if self._damping_length > 0.0:
             damping = -self._damping_length * self._pushed(divergence, rows)
             push += damping
-        return Terms(divergence[rows], push, self._laplacian(velocity, rows), damping)
+        laplacian, slowing = self._laplacian(velocity, rows), None
+        if (slowed := self._slowed(self.inverse_permeability, velocity, rows)) is not None:
+            laplacian -= slowed
+        if (slowed := self._slowed(self.slowing_rate, velocity, rows)) is not None:
+            slowing = -slowed
+        return Terms(divergence[rows], push, laplacian, damping, slowing)
 
     def divergence(self, velocity: Array) -> Array:
         """Return D u (n_points, n_fields) [1/s] of velocities (2, n_points, n_fields) [m/s]."""
@@ -192,6 +253,9 @@ class FixedPoints:
             for d in range(2):
                 found[d] += some_rows(ghosts.gradient[d], rows) @ mean
                 found[d] += scaled(ghosts.support[d, rows], q)
+        if self._held is not None:
+            mean = self._held.of_density @ scaled_density
+            found[self._held.axis] -= np.multiply.outer(self._held.unit[rows], mean)
         return found
 
     def _laplacian(self, velocity: Array, rows: Rows) -> Array:
@@ -200,12 +264,16 @@ class FixedPoints:
         own = c[rows] * self._friction_sum[rows] + self._friction_of_factors[rows]
         if self._ghosts is not None:
             own = own + 2.0 * c[rows] * self._ghosts.friction_sum[rows]
-        return np.stack(
+        found = np.stack(
             [
                 scaled(own, u[rows]) - scaled(c[rows], friction @ u) - friction @ scaled(c, u)
                 for u in velocity
             ]
         )
+        if self._held is not None:
+            mean = self._held.of_velocity @ velocity[self._held.axis]
+            found[self._held.axis] -= np.multiply.outer(self._held.unit[rows], mean)
+        return found
 
     def gradients(self, fields: Array, rows: Rows = EVERYWHERE) -> Array:
         """Return the renormalised gradients (2, n, n_fields) of fields at some points (Eq. 2.11).
@@ -243,7 +311,12 @@ class FixedPoints:
         if ghosts is None:
             return np.zeros_like(body_force[:, rows])
         head = ghosts.heads(body_force)
-        return np.stack([-(some_rows(ghosts.gradient[d], rows) @ head) for d in range(2)])
+        found = np.stack([-(some_rows(ghosts.gradient[d], rows) @ head) for d in range(2)])
+        if self._held is not None:
+            strip = self._held
+            mean = (ghosts.gradient[strip.axis].T @ strip.unit) @ head
+            found[strip.axis] += np.multiply.outer(strip.unit[rows], mean)
+        return found
 
     def ghost_pressures(self, scaled_density: Array, velocity: Array) -> Array:
         """Return the pressure's force on ghosts (2, n_ghosts, n_fields) [N/m], without heads.
@@ -254,7 +327,10 @@ class FixedPoints:
         q = scaled_density - self._damping_length * self.divergence(velocity)
         mean = ghosts.mean @ q
         scale = self.particle_mass * self.sound_speed
-        return scale * np.stack([scaled(row_sums(g), mean) + g @ q for g in ghosts.gradient_back])
+        push = scale * np.stack([scaled(row_sums(g), mean) + g @ q for g in ghosts.gradient_back])
+        if self.slowing_rate is not None:
+            push -= self.ghost_heads(self.slowing_rate[:, None] * velocity)
+        return push
 
     def ghost_heads(self, body_force: Array) -> Array:
         """Return the force of heads on ghosts (2, n_ghosts, ...) [N/m], of (2, n_points, ...)."""
@@ -270,7 +346,10 @@ class FixedPoints:
         """
         back = self._beside_walls.friction.T
         drag = np.stack([back @ scaled(self._viscous, u) for u in velocity])
-        return -2.0 * self.particle_mass * drag
+        drag = -2.0 * self.particle_mass * drag
+        if self.inverse_permeability is not None:
+            drag -= self.ghost_heads(self.inverse_permeability[:, None] * velocity)
+        return drag
 
     @property
     def ghost_drag(self) -> Array:

@@ -121,11 +121,12 @@ class StepLimits:
 
     acoustic: float
     viscous: float
+    resistance: float = math.inf
 
     @property
     def least(self) -> float:
         """The limit that binds."""
-        return min(self.acoustic, self.viscous)
+        return min(self.acoustic, self.viscous, self.resistance)
 
 
 def step_limits(
@@ -133,13 +134,15 @@ def step_limits(
     discretization: Discretization,
     has_walls: bool = False,
     sharpness: float = 0.0,
+    resistance: float = 0.0,
 ) -> StepLimits:
     """Return the limits of the time step.
 
     Sound limits it by Eq. 2.19. Beyond a damper's alpha of 2 over the largest wave number the
     shortest waves don't oscillate any more, and what the damper takes of them limits the step.
     Beside walls the spacing counts for viscosity too, and how sharp the sharpest corner is that
-    juts into the fluid (`sphrom.sph.polygons.jutting_corners`).
+    juts into the fluid (`sphrom.sph.polygons.jutting_corners`). What slows the fluid does so at a
+    largest rate, `resistance` [1/s].
     """
     length, courant = discretization.smoothing_length, COURANT_LIMIT
     half = 0.5 * discretization.acoustic_damping * LARGEST_WAVE_NUMBER
@@ -151,4 +154,5 @@ def step_limits(
         limit = WALL_VISCOUS_LIMIT / (1.0 + STIFFER_AT_CORNERS * sharpness)
         diffusion = min(diffusion, limit * length * discretization.particle_spacing)
     acoustic = courant * length / fluid.sound_speed
-    return StepLimits(acoustic, diffusion / fluid.kinematic_viscosity)
+    slowing = REAL_AXIS_LIMIT / resistance if resistance > 0.0 else math.inf
+    return StepLimits(acoustic, diffusion / fluid.kinematic_viscosity, slowing)

@@ -18,6 +18,7 @@ from sphrom.kernels.wendland import kernel
 from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fluid import ROUNDING, Discretization, Fluid, step_limits, volume_of
 from sphrom.sph.neighbourhood import Neighbourhood
+from sphrom.sph.resistance import Resistance
 from sphrom.sph.time_loop import DENSITY_LIMIT, Snapshot
 from sphrom.sph.walls import GhostParticles, WallTerms
 
@@ -55,12 +56,14 @@ class Functional:
         walls: Walls | None = None,
         body_force: BodyForce | None = None,
         wall_speed: WallSpeed | None = None,
+        resistance: Resistance | None = None,
     ) -> None:
         self.fluid = fluid
         self.discretization = discretization
         self.domain = domain
         self.body_force = body_force
         self.wall_speed = wall_speed
+        self.resistance = resistance
         self.ghosts = (
             None if walls is None else GhostParticles(walls, domain, fluid, discretization)
         )
@@ -119,6 +122,8 @@ class Functional:
         sweeps.rates(*self.neighbourhood.blocks(source), regular, self._fluid_constants, out)
         if walls is not None:
             walls.add_rates(self._fluid_constants, regular, out[1:])
+        if self.resistance is not None:
+            self.resistance.hold(position, out[1:])
         if force is not None:
             out[1:] += force
         if self.discretization.fixed_volume:
@@ -145,7 +150,8 @@ class Functional:
         """
         source = self._sources(position, density_fluctuation, velocity)
         near = self.neighbourhood.sources
-        (walls, force), constants = self._around(source, position, time), self._regularity_constants
+        walls, force = self._around(source, position, velocity, time)
+        constants = self._regularity_constants
         beside = np.empty((6, 0)) if walls is None else walls.regularity(constants)
         regular, slopes = np.empty((sweeps.N_REGULAR_ROWS, near.targets.size)), None
         arguments = (*self.neighbourhood.blocks(source), constants, beside, regular)
@@ -192,10 +198,16 @@ class Functional:
         return walls.forces(self._fluid_constants)
 
     def _around(
-        self, source: Array, position: Array, time: float
+        self, source: Array, position: Array, velocity: Array, time: float
     ) -> tuple[WallTerms | None, Array | None]:
-        """Return what walls add, and the body force (2, n_particles) [m/s2], if there are any."""
+        """Return what walls add, and the body force less resistance (2, n_particles) [m/s2].
+
+        None where there is none.
+        """
         force = None if self.body_force is None else self.body_force(position, time)
+        if self.resistance is not None:
+            slowing = self.resistance.rates(position, self.fluid.kinematic_viscosity) * velocity
+            force = -slowing if force is None else force - slowing
         if self.ghosts is None:
             return None, force
         near = self.neighbourhood
@@ -213,7 +225,7 @@ class Functional:
         distance, depth = np.full(near.targets.size, np.inf), np.zeros(source.shape[1])
         pairs = *fluid, distance, source, *self.neighbourhood.search
         advection.transport(*pairs, depth, self.fluid.reference_density, out)
-        walls, _ = self._around(source, position, time)
+        walls, _ = self._around(source, position, velocity, time)
         if walls is not None:
             walls.add_transport(out)
         return out

@@ -15,6 +15,7 @@ from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.sph.fluid import Discretization, Fluid
+from sphrom.sph.resistance import Resistance, Strip
 
 N_MODES = 5
 SPACING = 0.0625
@@ -50,6 +51,7 @@ class Setting:
     amplitude: float = 1.0
     walls_driven: bool = False
     acoustic_damping: float = 1.0
+    resistance: Resistance | None = None
 
     @cached_property
     def domain(self) -> Domain:
@@ -83,6 +85,7 @@ class Setting:
             walls,
             force,
             walls_driven=self.walls_driven,
+            resistance=self.resistance,
         )
 
     @cached_property
@@ -133,6 +136,12 @@ class Setting:
         )
 
 
+SLOWED = Resistance(
+    own=lambda at: 2.0 + np.sin(at[1]),
+    inverse_permeability=lambda at: np.where(at[0] > 0.5, 300.0, 0.0),
+    strip=Strip(0, 0.1, 0.4, 0.4, 20.0),
+)
+"""All that slows fluid."""
 SETTINGS = {
     "periodic": Setting("periodic"),
     "lid": Setting("box", separate_mean=True, fixed_volume=True),
@@ -140,6 +149,7 @@ SETTINGS = {
     "driven lid": Setting("box", separate_mean=True, fixed_volume=True, walls_driven=True),
     "forced": Setting("channel"),
     "forced between driven walls": Setting("channel", walls_driven=True),
+    "open": Setting("channel", resistance=SLOWED),
     "raw": Setting("box", product=RAW),
     "raw and forced": Setting("channel", product=RAW),
 }

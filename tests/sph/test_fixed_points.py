@@ -11,6 +11,7 @@ import pytest
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
+from sphrom.sph.resistance import Resistance, Strip
 
 SPACING = 0.0625
 FLUID = Fluid(reference_density=800.0, sound_speed=7.0, kinematic_viscosity=0.013, max_speed=0.9)
@@ -28,10 +29,21 @@ def push(position: np.ndarray) -> np.ndarray:
 class Setting:
     """Points of a scene, its operators, and its functional with walls and force scaled."""
 
-    def __init__(self, scenes, rates, name: str, seed: int = 3, **options) -> None:
+    def __init__(
+        self,
+        scenes,
+        rates,
+        name: str,
+        seed: int = 3,
+        resistance: Resistance | None = None,
+        **options,
+    ) -> None:
         self.at_points = rates
         self.scene = scenes[name]
-        self.domain = self.scene.domain
+        self.domain, self.resistance = self.scene.domain, resistance
+        if resistance is not None:
+            in_box = lambda at: self.domain.wrap(at.T).T  # noqa: E731
+            self.resistance = replace(resistance, in_box=in_box)
         self.discretization = replace(DISCRETIZATION, **options)
         self.position = self.scene.state(seed)[:2].T
         random = np.random.default_rng(seed)
@@ -44,6 +56,7 @@ class Setting:
             self.domain,
             self.walls(1.0),
             None if self.force is None else push(self.position.T),
+            resistance=self.resistance,
         )
 
     def walls(self, speed: float):
@@ -55,7 +68,14 @@ class Setting:
     def functional(self, q, velocity, speed: float = 0.0, amplitude: float = 0.0, fluid=FLUID):
         """Return the functional's rates (3, n_points) of q and velocity."""
         force = None if self.force is None else lambda x, time: amplitude * push(x)
-        functional = Functional(fluid, self.discretization, self.domain, self.walls(speed), force)
+        functional = Functional(
+            fluid,
+            self.discretization,
+            self.domain,
+            self.walls(speed),
+            force,
+            resistance=self.resistance,
+        )
         rates = functional.evaluate(self.position.T.copy(), q / SCALE, velocity)
         return np.vstack((SCALE * rates.density, rates.velocity))
 
@@ -80,6 +100,12 @@ def close(actual: np.ndarray, expected: np.ndarray, tolerance: float) -> None:
         assert np.max(np.abs(a - b)) <= tolerance * np.max(np.abs(b))
 
 
+SLOWED = Resistance(
+    own=lambda at: 2.0 + np.sin(at[1]),
+    inverse_permeability=lambda at: np.where(at[0] > 0.5, 300.0, 0.0),
+    strip=Strip(0, 0.2, 0.6, -0.4, 20.0),
+)
+"""All that slows fluid in a box that repeats along x."""
 NAMES = ["periodic", "box", "lid", "cavity", "forced cavity", "shapes"]
 
 
@@ -114,6 +140,19 @@ def test_of_density_the_linear_part_is_the_functional_s(setting, name: str, opti
         assert np.max(np.abs(expected[0])) == 0.0
         actual, expected = actual[1:], expected[1:]
     close(actual, expected, 1e-8)
+
+
+@pytest.mark.parametrize("name", ["periodic", "cavity", "shapes"])
+def test_what_slows_the_fluid_does_so_at_fixed_points_too(setting, name: str) -> None:
+    """To first order, as the functional's ghosts give way to their heads."""
+    here = setting(name, resistance=SLOWED, acoustic_damping=0.7)
+    for q, velocity in ((here.q, np.zeros((2, here.q.size))), (0.0 * here.q, [here.u, here.v])):
+        states = [(s * q, s * np.stack(velocity)) for s in (1e-5, -1e-5)]
+        found, expected = (
+            np.subtract(*[rates(*state)[1:] for state in states])
+            for rates in (lambda q, u: here.rates(q, u, 1), here.functional)
+        )
+        close(found, expected, 1e-6)
 
 
 def test_driven_walls_move_with_the_amplitude(setting) -> None:

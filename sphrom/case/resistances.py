@@ -1,0 +1,124 @@
+"""Sections of what slows the fluid down: porous bodies, and the strip of an inflow."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from typing import Annotated
+
+import numpy as np
+import shapely
+from pydantic import ConfigDict, Field
+from shapely.geometry.base import BaseGeometry
+
+from sphrom.arrays import Array
+from sphrom.case.fields import Coordinate, Duration, Positive, Section, key
+from sphrom.case.shapes import ShapeSection
+from sphrom.sph.domain import Domain
+from sphrom.sph.resistance import Rates, Strip
+
+Value = Coordinate | Annotated[str, Field(max_length=1000)]
+"""A number, or an expression."""
+Vector = Annotated[tuple[Value, ...], Field(min_length=2, max_length=2)]
+N_CELLS = 256
+"""Cells across a porous body in which its share is known."""
+
+
+class PorousSection(ShapeSection):
+    """A porous body: a shape that fluid flows through, against Darcy's resistance nu/k."""
+
+    permeability: Positive = key(..., "its permeability k", unit="m2")
+
+
+class StripSection(Section):
+    """Where a strip across the box lies along its periodic axis."""
+
+    # `from` is a word of Python's.
+    model_config = ConfigDict(serialize_by_alias=True)
+
+    start: Coordinate = key(..., "where it starts", unit="m", alias="from")
+    end: Coordinate = key(..., "where it ends", unit="m", alias="to")
+
+
+class InflowSection(Section):
+    """What flows in: a strip across a periodic box brings the flow back to a wanted velocity."""
+
+    strip: StripSection = key(..., "the strip, along the periodic axis that the fluid flows along")
+    velocity: Vector = key(
+        ..., "what fluid leaves the strip with, numbers or expressions in x, y, t", unit="m/s"
+    )
+    strength: Positive = key(
+        200.0, "K: the integral of the forcing's rate over the strip, over the largest speed"
+    )
+    ramp: Duration | None = key(
+        None,
+        "how long the inflow takes to come up to speed; null is the box's length over the largest "
+        "speed from rest, 0 for runs that start with a velocity",
+        unit="s",
+    )
+
+    def strip_in(self, domain: Domain, samples: Array, velocity: Callable[[Array], Array]) -> Strip:
+        """Return the strip in a domain, of which there are samples (n_samples, 2) [m].
+
+        Velocities are (2, n_samples) [m/s]. Raises ValueError where it can't be had.
+        """
+        start, end, inflows = self.strip.start, self.strip.end, dict[int, Array]()
+        for axis in np.flatnonzero(domain.periodic).tolist():
+            inside = (samples[:, axis] >= start) & (samples[:, axis] <= end)
+            if domain.lower[axis] <= start < end <= domain.upper[axis] and inside.any():
+                inflows[axis] = velocity(samples[inside].T)
+        if not inflows:
+            raise ValueError(
+                "inflow.strip: must be in the box, from a lower to a higher place along an axis "
+                "that box.periodic names; the fluid that leaves the box enters the strip"
+            )
+        means = {axis: float(inflow[axis].mean()) for axis, inflow in inflows.items()}
+        axis = max(means, key=lambda each: abs(means[each]))
+        speed = float(np.linalg.norm(inflows[axis], axis=0).max())
+        if not abs(means[axis]) > 0.0:
+            raise ValueError("inflow.velocity: nothing flows along the box's periodic axis")
+        return Strip(axis, start, end, math.copysign(speed, means[axis]), self.strength)
+
+    def ramp_over(self, length: float, speed: float, from_rest: bool) -> float:
+        """Return how long it takes to come up to speed [s], in a box of a length [m]."""
+        if self.ramp is not None:
+            return self.ramp
+        return length / speed if from_rest else 0.0
+
+
+def ramp_share(ramp: float, time: Array | float) -> Array | float:
+    """Return the share of its speed that an inflow has reached at times [s], along a cosine."""
+    if ramp == 0.0:
+        return 1.0
+    return 0.5 - 0.5 * np.cos(math.pi * np.clip(np.divide(time, ramp), 0.0, 1.0))
+
+
+def inverse_permeability(bodies: Iterable[tuple[PorousSection, BaseGeometry]]) -> Rates | None:
+    """Return 1/k [1/m2] at positions (2, n_positions) [m], zero outside of porous bodies.
+
+    It is smooth over a cell at their edges. None where there are no bodies.
+    """
+    grids = [(*_shares(shape), 1.0 / body.permeability) for body, shape in bodies]
+
+    def at(position: Array) -> Array:
+        from scipy.ndimage import map_coordinates  # few scenes need it
+
+        found = np.zeros(position.shape[1])
+        for lower, cell, shares, inverse in grids:
+            place = (position - lower[:, None]) / cell[:, None] - 0.5
+            inside = np.flatnonzero(((place > -1.0) & (shares.shape > place.T).T).all(axis=0))
+            some = map_coordinates(shares, place[:, inside], order=1, mode="constant")
+            found[inside] += inverse * some
+        return found
+
+    return at if grids else None
+
+
+def _shares(shape: BaseGeometry) -> tuple[Array, Array, Array]:
+    """Return the lower corner, size and shares (n_x, n_y) of cells over a shape's bounds."""
+    lower, upper = np.reshape(shape.bounds, (2, 2))
+    x, y = (np.linspace(low, high, N_CELLS + 1) for low, high in zip(lower, upper, strict=True))
+    cells = shapely.box(x[:-1, None], y[None, :-1], x[1:, None], y[None, 1:])
+    shapely.prepare(shape)
+    shares = shapely.area(shapely.intersection(cells, shape)) / shapely.area(cells)
+    return lower, (upper - lower) / N_CELLS, np.asarray(shares)

@@ -1,0 +1,114 @@
+"""What slows the fluid down in proportion to its velocity: resistances, porous bodies, a strip.
+
+A resistance adds -lambda u to the rates of the velocity; a porous body of permeability k has
+lambda = nu/k (Darcy's law). An open flow is had in a box that is periodic along the flow by a strip
+across it, a fringe region (Spalart 1988; Nordstrom, Nordin and Henningson 1999, SIAM J. Sci.
+Comput. 20): there lambda (U - u) brings the fluid back to the velocity U of the inflow.
+
+By itself this forcing has to carry the fall of the pressure along the box and the friction in the
+strip, so that the flow rate falls short by both over rho U^2 K, with K the integral of lambda over
+the strip over U. The strip therefore takes the mean of all other accelerations along the flow away,
+as simulations of channels do that hold their flow rate: with the unit vector e of the rates lambda
+of all particles, the accelerations a along the flow become a - e (e . a).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from sphrom.arrays import Array, Mask
+
+RISE, FALL = 0.3, 0.1
+"""Shares of a strip's width over which lambda rises, where fluid enters it, and falls."""
+
+Rates = Callable[[Array], Array]
+"""Rates (n_positions,) at positions (2, n_positions) [m] in the box."""
+
+
+@dataclass(frozen=True)
+class Strip:
+    """A strip across the box that brings the flow back to that of the inflow."""
+
+    axis: int
+    """The axis that it goes across: 0 is x."""
+    start: float
+    end: float
+    """Where it lies along that axis [m]."""
+    speed: float
+    """The largest of the inflow [m/s]; negative where fluid leaves the strip at its start."""
+    strength: float
+    """K."""
+
+    @property
+    def largest(self) -> float:
+        """The largest lambda [1/s]."""
+        width = (self.end - self.start) * (1.0 - 0.5 * (RISE + FALL))
+        return self.strength * abs(self.speed) / width
+
+    def contains(self, position: Array) -> Mask:
+        """Return which positions (2, n_positions) [m] in the box lie in it."""
+        return np.asarray((position[self.axis] > self.start) & (position[self.axis] < self.end))
+
+    def rates(self, position: Array) -> Array:
+        """Return lambda (n_positions,) [1/s] at positions (2, n_positions) [m] in the box."""
+        inside = self.contains(position)
+        along = (position[self.axis, inside] - self.start) / (self.end - self.start)
+        if self.speed < 0.0:
+            along = 1.0 - along
+        found = np.zeros(position.shape[1])
+        found[inside] = self.largest * _step(along / RISE) * _step((1.0 - along) / FALL)
+        return found
+
+    def forcing(self, position: Array, velocity: Callable[[Array], Array]) -> Array:
+        """Return lambda U (2, n_positions) [m/s2], of the inflow's velocity at positions [m/s]."""
+        found, inside = np.zeros_like(position), np.flatnonzero(self.contains(position))
+        found[:, inside] = self.rates(position[:, inside]) * velocity(position[:, inside])
+        return found
+
+
+def _step(x: Array) -> Array:
+    """Return a step from 0 at zero to 1 at one that is smooth to all orders."""
+    within = np.clip(x, 1e-3, 1.0 - 1e-3)
+    smooth = 1.0 / (1.0 + np.exp(1.0 / (within - 1.0) + 1.0 / within))
+    return np.asarray(np.where(x >= 1.0, 1.0, smooth))
+
+
+@dataclass(frozen=True)
+class Resistance:
+    """All that slows the fluid of a scene down."""
+
+    own: Rates | None = None
+    """lambda without that of porous bodies and the strip [1/s]."""
+    inverse_permeability: Rates | None = None
+    """1/k [1/m2]; zero outside of porous bodies."""
+    strip: Strip | None = None
+    in_box: Callable[[Array], Array] = lambda position: position
+    """Moves positions (2, n_positions) [m] into the box."""
+
+    def steady(self, position: Array) -> Array:
+        """Return lambda without porous bodies (n_positions,) [1/s], which no viscosity changes."""
+        place = self.in_box(position)
+        found = np.zeros(place.shape[1]) if self.own is None else self.own(place)
+        return found if self.strip is None else found + self.strip.rates(place)
+
+    def rates(self, position: Array, viscosity: float) -> Array:
+        """Return lambda (n_positions,) [1/s] at positions (2, n_positions) [m]."""
+        found = self.steady(position)
+        if self.inverse_permeability is not None:
+            found = found + viscosity * self.inverse_permeability(self.in_box(position))
+        return found
+
+    def hold(self, position: Array, acceleration: Array) -> None:
+        """Take the mean of accelerations (2, n_positions) [m/s2] along the strip out, in place."""
+        if self.strip is not None:
+            rates = self.strip.rates(self.in_box(position))
+            along = acceleration[self.strip.axis]
+            along -= rates * (rates @ along / (rates @ rates))
+
+    def largest(self, samples: Array, viscosity: float) -> float:
+        """Return the largest lambda [1/s] at positions (2, n_positions) [m], or in the strip."""
+        largest = float(self.rates(samples, viscosity).max())
+        return largest if self.strip is None else max(largest, self.strip.largest)
