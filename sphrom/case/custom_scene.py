@@ -428,7 +428,7 @@ class CustomScene(SceneSection):
             return None
         if len(moving) > 1:
             raise ValueError(
-                f"{' and '.join(KEYS[name] for name in pushes)}: all components must have the same "
+                f"{' and '.join(KEYS[name] for name in pushes)}: both components must have the same "
                 f"amplitude in time; got {' and '.join(moving)}"
             )
         (amplitude,) = moving.values()

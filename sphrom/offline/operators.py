@@ -178,7 +178,8 @@ class _Projection:
         assert ghosts is not None
         names, position = case.scene.measured_walls, self.points.position
         around = position, ghosts.position, case.plan.particle_spacing
-        tested = stokes_fields(case.scene.domain, *around, set(names.values()))
+        slowed = self.points.slowed_over(case.plan.kinematic_viscosity(self.trained[0]))
+        tested = stokes_fields(case.scene.domain, *around, set(names.values()), *slowed)
         for measured, (wall, circulations) in walls.items():
             balance = tested[names[measured]], self.splines
             force = project_forces(self.points, self.basis, wall, circulations, balance)

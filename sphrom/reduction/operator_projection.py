@@ -422,10 +422,19 @@ def _balance(
         advection += np.einsum("lnik,inm->lkm", carried, velocity, optimize=True)
     advection = 0.5 * (advection + advection.swapaxes(1, 2))
     mass = points.particle_mass
+
+    def slowing(rate: Array | None) -> Array | None:
+        if rate is None:
+            return None
+        slowed = np.einsum("lnd,n,dnk->lk", tested.value, rate, fields.velocity[..., :n])
+        return np.asarray(mass * slowed)
+
+    slowed, viscous = slowing(points.slowing_rate), slowing(points.inverse_permeability)
     return MomentumBalance(
         follows=tested.follows.astype(np.int64),
         momentum=mass * momentum,
         advection=mass * advection,
-        strain=mass * strain,
+        strain=mass * strain + (0.0 if viscous is None else viscous),
+        slowing=slowed,
         push=push,
     )

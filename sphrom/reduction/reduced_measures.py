@@ -8,12 +8,13 @@ A force follows from the balance of momentum of the whole fluid, tested with the
 the wall's motion (`sphrom.reduction.stokes_fields`). With the velocity sum_k a_k phi_k and the
 model's own rates da/dt it is
 
-    F = beta(t) p - q . da/dt + a . A a - nu s . a,
+    F = beta(t) p - q . da/dt + a . A a - nu s . a - r . a,
 
-with p = rho int f . w, q_k = rho int phi_k . w, A_kl = rho int phi_k . (phi_l . grad) w and
-s_k = 2 rho int E(phi_k) : E(w). Its errors are those of the velocity, weighed over the whole fluid.
-The pressure's share is what is left of it by the viscous force at the wall. That one, and both
-where there is no such field, are the forces on ghosts of fields at fixed points
+with p = rho int f . w, q_k = rho int phi_k . w, A_kl = rho int phi_k . (phi_l . grad) w,
+s_k = 2 rho int E(phi_k) : E(w), and r_k = rho int lambda phi_k . w of what slows the fluid; in
+porous bodies s has that with 1/k in place of lambda. Its errors are those of the velocity, weighed
+over the whole fluid. The pressure's share is what is left of it by the viscous force at the wall.
+That one, and both where there is no such field, are the forces on ghosts of fields at fixed points
 (`sphrom.sph.fixed_points`), linear in the state:
 
     pressure: P z + beta(t) B z,    viscous: nu (V z + s w).
@@ -60,6 +61,9 @@ class MomentumBalance(Record):
     advection: Array = dataset("load mode mode", _BALANCED, "advection of momentum", "A")
     strain: Array = dataset("load mode", _BALANCED + VISCOSITY, "viscous stress in the fluid", "s")
     push: Array | None = dataset("load", f"N/m, N{FORCE}", "body force", "p", default=None)
+    slowing: Array | None = dataset(
+        "load mode", _BALANCED, "what slows the fluid at a rate of its own", "r", default=None
+    )
 
 
 class DriveForce(Record):
@@ -131,6 +135,8 @@ class ReducedForce(Record):
             for terms in (direct, heads):
                 terms[:3] -= follows * (terms[:3] + terms[3:])
             direct[:3, n:] -= follows * kinematic_viscosity * balance.strain
+            if balance.slowing is not None:
+                direct[:3, n:] -= follows * balance.slowing
             push = with_drives(balance.push, self.drives, "push", factors)
             if push is not None:
                 heads[:3, 0] += follows[:, 0] * push

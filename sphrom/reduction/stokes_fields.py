@@ -11,6 +11,10 @@ counts least if w is itself a flow without inertia: its stress does no work on e
 divergence and vanish at walls. Codes of finite elements evaluate drag and lift as integrals of this
 kind (John and Matthies, Int. J. Numer. Meth. Fluids 37, 2001).
 
+What slows the fluid at a rate lambda adds -rho int lambda u . w, and to the dissipation that is
+least lambda/nu w^2. In the strip of an open flow w is held at zero, so that what holds the flow
+rate there has no part in the force.
+
 The stream function of w is a tensor product of quartic B-splines that minimises the dissipation at
 the points of a lattice. It moves with the wall at places along it, and is kept smooth behind it.
 """
@@ -23,7 +27,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import BSpline
-from scipy.sparse import csr_array, eye_array, hstack, vstack
+from scipy.sparse import csr_array, diags_array, eye_array, hstack, vstack
 from scipy.sparse.linalg import splu
 from scipy.spatial import KDTree
 
@@ -59,7 +63,13 @@ class StokesFields:
 
 
 def stokes_fields(
-    domain: Domain, position: Array, ghosts: Array, spacing: float, names: Iterable[str]
+    domain: Domain,
+    position: Array,
+    ghosts: Array,
+    spacing: float,
+    names: Iterable[str],
+    slowing: Array | None = None,
+    strip: Mask | None = None,
 ) -> dict[str, StokesFields]:
     """Return the fields of some walls of a domain.
 
@@ -69,6 +79,8 @@ def stokes_fields(
     ghosts : (n_ghosts, 2) [m] behind walls, on the same lattice.
     spacing : of the points [m].
     names : of the walls.
+    slowing : (n_points,) the rate at which the fluid is slowed over its viscosity [1/m2].
+    strip : (n_points,) which of them are in the strip of an open flow.
     """
     wrapped = domain.wrap(ghosts)
     wall, on_wall = domain.nearest_wall(wrapped), domain.on_wall(wrapped)
@@ -88,6 +100,12 @@ def stokes_fields(
     at_walls = vstack((sides.of(0, 1), -sides.of(1, 0)), format="csr")
     held = at_walls.T @ at_walls
     weight = PENALTY * size / held.diagonal().mean()
+    if slowing is not None:
+        roots = diags_array(np.sqrt(slowing))
+        dissipation = dissipation + _squares(roots @ stream.of(0, 1), roots @ stream.of(1, 0))
+    if strip is not None:
+        still = diags_array(strip.astype(float))
+        smooth = smooth + weight * _squares(still @ stream.of(0, 1), still @ stream.of(1, 0))
     small = REGULARIZATION * size * eye_array(held.shape[0])
     whole = (dissipation + smooth + weight * held + small).tocsc()
     # Symmetric and positive: the order may keep the factors sparse, without pivots.

@@ -50,7 +50,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sphrom.arrays import Array
+from sphrom.arrays import Array, Mask
 from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fluid import Discretization, Drive, Fluid
 from sphrom.sph.point_sums import (
@@ -174,6 +174,16 @@ class FixedPoints:
             of_velocity = self._laplacian(vector, EVERYWHERE)[strip.axis, :, 0]
             unit = vector[strip.axis, :, 0]
             self._held = _Held(strip.axis, unit, of_density, of_velocity)
+
+    def slowed_over(self, viscosity: float) -> tuple[Array | None, Mask | None]:
+        """Return the rate that slows the fluid over a viscosity (n_points,) [1/m2], and the strip.
+
+        None where nothing slows it, and without a strip.
+        """
+        inverse, rate = self.inverse_permeability, self.slowing_rate
+        if rate is not None:
+            inverse = rate / viscosity + (0.0 if inverse is None else inverse)
+        return inverse, None if self._held is None else self._held.unit > 0.0
 
     def _slowed(self, rate: Array | None, velocity: Array, rows: Rows) -> Array | None:
         """Return (1 + K) rate u (2, n, n_fields) of velocities at some points."""

@@ -140,12 +140,13 @@ def step_limits(
 
     Sound limits it by Eq. 2.19. Beyond a damper's alpha of 2 over the largest wave number the
     shortest waves don't oscillate any more, and what the damper takes of them limits the step.
+    What slows the fluid, at a largest rate `resistance` [1/s], adds to that.
     Beside walls the spacing counts for viscosity too, and how sharp the sharpest corner is that
-    juts into the fluid (`sphrom.sph.polygons.jutting_corners`). What slows the fluid does so at a
-    largest rate, `resistance` [1/s].
+    juts into the fluid (`sphrom.sph.polygons.jutting_corners`).
     """
     length, courant = discretization.smoothing_length, COURANT_LIMIT
     half = 0.5 * discretization.acoustic_damping * LARGEST_WAVE_NUMBER
+    half += 0.5 * resistance * length / (fluid.sound_speed * LARGEST_WAVE_NUMBER)
     if half > 1.0:
         rate = LARGEST_WAVE_NUMBER * (half + math.sqrt(half**2 - 1.0))
         courant = min(courant, REAL_AXIS_LIMIT / rate)
