@@ -404,7 +404,7 @@ def _check_compare(case: Case) -> Found:
     if not left < line < right:
         reason = f"must be within the scene, between {left:g} and {right:g} m; got {line:g}"
         yield "compare.line", reason
-    strip = case.scene.strip
+    strip = case.plan.strip
     if strip is not None and strip.axis == 0 and strip.start < line < strip.end:
         yield (
             "compare.line",

@@ -197,8 +197,8 @@ class CustomScene(SceneSection):
         if len(areas := self.domain.separate_areas) > 1:
             sizes = ", ".join(f"{area:.4g}" for area in areas[:MOST_AREAS])
             yield "solids", f"they cut the fluid into {len(areas)} parts, of {sizes} m2"
-        if self.strip is not None:
-            yield from self._changes_in(self.strip)
+        if self._strip is not None:
+            yield from self._changes_in(self._strip)
 
     def _changes_in(self, strip: Strip) -> Iterator[tuple[str, str]]:
         """Yield solids that don't go straight through the strip of an inflow, and what it does."""
@@ -438,14 +438,14 @@ class CustomScene(SceneSection):
     @cached_property
     def _force(self) -> Drive | None:
         """What pushes the fluid: a field times an amplitude, of which parameters give a factor."""
-        pushes, strip = self._pushes, self.strip
+        pushes, strip = self._pushes, self._strip
         moving = {text: a for push in pushes.values() for text, a in push.amplitudes.items()}
         if not moving:
             return None
         if len(moving) > 1:
+            keys, amplitudes = " and ".join(KEYS[name] for name in pushes), " and ".join(moving)
             raise ValueError(
-                f"{' and '.join(KEYS[name] for name in pushes)}: both components must have the "
-                f"same amplitude in time; got {' and '.join(moving)}"
+                f"{keys}: both components must have the same amplitude in time; got {amplitudes}"
             )
         (amplitude,) = moving.values()
 
@@ -467,7 +467,7 @@ class CustomScene(SceneSection):
         return Drive(field, at, lambda times: factor * (share(times) * amplitude(t=times)), changes)
 
     @cached_property
-    def strip(self) -> Strip | None:
+    def _strip(self) -> Strip | None:
         """The strip of the inflow, which no parameter changes."""
         if self.inflow is None:
             return None
@@ -478,10 +478,10 @@ class CustomScene(SceneSection):
     @cached_property
     def inflow_ramp(self) -> float:
         """How long the inflow takes to come up to speed [s]; 0 without one."""
-        if self.inflow is None or self.strip is None:
+        if self.inflow is None or self._strip is None:
             return 0.0
-        length, start = self.domain.lengths[self.strip.axis], self.initial
-        return self.inflow.ramp_over(length, abs(self.strip.speed), start == InitialSection())
+        length, start = self.domain.lengths[self._strip.axis], self.initial
+        return self.inflow.ramp_over(length, abs(self._strip.speed), start == InitialSection())
 
     @cached_property
     def _resistance(self) -> Resistance | None:
@@ -503,9 +503,9 @@ class CustomScene(SceneSection):
                 raise ValueError(f"resistance: is negative at ({x:g}, {y:g}) m")
             own = partial(_at_places, expression)
         inverse = inverse_permeability((self.porous[name], shape) for name, shape in shapes.items())
-        if own is None and inverse is None and self.strip is None:
+        if own is None and inverse is None and self._strip is None:
             return None
-        return Resistance(own, inverse, self.strip, self._in_box)
+        return Resistance(own, inverse, self._strip, self._in_box)
 
     def largest_resistance(self, viscosity: float) -> float:
         """Return the largest rate that slows the fluid [1/s], at a viscosity [m2/s]."""

@@ -32,7 +32,7 @@ def case_warnings(case: Case) -> list[str]:
 
 
 def _of_strip(case: Case) -> Iterator[str]:
-    if (strip := case.scene.strip) is None:
+    if (strip := case.plan.strip) is None:
         return
     width, least = strip.end - strip.start, LEAST_FLANK * case.plan.particle_spacing / FALL
     if width < least * (1.0 - ROUNDING):

@@ -16,7 +16,6 @@ from sphrom.scenes.flows import Channel, Scales, Scene
 from sphrom.scenes.reference_profiles import ReferenceProfile
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import NONE
-from sphrom.sph.resistance import Strip
 
 Defaults = Mapping[str, Any]
 OF_WALLS: Defaults = {
@@ -99,11 +98,6 @@ class SceneSection(Section):
     def stations(self, line: float) -> Array:
         """Return where histories are kept (n_stations, 2) [m], given x of the compared line [m]."""
         return np.empty((0, 2))
-
-    @property
-    def strip(self) -> Strip | None:
-        """The strip of an open flow, or None where the flow isn't open."""
-        return None
 
     @property
     def channel(self) -> Channel | None:

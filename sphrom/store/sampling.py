@@ -42,8 +42,9 @@ def probes_of(case: Case) -> Probes:
     # A point on a wall, as a grid can have on edges within the box, is of no fluid.
     in_fluid = domain.wall_distance(points) > ON_WALL * case.plan.particle_spacing
     # Of an open flow, what a strip does to it is none.
-    if case.scene.strip is not None:
-        in_fluid &= ~case.scene.strip.contains(points.T)
+    resistance = case.plan.flow(case.plan.points[0]).resistance
+    if resistance is not None and resistance.strip is not None:
+        in_fluid &= ~resistance.strip.contains(points.T)
     return Probes(
         line=np.stack((np.full(n_line, float(x)), spread(spans, n_line)), axis=1),
         grid=points[in_fluid],
