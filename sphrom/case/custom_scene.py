@@ -427,9 +427,9 @@ class CustomScene(SceneSection):
         if not moving:
             return None
         if len(moving) > 1:
+            keys, amplitudes = " and ".join(KEYS[name] for name in pushes), " and ".join(moving)
             raise ValueError(
-                f"{' and '.join(KEYS[name] for name in pushes)}: both components must have the same "
-                f"amplitude in time; got {' and '.join(moving)}"
+                f"{keys}: both components must have the same amplitude in time; got {amplitudes}"
             )
         (amplitude,) = moving.values()
 
