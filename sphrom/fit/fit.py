@@ -31,7 +31,6 @@ from sphrom.console import Reporter
 from sphrom.errors import CaseError, UnstableError
 from sphrom.fit.forward_model import FittedModel, TrainingDifferences, box_of, error_samples
 from sphrom.fit.measurements import Measurements, read_measurements
-from sphrom.metrics import measures
 from sphrom.metrics.draws import Z
 from sphrom.metrics.estimation import (
     Minimum,
@@ -355,7 +354,7 @@ def _histories(
             curve=curves[:, k],
             half_width=Z * np.sqrt(variance),
             name=history.name,
-            units=measures.UNITS[history.quantity],
+            units=history.units,
         )
 
 

@@ -13,6 +13,9 @@ from sphrom.metrics.series import (
     hat,
     kinetic_energy,
     moving_average,
+    oscillation,
+    phase_ahead,
+    relative_errors,
 )
 
 
@@ -92,3 +95,55 @@ def test_averages_are_those_of_numpy_for_any_shape():
     values = np.random.default_rng(1).random((12, 3, 2))
     expected = np.convolve(values[:, 1, 0], hat(3), "valid")
     np.testing.assert_allclose(moving_average(values, hat(3))[:, 1, 0], expected)
+
+
+def wave(time, frequency, growth=0.0):
+    """Return a signal of amplitude 0.7 about 1.2, with harmonics and a trend that doesn't count."""
+    turns = 2.0 * np.pi * frequency * (time - time[0])
+    harmonics = 0.3 * np.cos(2.0 * turns + 2.0) + 0.1 * np.cos(3.0 * turns)
+    return 1.2 + 0.7 * np.exp(growth * (time - time[0])) * np.cos(turns + 1.0) + harmonics
+
+
+@given(
+    frequency=st.floats(0.2, 5.0), n_periods=st.floats(3.2, 30.0), per_period=st.integers(12, 90)
+)
+def test_figures_of_an_oscillation_with_harmonics(frequency, n_periods, per_period) -> None:
+    time = 3.0 + np.arange(0.0, n_periods / frequency, 1.0 / (frequency * per_period))
+    found = oscillation(time, wave(time, frequency))
+    assert found["frequency"] == pytest.approx(frequency, rel=1e-5)
+    assert (found["amplitude"], found["mean"]) == pytest.approx((0.7, 1.2), rel=1e-4)
+    assert max(found["frequency_scatter"] / frequency, found["amplitude_scatter"]) < 1e-3
+
+
+def test_an_oscillation_that_grows_or_is_noisy() -> None:
+    """Growth changes no frequency; noise changes it by far less than the scatter of a period."""
+    time = np.linspace(0.0, 20.0, 401)
+    grown = oscillation(time, wave(time, 1.0, growth=0.05))
+    assert grown["frequency"] == pytest.approx(1.0, rel=1e-6)
+    expected = 0.7 * np.exp(0.05 * np.linspace(1.0, 19.0, 1000))
+    figures = (grown["amplitude"], grown["amplitude_scatter"])
+    assert figures == pytest.approx((expected.mean(), expected.std()), rel=2e-3)
+    noisy = wave(time, 1.0) + 0.1 * np.random.default_rng(2).normal(size=401)
+    found = oscillation(time, noisy)
+    assert found["frequency"] == pytest.approx(1.0, abs=1e-3)
+    assert 0.0 < found["frequency_scatter"] < 0.02
+
+
+@pytest.mark.parametrize("signal", [np.full(100, 3.3), TIME, np.exp(-TIME), np.sin(15.0 * TIME)])
+def test_a_record_without_three_periods_has_a_mean_alone(signal) -> None:
+    assert oscillation(TIME, signal) == {"amplitude": 0.0, "mean": signal.mean()}
+    assert oscillation(TIME[:5], signal[:5])["amplitude"] == 0.0
+
+
+def test_errors_of_an_oscillation_and_its_phase_at_the_end() -> None:
+    time = np.linspace(0.0, 50.0, 2001)
+    full, late = oscillation(time, wave(time, 1.0)), time - 0.1
+    errors = relative_errors(oscillation(time, 1.1 * wave(time, 0.98)), full)
+    assert errors == pytest.approx({"frequency": 2.0, "amplitude": 10.0}, rel=1e-3)
+    # A period from the end it is 49 periods of 2 % behind.
+    drift = phase_ahead(time, wave(time, 0.98), wave(time, 1.0), 1.0)
+    assert drift == pytest.approx(-360.0 * 0.02 * 49.0, abs=0.5)
+    shifted = np.cos(2.0 * np.pi * late)
+    assert phase_ahead(time, shifted, np.cos(2.0 * np.pi * time), 1.0) == pytest.approx(-36.0)
+    assert relative_errors({"amplitude": 0.0, "mean": 1.2}, full) == {"amplitude": 100.0}
+    assert relative_errors(full, {"amplitude": 0.0, "mean": 1.2}) == {}
