@@ -224,7 +224,7 @@ def beyond_limits(case: Case) -> Iterator[str]:
     limits = {
         "acoustic": (known.acoustic, "1.5 h / c0, Eq. 2.19"),
         "viscous": (known.viscous, "0.125 h^2 / nu, beside walls at most 0.22 h dx / nu"),
-        "resistance": (known.resistance, "2.78 over the largest rate that slows the fluid"),
+        "resistance": (known.resistance, "2.78 over the largest rate of resistance and friction"),
     }
     for name, (limit, formula) in limits.items():
         if step != "auto" and step > limit * (1.0 + WHOLE_STEPS_TOLERANCE):
@@ -249,6 +249,8 @@ def _measure_problem(case: Case, measured: MeasureSection) -> str | None:
     if measured.force_on is not None:
         names = case.scene.domain.wall_names
         missing = f"there is no such wall; the walls are {', '.join(names) or 'none'}"
+        if measured.force_on in getattr(case.scene, "porous", ()):
+            missing = "is a porous body, which has no wall that a force is on"
         return None if measured.force_on in names else missing
     if measured.frequency is not None:
         late = measured.frequency.from_time >= case.time.final_time
@@ -408,6 +410,12 @@ def _check_compare(case: Case) -> Found:
     if not left < line < right:
         reason = f"must be within the scene, between {left:g} and {right:g} m; got {line:g}"
         yield "compare.line", reason
+    strip = case.plan.strip
+    if strip is not None and strip.axis == 0 and strip.start < line < strip.end:
+        yield (
+            "compare.line",
+            f"x = {line:g} m is in the strip of the inflow; set it downstream of it",
+        )
     for name in repeated(figure.name.casefold() for figure in section.figures):
         yield "compare.figures", f"two figures have the name {name}"
     for i, figure in enumerate(section.figures):

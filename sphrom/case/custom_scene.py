@@ -25,6 +25,7 @@ from sphrom.case.initial_file import read_start, start_fields
 from sphrom.case.resistances import (
     InflowSection,
     PorousSection,
+    Rate,
     Value,
     Vector,
     inverse_permeability,
@@ -131,7 +132,7 @@ class CustomScene(SceneSection):
     body_force: Vector = key(
         (0.0, 0.0), "acceleration, numbers or expressions in x, y, t", unit="m/s2"
     )
-    resistance: Value = key(
+    resistance: Rate = key(
         0.0, "rate at which it slows the fluid, a number or an expression in x, y", unit="1/s"
     )
     porous: dict[SafeName, PorousSection] = key({}, "porous bodies in the box, by name")
@@ -196,6 +197,17 @@ class CustomScene(SceneSection):
         if len(areas := self.domain.separate_areas) > 1:
             sizes = ", ".join(f"{area:.4g}" for area in areas[:MOST_AREAS])
             yield "solids", f"they cut the fluid into {len(areas)} parts, of {sizes} m2"
+        if self._strip is not None:
+            yield from self._changes_in(self._strip)
+
+    def _changes_in(self, strip: Strip) -> Iterator[tuple[str, str]]:
+        """Yield solids that don't go straight through the strip of an inflow, and what it does."""
+        ends = np.tile(np.array([self.domain.lower, self.domain.upper]), (N_SAMPLES + 1, 1, 1))
+        ends[..., strip.axis] = np.linspace(strip.start, strip.end, N_SAMPLES + 1)[:, None]
+        for name, shape in self._shapes.items():
+            widths = shapely.length(shapely.intersection(shape, shapely.linestrings(ends)))
+            if np.ptp(widths) > TOUCHING * max(self.domain.lengths):
+                yield f"solids.{name}", "is in the strip of the inflow, which forces the flow there"
 
     def flow(self, scales: Scales) -> Scene:
         """Return the flow."""
@@ -240,6 +252,9 @@ class CustomScene(SceneSection):
     def parameter_problems(self, names: Collection[str]) -> Iterator[tuple[str, str]]:
         """Yield constants in which walls or the force aren't affine, and names of two things."""
         varied = [name for name in names if name in self.constants]
+        slowed = self._expression("resistance", self.resistance, "x", "y")
+        for name in (name for name in varied if slowed.degree_in([name]) > 0.0):
+            yield name, "resistance depends on it, which no parameter changes"
         for name in varied:
             if name in (*self.walls, BODY_FORCE, INFLOW):
                 yield name, "is a constant's name and a wall's or the force's; rename the constant"
@@ -280,7 +295,7 @@ class CustomScene(SceneSection):
         here = self._at(values)
         for name in here.walls:
             here._check_along(name)
-        _ = here._force, here._initial
+        _ = here._force, here._initial, here._resistance
 
     def largest_wall_speed(self, values: Mapping[str, float]) -> float:
         """Return the largest speed of walls [m/s], at values of the parameters."""
@@ -301,8 +316,9 @@ class CustomScene(SceneSection):
         try:
             constants = {name: self._values.get(name, own) for name, own in self.constants.items()}
             expression = Expression(text, variables, constants)
-            # Of the body force, parts are compiled.
-            _ = expression.separated("t") if "t" in variables else expression.compiled
+            # Of what changes with time, parts are compiled.
+            parts = expression.separated("t") if "t" in variables else (expression,)
+            _ = [part.compiled for part in parts]
             return expression
         except ValueError as error:
             raise ValueError(f"{where}: {error}") from error
@@ -427,9 +443,9 @@ class CustomScene(SceneSection):
         if not moving:
             return None
         if len(moving) > 1:
+            keys, amplitudes = " and ".join(KEYS[name] for name in pushes), " and ".join(moving)
             raise ValueError(
-                f"{' and '.join(KEYS[name] for name in pushes)}: both components must have the same "
-                f"amplitude in time; got {' and '.join(moving)}"
+                f"{keys}: both components must have the same amplitude in time; got {amplitudes}"
             )
         (amplitude,) = moving.values()
 
@@ -446,7 +462,7 @@ class CustomScene(SceneSection):
         factor = next((self._values.get(name, 1.0) for name in self._factor), 1.0)
         share = partial(ramp_share, self.inflow_ramp)
         # All runs of a case ask for it at the same snapshots.
-        at = lru_cache(N_TIMES)(lambda t: factor * float(share(t) * amplitude(t=t)))
+        at = lru_cache(N_TIMES)(lambda t: factor * float(share(t)) * float(amplitude(t=t)))
         changes = bool(amplitude.depends_on)
         return Drive(field, at, lambda times: factor * (share(times) * amplitude(t=times)), changes)
 
@@ -471,6 +487,13 @@ class CustomScene(SceneSection):
     def _resistance(self) -> Resistance | None:
         """What slows the fluid, which no parameter changes."""
         own, shapes = None, _geometries("porous", self.porous)
+        solid = shapely.union_all(list(self._shapes.values()))
+        fluid = shapely.box(*self.box.lower, *self.box.upper).difference(solid)
+        for name, shape in shapes.items():
+            if not fluid.intersection(shape).area > 0.0:
+                raise ValueError(
+                    f"porous.{name}: no fluid is in it; it is in solids or out of the box"
+                )
         if self.resistance != 0.0:
             expression = self._expression("resistance", self.resistance, "x", "y")
             rate = expression(x=self._samples[:, 0], y=self._samples[:, 1])

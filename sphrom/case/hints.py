@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 
 from sphrom.case.checks import beyond_limits
@@ -9,9 +10,13 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint, outside
 from sphrom.case.sections import AUTO
 from sphrom.case.studies import Region, sweep_model, sweep_points
+from sphrom.sph.fluid import ROUNDING
+from sphrom.sph.resistance import FALL
 
 SNAPSHOTS_PER_MODE = 2
 """Fewer snapshots are few for so many modes."""
+LEAST_FLANK = 2.0
+"""Spacings of the particles over which the rate of a strip has to fall, at least."""
 
 
 def case_warnings(case: Case) -> list[str]:
@@ -19,10 +24,23 @@ def case_warnings(case: Case) -> list[str]:
     return [
         *(f"scene.{key}: {reason}" for key, reason in case.scene.warnings()),
         *(f"time.step: {reason}" for reason in beyond_limits(case)),
+        *_of_strip(case),
         *_extrapolations(case, "parameters.test", case.plan.test_points),
         *_of_models(case),
         *_of_numerics(case),
     ]
+
+
+def _of_strip(case: Case) -> Iterator[str]:
+    if (strip := case.plan.strip) is None:
+        return
+    width, least = strip.end - strip.start, LEAST_FLANK * case.plan.particle_spacing / FALL
+    if width < least * (1.0 - ROUNDING):
+        resolution = math.ceil(case.discretization.resolution * least / width)
+        yield (
+            f"scene.inflow.strip: is {width:.3g} m wide, and its forcing is too steep for the "
+            f"particles; {least:.3g} m or discretization.resolution: {resolution} would do"
+        )
 
 
 def _extrapolations(case: Case, key: str, points: Iterable[ParameterPoint]) -> Iterator[str]:

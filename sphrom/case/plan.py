@@ -26,6 +26,7 @@ from sphrom.sph import fluid
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.fluid import Discretization, Fluid, StepLimits
 from sphrom.sph.polygons import jutting_corners
+from sphrom.sph.resistance import Strip
 from sphrom.sph.time_loop import TimeSteps
 
 if TYPE_CHECKING:
@@ -225,6 +226,12 @@ class Plan:
         return self._case.scene.flow(
             Scales(fluid.reference_speed, fluid.reference_density, viscosity, point.factors)
         )
+
+    @cached_property
+    def strip(self) -> Strip | None:
+        """The strip of an open flow's inflow; None where nothing flows in."""
+        resistance = self.flow(self.points[0]).resistance
+        return None if resistance is None else resistance.strip
 
     # Time steps, their limits, and snapshots
 

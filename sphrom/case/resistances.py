@@ -19,7 +19,11 @@ from sphrom.sph.resistance import Rates, Strip
 
 Value = Coordinate | Annotated[str, Field(max_length=1000)]
 """A number, or an expression."""
+Rate = Duration | Annotated[str, Field(max_length=1000)]
+"""A number that isn't negative, or an expression."""
 Vector = Annotated[tuple[Value, ...], Field(min_length=2, max_length=2)]
+NO_FLOW = 1e-6
+"""Share of the largest speed at which nothing flows along an axis on average."""
 N_CELLS = 256
 """Cells across a porous body in which its share is known."""
 
@@ -48,7 +52,9 @@ class InflowSection(Section):
         ..., "what fluid leaves the strip with, numbers or expressions in x, y, t", unit="m/s"
     )
     strength: Positive = key(
-        200.0, "K: the integral of the forcing's rate over the strip, over the largest speed"
+        200.0,
+        "K: the integral of the forcing's rate over the strip, over the largest speed",
+        unit="-",
     )
     ramp: Duration | None = key(
         None,
@@ -65,17 +71,18 @@ class InflowSection(Section):
         start, end, inflows = self.strip.start, self.strip.end, dict[int, Array]()
         for axis in np.flatnonzero(domain.periodic).tolist():
             inside = (samples[:, axis] >= start) & (samples[:, axis] <= end)
-            if domain.lower[axis] <= start < end <= domain.upper[axis] and inside.any():
+            within = domain.lower[axis] <= start < end <= domain.upper[axis]
+            if within and end - start < domain.lengths[axis] and inside.any():
                 inflows[axis] = velocity(samples[inside].T)
         if not inflows:
             raise ValueError(
-                "inflow.strip: must be in the box, from a lower to a higher place along an axis "
-                "that box.periodic names; the fluid that leaves the box enters the strip"
+                "inflow.strip: must be a part of the box, from a lower to a higher place on an "
+                "axis that box.periodic names; the fluid that leaves the box enters the strip"
             )
         means = {axis: float(inflow[axis].mean()) for axis, inflow in inflows.items()}
         axis = max(means, key=lambda each: abs(means[each]))
         speed = float(np.linalg.norm(inflows[axis], axis=0).max())
-        if not abs(means[axis]) > 0.0:
+        if not abs(means[axis]) > NO_FLOW * speed:
             raise ValueError("inflow.velocity: nothing flows along the box's periodic axis")
         return Strip(axis, start, end, math.copysign(speed, means[axis]), self.strength)
 

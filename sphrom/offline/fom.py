@@ -17,6 +17,7 @@ from sphrom.setup.particles import MeasuredFields
 from sphrom.sph.packing import MAX_ITERATIONS, pack
 from sphrom.sph.time_loop import Clock, TimeSteps, march
 from sphrom.store.checkpoints import Checkpoints, integrate, remove_checkpoints
+from sphrom.store.sampling import described_inflow
 from sphrom.store.starts import scene_start, start
 from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Target, Workspace
@@ -45,6 +46,8 @@ def run(context: StageContext) -> None:
         with workspace.open(target) as trajectory:
             if trajectory.text("status") != "complete":
                 raise UnstableError(f"{point.label}: {trajectory.text('status_detail')}")
+            if (inflow := described_inflow(context.case, point, trajectory)) is not None:
+                context.report.info(inflow)
 
 
 def ensure_run(workspace: Workspace, point: ParameterPoint) -> Target:

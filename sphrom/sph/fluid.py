@@ -140,7 +140,7 @@ def step_limits(
 
     Sound limits it by Eq. 2.19. Beyond a damper's alpha of 2 over the largest wave number the
     shortest waves don't oscillate any more, and what the damper takes of them limits the step.
-    What slows the fluid, at a largest rate `resistance` [1/s], adds to that.
+    What slows the fluid, at a largest rate `resistance` [1/s], adds to that, and to viscosity.
     Beside walls the spacing counts for viscosity too, and how sharp the sharpest corner is that
     juts into the fluid (`sphrom.sph.polygons.jutting_corners`).
     """
@@ -155,5 +155,6 @@ def step_limits(
         limit = WALL_VISCOUS_LIMIT / (1.0 + STIFFER_AT_CORNERS * sharpness)
         diffusion = min(diffusion, limit * length * discretization.particle_spacing)
     acoustic = courant * length / fluid.sound_speed
-    slowing = REAL_AXIS_LIMIT / resistance if resistance > 0.0 else math.inf
-    return StepLimits(acoustic, diffusion / fluid.kinematic_viscosity, slowing)
+    viscous = diffusion / fluid.kinematic_viscosity
+    slowing = resistance / REAL_AXIS_LIMIT
+    return StepLimits(acoustic, viscous, 1.0 / (slowing + 1.0 / viscous) if slowing else math.inf)

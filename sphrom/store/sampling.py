@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -10,8 +11,9 @@ import numpy as np
 from sphrom.arrays import Array
 from sphrom.artifacts import Artifact
 from sphrom.case.models import Case
+from sphrom.case.points import ParameterPoint
 from sphrom.errors import ArtifactError, CaseError
-from sphrom.metrics.samples import Probes, Samples, grid_points, spread
+from sphrom.metrics.samples import Probes, Samples, grid_points, midpoints, spread
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.trial_basis import TrialBasis, mean_density_fluctuation, project
@@ -21,6 +23,8 @@ from sphrom.store.trajectory import snapshot_fields
 
 ON_WALL = 1e-6
 """Points nearer to a wall than this part of the spacing are on it."""
+N_INFLOWS = 10
+"""Instants at which the inflow of a run is looked at."""
 LEAST_SHARE = 1e-10
 """Of a combination of modes that holds nothing of a field."""
 
@@ -41,10 +45,8 @@ def probes_of(case: Case) -> Probes:
     points = grid_points(domain.lower, domain.upper, shape)
     # A point on a wall, as a grid can have on edges within the box, is of no fluid.
     in_fluid = domain.wall_distance(points) > ON_WALL * case.plan.particle_spacing
-    # Of an open flow, what a strip does to it is none.
-    resistance = case.plan.flow(case.plan.points[0]).resistance
-    if resistance is not None and resistance.strip is not None:
-        in_fluid &= ~resistance.strip.contains(points.T)
+    if (strip := case.plan.strip) is not None:  # what happens in it is not of the flow
+        in_fluid &= ~strip.contains(points.T)
     return Probes(
         line=np.stack((np.full(n_line, float(x)), spread(spans, n_line)), axis=1),
         grid=points[in_fluid],
@@ -79,6 +81,36 @@ def sample_run(
         pressures[i] = pressure_of(density, case.plan.sound_speed)
         advance(1)
     return Samples(times[chosen], velocities, pressures)
+
+
+def described_inflow(case: Case, point: ParameterPoint, trajectory: Artifact) -> str | None:
+    """Return the inflow that was wanted and that a run has, in words; None without one.
+
+    It is a mean over instants of the run's later half.
+    """
+    strip, force = case.plan.strip, case.plan.flow(point).body_force
+    if strip is None or force is None:
+        return None
+    domain, across = case.scene.domain, 1 - strip.axis
+    n_places = max(2, round(domain.lengths[across] / case.plan.particle_spacing))
+    points = np.empty((n_places, 2))
+    points[:, strip.axis] = strip.end if strip.speed > 0.0 else strip.start
+    points[:, across] = midpoints(domain.lower[across], domain.upper[across], n_places)
+    points = points[domain.contains(points)]
+    times = trajectory.read("time")
+    chosen = np.unique(np.linspace(len(times) // 2, len(times) - 1, N_INFLOWS).astype(int))
+    found = sample_run(case, trajectory, points, snapshots=chosen.tolist())
+    inside = points.copy()
+    inside[:, strip.axis] = 0.5 * (strip.start + strip.end)
+    profile = (force.field(inside.T) / strip.rates(inside.T)).T
+    wanted = np.array([force.amplitude(t) for t in found.time])[:, None, None] * profile
+    flows = [v[..., strip.axis].mean() * domain.lengths[across] for v in (wanted, found.velocity)]
+    off = np.linalg.norm(found.velocity.mean(axis=0) - wanted.mean(axis=0), axis=1)
+    return (
+        f"{point.label}: inflow of {flows[0]:.4g} m2/s wanted, {flows[1]:.4g} found "
+        f"({100.0 * (flows[1] / flows[0] - 1.0):+.2f} %); its profile is off by "
+        f"{100.0 * math.sqrt(np.mean(off**2)) / abs(strip.speed):.2g} % of its largest speed"
+    )
 
 
 def sample_mapped(case: Case, mapped: Artifact, sample: ReferenceMap) -> Samples:

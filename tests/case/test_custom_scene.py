@@ -304,3 +304,21 @@ def test_a_case_that_measures_is_written_in_full_and_read_back(load) -> None:
     flux = yaml.safe_load(text)["scene"]["measure"]["flux"]
     assert flux["flow_rate"] == {"from": [3.0, 0.0], "to": [3.0, 1.0]}
     assert case_of_text(text) == case
+
+
+@pytest.mark.parametrize(
+    ("strip", "solid", "words"),
+    [
+        ([0, 1.4], bar(4, 1, 1, 1), "scene.inflow.strip: is 1.4 m wide"),
+        ([0, 1.4], bar(4, 1, 1, 1), "2 m or discretization.resolution: 86 would do"),
+        ([0, 2.0], bar(4, 1, 1, 1), ""),
+        ([0, 2.0], bar(0, 0, 6, 1), ""),  # a wall all along the strip
+        ([0, 2.0], bar(1, 1, 1, 1), "scene.solids.a: is in the strip of the inflow"),
+    ],
+)
+def test_strips_that_are_narrow_or_hold_a_solid(load, strip: list, solid, words: str) -> None:
+    box = {"upper": [6, 4], "periodic": ["x"]}
+    inflow = {"strip": dict(zip(("from", "to"), strip, strict=True)), "velocity": [1, 0]}
+    case = load(solids={"a": solid}, box=box, inflow={**inflow, "ramp": 0.0}, reference_length=6.0)
+    told = [each for each in case_warnings(case) if "strip" in each]
+    assert words in told[0] if words else not told

@@ -28,7 +28,7 @@ def test_defaults_of_models_and_fits() -> None:
 
 
 ANYWHERE = {
-    "low", "high",
+    "low", "high", "from", "to",
     "lower", "upper", "centre", "polygon", "line", "translate", "distance", "velocity", "rotation",
     "constants", "body_force", "u", "v", "p", "box", "train", "test", "points", "sample",
     "parameters", "training",

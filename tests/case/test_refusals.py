@@ -50,6 +50,20 @@ scene:
   solids: {cylinder: {circle: {centre: [3, 2], radius: 1}}}
   reference_length: 2.0
 """,
+    "open": """
+name: x
+time: {final_time: 20}
+discretization: {resolution: 40}
+scene:
+  kind: custom
+  box: {lower: [-1, 0], upper: [4, 1], periodic: [x]}
+  solids: {square: {rectangle: {lower: [1.2, 0.4], upper: [1.6, 0.8]}}}
+  constants: {k: 1.0}
+  resistance: "0*k"
+  porous: {mat: {rectangle: {lower: [2, 0], upper: [2.5, 1]}, permeability: 0.01}}
+  inflow: {strip: {from: -1, to: 0.5}, velocity: ["6*y*(1 - y)", 0]}
+  reference_length: 1.0
+""",
 }
 """The cases of the groups of `refusals.txt`."""
 
