@@ -199,7 +199,7 @@ def show(report: Reporter, tables: Tables) -> None:
     _show(report, tables.estimates, *ESTIMATES)
     _show(report, tables.measures, *MEASURES)
     by_name = sorted(tables.oscillations, key=lambda row: row.measured)
-    _show_whole(report, by_name, "oscillations; errors and the phase at the end are beside full runs")
+    _show_whole(report, by_name, "oscillations; errors, and phases at the end, beside full runs")
     unsettled = [r for r in tables.reference if not r.settled]
     if unsettled:
         where = ", ".join(dict.fromkeys(r.parameters for r in unsettled))

@@ -26,8 +26,7 @@ from sphrom.metrics.series import (
     dominant_frequency,
     kinetic_energy,
     oscillation,
-    phase_ahead,
-    relative_errors,
+    oscillation_beside,
 )
 from sphrom.online.basis_model import quantities_of
 from sphrom.online.fast_model import FastModel
@@ -168,12 +167,9 @@ def oscillation_rows(
         if each.measure not in own:  # as forces are not of mapped snapshots
             continue
         runs = [each.history(time, some[each.measure][each.quantity]) for some in (own, full)]
-        expected, found = oscillation(*runs[1]), dict[str, Any](oscillation(*runs[0]))
+        found: dict[str, Any] = oscillation(*runs[0])
         if own is not full:
-            found |= {f"{f}_error": e for f, e in relative_errors(found, expected).items()}
-        if "frequency_error" in found:
-            about = runs[0][1], runs[1][1], expected["frequency"]
-            found["phase_error"] = phase_ahead(runs[0][0], *about)
+            found = oscillation_beside(*runs[0], runs[1][1])
         yield OscillationRow(measured=name, unit=each.units, **described, **found)
 
 

@@ -269,7 +269,8 @@ def fit(fast: FastModel, box: Box, measurements: Measurements, known: TrainingDi
     weights = Weights(measurements.noise, np.zeros((0, len(values))))
     first = minima(model, values, weights, starts)
     if not first:
-        raise UnstableError(f"{fast.section.name} is unstable at all starts of the search")
+        still = ", or doesn't oscillate," * bool(case.scene.oscillations)
+        raise UnstableError(f"{fast.section.name} is unstable{still} at all starts of the search")
     start = first[0].place
     samples, found = error_samples(model, start, known), first
     if samples is not None:

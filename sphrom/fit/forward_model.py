@@ -168,9 +168,7 @@ class FittedModel:
         values = measured[history.measure][history.quantity]
         if history.quantity in PLACED:
             values = values[:, 0 if history.place is None else self._places[history.place]]
-        values = values if history.component is None else values[:, history.component]
-        n_snapshots = max(len(v) for each in measured.values() for v in each.values())
-        return np.broadcast_to(values, n_snapshots)  # figures of an oscillation are of all
+        return values if history.component is None else values[:, history.component]
 
     def at_instants(self, time: Array, histories: Array) -> Array:
         """Return histories (n_snapshots, n_histories, ...) at the instants of values.
@@ -235,20 +233,18 @@ def _differences(model: FittedModel, name: str) -> tuple[Array, Array]:
     for k, (reduced, own) in enumerate(taught.held_out):
         if not np.isfinite(own).all():
             continue
-        of_run = items(taught.measured_differences, k)
-        found = items(of_run, compared)
-        time = reduced.output_times.time
+        found, time = items(taught.measured_differences, k), reduced.output_times.time
         given = quantities_of(workspace.case, reduced, time, own)
-        whole = oscillations.of(time, combined(given, of_run, 1.0))
-        found |= combined(whole, oscillations.of(time, given), -1.0)
+        full = oscillations.of(time, combined(given, found, 1.0))
+        found = items(found | combined(full, oscillations.of(time, given), -1.0), compared)
         if (fields := model.unnamed) is not None:
             measure = model.reduced(points[k], name).measures[UNNAMED]
             there = measure.at(own[compared], reduced.mean_density_fluctuation)
             with workspace.open(workspace.full_run(points[k])) as run:
-                full = [fields(*snapshot_fields(run, s))[UNNAMED] for s in compared]
-            found[UNNAMED] = {q: np.stack([each[q] for each in full]) - there[q] for q in PLACED}
-        if not np.isfinite(each := model.stacked(found)).all():
+                each = [fields(*snapshot_fields(run, s))[UNNAMED] for s in compared]
+            found[UNNAMED] = {q: np.stack([one[q] for one in each]) - there[q] for q in PLACED}
+        if not np.isfinite(model.stacked(found)).all():
             continue  # it doesn't oscillate
-        differences.append(each)
+        differences.append(model.stacked(found))
         sizes.append(taught.products.errors(k, own[compared]))
     return np.array(differences), np.array(sizes)

@@ -120,11 +120,11 @@ class Oscillations(dict[str, Oscillating]):
     """What oscillates, by the names of the measurements."""
 
     def of(self, time: Array, measured: Mapping[str, Quantities]) -> dict[str, Quantities]:
-        """Return figures (1,) of the oscillations in a run, by name, NaN for missing ones."""
+        """Return figures of oscillations, the same at all times (n,), and NaN for missing ones."""
         found: dict[str, Quantities] = {}
         for name, each in self.items():
             own = oscillation(*each.history(time, measured[each.measure][each.quantity]))
-            found[name] = {figure: np.array([own.get(figure, np.nan)]) for figure in OSCILLATION}
+            found[name] = {f: np.full(len(time), own.get(f, np.nan)) for f in OSCILLATION}
         return found
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from contextlib import suppress
 
 import numpy as np
@@ -105,7 +104,7 @@ def oscillation(time: Array, signal: Array) -> dict[str, float]:
     At its frequency the phase of the demodulated signal has no trend. The amplitude is half of the
     fundamental's peak to peak, and the mean is over whole periods. Scatters are standard deviations
     over the record, of frequencies those of single periods. A signal without three periods of an
-    oscillation has the amplitude zero, a mean, and nothing else.
+    oscillation has the amplitude zero, a mean, and nothing else; one without samples has nothing.
     """
     with suppress(ValueError):
         frequency, most = dominant_frequency(time, signal), 0.5 / _interval(time, signal)
@@ -120,7 +119,7 @@ def oscillation(time: Array, signal: Array) -> dict[str, float]:
         if len(rates):
             found = frequency, size.mean(), mean.mean(), rates.std(), size.std()
             return dict(zip(OSCILLATION, map(float, found), strict=True))
-    return {"amplitude": 0.0, "mean": float(signal.mean())}
+    return {"amplitude": 0.0, "mean": float(signal.mean())} if len(signal) else {}
 
 
 def demodulated(
@@ -145,19 +144,21 @@ def demodulated(
     return instants[PER_PERIOD - 1 : 1 - PER_PERIOD], along - 1j * across, mean
 
 
-def relative_errors(found: Mapping[str, float], expected: Mapping[str, float]) -> dict[str, float]:
-    """Return those of an oscillation's frequency and amplitude [%] that there are."""
-    both = (f for f in OSCILLATION[:2] if f in found and expected.get(f))
-    return {f: 100.0 * abs(found[f] / expected[f] - 1.0) for f in both}
+def oscillation_beside(time: Array, signal: Array, reference: Array) -> dict[str, float]:
+    """Return the oscillation of a signal with its errors, those that there are.
 
-
-def phase_ahead(time: Array, signal: Array, reference: Array, frequency: float) -> float:
-    """Return by what phase a signal is ahead of a reference at the end of a record [deg].
-
-    It is that at a frequency, the reference's, and grows over whole turns along the record.
+    `frequency_error` and `amplitude_error` are relative [%]. `phase_error` is by how much the
+    signal is ahead of the reference at the end of the record [deg]: it grows over whole turns.
     """
-    own, other = (demodulated(time, each, frequency)[1] for each in (signal, reference))
-    return float(np.rad2deg(np.unwrap(np.angle(own * other.conj()))[-1]))
+    found, expected = oscillation(time, signal), oscillation(time, reference)
+    for figure in OSCILLATION[:2]:
+        if figure in found and expected.get(figure):
+            found[f"{figure}_error"] = 100.0 * abs(found[figure] / expected[figure] - 1.0)
+    if "frequency_error" in found:
+        waves = [demodulated(time, each, expected["frequency"])[1] for each in (signal, reference)]
+        angles = np.unwrap(np.angle(waves[0] * waves[1].conj()))
+        found["phase_error"] = float(np.rad2deg(angles[-1]))
+    return found
 
 
 def _interval(time: Array, signal: Array) -> float:

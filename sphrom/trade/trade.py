@@ -31,8 +31,7 @@ from sphrom.metrics.histories import EXACT, Errors, compare, errors_of
 from sphrom.metrics.measures import errors_of as relative_errors
 from sphrom.metrics.measures import mean_square
 from sphrom.metrics.samples import Samples
-from sphrom.metrics.series import oscillation
-from sphrom.metrics.series import relative_errors as oscillation_errors
+from sphrom.metrics.series import oscillation_beside
 from sphrom.online.error_estimates import measured_errors, measured_shares
 from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.online.stable_ranges import TIME, StableRange, stable_ranges
@@ -53,6 +52,7 @@ from sphrom.trade.weighing import (
     ESTIMATE,
     FRONTS,
     NO_MEASURED,
+    OSCILLATION,
     UNSTABLE,
     Alternative,
     Measure,
@@ -239,9 +239,10 @@ class _Trade:
     def _measured_errors(self, point: ParameterPoint, samples: Samples) -> Errors:
         found, full = dict(NO_MEASURED), self.full[point]
         if (of := self.oscillating) is not None:
-            both = (of.history(s.time, s.measured[of.quantity]) for s in (samples, full))
-            figures = oscillation_errors(*(oscillation(*history) for history in both))
-            return found | {f"measured_{f}_relative_l2": error for f, error in figures.items()}
+            both = [of.history(s.time, s.measured[of.quantity]) for s in (samples, full)]
+            figures = oscillation_beside(*both[0], both[1][1])
+            names = {f"measured_{name}_relative_l2": f"{name}_error" for name in OSCILLATION}
+            return found | {name: figures.get(error) for name, error in names.items()}
         counted_ones = full.time >= self.case.compare.from_time
         for quantity, reference in full.measured.items():
             values, exact = samples.measured[quantity][counted_ones], reference[counted_ones]

@@ -74,6 +74,11 @@ def test_comparison_tells_frequency_amplitude_and_phase(made: Path) -> None:
     answer = (made / "answer.txt").read_text()
     assert "The oscillation (beat) differs by" in answer
     assert "degrees in phase, which all errors over time include." in answer
+    later = {"scene.measure.beat.frequency.from_time": 0.5}
+    study = package.Study(made / "case.yaml", out=made / "runs", set=later, quiet=True)
+    workspace = Workspace(study._context)
+    assert workspace.reason_to_make(workspace.operators()) is None
+    assert "from_time is 0.3 there, 0.5 here" in workspace.reason_to_make(workspace.comparison())
 
 
 def test_a_sweep_and_python_tell_where_nothing_oscillates(made: Path, sphrom) -> None:
@@ -83,12 +88,14 @@ def test_a_sweep_and_python_tell_where_nothing_oscillates(made: Path, sphrom) ->
     sizes = [float(row["beat_amplitude [m2/s]"]) for row in (half, whole)]
     assert sizes[1] == pytest.approx(2.0 * sizes[0], rel=0.02)
     study = package.Study(made / "case.yaml", out=made / "runs", quiet=True)
-    several = study.model("fast", reynolds=14.0, swing=1.0).run_many({"reynolds": 14.0, "swing": [0.0, 1.0]})
+    model = study.model("fast", reynolds=14.0, swing=1.0)
+    several = model.run_many({"reynolds": 14.0, "swing": [0.0, 1.0]})
     assert several.beat_amplitude.dims == ("run",)
     assert several.beat_amplitude.values.tolist() == [0.0, pytest.approx(sizes[1])]
     assert np.isnan(several.beat_frequency.values).tolist() == [True, False]
-    one = study.model("fast", reynolds=14.0, swing=1.0).run().measures
+    one = model.run().measures
     assert (one.beat_frequency.dims, one.shake_mean.units) == ((), "N/m")
+    assert np.isnan(model.run(final_time=0.2).measures.beat_mean)  # it ends before from_time
     swept = batches.SweptModel(Workspace(study._context))
     points = [study.case.plan.point({"reynolds": 14.0, "swing": swing}) for swing in (0.6, 0.9)]
     records = [swept.run(point).values for point in points]
