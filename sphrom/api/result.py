@@ -62,7 +62,11 @@ class Labels:
                 if quantity in PLACED and not line:  # a probe has one place
                     values = np.squeeze(values, axis=-1 - is_vector)
                 dims, meaning = f"{axes}{line}{' component' * is_vector}", f"{quantity} of {of}"
-                variables[f"{name}_{quantity}"] = labelled(dims, values, UNITS[quantity], meaning)
+                unit = UNITS.get(quantity)
+                if unit is None:  # a figure of an oscillation: one of a run
+                    dims, values = axes.removesuffix("snapshot"), values[..., 0]
+                    unit = self.case.scene.oscillations[own].units_of(quantity)
+                variables[f"{name}_{quantity}"] = labelled(dims, values, unit, meaning)
         if (key := time.tobytes()) not in self._known:
             known = axes_of(time)
             for name, measure in field_measures(self.case).items():
@@ -109,10 +113,11 @@ class Labels:
             if run.failure is not None:
                 continue
             status[k] = "complete"
-            if (found := run.estimate) is not None:
-                errors[:, k] = found.velocity_percent, found.pressure_percent, found.extrapolated
+            if (own := run.estimate) is not None:
+                errors[:, k] = own.velocity_percent, own.pressure_percent, own.extrapolated
             estimates = {f"{ERROR}{name}": each for name, each in measured_errors(run).items()}
-            for name, quantities in {**run.measured, **estimates}.items():
+            found = run.measured | self.case.scene.oscillations.of(time, run.measured)
+            for name, quantities in (found | estimates).items():
                 known = measured.setdefault(name, {})
                 for quantity, values in quantities.items():
                     if quantity not in known:
@@ -190,10 +195,13 @@ class Result:
         Variables are called by the measurement and the quantity: `drag_force` (snapshot, component)
         [N/m] and `drag_torque` (snapshot) [N], `flux_flow_rate` (snapshot) [m2/s], of a probe
         `wake_velocity` (snapshot, component) [m/s] and `wake_pressure` (snapshot) [Pa], and of a
-        line the same with an axis `profile_place`. Places are in `wake_position` [m].
+        line the same with an axis `profile_place`. Places are in `wake_position` [m]. Oscillations
+        have one `shedding_frequency` [Hz], NaN where there is none, and so on.
         """
         about = {"model": self.model, **self.parameters}
-        return self._labels.dataset(self._measured(), self.time, about)
+        labels, found = self._labels, dict(self._measured())
+        found |= labels.case.scene.oscillations.of(self.time, found)
+        return labels.dataset(found, self.time, about)
 
     @guarded()
     def fields(self, points: ArrayLike) -> xarray.Dataset:

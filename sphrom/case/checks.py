@@ -97,6 +97,9 @@ def _references(case: Case) -> Iterator[tuple[str, str, Collection[str | None], 
             known = [*models, FULL] if isinstance(figure, FieldFigure) else models
             names = list(dict.fromkeys(name for row in figure.runs for name in row))
             yield f"compare.figures.{i}.runs", "run", names, known
+    for name, measured in case.scene.measure.items():
+        if (given := measured.frequency) is not None:
+            yield f"scene.measure.{name}.frequency.of", "history", [given.of], case.scene.columns
     yield "trade.measure", "quantity of scene.measure", [case.trade.measure], case.scene.measure
     yield "sweep.model", "model", [case.sweep.model], [FULL, *models]
     yield "sweep", varied, case.sweep.names, varying
@@ -249,6 +252,9 @@ def _measure_problem(case: Case, measured: MeasureSection) -> str | None:
         if measured.force_on in getattr(case.scene, "porous", ()):
             missing = "is a porous body, which has no wall that a force is on"
         return None if measured.force_on in names else missing
+    if measured.frequency is not None:
+        late = measured.frequency.from_time >= case.time.final_time
+        return "from_time must be before time.final_time" if late else None
     if measured.probe is not None:
         return outside_fluid(case, np.array([measured.probe]))
     assert measured.segment is not None

@@ -11,7 +11,8 @@ import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 
 from sphrom.arrays import Array
-from sphrom.case.fields import Place, SafeName, Section, Whole, key, only_one
+from sphrom.case.fields import Duration, Place, SafeName, Section, Whole, key, only_one
+from sphrom.metrics.measures import Column, Oscillating, Oscillations
 from sphrom.scenes.flows import Channel, Scales, Scene
 from sphrom.scenes.reference_profiles import ReferenceProfile
 from sphrom.sph.domain import Domain
@@ -117,7 +118,29 @@ class SceneSection(Section):
     @property
     def measured_fields(self) -> Measures:
         """The measurements of velocity and pressure: flow rates, probes and lines, by name."""
-        return {name: m for name, m in self.measure.items() if m.force_on is None}
+        return {name: m for name, m in self.recorded.items() if m.force_on is None}
+
+    @property
+    def recorded(self) -> Measures:
+        """The measurements that runs record: all but frequencies, which follow from others."""
+        return {name: m for name, m in self.measure.items() if m.frequency is None}
+
+    @property
+    def oscillations(self) -> Oscillations:
+        """What oscillates, by the names of the measurements of its frequency."""
+        given = ((name, m.frequency) for name, m in self.measure.items() if m.frequency is not None)
+        columns = self.columns
+        return Oscillations(
+            {name: Oscillating(**vars(columns[f.of]), from_time=f.from_time) for name, f in given}
+        )
+
+    @property
+    def columns(self) -> dict[str, Column]:
+        """What is recorded over time, by the names of columns."""
+        found: dict[str, Column] = {}
+        for name, measured in self.recorded.items():
+            found |= Column.named(name, measured.quantities)
+        return found
 
     def starts_by(self, name: str) -> bool:
         """Return whether the start of runs depends on a parameter beside the viscosity."""
@@ -154,6 +177,13 @@ class LineSection(SegmentSection):
     points: Annotated[Whole, Field(ge=2, le=10_000)] = key(101, "how many places")
 
 
+class FrequencySection(Section):
+    """A history whose oscillation is measured."""
+
+    of: SafeName = key(..., "what oscillates, as columns of a sweep are called: `lift_force_y`")
+    from_time: Duration = key(0.0, "the first instant that counts", unit="s")
+
+
 class MeasureSection(Section):
     """One measurement at every snapshot: exactly one of its keys."""
 
@@ -167,6 +197,9 @@ class MeasureSection(Section):
     )
     probe: Place | None = key(None, "a place: velocity and pressure there", unit="m")
     line: LineSection | None = key(None, "a segment: velocity and pressure along it")
+    frequency: FrequencySection | None = key(
+        None, "what another measurement gives: frequency, amplitude and mean of its oscillation"
+    )
 
     @model_validator(mode="after")
     def _one_kind(self) -> MeasureSection:
@@ -175,7 +208,7 @@ class MeasureSection(Section):
 
     @property
     def quantities(self) -> tuple[str, ...]:
-        """What is measured over time, by `sphrom.metrics.measures.UNITS`; along a line nothing."""
+        """What is recorded over time, by `sphrom.metrics.measures.UNITS`; along a line nothing."""
         if self.force_on is not None:
             return ("force", "torque")
         if self.flow_rate is not None:

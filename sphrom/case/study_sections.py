@@ -33,7 +33,7 @@ class TradeSection(Section):
     measure: SafeName | None = key(
         None,
         "a name of scene.measure: models are judged by the relative L2 error of this force, flow "
-        "rate, or velocity and pressure, instead of the fields'",
+        "rate, velocity and pressure, or frequency and amplitude, instead of the fields'",
     )
     repeats: Whole = key(5, "how often a run is timed; the least time counts", ge=1, le=1000)
 

@@ -12,6 +12,7 @@ from typing import Literal
 
 from sphrom.compare.comparison_tables import ErrorRow, Tables, best_name
 from sphrom.compare.costs import N_REPEATS, RunTiming, break_even, offline_seconds
+from sphrom.compare.measured import OscillationRow
 from sphrom.online.stable_ranges import against
 from sphrom.plots.tables import format_figure
 from sphrom.store.trained_models import basis_used
@@ -53,6 +54,7 @@ class Answer:
     training_seconds: float | None
     n_training: int
     forces: tuple[Force, ...] = ()
+    oscillations: tuple[OscillationRow, ...] = ()
     since: str = ""
     """From which instant on errors count, in words, where that isn't the first."""
     doubts: tuple[str, ...] = ()
@@ -93,6 +95,14 @@ class Answer:
             own = "" if estimate is None else f"; the model estimates {percent(estimate)}"
             found = f"{percent(error)} over time{nearest}{own}"
             yield f"The measured force ({name}) differs by {found}."
+        for each in self.oscillations:
+            errors = each.frequency_error, each.amplitude_error, each.phase_error
+            frequency, amplitude, phase = (format_figure(error, DIGITS) for error in errors)
+            yield (
+                f"The oscillation ({each.measured}) differs by {frequency} % in frequency, "
+                f"{amplitude} % in amplitude and, at the end, {phase} degrees in phase, which all "
+                "errors over time include."
+            )
         yield from self.doubts
 
     def _cost(self) -> Iterator[str]:
@@ -179,6 +189,7 @@ def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
                 *_doubts(workspace),
                 *(f"This run is doubtful: {t}." for t in against(workspace, model, point)),
             ),
+            oscillations=tuple(r for r in tables.oscillations if (r.compared, r.parameters) == own),
             forces=tuple(
                 (name, force, forces.get((best, name)), expected.get((compared, name)))
                 for (compared, name), force in forces.items()

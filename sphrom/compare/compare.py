@@ -31,6 +31,7 @@ from sphrom.compare.measured import (
     measured_estimates,
     measured_of_best,
     measured_of_map,
+    oscillation_rows,
 )
 from sphrom.compare.mode_figures import spectrum_rows
 from sphrom.compare.references import compare_with_references
@@ -200,6 +201,11 @@ class _PointComparison:
         rows = measure_rows(
             measured, self.measured, counted, estimates or {}, n_modes=n_modes, **about
         )
+        both, at = (measured, self.measured), self.point.label
+        oscillations = oscillation_rows(
+            self.case, self.full.time, *both, compared=name, parameters=at
+        )
+        self.tables.oscillations.extend(oscillations)
         for row in rows:  # those of one quantity adjoin
             self.measures[row.measured, row.quantity].append(row)
 

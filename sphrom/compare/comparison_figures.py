@@ -119,7 +119,7 @@ class _PointFigures:
             yield "errors", self._draw_errors
         if self.references:
             yield "profiles", self._profiles
-        for name, measured in self.case.scene.measure.items():
+        for name, measured in self.case.scene.recorded.items():
             kind = "measure" if measured.force_on is None else "force"
             yield f"{kind}-{name}", partial(self._measured, name)
         if len(self.probes.stations):

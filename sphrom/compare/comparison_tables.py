@@ -10,7 +10,7 @@ import numpy as np
 
 from sphrom.artifacts import Artifact
 from sphrom.compare.costs import RunTiming, StageTiming
-from sphrom.compare.measured import FlowRow, MeasureRow
+from sphrom.compare.measured import FlowRow, MeasureRow, OscillationRow
 from sphrom.compare.references import ReferenceRow
 from sphrom.console import Reporter
 from sphrom.metrics.histories import (
@@ -129,6 +129,7 @@ class Tables:
     flow: list[FlowRow] = field(default_factory=list)
     estimates: list[EstimateRow] = field(default_factory=list)
     measures: list[MeasureRow] = field(default_factory=list)
+    oscillations: list[OscillationRow] = field(default_factory=list)
     timings: list[RunTiming] = field(default_factory=list)
     decay: list[DecayRow] = field(default_factory=list)
     singular_values: list[SpectrumRow] = field(default_factory=list)
@@ -197,6 +198,8 @@ def show(report: Reporter, tables: Tables) -> None:
     _show(report, errors, *NORMS)
     _show(report, tables.estimates, *ESTIMATES)
     _show(report, tables.measures, *MEASURES)
+    by_name = sorted(tables.oscillations, key=lambda row: row.measured)
+    _show_whole(report, by_name, "oscillations; errors, and phases at the end, beside full runs")
     unsettled = [r for r in tables.reference if not r.settled]
     if unsettled:
         where = ", ".join(dict.fromkeys(r.parameters for r in unsettled))
@@ -213,9 +216,13 @@ def show(report: Reporter, tables: Tables) -> None:
         ("cost of the time steps, writing left out", tables.timings),
     )
     for title, rows in whole:  # all columns, as their files have them
-        if rows:
-            names = (heading.replace("_", " ") for heading in headings(type(rows[0])))
-            _show(report.details, rows, title, [*zip(names, flat(rows[0]), strict=True)])
+        _show_whole(report.details, rows, title)
+
+
+def _show_whole(report: Reporter, rows: Sequence[DataclassInstance], title: str) -> None:
+    if rows:
+        names = (heading.replace("_", " ") for heading in headings(type(rows[0])))
+        _show(report, rows, title, [*zip(names, flat(rows[0]), strict=True)])
 
 
 def _show(

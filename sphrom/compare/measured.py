@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, read_record
 from sphrom.artifacts.records.coordinates import MeasuredOnce
 from sphrom.case.models import Case
@@ -21,7 +22,12 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.measures import UNITS, Quantities, components, errors_of, mean_square
 from sphrom.metrics.samples import Probes, Samples
-from sphrom.metrics.series import dominant_frequency, kinetic_energy
+from sphrom.metrics.series import (
+    dominant_frequency,
+    kinetic_energy,
+    oscillation,
+    oscillation_beside,
+)
 from sphrom.online.basis_model import quantities_of
 from sphrom.online.fast_model import FastModel
 from sphrom.reduction.trial_basis import mean_density_fluctuation, project
@@ -88,7 +94,7 @@ def measured_of_best(
 def measured_estimates(case: Case, run: Artifact) -> Measured:
     """Read the estimated errors of what a reduced run measured (...), where it has some."""
     found: dict[str, Quantities] = {}
-    for name in case.scene.measure:
+    for name in case.scene.recorded:
         stored = vars(read_record(run, MeasuredOnce, f"error_estimate/measure/{name}"))
         found[name] = {q: np.atleast_1d(v) for q, v in stored.items() if v is not None}
     return found
@@ -131,6 +137,40 @@ def measure_rows(
                     relative_l2_peak=errors[1],
                     estimated=estimated,
                 )
+
+
+@dataclass(frozen=True, kw_only=True)
+class OscillationRow:
+    """The oscillation of a history in one run; without one, figures are None."""
+
+    measured: str
+    unit: str
+    """Of amplitude and mean."""
+    compared: str
+    parameters: str
+    frequency: float | None = field(default=None, metadata={"unit": "Hz"})
+    frequency_scatter: float | None = field(default=None, metadata={"unit": "Hz"})
+    frequency_error: float | None = field(default=None, metadata={"unit": "%"})
+    amplitude: float
+    amplitude_scatter: float | None = None
+    amplitude_error: float | None = field(default=None, metadata={"unit": "%"})
+    phase_error: float | None = field(default=None, metadata={"unit": "deg"})
+    """At the end, positive where the run is ahead."""
+    mean: float
+
+
+def oscillation_rows(
+    case: Case, time: Array, own: Measured, full: Measured, **described: Any
+) -> Iterator[OscillationRow]:
+    """Yield the rows of a run beside the full one, which has no errors."""
+    for name, each in case.scene.oscillations.items():
+        if each.measure not in own:  # as forces are not of mapped snapshots
+            continue
+        runs = [each.history(time, some[each.measure][each.quantity]) for some in (own, full)]
+        found: dict[str, Any] = oscillation(*runs[0])
+        if own is not full:
+            found = oscillation_beside(*runs[0], runs[1][1])
+        yield OscillationRow(measured=name, unit=each.units, **described, **found)
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,6 @@ from sphrom.console import Reporter
 from sphrom.errors import CaseError, UnstableError
 from sphrom.fit.forward_model import FittedModel, TrainingDifferences, box_of, error_samples
 from sphrom.fit.measurements import Measurements, read_measurements
-from sphrom.metrics import measures
 from sphrom.metrics.draws import Z
 from sphrom.metrics.estimation import (
     Minimum,
@@ -270,7 +269,8 @@ def fit(fast: FastModel, box: Box, measurements: Measurements, known: TrainingDi
     weights = Weights(measurements.noise, np.zeros((0, len(values))))
     first = minima(model, values, weights, starts)
     if not first:
-        raise UnstableError(f"{fast.section.name} is unstable at all starts of the search")
+        still = ", or doesn't oscillate," * bool(case.scene.oscillations)
+        raise UnstableError(f"{fast.section.name} is unstable{still} at all starts of the search")
     start = first[0].place
     samples, found = error_samples(model, start, known), first
     if samples is not None:
@@ -355,7 +355,7 @@ def _histories(
             curve=curves[:, k],
             half_width=Z * np.sqrt(variance),
             name=history.name,
-            units=measures.UNITS[history.quantity],
+            units=history.units,
         )
 
 

@@ -21,10 +21,10 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import Box, Ranges
 from sphrom.errors import CaseError, UnstableError
 from sphrom.fit.measurements import UNNAMED, History
-from sphrom.metrics.measures import PLACED, FieldMeasure, Quantities, items
+from sphrom.metrics.measures import PLACED, FieldMeasure, Quantities, combined, items
 from sphrom.online.basis_model import quantities_of
 from sphrom.online.fast_model import FastModel
-from sphrom.online.sensitivities import tangents
+from sphrom.online.sensitivities import STEP, tangents
 from sphrom.reduction import reference_model
 from sphrom.reduction.error_calibration import compared_snapshots
 from sphrom.reduction.exponential_steps import ExponentialModel
@@ -136,7 +136,8 @@ class FittedModel:
         """Return the histories at all snapshots, and their derivatives by the place.
 
         Times are (n_snapshots,), histories (n_snapshots, n_histories), derivatives
-        (n_snapshots, n_histories, n_free); None where the run is unstable.
+        (n_snapshots, n_histories, n_free); None where the run is unstable, or
+        doesn't oscillate where a frequency was measured.
         """
         point = self.point(place)
         reduced = self.reduced(point)
@@ -146,9 +147,18 @@ class FittedModel:
         except UnstableError:
             return None
         measured = quantities_of(self._case, reduced, reduced.output_times.time, run.run)
-        changes = [items(run.measured, k) for k in range(len(run.parameters))]
-        slopes = np.stack([self.stacked(each) for each in changes], axis=-1)
-        return run.time, self.stacked(measured), slopes * self.box.slopes(place)
+        oscillations, slopes = self._case.scene.oscillations, []
+        found = self.stacked(measured | oscillations.of(run.time, measured))
+        for k, name in enumerate(run.parameters):
+            changes, step = items(run.measured, k), STEP * (abs(point.as_dict()[name]) or 1.0)
+            sides = (combined(measured, changes, part * step) for part in (-0.5, 0.5))
+            low, high = (oscillations.of(run.time, side) for side in sides)
+            for each, figures in high.items():
+                changes[each] = {q: (v - low[each][q]) / step for q, v in figures.items()}
+            slopes.append(self.stacked(changes))
+        if not np.isfinite(found).all():
+            return None
+        return run.time, found, np.stack(slopes, axis=-1) * self.box.slopes(place)
 
     def stacked(self, measured: Mapping[str, Quantities]) -> Array:
         """Return the histories (n_snapshots, n_histories) among what is measured."""
@@ -199,6 +209,8 @@ def error_samples(model: FittedModel, place: Array, known: TrainingDifferences) 
     if key not in known:
         known[key] = _differences(model, name)
     differences, sizes = known[key]
+    if not len(differences):
+        return None
     ratios = np.sqrt(np.mean(found.errors**2, axis=0) / np.mean(sizes**2, axis=1))
     of_fields = {"velocity": ratios[:, 0], "flow_rate": ratios[:, 0], "pressure": ratios[:, 1]}
     factors = [of_fields.get(h.quantity, ratios.max(axis=1)) for h in model.histories]
@@ -217,17 +229,22 @@ def _differences(model: FittedModel, name: str) -> tuple[Array, Array]:
     """
     workspace, taught = model.fast.workspace, model.fast.on_basis(name)
     points, compared = taught.points, compared_snapshots(workspace.case.plan.steps.n_snapshots)
-    differences, sizes = [], []
+    differences, sizes, oscillations = [], [], workspace.case.scene.oscillations
     for k, (reduced, own) in enumerate(taught.held_out):
         if not np.isfinite(own).all():
             continue
-        found = items(items(taught.measured_differences, k), compared)
+        found, time = items(taught.measured_differences, k), reduced.output_times.time
+        given = quantities_of(workspace.case, reduced, time, own)
+        full = oscillations.of(time, combined(given, found, 1.0))
+        found = items(found | combined(full, oscillations.of(time, given), -1.0), compared)
         if (fields := model.unnamed) is not None:
             measure = model.reduced(points[k], name).measures[UNNAMED]
-            given = measure.at(own[compared], reduced.mean_density_fluctuation)
+            there = measure.at(own[compared], reduced.mean_density_fluctuation)
             with workspace.open(workspace.full_run(points[k])) as run:
-                full = [fields(*snapshot_fields(run, s))[UNNAMED] for s in compared]
-            found[UNNAMED] = {q: np.stack([each[q] for each in full]) - given[q] for q in PLACED}
+                each = [fields(*snapshot_fields(run, s))[UNNAMED] for s in compared]
+            found[UNNAMED] = {q: np.stack([one[q] for one in each]) - there[q] for q in PLACED}
+        if not np.isfinite(model.stacked(found)).all():
+            continue  # it doesn't oscillate
         differences.append(model.stacked(found))
         sizes.append(taught.products.errors(k, own[compared]))
     return np.array(differences), np.array(sizes)

@@ -19,7 +19,7 @@ import hashlib
 import io
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
@@ -33,7 +33,8 @@ from sphrom.case.fields import LARGEST
 from sphrom.case.models import Case
 from sphrom.case.plan import TimeSteps
 from sphrom.errors import CaseError
-from sphrom.metrics.measures import PLACED, UNITS, VECTORS, component_names
+from sphrom.metrics.measures import PLACED, Column
+from sphrom.metrics.series import OSCILLATION
 from sphrom.text import nearest, quoted, repeated, shortened, visible
 from sphrom.whole_files import read_whole
 
@@ -55,25 +56,6 @@ MOST_LINES = 2 * MOST_VALUES
 """Of one file, with those that hold no value."""
 TIME_TOLERANCE = 1e-6
 """Of instants beyond the first or the last snapshot, over the time between snapshots."""
-
-
-@dataclass(frozen=True)
-class Column:
-    """What the values of a column are."""
-
-    measure: str
-    """A measurement of the case; empty for fields at places of the rows."""
-    quantity: str
-    component: int | None
-
-    @classmethod
-    def named(cls, measure: str, quantities: Iterable[str]) -> dict[str, Column]:
-        """Return the columns of a measurement by their names."""
-        return {
-            "_".join(filter(None, (measure, name))): cls(measure, q, k if q in VECTORS else None)
-            for q in quantities
-            for k, name in enumerate(component_names(q))
-        }
 
 
 AT_PLACE = Column.named(UNNAMED, PLACED)
@@ -218,7 +200,7 @@ def _names(head: Sequence[str], case: Case) -> Iterator[str]:
         )
     for name, stated in given:
         base = name.removesuffix(NOISE)
-        unit = AXES.get(name) or UNITS[column_of(case, base).quantity]
+        unit = AXES.get(name) or column_of(case, base).units
         if base not in names:
             raise ValueError(f"column {quoted(name)} is of none of the others")
         if base in AT_PLACE and "x" not in names:
@@ -236,9 +218,11 @@ def _name_and_unit(cell: str) -> tuple[str, str | None]:
 
 def column_of(case: Case, name: str) -> Column:
     """Return what a column's values are. Raises ValueError for a name of nothing measured."""
-    known = dict(AT_PLACE)
-    for measured, section in case.scene.measure.items():
-        known |= Column.named(measured, section.quantities)
+    known = AT_PLACE | case.scene.columns
+    for measured, each in case.scene.oscillations.items():
+        known |= {
+            f"{measured}_{f}": Column(measured, f, None, each.units_of(f)) for f in OSCILLATION[:3]
+        }
     if name not in known:
         raise ValueError(
             f"column {quoted(name)} is nothing that the case measures over time; "

@@ -11,12 +11,13 @@ Measured quantities have the axes (snapshot, ...), then place and component wher
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from sphrom.arrays import Array, Indices
+from sphrom.metrics.series import OSCILLATION, oscillation
 
 Quantities = Mapping[str, Array]
 """By UNITS, what one measurement gives."""
@@ -73,6 +74,68 @@ class FieldMeasure:
 def component_names(quantity: str) -> tuple[str, ...]:
     """Return what columns call the components of a quantity, such as `force_x` and `force_y`."""
     return tuple(f"{quantity}_{axis}" for axis in AXES) if quantity in VECTORS else (quantity,)
+
+
+@dataclass(frozen=True)
+class Column:
+    """What the values of a column are."""
+
+    measure: str
+    """A measurement of the case; empty for fields at places of the rows."""
+    quantity: str
+    component: int | None
+    units: str
+
+    @classmethod
+    def named(cls, measure: str, quantities: Iterable[str]) -> dict[str, Column]:
+        """Return the columns of a measurement by their names."""
+        return {
+            "_".join(filter(None, (measure, name))): cls(
+                measure, q, k if q in VECTORS else None, UNITS[q]
+            )
+            for q in quantities
+            for k, name in enumerate(component_names(q))
+        }
+
+
+@dataclass(frozen=True)
+class Oscillating(Column):
+    """A column whose oscillation over time is measured."""
+
+    from_time: float
+    """The first instant that counts [s]."""
+
+    def units_of(self, figure: str) -> str:
+        """Return the unit of a figure of the oscillation."""
+        return "Hz" if figure.startswith("frequency") else self.units
+
+    def history(self, time: Array, values: Array) -> tuple[Array, Array]:
+        """Return those times (n_samples,) [s] and values (n_snapshots, ...) that count."""
+        late = time >= self.from_time
+        values = values if self.component is None else values[..., self.component]
+        return time[late], values.reshape(len(time))[late]
+
+
+class Oscillations(dict[str, Oscillating]):
+    """What oscillates, by the names of the measurements."""
+
+    def of(self, time: Array, measured: Mapping[str, Quantities]) -> dict[str, Quantities]:
+        """Return figures of oscillations, the same at all times (n,), and NaN for missing ones."""
+        found: dict[str, Quantities] = {}
+        for name, each in self.items():
+            own = oscillation(*each.history(time, measured[each.measure][each.quantity]))
+            found[name] = {f: np.full(len(time), own.get(f, np.nan)) for f in OSCILLATION}
+        return found
+
+
+def combined(
+    measured: Mapping[str, Quantities], others: Mapping[str, Quantities], factor: float
+) -> dict[str, Quantities]:
+    """Return others' quantities times a factor, plus those of the same names."""
+    return {
+        name: {q: measured[name][q] + factor * v for q, v in each.items()}
+        for name, each in others.items()
+    }
 
 
 def components(quantity: str, values: Array) -> dict[str, Array]:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
 from sphrom.arrays import Array
 
@@ -13,6 +16,12 @@ FEWEST_PERIODS = 2.0
 """Periods that a record must hold: slower changes look like a trend."""
 FEWEST_SAMPLES = 8
 """Samples of the shortest record that has a spectrum worth searching."""
+OSCILLATION = ("frequency", "amplitude", "mean", "frequency_scatter", "amplitude_scatter")
+"""Figures of an oscillation [Hz for frequencies, else as the signal]."""
+PER_PERIOD = 64
+"""Samples of a period of an oscillation that is demodulated."""
+MOST_CORRECTIONS, CONVERGED = 30, 1e-13
+"""Of a frequency, and how small the last one is, relatively."""
 UNIFORM_TOLERANCE = 1e-3
 """How far, relatively, the intervals of a record may differ."""
 
@@ -87,6 +96,69 @@ def dominant_frequency(time: Array, signal: Array) -> float:
     below, at, above = np.log(amplitude[peak - 1 : peak + 2])
     offset = 0.5 * (below - above) / (below - 2.0 * at + above)
     return float((peak + offset) / (n_padded * interval))
+
+
+def oscillation(time: Array, signal: Array) -> dict[str, float]:
+    """Return the strongest oscillation of a signal (n_samples,), by OSCILLATION.
+
+    At its frequency the phase of the demodulated signal has no trend. The amplitude is half of the
+    fundamental's peak to peak, and the mean is over whole periods. Scatters are standard deviations
+    over the record, of frequencies those of single periods. A signal without three periods of an
+    oscillation has the amplitude zero, a mean, and nothing else; one without samples has nothing.
+    """
+    with suppress(ValueError):
+        frequency, most = dominant_frequency(time, signal), 0.5 / _interval(time, signal)
+        for _ in range(MOST_CORRECTIONS):
+            instants, wave, mean = demodulated(time, signal, frequency)
+            turns, size = np.unwrap(np.angle(wave)) / (2.0 * np.pi), np.abs(wave)
+            change = _slope(instants, turns)
+            frequency = min(frequency + change, most)
+            if abs(change) <= CONVERGED * frequency:
+                break
+        rates = frequency * (turns[PER_PERIOD:] - turns[:-PER_PERIOD])
+        if len(rates):
+            found = frequency, size.mean(), mean.mean(), rates.std(), size.std()
+            return dict(zip(OSCILLATION, map(float, found), strict=True))
+    return {"amplitude": 0.0, "mean": float(signal.mean())} if len(signal) else {}
+
+
+def demodulated(
+    time: Array, signal: Array, frequency: float
+) -> tuple[Array, NDArray[np.complex128], Array]:
+    """Return instants (n_instants,) [s], complex amplitudes of a signal there, and its means.
+
+    That of a cos(2 pi f (t - t_0) + b) is a exp(i b), t_0 being the first time. Averages by a hat
+    over two periods lose means, trends and harmonics; instants are a period or more from the ends.
+    Raises ValueError for a record of less than two periods.
+    """
+    from scipy.interpolate import make_interp_spline
+
+    if (n_periods := (time[-1] - time[0]) * frequency) < FEWEST_PERIODS:
+        raise ValueError(f"a record must hold {FEWEST_PERIODS:g} periods")
+    turns = np.arange(1 + int(n_periods * PER_PERIOD)) / PER_PERIOD
+    instants = time[0] + turns / frequency
+    values = make_interp_spline(time, signal, k=5)(instants)
+    carriers = 2.0 * np.cos(2.0 * np.pi * turns), 2.0 * np.sin(2.0 * np.pi * turns), 1.0
+    each = (np.convolve(values * carrier, hat(PER_PERIOD), "valid") for carrier in carriers)
+    along, across, mean = each
+    return instants[PER_PERIOD - 1 : 1 - PER_PERIOD], along - 1j * across, mean
+
+
+def oscillation_beside(time: Array, signal: Array, reference: Array) -> dict[str, float]:
+    """Return the oscillation of a signal with its errors, those that there are.
+
+    `frequency_error` and `amplitude_error` are relative [%]. `phase_error` is by how much the
+    signal is ahead of the reference at the end of the record [deg]: it grows over whole turns.
+    """
+    found, expected = oscillation(time, signal), oscillation(time, reference)
+    for figure in OSCILLATION[:2]:
+        if figure in found and expected.get(figure):
+            found[f"{figure}_error"] = 100.0 * abs(found[figure] / expected[figure] - 1.0)
+    if "frequency_error" in found:
+        waves = [demodulated(time, each, expected["frequency"])[1] for each in (signal, reference)]
+        angles = np.unwrap(np.angle(waves[0] * waves[1].conj()))
+        found["phase_error"] = float(np.rad2deg(angles[-1]))
+    return found
 
 
 def _interval(time: Array, signal: Array) -> float:

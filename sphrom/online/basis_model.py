@@ -446,4 +446,4 @@ def quantities_of(
     forces = forces_of(reduced, time, coordinates, mean)
     found = {name: totals(loads) for name, loads in forces.items()}
     found |= fields_of(reduced.measures, mean, coordinates)
-    return {name: found[name] for name in (*case.scene.measure, *found)}
+    return {name: found[name] for name in (*case.scene.recorded, *found)}

@@ -128,7 +128,7 @@ def tangents(
     measured = _forces(reduced, sides, run, changes, means)
     measured |= _fields(reduced, run, changes, means)
     energy = np.asarray(case.plan.mass * np.einsum("sm,psm->ps", gradient, changes))
-    ordered = {name: measured[name] for name in (*case.scene.measure, *measured)}
+    ordered = {name: measured[name] for name in (*case.scene.recorded, *measured)}
     times = reduced.output_times.time
     return Tangents(tuple(names), times, run, changes, means, energy, ordered)
 

@@ -135,7 +135,7 @@ def _headline(answer: Answer) -> Html:
 def _measure_captions(case: Case) -> dict[str, str]:
     """Return the captions of the figures of what a case measures, by how their names begin."""
     captions = {}
-    for name, measured in case.scene.measure.items():
+    for name, measured in case.scene.recorded.items():
         kind = "force" if measured.force_on is not None else "measure"
         what = "along the line at the end" if measured.line is not None else "over time"
         captions[f"{kind}-{name}"] = f"{name}, {what}: full and reduced."

@@ -150,7 +150,7 @@ def read_wall_force(
 def read_recorded(case: Case, artifact: Artifact, basis: str) -> dict[str, Quantities]:
     """Read what the full runs that a basis learnt from measured (n_runs, n_snapshots, ...)."""
     group, found = f"bases/{basis}", {}
-    for name, section in case.scene.measure.items():
+    for name, section in case.scene.recorded.items():
         if section.force_on is not None:
             found[name] = totals(artifact.read(f"{group}/wall_force/{name}/training_loads"))
         else:

@@ -75,7 +75,7 @@ def totals(loads: Array) -> Quantities:
 
 def measured_of(case: Case, artifact: Artifact) -> dict[str, Quantities]:
     """Return all measurements of a run by name."""
-    return {name: read_quantities(artifact, name) for name in case.scene.measure}
+    return {name: read_quantities(artifact, name) for name in case.scene.recorded}
 
 
 class TrajectoryWriter:

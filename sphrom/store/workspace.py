@@ -91,10 +91,10 @@ class Workspace:
         self.context = context
         self.case, self.out = context.case, context.out
         ask_for_threads(context.threads)
-        # Figures that a case asks for change no artifact.
-        self._without_figures = self.case.model_copy(
-            update={"compare": self.case.compare.model_copy(update={"figures": ()})}
-        )
+        # Figures that a case asks for change no artifact, nor do frequencies any runs.
+        scene = self.case.scene.model_copy(update={"measure": self.case.scene.recorded})
+        compare = self.case.compare.model_copy(update={"figures": ()})
+        self._without_figures = self.case.model_copy(update={"compare": compare, "scene": scene})
         self._inputs: dict[str, dict[str, object]] = {}
         self._reasons = context.known.reasons
         self._identities = context.known.identities
@@ -390,6 +390,8 @@ class Workspace:
     ) -> Target:
         """Return a target; `about` is of what the sections of its kind don't say as a whole."""
         kind = KINDS[name]
+        if name in ("compare", "sweep", "fit") and (of := self.case.scene.oscillations):
+            about = {**about, "oscillations": {key: vars(each) for key, each in of.items()}}
         if name not in self._inputs:
             self._inputs[name] = section_inputs(self._without_figures, kind.sections)
         if "fluid" in kind.sections:

@@ -23,7 +23,8 @@ from sphrom.case.points import outside
 from sphrom.case.studies import sweep_model, sweep_points
 from sphrom.console import Reporter
 from sphrom.metrics.draws import Along, fewest_runs, sobol_indices, spread
-from sphrom.metrics.measures import PLACED, UNITS, components
+from sphrom.metrics.measures import PLACED, UNITS, Oscillating, components
+from sphrom.metrics.series import OSCILLATION, oscillation
 from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Panel, draw_grid
 from sphrom.plots.tables import format_figure, rows_of_columns, write_csv
@@ -74,11 +75,27 @@ class Output:
 def outputs_of(case: Case, runs: Values, trained: Values = ()) -> Iterator[Output]:
     """Yield the outputs of complete runs: kinetic energy, and what the case measures.
 
-    Means over time follow. `trained` has differences, as `SweptModel.in_training` returns them.
+    Means over time follow, and what all runs have of oscillations. `trained` has differences, as
+    `SweptModel.in_training` returns them.
     """
     whole, differences = _stacked(runs), _stacked(trained)
     yield from _outputs(case, TIME, whole, differences)
     yield from _outputs(case, MEAN, _averaged(whole), _averaged(differences))
+    for name, measure, found in oscillations_of(case, runs):
+        for figure in OSCILLATION:
+            if all(figure in each for each in found):
+                values = np.array([[each[figure]] for each in found])
+                yield Output(f"{name}_{figure}", measure.units_of(figure), MEAN, values, None)
+
+
+def oscillations_of(
+    case: Case, runs: Values
+) -> Iterator[tuple[str, Oscillating, list[dict[str, float]]]]:
+    """Yield the oscillations of all runs, by name and what they are of."""
+    for name, each in case.scene.oscillations.items():
+        path = f"measure/{each.measure}/{each.quantity}"
+        histories = (each.history(values["time"], values[path]) for values in runs)
+        yield name, each, [oscillation(*history) for history in histories]
 
 
 def _stacked(runs: Values) -> dict[str, Array]:

@@ -24,7 +24,8 @@ from sphrom.console import Reporter
 from sphrom.errors import ArtifactError, CaseError, UnstableError
 from sphrom.metrics import measures
 from sphrom.metrics.draws import fewest_runs
-from sphrom.metrics.measures import STATISTICS, UNITS, component_names
+from sphrom.metrics.measures import STATISTICS
+from sphrom.metrics.series import OSCILLATION
 from sphrom.offline.fom import ensure_packed
 from sphrom.plots.tables import format_figure, rows_of_columns, write_csv
 from sphrom.setup.context import StageContext
@@ -65,6 +66,8 @@ FIGURES = {
 speed of all points and snapshots, root mean squares of estimated errors over those of the fields.
 """
 
+SHOWN = ("_mean", "_frequency", "_amplitude")
+"""Ends of the names of measured figures that are shown."""
 Cells = dict[str, str | float | None]
 """The cells of a run's row in the table, by column; None without a result, or an estimate."""
 
@@ -176,13 +179,11 @@ def columns_of(case: Case, records: Sequence[RunRecord]) -> dict[str, str | None
     derivatives = next((record.derivative_names for record in records if record.values), ())
     names = {**dict.fromkeys(case.plan.parameter_names), "status": None}
     names |= FIGURES | dict.fromkeys((*derivatives, "error_estimate_extrapolated", "reason"))
-    return names | {
-        f"{name}_{component}_{statistic}": UNITS[quantity]
-        for name, section in case.scene.measure.items()
-        for quantity in section.quantities
-        for component in component_names(quantity)
-        for statistic in STATISTICS
-    }
+    for name, column in case.scene.columns.items():
+        names |= {f"{name}_{statistic}": column.units for statistic in STATISTICS}
+    for name, each in case.scene.oscillations.items():
+        names |= {f"{name}_{figure}": each.units_of(figure) for figure in OSCILLATION}
+    return names
 
 
 class Results:
@@ -231,7 +232,7 @@ class Results:
         with self._alone():
             records, found = self._gathered(failed)
         names = columns_of(case, records)
-        rows = _rows(records, names)
+        rows = _rows(case, records, names)
         write_csv(path.with_suffix(".csv"), rows_of_columns(names, rows))
         counts = Counter(STATES[record.status] for record in records)
         report.table(
@@ -303,7 +304,7 @@ class Results:
         return locked(self._workspace.folder() / parts_folder(self._workspace).name, wait=True)
 
 
-def _rows(records: Sequence[RunRecord], names: Iterable[str]) -> list[Cells]:
+def _rows(case: Case, records: Sequence[RunRecord], names: Iterable[str]) -> list[Cells]:
     """Return the rows of runs, by the names of columns."""
     rows: list[Cells] = []
     for record in records:
@@ -324,6 +325,9 @@ def _rows(records: Sequence[RunRecord], names: Iterable[str]) -> list[Cells]:
             for figure, found in measures.statistics({quantity: series}).items():
                 for k, value in zip(complete, found.tolist(), strict=True):
                     rows[k][f"{name}_{figure}"] = value
+    for name, _, each in statistics.oscillations_of(case, [records[k].values for k in complete]):
+        for k, figures in zip(complete, each, strict=True):
+            rows[k] |= {f"{name}_{figure}": value for figure, value in figures.items()}
     return rows
 
 
@@ -333,7 +337,7 @@ def _summary(
     """Yield a row for each figure: its extremes, where they are, and its mean."""
     points = [record.point for record in records]
     for name, unit in names.items():
-        if name == "time_step" or not (name in FIGURES or name.endswith("_mean")):
+        if name == "time_step" or not (name in FIGURES or name.endswith(SHOWN)):
             continue
         cells = zip([row[name] for row in rows], points, strict=True)
         if found := [(value, point) for value, point in cells if isinstance(value, float)]:

@@ -31,6 +31,7 @@ from sphrom.metrics.histories import EXACT, Errors, compare, errors_of
 from sphrom.metrics.measures import errors_of as relative_errors
 from sphrom.metrics.measures import mean_square
 from sphrom.metrics.samples import Samples
+from sphrom.metrics.series import oscillation_beside
 from sphrom.online.error_estimates import measured_errors, measured_shares
 from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.online.stable_ranges import TIME, StableRange, stable_ranges
@@ -51,6 +52,7 @@ from sphrom.trade.weighing import (
     ESTIMATE,
     FRONTS,
     NO_MEASURED,
+    OSCILLATION,
     UNSTABLE,
     Alternative,
     Measure,
@@ -108,7 +110,10 @@ class _Trade:
         points = context.chosen(trade_points(self.case))
         self.models = candidates(self.case, points, first_model(self.case).basis)
         self.wider = weighed_models.prepared(context, self.models)
-        self.probes = probes_of(self.case)
+        self.probes, self.measured = probes_of(self.case), self.case.trade.measure
+        self.oscillating = self.case.scene.oscillations.get(self.measured or "")
+        if self.oscillating is not None:
+            self.measured = self.oscillating.measure
         self.full: dict[ParameterPoint, Samples] = {}
         for point in points:
             with self.workspace.open(self.workspace.full_run(point)) as trajectory:
@@ -116,7 +121,7 @@ class _Trade:
             self.full[point] = self._sampled(self.workspace, point)
 
     def _sampled(self, workspace: Workspace, point: ParameterPoint) -> Samples:
-        return weighed_models.sampled(workspace, point, self.probes, self.case.trade.measure)
+        return weighed_models.sampled(workspace, point, self.probes, self.measured)
 
     def _full_seconds(self, workspace: Workspace, step: float) -> float:
         """Return how long a full run in steps of a length [s] takes on this machine now [s]."""
@@ -195,7 +200,7 @@ class _Trade:
         return row, runs
 
     def _fast(self, fast: FastModel, label: str, point: ParameterPoint) -> RunRow:
-        measure, role = self.case.trade.measure, role_of(self.case, fast.basis_at(point), point)
+        measure, role = self.measured, role_of(self.case, fast.basis_at(point), point)
         reduced = fast.at(point)
         found, seconds = reference_model.automatic(reduced).timed(self.case.trade.repeats)
         run = FastRun(**vars(found), model=fast, point=point, reduced=reduced)
@@ -205,7 +210,7 @@ class _Trade:
             if measure is not None:
                 samples = replace(samples, measured=run.measured[measure])
         row = self._row(point, samples, seconds, model=label, role=role, time_step=run.time_step)
-        if measure is None or samples is None:
+        if measure is None or samples is None or self.oscillating is not None:
             return row
         estimate = measured_shares(run, measured_errors(run)).get(measure)
         return replace(row, errors={**row.errors, ESTIMATE: estimate})
@@ -232,9 +237,14 @@ class _Trade:
         return {**errors_of(history), **self._measured_errors(point, samples)}
 
     def _measured_errors(self, point: ParameterPoint, samples: Samples) -> Errors:
-        found = dict(NO_MEASURED)
-        counted_ones = self.full[point].time >= self.case.compare.from_time
-        for quantity, reference in self.full[point].measured.items():
+        found, full = dict(NO_MEASURED), self.full[point]
+        if (of := self.oscillating) is not None:
+            both = [of.history(s.time, s.measured[of.quantity]) for s in (samples, full)]
+            figures = oscillation_beside(*both[0], both[1][1])
+            names = {f"measured_{name}_relative_l2": f"{name}_error" for name in OSCILLATION}
+            return found | {name: figures.get(error) for name, error in names.items()}
+        counted_ones = full.time >= self.case.compare.from_time
+        for quantity, reference in full.measured.items():
             values, exact = samples.measured[quantity][counted_ones], reference[counted_ones]
             errors = relative_errors(quantity, values, exact, mean_square(quantity, exact))
             name = f"measured_{quantity}_relative_l2"

@@ -32,7 +32,12 @@ SCATTER = 0.1
 """Seconds that differ by less, relatively, are alike: repeats of a short run differ by so much."""
 SECONDS = {"unit": "s"}
 ESTIMATE = "measured_estimate"
-MEASURED = (*(f"measured_{q}_relative_l2{p}" for q in UNITS for p in ("", "_peak")), ESTIMATE)
+OSCILLATION = ("frequency", "amplitude")
+"""What models are judged by where a trade's measurement is of an oscillation."""
+MEASURED = (
+    *(f"measured_{q}_relative_l2{p}" for q in (*UNITS, *OSCILLATION) for p in ("", "_peak")),
+    ESTIMATE,
+)
 """Errors of the measurement that a case's trade is judged by, by quantity, and a model's own
 estimate."""
 ERROR_COLUMNS = columns((*ERRORS, *MEASURED), "%")
@@ -43,6 +48,7 @@ FRONTS = {
     "velocity": "velocity_front",
     "pressure": "pressure_front",
     **dict.fromkeys(UNITS.keys() - {"velocity", "pressure"}, "measured_front"),
+    **{name: f"{name}_front" for name in OSCILLATION},
 }
 """Columns that tell whether no other model is both faster and better, by quantity."""
 NEAREST = "nearest training run"
@@ -138,6 +144,8 @@ class Measure:
         trade = case.trade
         if trade.measure is None:
             return cls(trade.probes)
+        if trade.measure in case.scene.oscillations:
+            return cls(trade.probes, trade.measure, OSCILLATION)
         # A torque may be zero but for noise.
         judged = (q for q in case.scene.measure[trade.measure].quantities if q != "torque")
         return cls(trade.probes, trade.measure, tuple(judged))
@@ -155,6 +163,8 @@ class Measure:
     @property
     def words(self) -> str:
         """How a person reads it."""
+        if self.quantities == OSCILLATION:
+            return f"relative error of the oscillation {self.measured}"
         if self.measured is not None:
             return f"relative L2 error of {self.measured} over time"
         return f"relative L2 error over the {self.probes} and time"

@@ -13,6 +13,8 @@ from sphrom.metrics.series import (
     hat,
     kinetic_energy,
     moving_average,
+    oscillation,
+    oscillation_beside,
 )
 
 
@@ -92,3 +94,49 @@ def test_averages_are_those_of_numpy_for_any_shape():
     values = np.random.default_rng(1).random((12, 3, 2))
     expected = np.convolve(values[:, 1, 0], hat(3), "valid")
     np.testing.assert_allclose(moving_average(values, hat(3))[:, 1, 0], expected)
+
+
+def wave(time, frequency, growth=0.0):
+    """Return a signal of amplitude 0.7 about 1.2, with harmonics and growth over time."""
+    turns = 2.0 * np.pi * frequency * (time - time[0])
+    harmonics = 0.3 * np.cos(2.0 * turns + 2.0) + 0.1 * np.cos(3.0 * turns)
+    return 1.2 + 0.7 * np.exp(growth * (time - time[0])) * np.cos(turns + 1.0) + harmonics
+
+
+@given(st.floats(0.2, 5.0), st.floats(3.2, 30.0), st.integers(12, 90))
+def test_figures_of_an_oscillation_with_harmonics(frequency, n_periods, per_period) -> None:
+    time = 3.0 + np.arange(0.0, n_periods / frequency, 1.0 / (frequency * per_period))
+    found = oscillation(time, wave(time, frequency))
+    assert found["frequency"] == pytest.approx(frequency, rel=1e-5)
+    assert (found["amplitude"], found["mean"]) == pytest.approx((0.7, 1.2), rel=1e-4)
+    assert max(found["frequency_scatter"] / frequency, found["amplitude_scatter"]) < 1e-3
+
+
+def test_an_oscillation_that_grows_or_is_noisy() -> None:
+    """Growth changes no frequency; noise changes it by far less than the scatter of a period."""
+    time = np.linspace(0.0, 20.0, 401)
+    grown = oscillation(time, wave(time, 1.0, growth=0.05))
+    sizes = 0.7 * np.exp(0.05 * np.linspace(1.0, 19.0, 1000))
+    figures = [grown[name] for name in ("frequency", "amplitude", "amplitude_scatter")]
+    assert figures == pytest.approx([1.0, sizes.mean(), sizes.std()], rel=2e-3)
+    noise = 0.1 * np.random.default_rng(2).normal(size=401)
+    found = oscillation(time, wave(time, 1.0) + noise)
+    assert found["frequency"] == pytest.approx(1.0, abs=1e-3)
+    assert 1e-3 < found["frequency_scatter"] < 0.02
+
+
+@pytest.mark.parametrize("signal", [np.full(100, 3.3), TIME, np.exp(-TIME), np.sin(15.0 * TIME)])
+def test_a_record_without_three_periods_has_a_mean_alone(signal) -> None:
+    assert oscillation(TIME, signal) == {"amplitude": 0.0, "mean": signal.mean()}
+    found = oscillation_beside(TIME, signal, np.sin(40.0 * TIME))
+    assert found["amplitude_error"] == 100.0
+    assert "phase_error" not in found
+
+
+def test_errors_of_an_oscillation_and_its_phase_at_the_end() -> None:
+    time = np.linspace(0.0, 50.0, 2001)
+    found = oscillation_beside(time, 1.1 * wave(time, 0.98), wave(time, 1.0))
+    errors = [found[f"{name}_error"] for name in ("frequency", "amplitude")]
+    assert errors == pytest.approx([2.0, 10.0], rel=1e-3)
+    # A period before the end it is 2 % of 49 periods behind.
+    assert found["phase_error"] == pytest.approx(-360.0 * 0.02 * 49.0, abs=0.5)
