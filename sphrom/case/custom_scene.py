@@ -197,11 +197,9 @@ class CustomScene(SceneSection):
         if len(areas := self.domain.separate_areas) > 1:
             sizes = ", ".join(f"{area:.4g}" for area in areas[:MOST_AREAS])
             yield "solids", f"they cut the fluid into {len(areas)} parts, of {sizes} m2"
-        if self._strip is not None:
-            yield from self._changes_in(self._strip)
-
-    def _changes_in(self, strip: Strip) -> Iterator[tuple[str, str]]:
-        """Yield solids that don't go straight through the strip of an inflow, and what it does."""
+        if (strip := self._strip) is None:
+            return
+        # Solids may go straight through the strip, as walls do.
         ends = np.tile(np.array([self.domain.lower, self.domain.upper]), (N_SAMPLES + 1, 1, 1))
         ends[..., strip.axis] = np.linspace(strip.start, strip.end, N_SAMPLES + 1)[:, None]
         for name, shape in self._shapes.items():
@@ -511,6 +509,17 @@ class CustomScene(SceneSection):
         """Return the largest rate that slows the fluid [1/s], at a viscosity [m2/s]."""
         resistance = self._resistance
         return 0.0 if resistance is None else resistance.largest(self._samples.T, viscosity)
+
+    @property
+    def porous_way(self) -> float:
+        """The least integral of 1/k along any line through the box [1/m], of x or y the larger."""
+        if self._resistance is None or (inverse := self._resistance.inverse_permeability) is None:
+            return 0.0
+        found, ways = inverse(self._samples.T), []
+        for across, length in zip(self._samples.T[::-1], self.domain.lengths, strict=True):
+            line = np.unique(across, return_inverse=True)[1]
+            ways.append(length * float((np.bincount(line, found) / np.bincount(line)).min()))
+        return max(ways)
 
     def largest_head(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
         """Return what the body force's head along the box doesn't exceed until a time [m2/s2]."""

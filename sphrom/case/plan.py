@@ -149,11 +149,11 @@ class Plan:
 
     @cached_property
     def largest_head(self) -> float:
-        """About the largest head in any run [m2/s2]: of the body force, in gaps or at corners."""
+        """About the largest head in any run [m2/s2]: of the force, in gaps, bodies, at corners."""
         scene, end = self._case.scene, self._case.time.final_time
         domain, viscosity = scene.domain, max(map(self.kinematic_viscosity, self.points))
         gap = domain.narrowest_gap or math.inf  # a check refuses none
-        in_gaps = self.max_speed * max(domain.lengths) / gap**2
+        in_gaps = self.max_speed * (max(domain.lengths) / gap**2 + scene.porous_way)
         at_corners = CORNER_PRESSURE * self._largest_jump / self.particle_spacing
         of_force = max(scene.largest_head(end, values) for values in self._settings)
         return max(of_force, viscosity * in_gaps, viscosity * at_corners)

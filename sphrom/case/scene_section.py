@@ -96,6 +96,11 @@ class SceneSection(Section):
         """Return the largest rate that slows the fluid [1/s], at a viscosity [m2/s]."""
         return 0.0
 
+    @property
+    def porous_way(self) -> float:
+        """The integral of 1/k along the fluid's way through porous bodies [1/m]."""
+        return 0.0
+
     def stations(self, line: float) -> Array:
         """Return where histories are kept (n_stations, 2) [m], given x of the compared line [m]."""
         return np.empty((0, 2))
