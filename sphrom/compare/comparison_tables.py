@@ -198,8 +198,6 @@ def show(report: Reporter, tables: Tables) -> None:
     _show(report, errors, *NORMS)
     _show(report, tables.estimates, *ESTIMATES)
     _show(report, tables.measures, *MEASURES)
-    by_name = sorted(tables.oscillations, key=lambda row: row.measured)
-    _show_whole(report, by_name, "oscillations; errors, and phases at the end, beside full runs")
     unsettled = [r for r in tables.reference if not r.settled]
     if unsettled:
         where = ", ".join(dict.fromkeys(r.parameters for r in unsettled))
@@ -209,20 +207,19 @@ def show(report: Reporter, tables: Tables) -> None:
             f"{format_figure(100.0 * change)} % of U or rho U^2: no steady profile is shown"
         )
     settled = [r for r in tables.reference if r.settled]
+    oscillations = sorted(tables.oscillations, key=lambda row: row.measured)
     whole: tuple[tuple[str, Sequence[DataclassInstance]], ...] = (
+        ("oscillations; errors, and phases at the end, beside full runs", oscillations),
         ("full runs against reference solutions, means over the time from and to", settled),
         ("the flow", tables.flow),
         ("decay of the full run's kinetic energy", tables.decay),
         ("cost of the time steps, writing left out", tables.timings),
     )
     for title, rows in whole:  # all columns, as their files have them
-        _show_whole(report.details, rows, title)
-
-
-def _show_whole(report: Reporter, rows: Sequence[DataclassInstance], title: str) -> None:
-    if rows:
-        names = (heading.replace("_", " ") for heading in headings(type(rows[0])))
-        _show(report, rows, title, [*zip(names, flat(rows[0]), strict=True)])
+        if rows:
+            names = (heading.replace("_", " ") for heading in headings(type(rows[0])))
+            shown = report if rows is oscillations else report.details
+            _show(shown, rows, title, [*zip(names, flat(rows[0]), strict=True)])
 
 
 def _show(

@@ -107,7 +107,11 @@ def oscillation(time: Array, signal: Array) -> dict[str, float]:
     oscillation has the amplitude zero, a mean, and nothing else; one without samples has nothing.
     """
     with suppress(ValueError):
-        frequency, most = dominant_frequency(time, signal), 0.5 / _interval(time, signal)
+        most, frequency = 0.5 / _interval(time, signal), 0.0
+        with suppress(ValueError):
+            frequency = dominant_frequency(time, signal)
+        if not frequency:  # a mean that changes by more may hide it
+            frequency = dominant_frequency(time, np.gradient(signal))
         for _ in range(MOST_CORRECTIONS):
             instants, wave, mean = demodulated(time, signal, frequency)
             turns, size = np.unwrap(np.angle(wave)) / (2.0 * np.pi), np.abs(wave)

@@ -133,6 +133,13 @@ def test_a_record_without_three_periods_has_a_mean_alone(signal) -> None:
     assert "phase_error" not in found
 
 
+@pytest.mark.parametrize("mean", [TIME**2, np.exp(-3.0 * TIME), np.tanh(2.0 * TIME)])
+def test_a_mean_that_changes_by_more_hides_no_oscillation(mean) -> None:
+    found = oscillation(TIME, mean + 0.02 * np.sin(60.0 * TIME))
+    figures = found["frequency"], found["amplitude"]
+    assert figures == pytest.approx((30.0 / np.pi, 0.02), rel=1e-2)
+
+
 def test_errors_of_an_oscillation_and_its_phase_at_the_end() -> None:
     time = np.linspace(0.0, 50.0, 2001)
     found = oscillation_beside(time, 1.1 * wave(time, 0.98), wave(time, 1.0))
