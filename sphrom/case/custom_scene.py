@@ -296,13 +296,13 @@ class CustomScene(SceneSection):
         _ = here._force, here._initial, here._resistance
 
     def largest_wall_speed(self, values: Mapping[str, float]) -> float:
-        """Return the largest speed of walls [m/s], at values of the parameters."""
+        """Return the largest speed of walls and the inflow [m/s], at values of the parameters."""
         here = self._at(values)
-        speeds = (
-            np.linalg.norm(here._wall_velocity(name)(here._edge(name)), axis=1).max()
-            for name in here.walls
-        )
-        return float(max(speeds, default=0.0))
+        found = [here._wall_velocity(name)(here._edge(name)) for name in here.walls]
+        if here.inflow is not None and (strip := here._strip) is not None:
+            inside = here._samples[strip.contains(here._samples.T)].T
+            found.append(here._values.get(INFLOW, 1.0) * here._pushes[INFLOW](inside).T)
+        return max((float(np.linalg.norm(each, axis=1).max()) for each in found), default=0.0)
 
     @property
     def resolved_length(self) -> float:

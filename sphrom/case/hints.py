@@ -11,12 +11,11 @@ from sphrom.case.points import ParameterPoint, outside
 from sphrom.case.sections import AUTO
 from sphrom.case.studies import Region, sweep_model, sweep_points
 from sphrom.sph.fluid import ROUNDING
-from sphrom.sph.resistance import FALL
 
 SNAPSHOTS_PER_MODE = 2
 """Fewer snapshots are few for so many modes."""
-LEAST_FLANK = 2.0
-"""Spacings of the particles over which the rate of a strip has to fall, at least."""
+LEAST_STRIP = 20.0
+"""Least width of a strip, over the spacing: its rate falls within two spacings then."""
 
 
 def case_warnings(case: Case) -> list[str]:
@@ -32,10 +31,8 @@ def case_warnings(case: Case) -> list[str]:
 
 
 def _of_strip(case: Case) -> Iterator[str]:
-    if (strip := case.plan.strip) is None:
-        return
-    width, least = strip.end - strip.start, LEAST_FLANK * case.plan.particle_spacing / FALL
-    if width < least * (1.0 - ROUNDING):
+    strip, least = case.plan.strip, LEAST_STRIP * case.plan.particle_spacing
+    if strip is not None and (width := strip.end - strip.start) < least * (1.0 - ROUNDING):
         resolution = math.ceil(case.discretization.resolution * least / width)
         yield (
             f"scene.inflow.strip: is {width:.3g} m wide, and its forcing is too steep for the "

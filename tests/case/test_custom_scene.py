@@ -309,7 +309,6 @@ def test_a_case_that_measures_is_written_in_full_and_read_back(load) -> None:
 @pytest.mark.parametrize(
     ("strip", "solid", "words"),
     [
-        ([0, 1.4], bar(4, 1, 1, 1), "scene.inflow.strip: is 1.4 m wide"),
         ([0, 1.4], bar(4, 1, 1, 1), "2 m or discretization.resolution: 86 would do"),
         ([0, 2.0], bar(4, 1, 1, 1), ""),
         ([0, 2.0], bar(0, 0, 6, 1), ""),  # a wall all along the strip
@@ -320,5 +319,6 @@ def test_strips_that_are_narrow_or_hold_a_solid(load, strip: list, solid, words:
     box = {"upper": [6, 4], "periodic": ["x"]}
     inflow = {"strip": dict(zip(("from", "to"), strip, strict=True)), "velocity": [1, 0]}
     case = load(solids={"a": solid}, box=box, inflow={**inflow, "ramp": 0.0}, reference_length=6.0)
+    assert case.scene.largest_wall_speed({"inflow": 2.0}) == 2.0  # it raises that of sound
     told = [each for each in case_warnings(case) if "strip" in each]
     assert words in told[0] if words else not told
