@@ -214,8 +214,8 @@ class CustomScene(SceneSection):
         return CustomFlow(
             here.domain,
             {name: here._wall_velocity(name) for name in here.walls},
-            here._force,
             lambda at: here._initial(at),
+            here._force,
             self._resistance,
         )
 
