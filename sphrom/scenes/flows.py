@@ -11,9 +11,9 @@ acoustic wave of twice the pressure's amplitude.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -71,15 +71,18 @@ class Channel:
     """Whether positions (n_points, 2) [m] lie where all that flows through it passes."""
 
 
-class Scene:
+class Scene(ABC):
     """A flow to simulate, in SI units; positions are (n_particles, 2) unless they say otherwise."""
 
-    domain: Domain
-    """Where the fluid is."""
     body_force: Drive | None = None
     """What pushes the fluid, or None where nothing does."""
     resistance: Resistance | None = None
     """What slows the fluid, or None where nothing does."""
+
+    @property
+    @abstractmethod
+    def domain(self) -> Domain:
+        """Where the fluid is."""
 
     def initial_velocity(self, position: Array) -> Array:
         """Return the velocity (n_particles, 2) [m/s] at the start."""
@@ -113,13 +116,19 @@ class Scene:
 class CustomFlow(Scene):
     """A flow that a case describes."""
 
-    domain: Domain
+    where: Domain
+    """The domain of the fluid."""
     wall_velocities: Mapping[str, VectorField]
     """By the names of walls that move, their velocity [m/s] at places on them."""
     start: Callable[[Array], Array]
     """From positions (n_points, 2) [m], velocity [m/s] and pressure [Pa] (n_points, 3)."""
     body_force: Drive | None = None
     resistance: Resistance | None = None
+
+    @property
+    def domain(self) -> Domain:
+        """Where the fluid is."""
+        return self.where
 
     def initial_velocity(self, position: Array) -> Array:
         """Return the velocity (n_particles, 2) [m/s] at the start."""
@@ -133,8 +142,8 @@ class CustomFlow(Scene):
         """Return the velocity (n_ghosts, 2) [m/s] of the walls that ghosts (n_ghosts, 2) are of."""
         velocity = np.zeros_like(position)
         if self.wall_velocities:
-            names = np.array(self.domain.wall_names)[self.domain.nearest_wall(position)]
-            place = self.domain.on_wall(position)
+            names = np.array(self.where.wall_names)[self.where.nearest_wall(position)]
+            place = self.where.on_wall(position)
             for name, field_of in self.wall_velocities.items():
                 chosen = names == name
                 velocity[chosen] = field_of(place[chosen])
@@ -152,7 +161,7 @@ class TaylorGreen(Scene):
     pressure_sign: float = 1.0
     """+1, or -1 as printed in Eq. 4.4."""
 
-    @cached_property
+    @property
     def domain(self) -> Domain:
         """The box, periodic along both axes."""
         return BoxDomain((0.0, 0.0), (self.length, self.length), (True, True))
@@ -217,7 +226,7 @@ class LidDrivenCavity(Scene):
     ramp: float = 0.0
     """How long the lid takes to come up to speed [s]."""
 
-    @cached_property
+    @property
     def domain(self) -> Domain:
         """The box, walls all around."""
         return BoxDomain((0.0, 0.0), (self.length, self.length), (False, False))
@@ -316,14 +325,14 @@ class OpenCavity(Scene):
         middle, half = 0.5 * self.channel_length, 0.5 * self.cavity_length
         return Rectangle((middle - half, 0.0), (middle + half, self.cavity_height))
 
-    @cached_property
+    @property
     def domain(self) -> Domain:
         """Channel and cavity, in a box that is periodic along x."""
         parts = self.channel, self.cavity
         return BoxDomain((0.0, 0.0), self.channel.upper, (True, False), parts)
 
-    @cached_property
-    def body_force(self) -> Drive:
+    @property
+    def body_force(self) -> Drive:  # type: ignore[override]
         """The force of Eq. 4.5 above the cavity."""
         return Drive(self._along_x_above, self.force)
 
