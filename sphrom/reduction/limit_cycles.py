@@ -57,8 +57,6 @@ RIDGE = 1e-4
 """Of fits, over the mean square of a direction in which the cycle moves."""
 DAMPINGS = (0.0, 0.0625, 0.125, 0.25, 0.5, 1.0)
 """Rates over omega that are tried."""
-SMALLEST = 0.01
-"""Least radius of a cycle, over the largest trained: the fit needs some direction."""
 
 
 @dataclass(frozen=True)
@@ -163,27 +161,36 @@ class CycleClosure:
         """Return r^2 over the largest of training runs; negative below the onset."""
         return float(weights @ self._radii**2) / float(self._radii.max()) ** 2
 
-    def _between(self, weights: Array, harmonics: Sequence[Harmonics]) -> Harmonics:
-        """Return harmonics between those of training runs."""
-        radius = self._radii.max() * max(math.sqrt(max(self._square(weights), 0.0)), SMALLEST)
+    def _between(
+        self, weights: Array, harmonics: Sequence[Harmonics], fitted: bool = True
+    ) -> Harmonics:
+        """Return harmonics between those of training runs, of a radius not below theirs."""
+        radius = self._radii.max() * math.sqrt(max(self._square(weights), 0.0))
+        radius = max(radius, self._radii.min()) if fitted else radius
         scales = (radius / self._radii[:, None]) ** ORDERS
         return np.asarray(np.tensordot(weights, scales[..., None] * self._turns * harmonics, 1))
 
-    def cycle_at(self, viscosity: float, factors: Factors = NONE) -> LimitCycle:
-        """Return the cycle at a viscosity [m2/s] and values of what drives the flow."""
+    def cycle_at(
+        self, viscosity: float, factors: Factors = NONE, fitted: bool = False
+    ) -> LimitCycle:
+        """Return the cycle at a viscosity [m2/s] and values of what drives the flow.
+
+        One that is `fitted` is no smaller than the least that was trained.
+        """
         weights = self._weights(viscosity, factors)
         frequency = float(weights @ [cycle.frequency for cycle in self.cycles])
-        return LimitCycle(frequency, self._between(weights, [c.harmonics for c in self.cycles]))
+        harmonics = self._between(weights, [cycle.harmonics for cycle in self.cycles], fitted)
+        return LimitCycle(frequency, harmonics)
 
     def at(self, viscosity: float, factors: Factors = NONE) -> Polynomial:
         """Return what is added to the rates at a viscosity [m2/s] and values of what varies."""
         return self._damped(viscosity, factors, self._damping)
 
     def _damped(self, viscosity: float, factors: Factors, damping: float) -> Polynomial:
-        cycle = self.cycle_at(viscosity, factors)
-        states, rates = cycle.states, self.operators.at(viscosity, factors)
-        missing = cycle.rates - rates.along(states, np.full(N_PHASES, self.amplitude))
-        linear, mean = _slope(states, missing), cycle.harmonics[0].real
+        rates, pushed = self.operators.at(viscosity, factors), np.full(N_PHASES, self.amplitude)
+        cycle, own = (self.cycle_at(viscosity, factors, fitted) for fitted in (True, False))
+        of_cycle, missing = (c.rates - rates.along(c.states, pushed) for c in (cycle, own))
+        linear, mean = _slope(cycle.states, of_cycle), cycle.harmonics[0].real
         plane, moving = (_projector(cycle.harmonics[1:last]) for last in (2, None))
         linear -= damping * cycle.frequency * (np.eye(len(linear)) - moving)
         below = min(self._square(self._weights(viscosity, factors)), 0.0)
@@ -239,7 +246,7 @@ class CycleClosure:
             each - harmonics_of(PHASES, own(at, cycle), 1.0)
             for each, at, cycle in zip(loads, trained, self.cycles, strict=True)
         ]
-        cycle = self.cycle_at(viscosity, factors)
+        cycle = self.cycle_at(viscosity, factors, fitted=True)
         missing = around(self._between(self._weights(viscosity, factors), defects))
         linear = _slope(cycle.states, missing)
         constant = missing.mean(axis=0) - linear @ cycle.harmonics[0].real
@@ -257,5 +264,5 @@ def _slope(states: Array, values: Array) -> Array:
 def _projector(harmonics: Harmonics) -> Array:
     """Return the projector (n_modes, n_modes) onto the directions of some harmonics."""
     directions = np.linalg.svd(np.vstack((harmonics.real, harmonics.imag)), full_matrices=False)
-    kept = directions[2][directions[1] > RIDGE * directions[1][0]]
+    kept = directions[2][directions[1] ** 2 > RIDGE * directions[1][0] ** 2]
     return np.asarray(kept.T @ kept)
