@@ -33,6 +33,7 @@ GALLERY = {
     "kolmogorov": "reynolds28",
     "l_shaped_cavity": "reynolds150",
     "taylor_couette": "reynolds40",
+    "wake": "reynolds90",
 }
 """Cases of the gallery, and the value that is drawn."""
 TRADES = {

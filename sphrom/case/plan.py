@@ -467,7 +467,8 @@ class Plan:
     def is_corrected(self, model: ReducedModelSection, basis: str) -> bool:
         """Return whether a model's coordinates in a basis are corrected by its training runs."""
         if model.corrected == "auto":
-            return model.from_operators and len(self.bases[basis]) > 1
+            several = len(self.bases[basis]) > 1
+            return model.from_operators and several and not model.settles_on_cycles
         return model.corrected
 
     @cached_property

@@ -173,11 +173,12 @@ class ReducedModelSection(Section):
         "add little to what the basis leaves out",
         unit="s",
     )
-    calibrated: Flag | Literal["auto"] = key(
+    calibrated: Flag | Literal["auto", "cycle"] = key(
         "auto",
         "whether a constant and a linear part are added to its rates that are fitted to the "
         "training runs, for projection: galerkin and evaluation: operators; auto does so where "
-        "training runs have three snapshots or more",
+        "training runs have three snapshots or more; cycle fits them to periodic training runs, "
+        "so that it settles on their amplitude and frequency, and on what lies between them",
     )
     corrected: Flag | Literal["auto"] = key(
         "auto",
@@ -238,6 +239,11 @@ class ReducedModelSection(Section):
         if n_modes == AUTO and not (self.from_operators and self.is_calibrated):
             reason = "auto is for models with evaluation: operators that are calibrated"
             raise ValueError(f"n_modes: {reason}; give a number")
+        if self.settles_on_cycles and (n_modes == AUTO or self.corrected is True):
+            raise ValueError(
+                "calibrated: cycle is for a given n_modes and without corrected: training runs at "
+                "other phases neither choose modes nor correct runs"
+            )
         if integrated == AUTO:
             return
         if n_modes == AUTO or integrated > n_modes:
@@ -268,7 +274,12 @@ class ReducedModelSection(Section):
         """Whether its rates are fitted to the training runs, if these have snapshots enough."""
         if self.calibrated == "auto":
             return self.from_operators and not self.has_memory
-        return self.calibrated
+        return bool(self.calibrated)
+
+    @property
+    def settles_on_cycles(self) -> bool:
+        """Whether its closure has the limit cycles of training runs."""
+        return self.calibrated == "cycle"
 
     @property
     def has_memory(self) -> bool:

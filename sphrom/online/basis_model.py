@@ -31,6 +31,7 @@ from sphrom.reduction.correction import Correction, learn_correction
 from sphrom.reduction.error_calibration import OutputErrors, output_errors
 from sphrom.reduction.exponential_steps import LinearPart
 from sphrom.reduction.held_out import FieldProducts
+from sphrom.reduction.limit_cycles import CycleClosure, Harmonics, harmonics_of
 from sphrom.reduction.polynomial_model import Run
 from sphrom.reduction.reduced_measures import PointForce, ReducedMeasure, TimedLoads
 from sphrom.reduction.reduced_operators import MemoryOperators
@@ -46,6 +47,7 @@ from sphrom.setup.assembly import (
 from sphrom.store.starts import Fields
 from sphrom.store.trained_models import (
     calibrated,
+    cycle_closure,
     read_basis,
     read_operators,
     read_recorded,
@@ -90,7 +92,7 @@ class BasisModel:
         self._n_all_modes = whole.n_modes
         self._steps = {True: case.plan.steps, False: case.plan.model_steps(section)}
         group, is_corrected = f"bases/{name}", case.plan.is_corrected(section, name)
-        self._calibration: Calibration | None = None
+        self._calibration: Calibration | CycleClosure | None = None
         self._memory: MemoryOperators | None = None
         self._projected: Array | None = None
         with workspace.open(workspace.operators()) as artifact:
@@ -115,11 +117,16 @@ class BasisModel:
                 for each in case.scene.measured_fields
             }
 
-    def _calibrated_with(self, runs: Array) -> Calibration | None:
+    def _calibrated_with(self, runs: Array) -> Calibration | CycleClosure | None:
         """Return what is added to the rates; None where training runs have too few snapshots.
 
         Raises CaseError where the case insists on it.
         """
+        if self.section.settles_on_cycles:
+            try:
+                return cycle_closure(self.workspace.case, self.points, self.operators, runs)
+            except ValueError as error:
+                raise CaseError(f"rom.calibrated: cycle: {error}") from error
         try:
             return calibrated(self.workspace.case, self.points, self.operators, runs)
         except ValueError as error:
@@ -269,9 +276,35 @@ class BasisModel:
     ) -> dict[str, PointForce]:
         viscosity = self.workspace.case.plan.kinematic_viscosity(point)
         around = viscosity, self.operators.walls_driven, point.factors
-        return {
+        found = {
             name: force.at(*around, added.get(name)) for name, (force, _) in self._forces.items()
         }
+        closure = self._calibration
+        if not isinstance(closure, CycleClosure):
+            return found
+        return {
+            name: closure.force_at(force, *self._trained_forces[name], viscosity, point.factors)
+            for name, force in found.items()
+        }
+
+    @cached_property
+    def _trained_forces(self) -> dict[str, tuple[list[PointForce], list[Harmonics]]]:
+        """Forces at training points, and the harmonics of what runs on limit cycles recorded."""
+        case, closure, found = self.workspace.case, self._calibration, {}
+        assert isinstance(closure, CycleClosure)
+        times, driven = snapshot_times(case), self.operators.walls_driven
+        for name, (force, recorded) in self._forces.items():
+            viscosities = map(case.plan.kinematic_viscosity, self.points)
+            own = [
+                force.at(nu, driven, p.factors)
+                for nu, p in zip(viscosities, self.points, strict=True)
+            ]
+            loads = [
+                harmonics_of(times, each.reshape(len(times), -1), cycle.frequency)
+                for each, cycle in zip(recorded, closure.cycles, strict=True)
+            ]
+            found[name] = own, loads
+        return found
 
     @cached_property
     def correction(self) -> Correction | None:
@@ -360,6 +393,8 @@ class BasisModel:
     def force_corrections(self) -> dict[str, Correction | None]:
         """What training runs add to forces; nothing where the model takes endless steps there."""
         case, found, own = self.workspace.case, dict[str, Correction | None](), []
+        if self.section.settles_on_cycles:
+            return found
         try:
             runs = self.trained if self._forces else []
         except CaseError:

@@ -22,6 +22,7 @@ from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.metrics.measures import Quantities
 from sphrom.reduction.calibration import Calibration, TrainingRun, calibrate
 from sphrom.reduction.held_out import best_size
+from sphrom.reduction.limit_cycles import CycleClosure, fitted_cycle
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.reduced_measures import ReducedForce
 from sphrom.reduction.reduced_operators import ReducedOperators
@@ -120,6 +121,28 @@ def calibrated(
         known.append(TrainingRun(rates, coordinates, viscosity, driven, point.factors))
     interval = case.plan.steps.snapshot_interval
     return calibrate(known, interval, case.plan.longest_sound_period)
+
+
+def cycle_closure(
+    case: Case, points: Sequence[ParameterPoint], operators: ReducedOperators, runs: Array
+) -> CycleClosure:
+    """Return the closure by the limit cycles of training runs, as `calibrated` takes them.
+
+    Raises ValueError, which names the run, where one is not periodic.
+    """
+    times, cycles, amplitude = snapshot_times(case), [], assembly.amplitude_of(case, points[0])
+    for point, run in zip(points, runs, strict=True):
+        try:
+            cycles.append(fitted_cycle(times, run))
+        except ValueError as error:
+            remedy = "see time.spin_up and time.final_time"
+            raise ValueError(f"the training run at {point.label}: {error}; {remedy}") from error
+    viscosities = np.array([case.plan.kinematic_viscosity(point) for point in points])
+    pushed = 0.0 if amplitude is None else float(amplitude(times[-1:])[0])
+    closure = CycleClosure(operators, viscosities, [p.factors for p in points], cycles, pushed)
+    if closure.slowest() >= 1.0:
+        raise ValueError(f"with {operators.n_modes} modes states leave the cycles: see n_modes")
+    return closure
 
 
 def snapshot_times(case: Case) -> Array:

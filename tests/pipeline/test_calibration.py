@@ -131,6 +131,18 @@ def test_runs_of_two_snapshots_are_too_short(refused, written, model, problem):
     assert problem in " ".join(refused("run", "lid.yaml", "--threads", 1, code=2).split())
 
 
+def test_a_model_settles_on_the_cycles_of_periodic_runs_alone(refused, copied):
+    copied(LID)
+    models = [
+        {"name": "x", **FAST, "calibrated": "cycle"},
+        {**FAST, "name": "y", "n_modes": "auto"},
+    ]
+    Path("lid.yaml").write_text(yaml.safe_dump({**LID, "rom": models}, sort_keys=False))
+    told = " ".join(refused("rom", "lid.yaml", "--threads", 1, code=2).split())
+    assert "rom.calibrated: cycle: the training run at reynolds=50: " in told
+    assert "see time.spin_up and time.final_time" in told
+
+
 @pytest.mark.parametrize(("own", "n_integrated"), [("corrected", "auto"), ("leading", 3)])
 def test_a_run_goes_on_beyond_training_and_ends_in_the_steady_state(
     sphrom, copied, own, n_integrated

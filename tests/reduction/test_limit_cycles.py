@@ -1,0 +1,137 @@
+"""The closure by limit cycles, on the mean-field model of a wake (Noack and others 2003)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from sphrom.metrics.series import dominant_frequency
+from sphrom.reduction.limit_cycles import CycleClosure, LimitCycle, fitted_cycle, harmonics_of
+from sphrom.reduction.reduced_measures import PointForce
+from sphrom.reduction.reduced_operators import ReducedOperators
+from sphrom.reduction.reduced_rates import Polynomial
+
+N_MODES = 5
+VISCOSITIES = np.array([1.0 / 80.0, 1.0 / 120.0])
+ONSET = 50.0
+
+
+def rates_of(reynolds: float, a: np.ndarray) -> np.ndarray:
+    """Return the rates of an oscillation, its shift of the mean, and two modes that follow it."""
+    growth, omega = (reynolds - ONSET) / 200.0, 1.0 + reynolds / 100.0
+    x, y, shift, p, q = a
+    return np.array(
+        [
+            (growth - shift) * x - omega * y,
+            omega * x + (growth - shift) * y,
+            2.0 * (x * x + y * y - shift),
+            x * x - y * y - p,
+            2.0 * x * y - q,
+        ]
+    )
+
+
+def integrated(rates, start: np.ndarray, end: float) -> tuple[np.ndarray, np.ndarray]:
+    times = np.linspace(0.0, end, 40 * round(end))
+    found = solve_ivp(lambda t, a: rates(a), (0.0, end), start, t_eval=times, rtol=1e-9, atol=1e-9)
+    return times, found.y.T
+
+
+def trained(reynolds: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return ten periods and more of a settled run."""
+    times, states = integrated(lambda a: rates_of(reynolds, a), 0.1 * np.ones(N_MODES), 160.0)
+    return times[-1600:], states[-1600:]
+
+
+@pytest.fixture(scope="module")
+def operators() -> ReducedOperators:
+    """A model that lacks some of the truth: its growth is wrong, and so is its frequency."""
+    zero = np.zeros(N_MODES), np.zeros((N_MODES,) * 2), np.zeros((N_MODES,) * 3)
+    linear = np.diag([0.45, 0.45, -2.0, 0.2, -0.5])
+    linear[0, 1], linear[1, 0] = -1.7, 1.7
+    products = np.zeros((N_MODES,) * 3)
+    for k in (0, 1):
+        products[k, k, 2] = products[k, 2, k] = -0.5
+        products[2, k, k] = 2.0
+    products[3, 0, 0], products[3, 1, 1] = 1.0, -1.0
+    products[4, 0, 1] = products[4, 1, 0] = 1.0
+    inertia = zero[0], linear, products
+    return ReducedOperators(inertia=inertia, viscosity=zero, acoustic=zero[1])
+
+
+@pytest.fixture(scope="module")
+def closure(operators: ReducedOperators) -> CycleClosure:
+    cycles = [fitted_cycle(*trained(1.0 / nu)) for nu in VISCOSITIES]
+    return CycleClosure(operators, VISCOSITIES, [{}, {}], cycles, 0.0)
+
+
+@pytest.mark.parametrize("reynolds", [80.0, 100.0, 120.0, 150.0])
+def test_the_cycle_is_that_of_stuart_and_landau(closure: CycleClosure, reynolds: float) -> None:
+    cycle = closure.cycle_at(1.0 / reynolds)
+    squares = np.sum(cycle.states[:, :2] ** 2, axis=1)
+    assert cycle.frequency == pytest.approx(1.0 + reynolds / 100.0, rel=1e-6)
+    assert squares == pytest.approx((reynolds - ONSET) / 200.0, rel=1e-4)
+
+
+@pytest.mark.parametrize("reynolds", [80.0, 100.0, 120.0])
+def test_a_model_settles_on_the_cycle(
+    operators: ReducedOperators, closure: CycleClosure, reynolds: float
+) -> None:
+    """Uncorrected it settles on another one."""
+    start, (_, truth) = 0.3 * np.ones(N_MODES), trained(reynolds)
+    for added, tolerance in ((closure.at(1.0 / reynolds), 2e-3), (None, None)):
+        rates = operators.at(1.0 / reynolds)
+        times, states = integrated(rates if added is None else rates.plus(added), start, 120.0)
+        late = slice(-1600, None)
+        amplitude = np.abs(states[late, 0]).max() / np.abs(truth[:, 0]).max()
+        frequency = dominant_frequency(times[late], states[late, 0])
+        wanted = (1.0 + reynolds / 100.0) / (2.0 * np.pi)
+        if tolerance is None:
+            assert amplitude != pytest.approx(1.0, abs=0.03)
+        else:
+            assert amplitude == pytest.approx(1.0, abs=tolerance)
+            assert frequency == pytest.approx(wanted, rel=1e-3)
+            assert states[late].mean(axis=0) == pytest.approx(truth.mean(axis=0), abs=0.03)
+
+
+def test_below_the_onset_oscillations_decay(
+    operators: ReducedOperators, closure: CycleClosure
+) -> None:
+    rates = operators.at(1.0 / 40.0).plus(closure.at(1.0 / 40.0))
+    _, states = integrated(rates, 0.1 * np.ones(N_MODES), 300.0)
+    assert np.abs(states[-400:, :2]).max() < 0.02
+
+
+def test_a_force_has_what_training_runs_recorded(closure: CycleClosure) -> None:
+    """The model's own force lacks a constant and part of what follows the oscillation."""
+    loads, linear = [], np.zeros((6, N_MODES))
+    linear[0, 0] = 1.0
+    own = PointForce(Polynomial(((np.zeros(6), linear),)), np.zeros((6, N_MODES)), np.zeros((2, 6)))
+    for nu, cycle in zip(VISCOSITIES, closure.cycles, strict=True):
+        times, states = trained(1.0 / nu)
+        recorded = np.zeros((len(times), 6))
+        recorded[:, 0] = 2.0 + 3.0 * states[:, 0] + states[:, 3]
+        loads.append(harmonics_of(times, recorded, cycle.frequency))
+    force = closure.force_at(own, [own, own], loads, 1.0 / 100.0, {})
+    _, states = trained(100.0)
+    found = force.at(np.zeros(len(states)), states, 0.0 * states, np.zeros(len(states)))
+    expected = 2.0 + 3.0 * states[:, 0] + states[:, 3]
+    assert found[:, 0, 0] == pytest.approx(expected, abs=1e-2)
+
+
+def test_what_is_not_periodic_is_refused() -> None:
+    times = np.linspace(0.0, 20.0, 400)
+    random = np.random.default_rng(1)
+    walk = np.cumsum(random.standard_normal((400, 3)), axis=0)
+    with pytest.raises(ValueError, match=r"not periodic|no oscillation"):
+        fitted_cycle(times, walk + 3.0 * np.sin(9.0 * times)[:, None] * [1.0, 0.0, 0.0])
+
+
+def test_harmonics_are_those_of_the_series() -> None:
+    times = np.linspace(3.0, 17.0, 300)
+    values = np.stack((2.0 + np.cos(1.3 * times), 0.5 * np.sin(2.6 * times)), axis=1)
+    found = LimitCycle(1.3, harmonics_of(times, values, 1.3)).harmonics
+    expected = np.zeros((5, 2), dtype=complex)
+    expected[0, 0], expected[1, 0], expected[2, 1] = 2.0, 1.0, -0.5j
+    assert found == pytest.approx(expected, abs=1e-9)
