@@ -214,8 +214,8 @@ class CustomScene(SceneSection):
         return CustomFlow(
             here.domain,
             {name: here._wall_velocity(name) for name in here.walls},
-            here._force,
             lambda at: here._initial(at),
+            here._force,
             self._resistance,
         )
 
@@ -414,11 +414,7 @@ class CustomScene(SceneSection):
         """Return positions (2, n_positions) [m] in the box: periodic axes may have been left."""
         low, high = (np.array(end)[:, None] for end in (self.domain.lower, self.domain.upper))
         left = ((position < low) | (position > high)).any(axis=0)
-        if not left.any():
-            return position
-        found = position.copy()
-        found[:, left] = self.domain.wrap(position[:, left].T).T
-        return found
+        return np.where(left, self.domain.wrap(position.T).T, position) if left.any() else position
 
     @cached_property
     def _pushes(self) -> dict[str, _Push]:
@@ -476,10 +472,11 @@ class CustomScene(SceneSection):
     @cached_property
     def inflow_ramp(self) -> float:
         """How long the inflow takes to come up to speed [s]; 0 without one."""
-        if self.inflow is None or self._strip is None:
+        if self.inflow is None or (strip := self._strip) is None:
             return 0.0
-        length, start = self.domain.lengths[self._strip.axis], self.initial
-        return self.inflow.ramp_over(length, abs(self._strip.speed), start == InitialSection())
+        from_rest = self.initial == InitialSection()
+        usual = self.domain.lengths[strip.axis] / abs(strip.speed) if from_rest else 0.0
+        return usual if self.inflow.ramp is None else self.inflow.ramp
 
     @cached_property
     def _resistance(self) -> Resistance | None:

@@ -86,12 +86,6 @@ class InflowSection(Section):
             raise ValueError("inflow.velocity: nothing flows along the box's periodic axis")
         return Strip(axis, start, end, math.copysign(speed, means[axis]), self.strength)
 
-    def ramp_over(self, length: float, speed: float, from_rest: bool) -> float:
-        """Return how long it takes to come up to speed [s], in a box of a length [m]."""
-        if self.ramp is not None:
-            return self.ramp
-        return length / speed if from_rest else 0.0
-
 
 def ramp_share(ramp: float, time: Array | float) -> Array | float:
     """Return the share of its speed that an inflow has reached at times [s], along a cosine."""

@@ -22,12 +22,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.measures import UNITS, Quantities, components, errors_of, mean_square
 from sphrom.metrics.samples import Probes, Samples
-from sphrom.metrics.series import (
-    dominant_frequency,
-    kinetic_energy,
-    oscillation,
-    oscillation_beside,
-)
+from sphrom.metrics.series import dominant_frequency, kinetic_energy
 from sphrom.online.basis_model import quantities_of
 from sphrom.online.fast_model import FastModel
 from sphrom.reduction.trial_basis import mean_density_fluctuation, project
@@ -164,13 +159,10 @@ def oscillation_rows(
 ) -> Iterator[OscillationRow]:
     """Yield the rows of a run beside the full one, which has no errors."""
     for name, each in case.scene.oscillations.items():
-        if each.measure not in own:  # as forces are not of mapped snapshots
-            continue
-        runs = [each.history(time, some[each.measure][each.quantity]) for some in (own, full)]
-        found: dict[str, Any] = oscillation(*runs[0])
-        if own is not full:
-            found = oscillation_beside(*runs[0], runs[1][1])
-        yield OscillationRow(measured=name, unit=each.units, **described, **found)
+        if each.measure in own:  # as forces are not of mapped snapshots
+            reference = None if own is full else full[each.measure]
+            found: dict[str, Any] = each.of(time, own[each.measure], reference)
+            yield OscillationRow(measured=name, unit=each.units, **described, **found)
 
 
 @dataclass(frozen=True)

@@ -246,7 +246,9 @@ def errors_of(history: History) -> Errors:
     errors: dict[str, float | None] = {}
     for place, series in history.places.items():
         errors |= norms_of(place, series)
-        errors |= means_and_peaks({f"{place}_{name}": v for name, v in series.eq41.items()})
+        for name, values in series.eq41.items():
+            errors[f"{place}_{name}_mean"] = float(values.mean())
+            errors[f"{place}_{name}_peak"] = float(values.max())
     return {name: errors[name] for name in ERRORS}
 
 
@@ -256,15 +258,6 @@ def norms_of(name: str, series: Series) -> dict[str, float | None]:
         f"{name}_relative_l2": series.relative_l2_overall,
         f"{name}_relative_l2_peak": float(series.relative_l2.max()),
     }
-
-
-def means_and_peaks(series: Mapping[str, Array]) -> dict[str, float | None]:
-    """Return the mean and the largest of series over time, by their names."""
-    found: dict[str, float | None] = {}
-    for name, values in series.items():
-        found[f"{name}_mean"] = float(values.mean())
-        found[f"{name}_peak"] = float(values.max())
-    return found
 
 
 def mean_errors(each: Sequence[Errors]) -> Errors:

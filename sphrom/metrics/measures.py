@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sphrom.arrays import Array, Indices
-from sphrom.metrics.series import OSCILLATION, oscillation
+from sphrom.metrics.series import OSCILLATION, oscillation, oscillation_beside
 
 Quantities = Mapping[str, Array]
 """By UNITS, what one measurement gives."""
@@ -109,11 +109,16 @@ class Oscillating(Column):
         """Return the unit of a figure of the oscillation."""
         return "Hz" if figure.startswith("frequency") else self.units
 
-    def history(self, time: Array, values: Array) -> tuple[Array, Array]:
-        """Return those times (n_samples,) [s] and values (n_snapshots, ...) that count."""
-        late = time >= self.from_time
-        values = values if self.component is None else values[..., self.component]
-        return time[late], values.reshape(len(time))[late]
+    def of(self, time: Array, own: Quantities, full: Quantities | None = None) -> dict[str, float]:
+        """Return the oscillation in what a run measured at times (n_snapshots,) [s].
+
+        Its errors are among the figures where a full run is given.
+        """
+        late, signals = time >= self.from_time, list[Array]()
+        for values in (run[self.quantity] for run in (own, full) if run is not None):
+            one = values if self.component is None else values[..., self.component]
+            signals.append(one.reshape(len(time))[late])
+        return (oscillation if full is None else oscillation_beside)(time[late], *signals)
 
 
 class Oscillations(dict[str, Oscillating]):
@@ -123,7 +128,7 @@ class Oscillations(dict[str, Oscillating]):
         """Return figures of oscillations, the same at all times (n,), and NaN for missing ones."""
         found: dict[str, Quantities] = {}
         for name, each in self.items():
-            own = oscillation(*each.history(time, measured[each.measure][each.quantity]))
+            own = each.of(time, measured[each.measure])
             found[name] = {f: np.full(len(time), own.get(f, np.nan)) for f in OSCILLATION}
         return found
 

@@ -74,6 +74,11 @@ class Channel:
 class Scene(ABC):
     """A flow to simulate, in SI units; positions are (n_particles, 2) unless they say otherwise."""
 
+    body_force: Drive | None = None
+    """What pushes the fluid, or None where nothing does."""
+    resistance: Resistance | None = None
+    """What slows the fluid, or None where nothing does."""
+
     @property
     @abstractmethod
     def domain(self) -> Domain:
@@ -97,16 +102,6 @@ class Scene(ABC):
         return None
 
     @property
-    def body_force(self) -> Drive | None:
-        """What pushes the fluid, or None where nothing does."""
-        return None
-
-    @property
-    def resistance(self) -> Resistance | None:
-        """What slows the fluid, or None where nothing does."""
-        return None
-
-    @property
     def amplitude(self) -> Amplitude | None:
         """How strongly the flow is driven, by force or walls, or None where that never changes."""
         return self.wall_amplitude if self.body_force is None else self.body_force.amplitude
@@ -125,10 +120,10 @@ class CustomFlow(Scene):
     """The domain of the fluid."""
     wall_velocities: Mapping[str, VectorField]
     """By the names of walls that move, their velocity [m/s] at places on them."""
-    force: Drive | None
     start: Callable[[Array], Array]
     """From positions (n_points, 2) [m], velocity [m/s] and pressure [Pa] (n_points, 3)."""
-    resists: Resistance | None = None
+    body_force: Drive | None = None
+    resistance: Resistance | None = None
 
     @property
     def domain(self) -> Domain:
@@ -153,16 +148,6 @@ class CustomFlow(Scene):
                 chosen = names == name
                 velocity[chosen] = field_of(place[chosen])
         return velocity
-
-    @property
-    def body_force(self) -> Drive | None:
-        """What pushes the fluid, or None where nothing does."""
-        return self.force
-
-    @property
-    def resistance(self) -> Resistance | None:
-        """What slows the fluid, or None where nothing does."""
-        return self.resists
 
 
 @dataclass(frozen=True)
@@ -347,7 +332,7 @@ class OpenCavity(Scene):
         return BoxDomain((0.0, 0.0), self.channel.upper, (True, False), parts)
 
     @property
-    def body_force(self) -> Drive:
+    def body_force(self) -> Drive:  # type: ignore[override]
         """The force of Eq. 4.5 above the cavity."""
         return Drive(self._along_x_above, self.force)
 

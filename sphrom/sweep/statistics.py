@@ -24,7 +24,7 @@ from sphrom.case.studies import sweep_model, sweep_points
 from sphrom.console import Reporter
 from sphrom.metrics.draws import Along, fewest_runs, sobol_indices, spread
 from sphrom.metrics.measures import PLACED, UNITS, Oscillating, components
-from sphrom.metrics.series import OSCILLATION, oscillation
+from sphrom.metrics.series import OSCILLATION
 from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Panel, draw_grid
 from sphrom.plots.tables import format_figure, rows_of_columns, write_csv
@@ -81,21 +81,18 @@ def outputs_of(case: Case, runs: Values, trained: Values = ()) -> Iterator[Outpu
     whole, differences = _stacked(runs), _stacked(trained)
     yield from _outputs(case, TIME, whole, differences)
     yield from _outputs(case, MEAN, _averaged(whole), _averaged(differences))
-    for name, measure, found in oscillations_of(case, runs):
+    for name, measure in case.scene.oscillations.items():
+        found = [oscillation_of(measure, values) for values in runs]
         for figure in OSCILLATION[:3]:
             if all(figure in each for each in found):
                 values = np.array([[each[figure]] for each in found])
                 yield Output(f"{name}_{figure}", measure.units_of(figure), MEAN, values, None)
 
 
-def oscillations_of(
-    case: Case, runs: Values
-) -> Iterator[tuple[str, Oscillating, list[dict[str, float]]]]:
-    """Yield the oscillations of all runs, by name and what they are of."""
-    for name, each in case.scene.oscillations.items():
-        path = f"measure/{each.measure}/{each.quantity}"
-        histories = (each.history(values["time"], values[path]) for values in runs)
-        yield name, each, [oscillation(*history) for history in histories]
+def oscillation_of(each: Oscillating, values: Mapping[str, Any]) -> dict[str, float]:
+    """Return the oscillation in a run, as its record has it."""
+    measured = {each.quantity: values[f"measure/{each.measure}/{each.quantity}"]}
+    return each.of(values["time"], measured)
 
 
 def _stacked(runs: Values) -> dict[str, Array]:

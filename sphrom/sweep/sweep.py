@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
@@ -325,9 +326,9 @@ def _rows(case: Case, records: Sequence[RunRecord], names: Iterable[str]) -> lis
             for figure, found in measures.statistics({quantity: series}).items():
                 for k, value in zip(complete, found.tolist(), strict=True):
                     rows[k][f"{name}_{figure}"] = value
-    for name, _, each in statistics.oscillations_of(case, [records[k].values for k in complete]):
-        for k, figures in zip(complete, each, strict=True):
-            rows[k] |= {f"{name}_{figure}": value for figure, value in figures.items()}
+    for k, (name, each) in product(complete, case.scene.oscillations.items()):
+        figures = statistics.oscillation_of(each, records[k].values)
+        rows[k] |= {f"{name}_{figure}": value for figure, value in figures.items()}
     return rows
 
 

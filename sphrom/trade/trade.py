@@ -31,7 +31,6 @@ from sphrom.metrics.histories import EXACT, Errors, compare, errors_of
 from sphrom.metrics.measures import errors_of as relative_errors
 from sphrom.metrics.measures import mean_square
 from sphrom.metrics.samples import Samples
-from sphrom.metrics.series import oscillation_beside
 from sphrom.online.error_estimates import measured_errors, measured_shares
 from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.online.stable_ranges import TIME, StableRange, stable_ranges
@@ -239,8 +238,7 @@ class _Trade:
     def _measured_errors(self, point: ParameterPoint, samples: Samples) -> Errors:
         found, full = dict(NO_MEASURED), self.full[point]
         if (of := self.oscillating) is not None:
-            both = [of.history(s.time, s.measured[of.quantity]) for s in (samples, full)]
-            figures = oscillation_beside(*both[0], both[1][1])
+            figures = of.of(samples.time, samples.measured, full.measured)
             names = {f"measured_{name}_relative_l2": f"{name}_error" for name in OSCILLATION}
             return found | {name: figures.get(error) for name, error in names.items()}
         counted_ones = full.time >= self.case.compare.from_time
