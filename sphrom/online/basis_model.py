@@ -134,6 +134,12 @@ class BasisModel:
                 return None
             raise CaseError(f"rom.calibrated: {error}; see snapshots.every") from error
 
+    @property
+    def leaves_cycles(self) -> bool:
+        """Whether states leave the trained limit cycles that the model should settle on."""
+        closure = self._calibration
+        return isinstance(closure, CycleClosure) and closure.slowest() >= 1.0
+
     def _read_integrated(self, artifact: Artifact) -> int:
         """Return how many modes a corrected model integrates: as asked, or as training chose."""
         if self.section.integrated_modes != AUTO:

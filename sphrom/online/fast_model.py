@@ -131,6 +131,8 @@ class FastRun(Run):
         case, end = self.model.workspace.case, self.reduced.output_times.time[-1]
         trained = case.plan.steps.end_time
         longer = (beyond_training(trained),) if end > trained * (1.0 + ROUNDING) else ()
+        if self.model.at_point(self.point).leaves_cycles:
+            longer += (f"states of {self.model.section.size} modes leave the trained cycles",)
         beyond = extrapolation(case, self.point)
         return longer if beyond is None else (beyond, *longer)
 

@@ -83,6 +83,8 @@ def candidates(
         ):
             name = f"weighed-{basis}-{projection}-m{size}"
             keys = {"evaluation": "operators", "projection": projection, "basis": basis}
+            if first.settles_on_cycles and projection == "galerkin":
+                keys["calibrated"] = "cycle"
             found.append(ReducedModelSection.model_validate(keys | {"name": name, "n_modes": size}))
     return found
 
