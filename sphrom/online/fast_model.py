@@ -130,11 +130,11 @@ class FastRun(Run):
         """Warnings of a run outside of the trained values, or longer than training runs."""
         case, end = self.model.workspace.case, self.reduced.output_times.time[-1]
         trained = case.plan.steps.end_time
-        longer = (beyond_training(trained),) if end > trained * (1.0 + ROUNDING) else ()
+        found = [beyond_training(trained)] if end > trained * (1.0 + ROUNDING) else []
         if self.model.at_point(self.point).leaves_cycles:
-            longer += (f"states of {self.model.section.size} modes leave the trained cycles",)
+            found.append(f"states of {self.model.section.size} modes leave the trained cycles")
         beyond = extrapolation(case, self.point)
-        return longer if beyond is None else (beyond, *longer)
+        return tuple(found) if beyond is None else (beyond, *found)
 
     @cached_property
     def doubts(self) -> tuple[str, ...]:

@@ -123,6 +123,8 @@ def stokes_fields(
         wrong = (at_walls @ coefficients - wanted).reshape(2, -1, 3)[:, own]
         through = np.sum(np.einsum("dgm,gd->gm", wrong, normal[own]) ** 2, axis=0)
         follows = through < LEAK**2 * np.sum(motions**2, axis=(1, 2))
+        if strip is not None:  # which holds no wall's motion
+            follows &= not np.any(strip[beside] & (behind == domain.wall_names.index(name)))
         if own.any():
             # Beside the fluid normals are those of sides, behind a corner they aren't.
             others = beside[behind != domain.wall_names.index(name)]
