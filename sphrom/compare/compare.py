@@ -198,15 +198,13 @@ class _PointComparison:
         estimates: Measured | None = None,
     ) -> None:
         counted, about = self.full.time >= self.case.compare.from_time, self._described(name, basis)
-        rows = measure_rows(
-            measured, self.measured, counted, estimates or {}, n_modes=n_modes, **about
-        )
         both, at = (measured, self.measured), self.point.label
-        oscillations = oscillation_rows(
-            self.case, self.full.time, *both, compared=name, parameters=at
+        self.tables.oscillations.extend(
+            oscillation_rows(self.case, self.full.time, *both, compared=name, parameters=at)
         )
-        self.tables.oscillations.extend(oscillations)
-        for row in rows:  # those of one quantity adjoin
+        for row in measure_rows(
+            *both, counted, estimates or {}, n_modes=n_modes, **about
+        ):  # those of one quantity adjoin
             self.measures[row.measured, row.quantity].append(row)
 
     def _described(self, name: str, basis: str | None) -> dict[str, str]:
@@ -222,13 +220,8 @@ class _PointComparison:
         n_modes: int | None = None,
         status: str = "complete",
     ) -> None:
-        history = compare(
-            samples,
-            self.references[against],
-            self.probes,
-            self.case.compare.from_time,
-            self.case.plan.longest_sound_period,
-        )
+        begin, period = self.case.compare.from_time, self.case.plan.longest_sound_period
+        history = compare(samples, self.references[against], self.probes, begin, period)
         if status == "complete" and len(history.time) == 0:
             raise CaseError(
                 "compare.line_points, compare.grid, compare.from_time: there is no snapshot in "
