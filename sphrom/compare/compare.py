@@ -202,9 +202,10 @@ class _PointComparison:
         self.tables.oscillations.extend(
             oscillation_rows(self.case, self.full.time, *both, compared=name, parameters=at)
         )
-        for row in measure_rows(
-            *both, counted, estimates or {}, n_modes=n_modes, **about
-        ):  # those of one quantity adjoin
+        rows = measure_rows(
+            measured, self.measured, counted, estimates or {}, n_modes=n_modes, **about
+        )
+        for row in rows:  # those of one quantity adjoin
             self.measures[row.measured, row.quantity].append(row)
 
     def _described(self, name: str, basis: str | None) -> dict[str, str]:

@@ -110,8 +110,8 @@ def solids_within(domain: Domain, frame: Extent) -> Solids:
 
 def _draw_points(axes: Axes, position: Array, size: float, colour: str, label: str) -> None:
     """Draw points (n_points, 2) as dots of a size [points squared]."""
-    told, many = f"{label}, {len(position)}", len(position) > VECTORS_BELOW
-    axes.scatter(*position.T, s=size, color=colour, linewidths=0.0, label=told, rasterized=many)
+    (x, y), told, many = position.T, f"{label}, {len(position)}", len(position) > VECTORS_BELOW
+    axes.scatter(x, y, s=size, color=colour, linewidths=0.0, label=told, rasterized=many)
 
 
 def _draw_walls(axes: Axes, case: Case, walls: Walls, solids: Solids, arrow: float) -> None:
@@ -134,8 +134,8 @@ def _draw_walls(axes: Axes, case: Case, walls: Walls, solids: Solids, arrow: flo
         first = mine[surface[mine]]
         own = float(speed[first].max(initial=0.0))
         told, colour = (f"{name}, {own:.3g} m/s", MOVING) if own else (name, INK)
-        turned = 90.0 if name in SIDES[0] else 0.0
-        axes.text(*middle, told, color=colour, rotation=turned, ha="center", va="center", **NAME)
+        (x, y), turned = middle, 90.0 if name in SIDES[0] else 0.0
+        axes.text(x, y, told, color=colour, rotation=turned, ha="center", va="center", **NAME)
         if own:
             some = first[:: -(-len(first) // MOST_ARROWS)]
             place, way = domain.on_wall(walls.position[some]), walls.velocity[some]
