@@ -201,11 +201,8 @@ class _PointComparison:
         rows = measure_rows(
             measured, self.measured, counted, estimates or {}, n_modes=n_modes, **about
         )
-        both, at = (measured, self.measured), self.point.label
-        oscillations = oscillation_rows(
-            self.case, self.full.time, *both, compared=name, parameters=at
-        )
-        self.tables.oscillations.extend(oscillations)
+        runs = self.full.time, measured, self.measured
+        self.tables.oscillations.extend(oscillation_rows(self.case, *runs, name, self.point.label))
         for row in rows:  # those of one quantity adjoin
             self.measures[row.measured, row.quantity].append(row)
 
