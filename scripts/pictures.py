@@ -84,6 +84,9 @@ def pictures() -> Iterator[Picture]:
     for kind in ("quantiles", "indices"):
         source, commands = f"sweep-fast-{kind}.png", ("run --force", "sweep")
         yield Picture(f"uncertainty-{kind}", CASES / "uncertain_lid.yaml", source, commands, 900)
+    yield Picture(
+        "wake-force", CASES / "cylinder_wake.yaml", "plots/force-cylinder-reynolds100.png"
+    )
     vortex = tutorial_case("first-result", "vortex.yaml")
     yield Picture("tutorial-vortex", vortex, "plots/overview-reynolds150.png")
     channel = tutorial_case("own-flow", "channel.yaml")

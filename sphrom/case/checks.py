@@ -412,10 +412,8 @@ def _check_compare(case: Case) -> Found:
         yield "compare.line", reason
     strip = case.plan.strip
     if strip is not None and strip.axis == 0 and strip.start < line < strip.end:
-        yield (
-            "compare.line",
-            f"x = {line:g} m is in the strip of the inflow; set it downstream of it",
-        )
+        reason = f"x = {line:g} m is in the strip of the inflow; set it downstream of it"
+        yield "compare.line", reason
     for name in repeated(figure.name.casefold() for figure in section.figures):
         yield "compare.figures", f"two figures have the name {name}"
     for i, figure in enumerate(section.figures):

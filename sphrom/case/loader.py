@@ -21,14 +21,7 @@ from sphrom.case.scenes import kind_of
 from sphrom.case.schema import MAX_PROBLEMS, problems_of
 from sphrom.case.sections import ALL
 from sphrom.case.studies import Region, trained_at
-from sphrom.case.yaml_reader import (
-    MAX_DEPTH,
-    Document,
-    Path,
-    Problem,
-    read_yaml,
-    show_path,
-)
+from sphrom.case.yaml_reader import MAX_DEPTH, Document, Path, Problem, read_yaml, show_path
 from sphrom.errors import CaseError
 from sphrom.text import nearest, quoted
 from sphrom.whole_files import read_whole
@@ -104,8 +97,7 @@ def case_of_text(text: str, folder: str | os.PathLike[str] | None = None) -> Cas
 
 
 def _given(
-    source: str | os.PathLike[str] | Mapping[str, Any],
-    overrides: Sequence[str] | Mapping[str, Any],
+    source: str | os.PathLike[str] | Mapping[str, Any], overrides: Sequence[str] | Mapping[str, Any]
 ) -> tuple[str, Document, list[Path]]:
     """Return a case's name in messages, its content with keys changed, and the paths of these."""
     if isinstance(source, Mapping):

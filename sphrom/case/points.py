@@ -141,8 +141,7 @@ class SampleSection(Section):
 
     count: Whole = key(..., "how many points", ge=1, le=100_000)
     method: Literal["sobol", "halton", "latin-hypercube"] = key(
-        "sobol",
-        "the sequence; of sobol and halton the first points stay where more are asked for",
+        "sobol", "the sequence; of sobol and halton the first points stay where more are asked for"
     )
     seed: Whole = key(0, "seed of its random shifts", ge=0, le=2**32 - 1)
 

@@ -198,13 +198,11 @@ class _PointComparison:
         estimates: Measured | None = None,
     ) -> None:
         counted, about = self.full.time >= self.case.compare.from_time, self._described(name, basis)
-        both, at = (measured, self.measured), self.point.label
-        self.tables.oscillations.extend(
-            oscillation_rows(self.case, self.full.time, *both, compared=name, parameters=at)
-        )
         rows = measure_rows(
             measured, self.measured, counted, estimates or {}, n_modes=n_modes, **about
         )
+        runs = self.full.time, measured, self.measured
+        self.tables.oscillations.extend(oscillation_rows(self.case, *runs, name, self.point.label))
         for row in rows:  # those of one quantity adjoin
             self.measures[row.measured, row.quantity].append(row)
 

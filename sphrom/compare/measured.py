@@ -155,14 +155,16 @@ class OscillationRow:
 
 
 def oscillation_rows(
-    case: Case, time: Array, own: Measured, full: Measured, **described: Any
+    case: Case, time: Array, own: Measured, full: Measured, compared: str, parameters: str
 ) -> Iterator[OscillationRow]:
     """Yield the rows of a run beside the full one, which has no errors."""
     for name, each in case.scene.oscillations.items():
         if each.measure in own:  # as forces are not of mapped snapshots
             reference = None if own is full else full[each.measure]
             found: dict[str, Any] = each.of(time, own[each.measure], reference)
-            yield OscillationRow(measured=name, unit=each.units, **described, **found)
+            yield OscillationRow(
+                measured=name, unit=each.units, compared=compared, parameters=parameters, **found
+            )
 
 
 @dataclass(frozen=True)

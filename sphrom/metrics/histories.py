@@ -203,11 +203,7 @@ def _series(
 
 
 def _without_sound(
-    run: Samples,
-    reference: Samples,
-    probes: Probes,
-    kept: NDArray[np.int64],
-    sound_period: float,
+    run: Samples, reference: Samples, probes: Probes, kept: NDArray[np.int64], sound_period: float
 ) -> dict[str, Series]:
     """Return the errors without sound, at the kept instants that have the whole window."""
     n_half = len(reference.time) + 1

@@ -75,11 +75,7 @@ def _mean_densities(workspace: Workspace, runs: list[Artifact], volume: Array) -
 
 
 def _decompose(
-    workspace: Workspace,
-    runs: list[Artifact],
-    volume: Array,
-    means: Array | None,
-    description: str,
+    workspace: Workspace, runs: list[Artifact], volume: Array, means: Array | None, description: str
 ) -> dict[str, TrialBasis]:
     """Return the bases of the case from artifacts that hold density fluctuation and velocity."""
     case = workspace.case

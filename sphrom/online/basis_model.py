@@ -122,17 +122,13 @@ class BasisModel:
 
         Raises CaseError where the case insists on it.
         """
-        if self.section.settles_on_cycles:
-            try:
-                return cycle_closure(self.workspace.case, self.points, self.operators, runs)
-            except ValueError as error:
-                raise CaseError(f"rom.calibrated: cycle: {error}") from error
+        learnt = cycle_closure if self.section.settles_on_cycles else calibrated
         try:
-            return calibrated(self.workspace.case, self.points, self.operators, runs)
+            return learnt(self.workspace.case, self.points, self.operators, runs)
         except ValueError as error:
-            if self.section.calibrated is not True:
+            if self.section.calibrated == AUTO:
                 return None
-            raise CaseError(f"rom.calibrated: {error}; see snapshots.every") from error
+            raise CaseError(f"rom.calibrated: {error}") from error
 
     @property
     def leaves_cycles(self) -> bool:

@@ -151,7 +151,8 @@ def _averaged(run: TrainingRun, interval: float, window: float) -> tuple[Array, 
     """Return averages (n_averages, n_modes) of coordinates, and of the errors of their rates."""
     states = run.coordinates
     if len(states) < 3:
-        raise ValueError("a run of fewer than three snapshots has no rates to calibrate with")
+        reason = "a run of fewer than three snapshots has no rates to calibrate with"
+        raise ValueError(f"{reason}; see snapshots.every")
     inner = states[1:-1]
     rates = (states[2:] - states[:-2]) / (2.0 * interval)
     driven = np.zeros(len(states)) if run.amplitude is None else run.amplitude

@@ -167,10 +167,7 @@ class Correction:
 
 
 def learn_correction(
-    places: Array,
-    defects: Array,
-    groups: Sequence[Indices] = (),
-    worthwhile: float = WORTHWHILE,
+    places: Array, defects: Array, groups: Sequence[Indices] = (), worthwhile: float = WORTHWHILE
 ) -> Correction | None:
     """Find out how far the defects (n_runs, n_snapshots, n_modes) of training runs reach.
 

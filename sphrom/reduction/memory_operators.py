@@ -222,11 +222,7 @@ def _tensors(sums: Array, pairs: Pairs) -> Tensors:
 
 
 def project_memory_operators(
-    points: FixedPoints,
-    basis: TrialBasis,
-    splines: ModeSplines | None,
-    *,
-    largest_viscosity: float,
+    points: FixedPoints, basis: TrialBasis, splines: ModeSplines | None, *, largest_viscosity: float
 ) -> MemoryOperators:
     """Assemble the operators of all viscosities from three: zero, half the largest, the largest."""
     nu = largest_viscosity

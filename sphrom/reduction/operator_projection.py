@@ -370,8 +370,7 @@ def project_forces(
             return None
         head, share = force[..., None], 1.0 / points.sound_speed
         found = terms(
-            points.ghost_heads(head * density * share),
-            points.ghost_heads(head * uniform * share),
+            points.ghost_heads(head * density * share), points.ghost_heads(head * uniform * share)
         )
         found[:, 0] += wall.loads(points.ghost_heads(force))
         return found
@@ -389,8 +388,7 @@ def project_forces(
         drives[name] = DriveForce(walls=walls, force=heads(drive.force), push=push(drive.force))
     return ReducedForce(
         pressure=terms(
-            points.ghost_pressures(density, fields.velocity),
-            points.ghost_pressures(uniform, still),
+            points.ghost_pressures(density, fields.velocity), points.ghost_pressures(uniform, still)
         ),
         viscous=terms(points.ghost_friction(fields.velocity), points.ghost_friction(still)),
         walls=drag(points.ghost_drag, wall.circulation),

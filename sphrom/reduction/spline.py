@@ -233,9 +233,7 @@ class LocalSplines(CellSplines, ModeSplines):
         radial = np.empty((factors.shape[1], self._systems.radial_weights.shape[1]))
         polyharmonic.combine(self._systems.radial_weights, factors, radial)
         return replace(
-            self,
-            radial_weights=radial,
-            polynomial_weights=self.polynomial_weights @ factors,
+            self, radial_weights=radial, polynomial_weights=self.polynomial_weights @ factors
         )
 
     def first(self, n_modes: int) -> LocalSplines:

@@ -8,7 +8,7 @@ beside the full run.
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
@@ -78,10 +78,11 @@ def run(context: StageContext) -> None:
     contents = yaml.safe_load((files("sphrom.report") / "contents.yaml").read_text("utf-8"))
     captions = contents["points"] | _measure_captions(case)
     points = {"Predicted": case.plan.test_points, "Trained": case.plan.train_points}
-    shown = {
-        title: list(_figures_by_point(workspace, tables, some, captions))
-        for title, some in points.items()
-    }
+    shown: dict[str, list[Html]] = {title: [] for title in points}
+    for title, point in ((title, point) for title, some in points.items() for point in some):
+        named, told = _named(captions, point.file_label), _told(case, tables, point)
+        if pictures := list(_pictures(out / "plots", named, told=told)):
+            shown[title] += element("h3", point.label), *pictures
     first = next((title for title, some in points.items() if some), "")
     shown[first] = [*animations(workspace), *shown[first]]
     if not case.compare.plots:
@@ -140,20 +141,6 @@ def _measure_captions(case: Case) -> dict[str, str]:
         what = "along the line at the end" if measured.line is not None else "over time"
         captions[f"{kind}-{name}"] = f"{name}, {what}: full and reduced."
     return captions
-
-
-def _figures_by_point(
-    workspace: Workspace,
-    tables: Tables,
-    points: Iterable[ParameterPoint],
-    captions: Mapping[str, str],
-) -> Iterator[Html]:
-    for point in points:
-        named = _named(captions, point.file_label)
-        told = _told(workspace.case, tables, point)
-        if pictures := list(_pictures(workspace.out / "plots", named, told=told)):
-            yield element("h3", point.label)
-            yield from pictures
 
 
 def _told(case: Case, tables: Tables, point: ParameterPoint) -> str:

@@ -45,28 +45,23 @@ class Rates:
     """(n_particles, 3, 2) renormalised gradients (Eq. 2.11) of three fields, if asked for."""
 
 
+@dataclass(eq=False)
 class Functional:
     """Eq. 2.6-2.8 for one fluid in one domain, with walls and a body force where there are any."""
 
-    def __init__(
-        self,
-        fluid: Fluid,
-        discretization: Discretization,
-        domain: Domain,
-        walls: Walls | None = None,
-        body_force: BodyForce | None = None,
-        wall_speed: WallSpeed | None = None,
-        resistance: Resistance | None = None,
-    ) -> None:
-        self.fluid = fluid
-        self.discretization = discretization
-        self.domain = domain
-        self.body_force = body_force
-        self.wall_speed = wall_speed
-        self.resistance = resistance
-        self.ghosts = (
-            None if walls is None else GhostParticles(walls, domain, fluid, discretization)
-        )
+    fluid: Fluid
+    discretization: Discretization
+    domain: Domain
+    walls: Walls | None = None
+    body_force: BodyForce | None = None
+    wall_speed: WallSpeed | None = None
+    resistance: Resistance | None = None
+
+    def __post_init__(self) -> None:
+        fluid, discretization, domain = self.fluid, self.discretization, self.domain
+        self.ghosts = None
+        if self.walls is not None:
+            self.ghosts = GhostParticles(self.walls, domain, fluid, discretization)
         self.mass = fluid.reference_density * discretization.particle_spacing**2
         length = discretization.smoothing_length
         laplacian = discretization.viscosity == "laplacian"

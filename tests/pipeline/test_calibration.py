@@ -139,7 +139,7 @@ def test_a_model_settles_on_the_cycles_of_periodic_runs_alone(refused, copied):
     ]
     Path("lid.yaml").write_text(yaml.safe_dump({**LID, "rom": models}, sort_keys=False))
     told = " ".join(refused("rom", "lid.yaml", "--threads", 1, code=2).split())
-    assert "rom.calibrated: cycle: the training run at reynolds=50: " in told
+    assert "rom.calibrated: the training run at reynolds=50: " in told
     assert "see time.spin_up and time.final_time" in told
 
 
