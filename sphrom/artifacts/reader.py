@@ -81,11 +81,7 @@ _known: dict[tuple[int, ...], Contents] = {}
 
 @contextlib.contextmanager
 def open_artifact(
-    path: str | Path,
-    schema: str | None,
-    *,
-    made_by: str,
-    origin: Origin | None = None,
+    path: str | Path, schema: str | None, *, made_by: str, origin: Origin | None = None
 ) -> Iterator[Artifact]:
     """Open the artifact `path` of the kind `schema`, or of any, checked, for reading.
 

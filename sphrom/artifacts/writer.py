@@ -139,12 +139,7 @@ class ArtifactWriter:
         chunks = chunk_shape(field, shape)
         with self._guarded():
             dataset = self._hdf5.create_dataset(
-                name,
-                shape,
-                field.kind,
-                maxshape=shape,
-                chunks=chunks,
-                fletcher32=chunks is not None,
+                name, shape, field.kind, maxshape=shape, chunks=chunks, fletcher32=bool(chunks)
             )
             dataset.attrs["axes"] = fixed_text(",".join(field.axes))
             for key, text in field.labels.items():

@@ -9,7 +9,15 @@ from typing import Annotated
 import typer
 
 from sphrom.cli import completion
-from sphrom.cli.options import Command, Options, command, option, run_stage, stage_command
+from sphrom.cli.options import (
+    Command,
+    Options,
+    argument,
+    command,
+    option,
+    run_stage,
+    stage_command,
+)
 from sphrom.console import tell
 from sphrom.errors import CaseError
 from sphrom.whole_files import open_to_write
@@ -87,9 +95,7 @@ def show(options: Options) -> None:
 def new(
     kind: Annotated[
         str | None,
-        typer.Argument(
-            metavar="KIND", help=KINDS, show_default=False, autocompletion=completion.kinds
-        ),
+        argument("KIND", KINDS, autocompletion=completion.kinds),
     ] = None,
     output: Output = None,
     full: Annotated[
@@ -113,11 +119,7 @@ def new(
 def examples(
     name: Annotated[
         str | None,
-        typer.Argument(
-            metavar="[NAME]",
-            help="The case to write; without it, all are listed.",
-            show_default=False,
-        ),
+        argument("[NAME]", "The case to write; without it, all are listed."),
     ] = None,
     output: Output = None,
     force: Force = False,

@@ -28,6 +28,11 @@ def option(metavar: str, text: str, *names: str, **more: Any) -> Any:
     return typer.Option(*names, metavar=metavar, help=text, **more)
 
 
+def argument(metavar: str, text: str, **more: Any) -> Any:
+    """Return an argument, with its name and help."""
+    return typer.Argument(metavar=metavar, help=text, show_default=False, **more)
+
+
 class Command(TyperCommand):
     """A command whose summary is a whole sentence in the list of commands."""
 
@@ -39,10 +44,7 @@ class Command(TyperCommand):
 class Options:
     """The options that several commands have; each is declared here, with its help."""
 
-    case: Annotated[
-        Path,
-        typer.Argument(metavar="CASE", help="The case file (YAML).", show_default=False),
-    ]
+    case: Annotated[Path, argument("CASE", "The case file (YAML).")]
     out: Annotated[
         Path | None,
         option(
@@ -81,9 +83,7 @@ class Options:
     checkpoint_every: Annotated[
         float,
         option(
-            "SECONDS",
-            "Least time from one checkpoint to the next; 0 is after every step.",
-            min=0.0,
+            "SECONDS", "Least time from one checkpoint to the next; 0 is after every step.", min=0.0
         ),
     ] = 60.0
 

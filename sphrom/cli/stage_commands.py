@@ -16,6 +16,7 @@ from sphrom.cli.options import (
     WHOLE,
     WITHOUT_THREADS,
     Options,
+    argument,
     command,
     option,
     parameters_of,
@@ -32,11 +33,7 @@ Scheduler = Annotated[
 ]
 Workers = Annotated[
     int | None,
-    option(
-        "N",
-        "Processes to run at once.  [default: all cores; while train chooses, one]",
-        min=1,
-    ),
+    option("N", "Processes to run at once.  [default: all cores; while train chooses, one]", min=1),
 ]
 OF_FILES = ("case", "out", "overrides", "force", "quiet", "only")
 """The options of commands that take or make other programs' files."""
@@ -166,8 +163,7 @@ def trade(
     tolerance: Annotated[
         str | None,
         option(
-            "PERCENT",
-            "Name the cheapest model within 1%, or 0.5%,3% of velocity and pressure.",
+            "PERCENT", "Name the cheapest model within 1%, or 0.5%,3% of velocity and pressure."
         ),
     ] = None,
     extremes: Annotated[
@@ -236,18 +232,14 @@ def fit(
     options: Options,
     measurements: Annotated[
         Path,
-        typer.Argument(
-            metavar="MEASUREMENTS",
-            help="Measured histories (CSV), a column for each, such as time, drag_force_x.",
-            show_default=False,
+        argument(
+            "MEASUREMENTS",
+            "Measured histories (CSV), a column for each, such as time, drag_force_x.",
         ),
     ],
     noise: Annotated[
         str | None,
-        option(
-            "PERCENT",
-            "Standard deviation of the noise over a history's range, such as 1%.",
-        ),
+        option("PERCENT", "Standard deviation of the noise over a history's range, such as 1%."),
     ] = None,
     name: Annotated[
         str | None,
@@ -302,11 +294,9 @@ def import_(
     options: Options,
     files: Annotated[
         list[Path],
-        typer.Argument(
-            metavar="FILES",
-            help="One file a snapshot: PySPH's .hdf5, .vtu, .vtp, .vtk, .npz; or a .pvd or "
-            ".vtkhdf.",
-            show_default=False,
+        argument(
+            "FILES",
+            "One file a snapshot: PySPH's .hdf5, .vtu, .vtp, .vtk, .npz; or a .pvd or .vtkhdf.",
         ),
     ],
     write_case: Annotated[
@@ -349,10 +339,7 @@ def export(
     options: Options,
     to: Annotated[
         str,
-        option(
-            "FORMAT",
-            "vtu: a .pvd that lists files for ParaView; csv: runs at some points.",
-        ),
+        option("FORMAT", "vtu: a .pvd that lists files for ParaView; csv: runs at some points."),
     ] = "vtu",
     into: Annotated[
         Path | None, option("DIR", "Folder of the files.  [default: export, beside the artifacts]")

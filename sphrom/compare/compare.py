@@ -219,13 +219,8 @@ class _PointComparison:
         n_modes: int | None = None,
         status: str = "complete",
     ) -> None:
-        history = compare(
-            samples,
-            self.references[against],
-            self.probes,
-            self.case.compare.from_time,
-            self.case.plan.longest_sound_period,
-        )
+        begin, period = self.case.compare.from_time, self.case.plan.longest_sound_period
+        history = compare(samples, self.references[against], self.probes, begin, period)
         if status == "complete" and len(history.time) == 0:
             raise CaseError(
                 "compare.line_points, compare.grid, compare.from_time: there is no snapshot in "

@@ -174,7 +174,7 @@ class _PointFigures:
 
     def _draw_errors(self) -> Figure:
         others: list[tuple[str, Role, Series | None]] = [
-            ("full against exact", "level", self.comparison.errors(FULL, self.point, "exact")),
+            ("full against exact", "level", self.comparison.errors(FULL, self.point, "exact"))
         ]
         if self.best is not None:
             best = self.comparison.errors(self.best, self.point)

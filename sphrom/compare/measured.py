@@ -205,12 +205,7 @@ def _bulk_velocity(case: Case, samples: Samples, probes: Probes) -> float | None
 
 
 def flow_row(
-    case: Case,
-    name: str,
-    point: ParameterPoint,
-    run: StoredRun,
-    samples: Samples,
-    probes: Probes,
+    case: Case, name: str, point: ParameterPoint, run: StoredRun, samples: Samples, probes: Probes
 ) -> FlowRow:
     """Describe the flow of a run, full or reduced, from its fields and its samples at probes."""
     figures = []

@@ -79,13 +79,9 @@ ways, but each particle has to stand for about the same area."""
 def run(context: StageContext, files: Sequence[Path], about: ImportOptions) -> list[str]:
     """Write the full run at one parameter point from snapshots in files; return points without one.
 
-    Raises
-    ------
-    CaseError
-        When options or the case do not fit what the files hold; the message says what would.
-    ArtifactError
-        When a file is missing, damaged, unsafe or lacks a field, particles come and go, or a run
-        of another origin is there.
+    Raises CaseError when options or the case do not fit what the files hold: the message says what
+    would; ArtifactError when a file is missing, damaged, unsafe or lacks a field, particles come
+    and go, or a run of another origin is there.
     """
     workspace, case = Workspace(context), context.case
     points = context.chosen(case.plan.points)
@@ -267,12 +263,8 @@ def fitted_case(
     back as `key=value`. The time step is a whole part of the time between two snapshots, as stable
     as the case asks for.
 
-    Raises
-    ------
-    CaseError
-        When the case is not valid, or the files hold fewer than two snapshots.
-    ArtifactError
-        When a file can't be read.
+    Raises CaseError when the case is not valid, or the files hold fewer than two snapshots;
+    ArtifactError when a file can't be read.
     """
     found = find_sources(files, about)
     case, keys = load_case(source, overrides), list[str]()

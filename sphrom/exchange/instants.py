@@ -40,13 +40,9 @@ Choice = tuple[float, list[Source]]
 def find_sources(files: Sequence[Path], about: ImportOptions) -> list[Source]:
     """Return the snapshots in files by time [s] after the start, those before it left out.
 
-    Raises
-    ------
-    CaseError
-        When the files do not tell their times, and --time-step does not either, or hold no two
-        snapshots from the start on.
-    ArtifactError
-        When one can't be read, or two are of one time.
+    Raises CaseError when the files do not tell their times, and --time-step does not either, or
+    hold no two snapshots from the start on; ArtifactError when one can't be read, or two are of one
+    time.
     """
     found = [source for path in sorted(files, key=_natural) for source in snapshots_in(path)]
     if about.time_step is not None:

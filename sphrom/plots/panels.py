@@ -298,13 +298,7 @@ def _bar_below(
     from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
     bar = figure.colorbar(
-        image,
-        ax=panels,
-        location="bottom",
-        shrink=0.8,
-        aspect=aspect,
-        pad=0.03,
-        extend=extended,
+        image, ax=panels, location="bottom", shrink=0.8, aspect=aspect, pad=0.03, extend=extended
     )
     numbers = ScalarFormatter(useMathText=True)
     numbers.set_powerlimits((-2, 4))
@@ -373,13 +367,7 @@ def _mark(axes: Axes, numbers: Sequence[int]) -> None:
         place = (np.log(number) - low) / (high - low)
         if place - last < LEAST_GAP:
             continue
-        axes.annotate(
-            f"{number}" if np.isfinite(last) else f"M = {number}",
-            (number, 1.0),
-            xycoords=("data", "axes fraction"),
-            xytext=(0, 2),
-            textcoords="offset points",
-            ha="center",
-            fontsize=8.0,
-        )
+        told = f"{number}" if np.isfinite(last) else f"M = {number}"
+        above: Any = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points"}
+        axes.annotate(told, (number, 1.0), xytext=(0, 2), ha="center", fontsize=8.0, **above)
         last = place

@@ -141,10 +141,7 @@ def full_seconds(case: Case, n_runs: int) -> float:
 
 
 def require_room(
-    case: Case,
-    out: Path,
-    points: Sequence[ParameterPoint] | None = None,
-    stage: str | None = None,
+    case: Case, out: Path, points: Sequence[ParameterPoint] | None = None, stage: str | None = None
 ) -> None:
     """Raise ResourceError when a case would not fit this machine's memory or disk.
 

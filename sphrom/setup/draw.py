@@ -110,16 +110,8 @@ def solids_within(domain: Domain, frame: Extent) -> Solids:
 
 def _draw_points(axes: Axes, position: Array, size: float, colour: str, label: str) -> None:
     """Draw points (n_points, 2) as dots of a size [points squared]."""
-    x, y = position.T
-    axes.scatter(
-        x,
-        y,
-        s=size,
-        color=colour,
-        linewidths=0.0,
-        label=f"{label}, {len(position)}",
-        rasterized=len(position) > VECTORS_BELOW,
-    )
+    (x, y), told, many = position.T, f"{label}, {len(position)}", len(position) > VECTORS_BELOW
+    axes.scatter(x, y, s=size, color=colour, linewidths=0.0, label=told, rasterized=many)
 
 
 def _draw_walls(axes: Axes, case: Case, walls: Walls, solids: Solids, arrow: float) -> None:
@@ -141,16 +133,9 @@ def _draw_walls(axes: Axes, case: Case, walls: Walls, solids: Solids, arrow: flo
             middle = walls.position[mine[np.argmin(away)]]
         first = mine[surface[mine]]
         own = float(speed[first].max(initial=0.0))
-        axes.text(
-            middle[0],
-            middle[1],
-            f"{name}, {own:.3g} m/s" if own else name,
-            color=MOVING if own else INK,
-            rotation=90.0 if name in SIDES[0] else 0.0,
-            ha="center",
-            va="center",
-            **NAME,
-        )
+        told, colour = (f"{name}, {own:.3g} m/s", MOVING) if own else (name, INK)
+        (x, y), turned = middle, 90.0 if name in SIDES[0] else 0.0
+        axes.text(x, y, told, color=colour, rotation=turned, ha="center", va="center", **NAME)
         if own:
             some = first[:: -(-len(first) // MOST_ARROWS)]
             place, way = domain.on_wall(walls.position[some]), walls.velocity[some]
@@ -198,11 +183,5 @@ def _draw_measured(axes: Axes, case: Case, arrow: float) -> None:
             way = arrow * np.array([[dy, -dx]]) / np.hypot(dx, dy)
             _draw_arrows(axes, middle[None], way, MEASURED)
         axes.plot(*ends.T, **look, color=MEASURED, zorder=5)
-        axes.annotate(
-            name,
-            0.75 * ends[0] + 0.25 * ends[1],
-            xytext=(5.0, 5.0),
-            textcoords="offset points",
-            color=MEASURED,
-            **NAME,
-        )
+        beside: Any = {"xytext": (5.0, 5.0), "textcoords": "offset points", **NAME}
+        axes.annotate(name, 0.75 * ends[0] + 0.25 * ends[1], color=MEASURED, **beside)

@@ -47,10 +47,7 @@ class StoredRun:
     @classmethod
     @contextmanager
     def opened(
-        cls,
-        workspace: Workspace,
-        point: ParameterPoint,
-        model: ReducedModelSection | None = None,
+        cls, workspace: Workspace, point: ParameterPoint, model: ReducedModelSection | None = None
     ) -> Iterator[StoredRun]:
         """Open a run of the case. Raises ArtifactError when it isn't there or valid."""
         target = workspace.full_run(point) if model is None else workspace.reduced_run(model, point)

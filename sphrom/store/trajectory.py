@@ -158,10 +158,7 @@ class TrajectoryWriter:
             stream.append(item[name])
 
     def finish(
-        self,
-        failure: UnstableError | None,
-        seconds: float | None,
-        checkpoint_seconds: float = 0.0,
+        self, failure: UnstableError | None, seconds: float | None, checkpoint_seconds: float = 0.0
     ) -> None:
         """Say how the run ended, and how long its time steps and its checkpoints took [s].
 

@@ -204,11 +204,7 @@ class Workspace:
         self.context.report.info(f"wrote {target.path}")
 
     def create_aside(
-        self,
-        target: Target,
-        attributes: Mapping[str, object] | None = None,
-        *,
-        force: bool = True,
+        self, target: Target, attributes: Mapping[str, object] | None = None, *, force: bool = True
     ) -> AbstractContextManager[ArtifactWriter]:
         """Write a file that may be no result itself; print no message."""
         return create_artifact(
@@ -310,12 +306,8 @@ class Workspace:
 
     def reduced_run(self, model: ReducedModelSection, point: ParameterPoint) -> Target:
         """What a reduced model gave at a parameter point."""
-        parents, kind = {"basis": self.basis()}, "rom"
-        if model.from_operators:
-            parents["operators"] = self.operators()
-        else:
-            parents["splines"], kind = self.splines(), "rom on particles"
-        parents |= self._start(self.case.plan.start_point(point))
+        kind = "rom" if model.from_operators else "rom on particles"
+        parents = self._trained(model) | self._start(self.case.plan.start_point(point))
         about = {"point": point.as_dict(), **_about(model, "parameters")}
         return self._target(kind, f"{model.name}-{point.file_label}", about, parents)
 
@@ -342,11 +334,7 @@ class Workspace:
             about["steps"] = self._steps()
         else:
             about |= _about(model, "parameters", "output")
-            parents["basis"] = self.basis()
-            if model.from_operators:
-                parents["operators"] = self.operators()
-            else:
-                parents["splines"] = self.splines()
+            parents |= self._trained(model)
         return self._target("sweep", sweep_name(self.case), about, parents)
 
     def fit(self, name: str, measurements: str, noise: float | None) -> Target:
@@ -360,6 +348,12 @@ class Workspace:
         }
         made_from = {"basis": self.basis(), "operators": self.operators()}
         return self._target("fit", name, about, made_from)
+
+    def _trained(self, model: ReducedModelSection) -> dict[str, Target]:
+        """Return what a reduced model is made of."""
+        if model.from_operators:
+            return {"basis": self.basis(), "operators": self.operators()}
+        return {"basis": self.basis(), "splines": self.splines()}
 
     def _full_runs(self, points: Iterable[ParameterPoint]) -> dict[str, Target]:
         return {f"fom-{point.file_label}": self.full_run(point) for point in points}

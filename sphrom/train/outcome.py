@@ -16,13 +16,7 @@ from sphrom.case.study_sections import percentage
 from sphrom.metrics.histories import QUANTITIES
 from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Panel, draw_grid
-from sphrom.plots.tables import (
-    UNKNOWN,
-    format_figure,
-    rows_of_columns,
-    write_csv,
-    write_json,
-)
+from sphrom.plots.tables import UNKNOWN, format_figure, rows_of_columns, write_csv, write_json
 from sphrom.reduction.greedy import Ending, safety_factor
 from sphrom.store.workspace import Workspace
 from sphrom.text import exact
