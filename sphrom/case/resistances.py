@@ -24,8 +24,6 @@ Rate = Duration | Annotated[str, Field(max_length=1000)]
 Vector = Annotated[tuple[Value, ...], Field(min_length=2, max_length=2)]
 NO_FLOW = 1e-6
 """Share of the largest speed at which nothing flows along an axis on average."""
-N_CELLS = 256
-"""Cells across a porous body in which its share is known."""
 
 
 class PorousSection(ShapeSection):
@@ -97,29 +95,12 @@ def ramp_share(ramp: float, time: Array | float) -> Array | float:
 def inverse_permeability(bodies: Iterable[tuple[PorousSection, BaseGeometry]]) -> Rates | None:
     """Return 1/k [1/m2] at positions (2, n_positions) [m], zero outside of porous bodies.
 
-    It is smooth over a cell at their edges. None where there are no bodies.
+    None where there are no bodies.
     """
-    grids = [(*_shares(shape), 1.0 / body.permeability) for body, shape in bodies]
+    known = [(shape, 1.0 / body.permeability) for body, shape in bodies]
+    shapely.prepare([shape for shape, _ in known])
 
     def at(position: Array) -> Array:
-        from scipy.ndimage import map_coordinates  # few scenes need it
+        return sum(inverse * shapely.contains_xy(shape, *position) for shape, inverse in known)
 
-        found = np.zeros(position.shape[1])
-        for lower, cell, shares, inverse in grids:
-            place = (position - lower[:, None]) / cell[:, None] - 0.5
-            inside = np.flatnonzero(((place > -1.0) & (shares.shape > place.T).T).all(axis=0))
-            some = map_coordinates(shares, place[:, inside], order=1, mode="constant")
-            found[inside] += inverse * some
-        return found
-
-    return at if grids else None
-
-
-def _shares(shape: BaseGeometry) -> tuple[Array, Array, Array]:
-    """Return the lower corner, size and shares (n_x, n_y) of cells over a shape's bounds."""
-    lower, upper = np.reshape(shape.bounds, (2, 2))
-    x, y = (np.linspace(low, high, N_CELLS + 1) for low, high in zip(lower, upper, strict=True))
-    cells = shapely.box(x[:-1, None], y[None, :-1], x[1:, None], y[None, 1:])
-    shapely.prepare(shape)
-    shares = shapely.area(shapely.intersection(cells, shape)) / shapely.area(cells)
-    return lower, (upper - lower) / N_CELLS, np.asarray(shares)
+    return at if known else None
