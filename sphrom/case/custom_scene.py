@@ -496,7 +496,10 @@ class CustomScene(SceneSection):
             if rate.min() < 0.0:
                 x, y = self._samples[np.argmin(rate)]
                 raise ValueError(f"resistance: is negative at ({x:g}, {y:g}) m")
-            own = partial(_at_places, expression)
+
+            def own(at: Array) -> Array:
+                return expression(x=at[0], y=at[1])
+
         inverse = inverse_permeability((self.porous[name], shape) for name, shape in shapes.items())
         if own is None and inverse is None and self._strip is None:
             return None
@@ -566,10 +569,6 @@ def _geometries(where: str, sections: Mapping[str, ShapeSection]) -> dict[str, B
         except ValueError as error:
             raise ValueError(f"{where}.{name}: {error}") from error
     return shapes
-
-
-def _at_places(expression: Expression, position: Array) -> Array:
-    return expression(x=position[0], y=position[1])
 
 
 def _require_finite(where: str, values: Array, position: Array) -> None:

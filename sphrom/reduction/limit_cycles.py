@@ -191,10 +191,10 @@ class CycleClosure:
         cycle, own = (self.cycle_at(viscosity, factors, fitted) for fitted in (True, False))
         of_cycle, missing = (c.rates - rates.along(c.states, pushed) for c in (cycle, own))
         linear, mean = _slope(cycle.states, of_cycle), cycle.harmonics[0].real
-        plane, moving = (_projector(cycle.harmonics[1:last]) for last in (2, None))
+        moving = _projector(cycle.harmonics[1:])
         linear -= damping * cycle.frequency * (np.eye(len(linear)) - moving)
         below = min(self._square(self._weights(viscosity, factors)), 0.0)
-        linear += below * cycle.frequency / (2.0 * math.pi) * plane
+        linear += below * cycle.frequency / (2.0 * math.pi) * moving
         return Polynomial(((missing.mean(axis=0) - linear @ mean, linear),))
 
     @cached_property
@@ -202,25 +202,22 @@ class CycleClosure:
         return DAMPINGS[int(np.argmin([self.slowest(each) for each in DAMPINGS]))]
 
     def slowest(self, damping: float | None = None) -> float:
-        """Return the most that a period leaves of a disturbance of a trained cycle, by its size."""
-        points = zip(self.viscosities, self.factors, strict=True)
-        used = self._damping if damping is None else damping
-        return max(self._slowest(*point, used) for point in points)
+        """Return the most that a period leaves of a disturbance of a trained cycle.
 
-    def _slowest(self, viscosity: float, factors: Factors, damping: float) -> float:
-        """Return the largest of Floquet's multipliers but for the one along the cycle."""
-        cycle, growth = self.cycle_at(viscosity, factors), np.eye(self.operators.n_modes)
-        rates = self.operators.at(viscosity, factors).plus(
-            self._damped(viscosity, factors, damping)
-        )
-        half = (
-            math.pi / (cycle.frequency * N_PHASES) * rates.jacobians(cycle.states, self.amplitude)
-        )
-        for step in np.linalg.solve(np.eye(len(growth)) - half, np.eye(len(growth)) + half):
-            growth = step @ growth
-        multipliers = np.linalg.eigvals(growth)
-        along = int(np.abs(multipliers - 1.0).argmin())
-        return float(np.abs(np.delete(multipliers, along)).max(initial=0.0))
+        By its size, without what is along the cycle: the largest of Floquet's other multipliers.
+        """
+        found, used = [], self._damping if damping is None else damping
+        for point in zip(self.viscosities, self.factors, strict=True):
+            cycle, growth = self.cycle_at(*point), np.eye(self.operators.n_modes)
+            rates = self.operators.at(*point).plus(self._damped(*point, used))
+            jacobians = rates.jacobians(cycle.states, self.amplitude)
+            half = math.pi / (cycle.frequency * N_PHASES) * jacobians
+            for step in np.linalg.solve(np.eye(len(growth)) - half, np.eye(len(growth)) + half):
+                growth = step @ growth
+            multipliers = np.linalg.eigvals(growth)
+            others = np.delete(multipliers, int(np.abs(multipliers - 1.0).argmin()))
+            found.append(float(np.abs(others).max(initial=0.0)))
+        return max(found)
 
     def force_at(
         self,
