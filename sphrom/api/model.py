@@ -194,9 +194,8 @@ class Model:
             sampled = partial(fast.at_point(self._point).sampled, points, found.time)
             own, *others = (sampled(*state) for state in ((run, mean), *moved))
             velocity = np.stack([each.velocity - own.velocity for each in others])
-            return Samples(
-                own.time, velocity, np.stack([each.pressure - own.pressure for each in others])
-            )
+            pressure = np.stack([each.pressure - own.pressure for each in others])
+            return Samples(own.time, velocity, pressure)
 
         own: Any = {"model": self.name, "at": self.parameters}
         return Sensitivities(**vars(found), **own, _labels=self._labels, _sample=changes)
@@ -307,9 +306,8 @@ class Model:
         longer = lengthened(steps, final_time)
         if longer.end_time > steps.end_time:
             self._warn(beyond_training(steps.end_time))
-        return replace(
-            reduced, output_times=replace(reduced.output_times, n_snapshots=longer.n_snapshots)
-        )
+        times = replace(reduced.output_times, n_snapshots=longer.n_snapshots)
+        return replace(reduced, output_times=times)
 
     def _at(
         self, what: str, coordinates: ArrayLike, time: float | None = None

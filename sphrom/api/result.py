@@ -216,12 +216,8 @@ class Result:
         A dataset of `velocity` (snapshot, point, component) [m/s] and `pressure` (snapshot, point)
         [Pa], with the coordinates `time` (snapshot) [s] and `position` (point, component) [m].
 
-        Raises
-        ------
-        CaseError
-            When points have another shape, or one is not in the fluid.
-        ArtifactError
-            When artifacts that the run was made from have changed since.
+        Raises CaseError when points have another shape, or one is not in the fluid; ArtifactError
+        when artifacts that the run was made from have changed since.
         """
         about = {"model": self.model, **self.parameters}
         return self._labels.fields(points, self._sample, self.time, about)

@@ -36,17 +36,10 @@ class Study:
     keys : values by a key's last segment, such as `resolution=50`, where only one key of the case
         has it, or by a key at the top, such as `name="coarse"`.
 
-    Raises
-    ------
-    CaseError
-        With a line for each problem of the case or of arguments; of a key or a name that is unknown
-        or ambiguous, with those that may be meant.
-    ArtifactError
-        When an artifact is missing, damaged, or of another case and may not be written over.
-    UnstableError
-        When a run became unstable.
-    ResourceError
-        When the case would not fit this machine.
+    Raises CaseError with a line for each problem of the case or of arguments; of a key or a name
+    that is unknown or ambiguous, with those that may be meant. ArtifactError when an artifact is
+    missing, damaged, or of another case and may not be written over, UnstableError when a run
+    became unstable, ResourceError when the case would not fit this machine.
     """
 
     @guarded()

@@ -307,7 +307,6 @@ def case_differences(made_with: str, asked: str, sections: Collection[str]) -> s
         dict(_values({section: value for section, value in case.items() if section in sections}))
         for case in cases
     )
-
     # What only one of them has may be newer than the other, and is then no difference.
     keys = sorted(
         (key for key in here | there if here.get(key) != there.get(key)),

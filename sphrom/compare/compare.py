@@ -103,8 +103,7 @@ def _tell_unseen(workspace: Workspace) -> None:
         if not plan.ends_with_case(model):
             where = f"until {model.until:g} s"
         if where:
-            text = f"{model.name}: no full run to compare with {where}"
-            workspace.context.report.info(text)
+            workspace.context.report.info(f"{model.name}: no full run to compare with {where}")
 
 
 class _PointComparison:

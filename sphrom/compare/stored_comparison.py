@@ -66,11 +66,9 @@ class ComparisonWriter:
                  ("stations", self.probes.stations, self.probes.at_stations))  # fmt: skip
         for kind, position, where in parts:
             if len(position):
+                velocity, pressure = samples.velocity[:, where], samples.pressure[:, where]
                 stored = StoredSamples(
-                    position=position,
-                    time=samples.time,
-                    velocity=samples.velocity[:, where],
-                    pressure=samples.pressure[:, where],
+                    position=position, time=samples.time, velocity=velocity, pressure=pressure
                 )
                 write_record(self._artifact, stored, f"{kind}/{name}/{self._place}")
 

@@ -349,9 +349,8 @@ class Converter:
             )
         if self.about.sort_by is None:
             return np.arange(self.n_particles)
-        numbers, firsts = (
-            snapshot.field(self.about.sort_by, "--sort-by") for snapshot in (given, self._first)
-        )
+        both = given, self._first
+        numbers, firsts = (each.field(self.about.sort_by, "--sort-by") for each in both)
         unique = np.unique(numbers)
         if len(unique) < self.n_particles or not np.array_equal(unique, np.sort(firsts)):
             raise ArtifactError(

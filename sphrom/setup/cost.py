@@ -170,9 +170,8 @@ def require_room(
     free = shutil.disk_usage(next(f for f in (out, *out.parents) if f.exists())).free
     if needed > free:
         raise ResourceError(
-            f"the case writes about {data_size(needed)}, the disk of {out} has "
-            f"{data_size(free)} free: raise snapshots.every, or choose another disk with "
-            "`--out`"
+            f"the case writes about {data_size(needed)}, the disk of {out} has {data_size(free)} "
+            "free: raise snapshots.every, or choose another disk with `--out`"
         )
 
 

@@ -145,10 +145,8 @@ def _draw_walls(axes: Axes, case: Case, walls: Walls, solids: Solids, arrow: flo
 
 def _draw_arrows(axes: Axes, place: Array, way: Array, colour: str, label: str = "") -> None:
     """Draw arrows from places (n, 2) along ways (n, 2) [m]."""
-    axes.quiver(
-        *place.T, *way.T, angles="xy", scale_units="xy", scale=1.0, width=0.0035, color=colour,
-        zorder=5,
-    )  # fmt: skip
+    in_metres: Any = {"angles": "xy", "scale_units": "xy", "scale": 1.0}
+    axes.quiver(*place.T, *way.T, **in_metres, width=0.0035, color=colour, zorder=5)
     if label:
         axes.plot([], [], color=colour, label=label)
 
@@ -163,10 +161,9 @@ def _draw_compared(axes: Axes, case: Case) -> None:
     periodic = [axis for axis in range(2) if domain.periodic[axis]]
     label = f"repeats along {' and '.join('xy'[axis] for axis in periodic)}"
     for axis in periodic:
+        draw_edge = (axes.axvline, axes.axhline)[axis]
         for end in (domain.lower[axis], domain.upper[axis]):
-            (axes.axvline, axes.axhline)[axis](
-                end, color=COLOURS[2], ls=":", lw=2.5, label=label, zorder=4
-            )
+            draw_edge(end, color=COLOURS[2], ls=":", lw=2.5, label=label, zorder=4)
 
 
 def _draw_measured(axes: Axes, case: Case, arrow: float) -> None:

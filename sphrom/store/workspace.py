@@ -149,10 +149,8 @@ class Workspace:
         if (reason := self.reason_to_make(target)) is not None:
             self._require_parents(target)
             lacks, again = ("out of date", " --force") if target.path.exists() else ("missing", "")
-            everything = f"`sphrom run {self.context.words}{again}`"
-            remedy = (
-                f"make it with `{target.made_by}{again}`, or all that is {lacks} with {everything}"
-            )
+            own, whole = f"{target.made_by}{again}", f"sphrom run {self.context.words}{again}"
+            remedy = f"make it with `{own}`, or all that is {lacks} with `{whole}`"
             if command := self._import_command(target):
                 remedy = f"no simulation replaces what was imported: import again with `{command}`"
             raise ArtifactError(f"{target.path} {reason}; {remedy}")
