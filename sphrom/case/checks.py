@@ -224,7 +224,6 @@ def beyond_limits(case: Case) -> Iterator[str]:
     limits = {
         "acoustic": (known.acoustic, "1.5 h / c0, Eq. 2.19"),
         "viscous": (known.viscous, "0.125 h^2 / nu, beside walls at most 0.22 h dx / nu"),
-        "resistance": (known.resistance, "2.78 over the largest rate of resistance and friction"),
     }
     for name, (limit, formula) in limits.items():
         if step != "auto" and step > limit * (1.0 + WHOLE_STEPS_TOLERANCE):

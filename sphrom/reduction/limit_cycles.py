@@ -1,8 +1,7 @@
 """A closure that settles reduced models on the limit cycles of training runs, and between them.
 
-Modes of a wake in its periodic state know little of what damps them, and truncated ones dissipate
-too little: integrated for long, a model finds a cycle of its own, with another amplitude and
-frequency. What training runs tell is their cycle
+Modes of a wake in its periodic state know little of what damps them: integrated for long, a model
+finds a cycle of its own, with another amplitude and frequency. What training runs tell is theirs,
 
     C(phi) = A_0 + Re sum_k A_k exp(i k phi),    dphi/dt = omega,
 
@@ -17,12 +16,9 @@ There the rates f get a constant and a linear part, fitted to the cycle that is 
 
 which leaves the cycle a solution, while f decides how states come to it. Directions in which the
 cycle doesn't move are damped: little, and modes that training runs hardly show lead away from the
-cycle; much, and the mean flow can't follow the oscillation, which is what limits its amplitude. Of
-some dampings the one is taken with which disturbances of the trained cycles decay fastest, by
-Floquet's multipliers. Forces get a constant and a linear part alike, for what recorded ones differ
-by from the model's own.
-
-Below the onset there is no cycle: what is left of it decays.
+cycle; much, and the mean flow can't follow the oscillation, which limits its amplitude. Of some
+dampings the one is taken with which disturbances of the trained cycles decay fastest, by Floquet's
+multipliers. Forces get such parts for what recorded ones differ by. Below the onset all decays.
 """
 
 from __future__ import annotations
@@ -124,12 +120,7 @@ def fitted_cycle(time: Array, states: Array) -> LimitCycle:
 class CycleClosure:
     """The closure of a model by the cycles of its training runs, at any parameters.
 
-    Parameters
-    ----------
-    operators : of the model.
-    viscosities, factors : of the training runs [m2/s], and their values of what drives the flow.
-    cycles : of the training runs' coordinates.
-    amplitude : of the body force or of driven walls, at which they were recorded.
+    Of training runs it has viscosities [m2/s], values of what drives the flow, and the amplitude.
     """
 
     operators: ReducedOperators
@@ -173,10 +164,7 @@ class CycleClosure:
     def cycle_at(
         self, viscosity: float, factors: Factors = NONE, fitted: bool = False
     ) -> LimitCycle:
-        """Return the cycle at a viscosity [m2/s] and values of what drives the flow.
-
-        One that is `fitted` is no smaller than the least that was trained.
-        """
+        """Return the cycle somewhere; one that is `fitted` is no smaller than trained ones."""
         weights = self._weights(viscosity, factors)
         frequency = float(weights @ [cycle.frequency for cycle in self.cycles])
         harmonics = self._between(weights, [cycle.harmonics for cycle in self.cycles], fitted)
@@ -202,10 +190,7 @@ class CycleClosure:
         return DAMPINGS[int(np.argmin([self.slowest(each) for each in DAMPINGS]))]
 
     def slowest(self, damping: float | None = None) -> float:
-        """Return the most that a period leaves of a disturbance of a trained cycle.
-
-        By its size, without what is along the cycle: the largest of Floquet's other multipliers.
-        """
+        """Return Floquet's largest multiplier of trained cycles, but for those along them."""
         found, used = [], self._damping if damping is None else damping
         for point in zip(self.viscosities, self.factors, strict=True):
             cycle, growth = self.cycle_at(*point), np.eye(self.operators.n_modes)
@@ -229,10 +214,7 @@ class CycleClosure:
     ) -> PointForce:
         """Return a force with what the loads of training runs differ by from the model's own.
 
-        Parameters
-        ----------
-        trained : the force at the parameters of the training runs.
-        loads : the harmonics of what these recorded (1 + N_HARMONICS, 6) [N/m, N].
+        These are forces at the runs' parameters, and harmonics (1 + N_HARMONICS, 6) [N/m, N].
         """
 
         def own(at: PointForce, cycle: LimitCycle) -> Array:

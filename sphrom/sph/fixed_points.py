@@ -25,11 +25,9 @@ however the points lie, and the damper -G D only takes some. rho0/rho = 1 / (1 +
 is not a polynomial. To first order it is 1 - q/c0, and products of three fields are left out; to
 zeroth order K (1 + q/c0) b is K b too.
 
-What slows the fluid, at the rate lambda in itself and at nu/k in porous bodies, adds -lambda u and
-its head, -K lambda u, to du/dt, and to nu V u what it is with lambda = nu/k; heads are at the
-density rho0. Where a strip holds the flow rate (`sphrom.sph.resistance`), its unit vector e along
-an axis takes the mean e (e . a) of accelerations out of G q, V u and w. As D = -G^T and V = V^T,
-that takes a product of q with -D e and of u with V e.
+What slows the fluid adds -lambda u and its head, -K lambda u, to du/dt, and in porous bodies to
+nu V u; heads are at the density rho0. A strip (`sphrom.sph.resistance`) takes the mean e (e . a)
+out of G q, V u and w: as D = -G^T and V = V^T, by products of q with -D e and of u with V e.
 
 Ghosts take as much momentum as they give. Per unit of time and depth, with m = rho0 V, a ghost g of
 a wall takes the force
@@ -87,15 +85,12 @@ class Terms:
 
 @dataclass(frozen=True)
 class _Held:
-    """The strip that holds the flow rate."""
+    """The strip that holds the flow rate: e, and what e . G q and e . V u are products with."""
 
     axis: int
     unit: Array
-    """(n_points,) e."""
     of_density: Array
-    """(n_points,) what e . G q is a product of q with."""
     of_velocity: Array
-    """(n_points,) what e . V u is a product of u with, along the axis."""
 
 
 class FixedPoints:
@@ -176,10 +171,7 @@ class FixedPoints:
             self._held = _Held(strip.axis, unit, of_density, of_velocity)
 
     def slowed_over(self, viscosity: float) -> tuple[Array | None, Mask | None]:
-        """Return the rate that slows the fluid over a viscosity (n_points,) [1/m2], and the strip.
-
-        None where nothing slows it, and without a strip.
-        """
+        """Return what slows the fluid over a viscosity [1/m2], and what is in the strip, if any."""
         inverse, rate = self.inverse_permeability, self.slowing_rate
         if rate is not None:
             inverse = rate / viscosity + (0.0 if inverse is None else inverse)

@@ -121,12 +121,11 @@ class StepLimits:
 
     acoustic: float
     viscous: float
-    resistance: float = math.inf
 
     @property
     def least(self) -> float:
         """The limit that binds."""
-        return min(self.acoustic, self.viscous, self.resistance)
+        return min(self.acoustic, self.viscous)
 
 
 def step_limits(
@@ -156,5 +155,6 @@ def step_limits(
         diffusion = min(diffusion, limit * length * discretization.particle_spacing)
     acoustic = courant * length / fluid.sound_speed
     viscous = diffusion / fluid.kinematic_viscosity
-    slowing = resistance / REAL_AXIS_LIMIT
-    return StepLimits(acoustic, viscous, 1.0 / (slowing + 1.0 / viscous) if slowing else math.inf)
+    if resistance > 0.0:
+        viscous = 1.0 / (1.0 / viscous + resistance / REAL_AXIS_LIMIT)
+    return StepLimits(acoustic, viscous)

@@ -5,11 +5,9 @@ lambda = nu/k (Darcy's law). An open flow is had in a box that is periodic along
 across it, a fringe region (Spalart 1988; Nordstrom, Nordin and Henningson 1999, SIAM J. Sci.
 Comput. 20): there lambda (U - u) brings the fluid back to the velocity U of the inflow.
 
-By itself this forcing has to carry the fall of the pressure along the box and the friction in the
-strip, so that the flow rate falls short by both over rho U^2 K, with K the integral of lambda over
-the strip over U. The strip therefore takes the mean of all other accelerations along the flow away,
-as simulations of channels do that hold their flow rate: with the unit vector e of the rates lambda
-of all particles, the accelerations a along the flow become a - e (e . a).
+By itself it carries the fall of the pressure and friction, so that the flow rate falls short. The
+strip therefore takes the mean of other accelerations along the flow away, as simulations do that
+hold a flow rate: with the unit vector e of the particles' lambda, a becomes a - e (e . a).
 """
 
 from __future__ import annotations

@@ -84,10 +84,7 @@ def sample_run(
 
 
 def described_inflow(case: Case, point: ParameterPoint, trajectory: Artifact) -> str | None:
-    """Return the inflow that was wanted and that a run has, in words; None without one.
-
-    It is a mean over instants of the run's later half.
-    """
+    """Return the inflow that was wanted and that a run's later half has, in words; or None."""
     strip, force = case.plan.strip, case.plan.flow(point).body_force
     if strip is None or force is None:
         return None
