@@ -314,7 +314,7 @@ class CustomScene(SceneSection):
         try:
             constants = {name: self._values.get(name, own) for name, own in self.constants.items()}
             expression = Expression(text, variables, constants)
-            # Of what changes with time, parts are compiled.
+            # Expressions that change with time are used in two parts: in space and in time.
             parts = expression.separated("t") if "t" in variables else (expression,)
             _ = [part.compiled for part in parts]
             return expression

@@ -1,8 +1,8 @@
 """What slows the fluid down in proportion to its velocity: resistances, porous bodies, a strip.
 
 A resistance adds -lambda u to the rates of the velocity; a porous body of permeability k has
-lambda = nu/k (Darcy's law). An open flow is had in a box that is periodic along the flow by a strip
-across it, a fringe region (Spalart 1988; Nordstrom, Nordin and Henningson 1999, SIAM J. Sci.
+lambda = nu/k (Darcy's law). An open flow runs in a box that is periodic along the flow, with a
+strip across it, a fringe region (Spalart 1988; Nordstrom, Nordin and Henningson 1999, SIAM J. Sci.
 Comput. 20): there lambda (U - u) brings the fluid back to the velocity U of the inflow.
 
 By itself it carries the fall of the pressure and friction, so that the flow rate falls short. The

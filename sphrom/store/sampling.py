@@ -94,6 +94,7 @@ def described_inflow(case: Case, point: ParameterPoint, trajectory: Artifact) ->
     points[:, strip.axis] = strip.end if strip.speed > 0.0 else strip.start
     points[:, across] = midpoints(domain.lower[across], domain.upper[across], n_places)
     points = points[domain.contains(points)]
+    width = domain.lengths[across] * len(points) / n_places  # solids may cross the strip
     times = trajectory.read("time")
     chosen = np.unique(np.linspace(len(times) // 2, len(times) - 1, N_INFLOWS).astype(int))
     found = sample_run(case, trajectory, points, snapshots=chosen.tolist())
@@ -101,7 +102,7 @@ def described_inflow(case: Case, point: ParameterPoint, trajectory: Artifact) ->
     inside[:, strip.axis] = 0.5 * (strip.start + strip.end)
     profile = (force.field(inside.T) / strip.rates(inside.T)).T
     wanted = np.array([force.amplitude(t) for t in found.time])[:, None, None] * profile
-    flows = [v[..., strip.axis].mean() * domain.lengths[across] for v in (wanted, found.velocity)]
+    flows = [width * v[..., strip.axis].mean() for v in (wanted, found.velocity)]
     off = np.linalg.norm(found.velocity.mean(axis=0) - wanted.mean(axis=0), axis=1)
     return (
         f"{point.label}: inflow of {flows[0]:.4g} m2/s wanted, {flows[1]:.4g} found "
