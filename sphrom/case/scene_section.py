@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from collections.abc import Collection, Iterator, Mapping
 from functools import cached_property
@@ -95,6 +96,18 @@ class SceneSection(Section):
     def largest_resistance(self, viscosity: float) -> float:
         """Return the largest rate that slows the fluid [1/s], at a viscosity [m2/s]."""
         return 0.0
+
+    @property
+    def has_surface(self) -> bool:
+        """Whether the fluid has a free surface."""
+        return False
+
+    def level_at(self, values: Mapping[str, float] = NONE) -> float:
+        """Return the height y of a level free surface at rest [m], else infinity.
+
+        `values` are those of the parameters; without any they are the scene's own.
+        """
+        return math.inf
 
     @property
     def porous_way(self) -> float:
