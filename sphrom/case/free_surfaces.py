@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import shapely
-from pydantic import model_validator
+from pydantic import Field, model_validator
+from shapely.geometry.base import BaseGeometry
 
 from sphrom.arrays import Array
 from sphrom.case.expressions import Expression
-from sphrom.case.fields import Duration, key, only_one
+from sphrom.case.fields import Duration, Place, Section, key, only_one
 from sphrom.case.resistances import Value
-from sphrom.case.shapes import KINDS, ShapeSection
+from sphrom.case.shapes import CircleSection, RectangleSection, ShapeSection
 from sphrom.scenes.flows import Drive
 from sphrom.sph.domain import Domain
 
@@ -33,18 +34,32 @@ the viscous forces along pairs are consistent there (Colagrossi et al., Phys. Re
 """
 
 
-class SurfaceFluidSection(ShapeSection):
+SHAPES = "level", "circle", "rectangle", "polygon"
+"""The keys that say where the fluid is, of which a case has one."""
+
+
+class SurfaceFluidSection(Section):
     """Fluid that fills part of the box, below a level or within a shape."""
 
     level: Value | None = key(
         None, "height y of the surface at rest, a number or an expression of constants", unit="m"
     )
+    circle: CircleSection | None = key(None, "a circle that fluid fills")
+    rectangle: RectangleSection | None = key(None, "a rectangle along the axes that fluid fills")
+    polygon: Annotated[tuple[Place, ...], Field(min_length=3)] | None = key(
+        None, "corners of a polygon that fluid fills, in their order", unit="m"
+    )
     gravity: Duration = key(9.81, "acceleration along -y", unit="m/s2")
 
     @model_validator(mode="after")
     def _one_kind(self) -> SurfaceFluidSection:
-        only_one(self, ["level", *(k for k in KINDS if self.file is None or k != "wkt")])
+        only_one(self, SHAPES)
         return self
+
+    def geometry(self) -> BaseGeometry:
+        """Return the polygon of a shape [m]. Raises ValueError where it is none."""
+        kind = only_one(self, SHAPES)
+        return ShapeSection.model_validate({kind: getattr(self, kind)}).geometry()
 
     def fill(self, domain: Domain, particle_spacing: float, level: float) -> Array:
         """Return the points (n_particles, 2) [m] of the domain's lattice that fluid is at.
