@@ -99,7 +99,7 @@ def test_a_lonely_particle_flies_and_what_leaves_the_box_is_named() -> None:
     spray = {"rectangle": {"lower": [0.5, 0.5], "upper": [0.55, 0.55]}, "gravity": 1.0}
     case = tank(2.0, {"fluid": spray, "slip": "none", "initial": {"v": 3.0}})
     assert case.plan.n_particles == 1
-    with pytest.raises(UnstableError, match="particle 0 at .* beyond a wall"):
+    with pytest.raises(UnstableError, match=r"particle 0 at .* beyond a wall"):
         run(case)
 
 
