@@ -55,7 +55,10 @@ class Limits(NamedTuple):
 
 @term
 def _place(tables: Tables, height: float) -> tuple[int, float]:
-    row = min(max(int(height / tables.row_height), 0), tables.stream.shape[1] - 1)
+    last = tables.stream.shape[1] - 1
+    along = height / tables.row_height
+    # Heights may be anything once a run diverges, and only some floats have an integer.
+    row = int(along) if 0.0 < along < last else (last if along >= last else 0)
     return row, height - row * tables.row_height
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from sphrom.arrays import Array
 from sphrom.errors import SphromError
-from sphrom.reduction.graph_model import GraphModel, SurfaceBasis, make_basis
+from sphrom.reduction.graph_model import GraphModel, SurfaceBasis, calibrate_gravity, make_basis
 from sphrom.reduction.stream_functions import StreamSpace, find_elevation
 
 SPACE = StreamSpace(left=1.0, right=3.0, bottom=-1.0, top=0.5, n_columns=10, n_rows=8)
@@ -113,6 +114,25 @@ def test_a_run_ends_where_the_surface_is_too_steep(basis: SurfaceBasis) -> None:
     assert 1 < run.end_place < 3
     assert len(run.times) == len(run.coordinates) < 51
     assert np.isfinite(run.coordinates).all()
+
+
+def test_a_run_that_diverges_within_a_step_ends(basis: SurfaceBasis) -> None:
+    start = first_wave(basis, 0.1)
+    own = replace(model(basis), closure=1e200 * np.eye(len(start)))
+    run = own.run(np.linspace(0, 10, 51), start)
+    assert run.ended == "the run has diverged"
+    assert np.isfinite(run.coordinates).all()
+
+
+def test_gravity_is_calibrated_on_training_runs(basis: SurfaceBasis) -> None:
+    own = model(basis)
+    trained = replace(own, gravity=1.012 * GRAVITY).run(
+        np.linspace(0, 8, 81), first_wave(basis, 0.02)
+    )
+    factors, errors = calibrate_gravity([own], [trained])
+    assert factors[errors.argmin()] == pytest.approx(1.012)
+    assert errors.min() < 1e-6
+    assert errors[factors == 1.0] > 0.01
 
 
 def test_elevation_of_particles_and_columns_without_one_surface() -> None:
