@@ -25,7 +25,7 @@ import numpy as np
 
 import sphrom
 from sphrom.case.points import ParameterPoint
-from sphrom.case.studies import Region, fast_model, trained_at
+from sphrom.case.studies import Region, fast_section, trained_at
 from sphrom.console import SilentReporter
 from sphrom.setup.context import StageContext
 from sphrom.train.train import StageModel, make
@@ -132,7 +132,7 @@ class Bench:
         if key not in self._known:
             scratch = self.folder / "scratch"
             scratch.mkdir(exist_ok=True)
-            model = fast_model(self.case, self.case.training.model)
+            model = fast_section(self.case, self.case.training.model)
             assert model is not None
             stage = StageModel(self.context, model, points, scratch)
             found = [stage.compared(p)[0][VELOCITY] for p in self.dense if p not in key]

@@ -28,7 +28,7 @@ from sphrom.fit.forward_model import TrainingDifferences, box_of
 from sphrom.fit.measurements import read_measurements
 from sphrom.online import rom
 from sphrom.online.basis_model import quantities_of
-from sphrom.online.fast_model import FastModel
+from sphrom.online.fast_model import FastModel, fast_model
 from sphrom.online.sensitivities import tangents
 from sphrom.reduction.polynomial_model import SteadyState, steady_state
 from sphrom.reduction.reference_model import ReferenceModel
@@ -65,7 +65,7 @@ class Model:
         self._fast: FastModel | None = None
         if section.from_operators:
             self._workspace.require(self._workspace.operators())
-            self._fast = FastModel(self._workspace, section)
+            self._fast = fast_model(self._workspace, section)
 
     def _points(self, rows: Iterable[Mapping[str, float]]) -> list[ParameterPoint]:
         """Return points of the model by their values; warn of the first that extrapolates."""

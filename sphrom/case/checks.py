@@ -22,7 +22,7 @@ from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection
 from sphrom.case.studies import (
     Region,
     at_resolution,
-    fast_model,
+    fast_section,
     require_basis,
     rows_of,
     sweep_model,
@@ -468,7 +468,7 @@ def _check_sweep(case: Case) -> Found:
 
 def _check_training(case: Case) -> Found:
     section, plan = case.training, case.plan
-    model = fast_model(case, section.model)
+    model = fast_section(case, section.model)
     if not section.ranges:
         return
     for name in plan.parameter_names:

@@ -47,7 +47,7 @@ def at_resolution(case: Case, resolution: int) -> Case:
     return case.model_copy(update={"discretization": section})
 
 
-def fast_model(case: Case, name: str | None = None) -> ReducedModelSection | None:
+def fast_section(case: Case, name: str | None = None) -> ReducedModelSection | None:
     """Return the reduced model of a name, or the first, that has operators; None without any."""
     models = (model for model in case.rom if model.from_operators and name in (None, model.name))
     return next(models, None)
@@ -62,7 +62,7 @@ def sweep_model(case: Case) -> ReducedModelSection | None:
     """Return the reduced model of a case's sweep, None where it is the full one."""
     name = case.sweep.model
     named = next((model for model in case.rom if model.name == name), None)
-    return fast_model(case) if name is None else named
+    return fast_section(case) if name is None else named
 
 
 def sweep_name(case: Case) -> str:

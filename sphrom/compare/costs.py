@@ -21,7 +21,7 @@ from sphrom.case.study_sections import FULL
 from sphrom.kernels import ask_for_threads, asked_for
 from sphrom.machine import seconds_of
 from sphrom.metrics.histories import compression_factors
-from sphrom.online.fast_model import FastModel
+from sphrom.online.fast_model import fast_model
 from sphrom.online.particle_runs import build_model, close
 from sphrom.setup import particles
 from sphrom.sph.time_loop import Model, runge_kutta_step
@@ -124,7 +124,7 @@ def run_timings(workspace: Workspace) -> Iterator[RunTiming]:
     """
     case, plan, found = workspace.case, workspace.case.plan, []
     timers: dict[object, Callable[[], float]] = {}
-    fast = {m.name: FastModel(workspace, m) for m in case.rom if m.from_operators}
+    fast = {m.name: fast_model(workspace, m) for m in case.rom if m.from_operators}
     for point, model in ((p, m) for p in plan.points for m in plan.compared_at(p)):
         with workspace.open(workspace.full_run(point)) as run:
             imported, known = is_imported(run), known_seconds(run)
@@ -139,8 +139,7 @@ def run_timings(workspace: Workspace) -> Iterator[RunTiming]:
         elif not imported and full not in timers:
             timers[full] = full_run_timer(workspace, point, largest_step(case))
         if (quick := fast.get(model.name)) is not None:
-            run_again = quick.at_point(point).integrator(quick.at(point)).run
-            timers[own] = partial(seconds_of, run_again)
+            timers[own] = partial(seconds_of, quick.runner(point))
         elif own not in timers:
             reduced, state = build_model(workspace, model, point)
             close(case, model, reduced, state, plan.steps.start_time)

@@ -20,7 +20,7 @@ from sphrom.case.fields import NAME_PATTERN
 from sphrom.case.points import REYNOLDS
 from sphrom.case.studies import (
     Box,
-    fast_model,
+    fast_section,
     fit_ranges,
     fit_values,
     percent,
@@ -42,7 +42,7 @@ from sphrom.metrics.estimation import (
     uncertainty,
     undetermined_shares,
 )
-from sphrom.online.fast_model import FastModel
+from sphrom.online.fast_model import FastModel, fast_model
 from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Panel, draw_grid
 from sphrom.plots.tables import format_figure, write_csv
@@ -180,7 +180,7 @@ def run(
     if measurements is None:
         raise CaseError("measurements: a fit needs some; give the name of a CSV file")
     workspace, case = Workspace(context), context.case
-    model = fast_model(case, case.fit.model)
+    model = fast_section(case, case.fit.model)
     if model is None:
         raise CaseError("fit.model: no reduced model has evaluation: operators; add one to rom")
     share = case.fit.noise if noise is None else percent(noise, "--noise")
@@ -192,7 +192,7 @@ def run(
     must_make = workspace.must_make(target)
     workspace.require(workspace.operators())
     box = box_of(fit_ranges(case, model), fit_values(case))
-    found = fit(FastModel(workspace, model), box, data, {})
+    found = fit(fast_model(workspace, model), box, data, {})
     if must_make:
         with workspace.create(target) as artifact:
             write_record(artifact, found)

@@ -8,6 +8,7 @@ equations with one basis, `sphrom.reduction.reference_model` integrates them, an
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -17,14 +18,15 @@ from sphrom.arrays import Array
 from sphrom.case.hints import beyond_training, extrapolation
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.errors import UnstableError
-from sphrom.metrics.measures import Quantities
+from sphrom.errors import CaseError, UnstableError
+from sphrom.metrics.measures import Quantities, items
 from sphrom.metrics.samples import Samples
 from sphrom.online.basis_model import BasisModel, quantities_of
 from sphrom.online.error_estimates import ErrorEstimate, estimate
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.polynomial_model import Run
 from sphrom.reduction.reference_model import Integrator, ReferenceModel
+from sphrom.reduction.trial_basis import ModeVelocities
 from sphrom.setup.assembly import MOST_GROWTH
 from sphrom.sph.fluid import ROUNDING
 from sphrom.store.starts import MappedStarts
@@ -32,6 +34,16 @@ from sphrom.store.workspace import Workspace
 
 DOUBTFUL = 50.0
 """The estimated error from which a run is doubtful [%]: errors are up to twice their estimates."""
+
+
+def fast_model(workspace: Workspace, section: ReducedModelSection) -> FastModel:
+    """Return a model that is run without particles.
+
+    Raises CaseError for a scene with a free surface, where no such model is known.
+    """
+    if workspace.case.scene.has_surface:
+        raise CaseError(f"rom: {section.name} can't be had with a free surface")
+    return FastModel(workspace, section)
 
 
 class FastModel:
@@ -46,6 +58,7 @@ class FastModel:
     def __init__(self, workspace: Workspace, section: ReducedModelSection) -> None:
         self.workspace, self.section = workspace, section
         self._on_basis: dict[str, BasisModel] = {}
+        self._velocities: dict[str, ModeVelocities] = {}
 
     def basis_at(self, point: ParameterPoint) -> str:
         """Return the name of the model's basis at a parameter point."""
@@ -87,6 +100,33 @@ class FastModel:
         """Return the model at a parameter point."""
         return self.at_point(point).at(point)
 
+    def runner(self, point: ParameterPoint) -> Callable[[], object]:
+        """Return what makes one run at a parameter point, to be timed."""
+        return self.at_point(point).integrator(self.at(point)).run
+
+    def trained_differences(
+        self, points: Sequence[ParameterPoint]
+    ) -> list[tuple[Array, dict[str, Quantities]]]:
+        """Return the places of the training runs of models at points, and their differences.
+
+        Those are full runs' measures less the model's, by name and quantity (n_snapshots, ...).
+        There are none without estimates of errors.
+        """
+        taught = [self.on_basis(name) for name in dict.fromkeys(map(self.basis_at, points))]
+        if any(basis.trained_errors is None for basis in taught):
+            return []
+        return [
+            (place, items(basis.measured_differences, k))
+            for basis in taught
+            for k, place in enumerate(basis.places)
+        ]
+
+    def velocities(self, run: FastRun) -> ModeVelocities:
+        """Return what finds speeds and energies of a run, once for each basis."""
+        if (name := self.basis_at(run.point)) not in self._velocities:
+            self._velocities[name] = ModeVelocities(run.reduced.basis)
+        return self._velocities[name]
+
 
 @dataclass(frozen=True, kw_only=True)
 class FastRun(Run):
@@ -113,6 +153,17 @@ class FastRun(Run):
             f"unstable after t = {at:.6g} s: the coordinates are beyond {MOST_GROWTH:g} times the "
             f"largest trained ones; {'other modes' if chosen else 'a smaller time step'} may help"
         )
+
+    @property
+    def kinetic_energy(self) -> Array:
+        """The kinetic energy (n_snapshots,) [J/m]."""
+        mass = self.model.workspace.case.plan.mass
+        return self.model.velocities(self).kinetic_energy(self.coordinates, mass)
+
+    @property
+    def largest_speed(self) -> float:
+        """The largest speed of all points and snapshots [m/s]."""
+        return self.model.velocities(self).largest_speed(self.coordinates)
 
     @cached_property
     def measured(self) -> dict[str, Quantities]:

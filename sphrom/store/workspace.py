@@ -27,7 +27,7 @@ from sphrom.case.loader import case_of_text
 from sphrom.case.models import VERSIONS, inputs_digest, section_inputs, stated
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.case.studies import fast_model, sweep_model, sweep_name
+from sphrom.case.studies import fast_section, sweep_model, sweep_name
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.kernels import ask_for_threads
 from sphrom.setup.context import StageContext
@@ -337,7 +337,7 @@ class Workspace:
 
     def fit(self, name: str, measurements: str, noise: float | None) -> Target:
         """The parameters that measurements tell, by the digest of their file."""
-        model = fast_model(self.case, self.case.fit.model)
+        model = fast_section(self.case, self.case.fit.model)
         about = {
             "fit": _without(self.case.fit, "model", "noise"),
             "noise": noise,

@@ -23,13 +23,12 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import sweep_model, sweep_name
 from sphrom.case.study_sections import FULL
 from sphrom.errors import ArtifactError, SphromError, UnstableError
-from sphrom.metrics.measures import PLACED, Quantities, components, items, of_a_run
+from sphrom.metrics.measures import PLACED, Quantities, components, of_a_run
 from sphrom.metrics.series import kinetic_energy
 from sphrom.offline import fom
 from sphrom.online import rom
-from sphrom.online.fast_model import FastModel, FastRun
+from sphrom.online.fast_model import FastRun, fast_model
 from sphrom.online.sensitivities import tangents
-from sphrom.reduction.trial_basis import ModeVelocities
 from sphrom.store.checkpoints import remove_checkpoints
 from sphrom.store.trajectory import field_datasets, measured_of
 from sphrom.store.workspace import Target, Workspace
@@ -93,8 +92,7 @@ class SweptModel:
         self._model = sweep_model(workspace.case)
         self._fast = None
         if self._model is not None and self._model.from_operators:
-            self._fast = FastModel(workspace, self._model)
-        self._velocities: dict[str, ModeVelocities] = {}
+            self._fast = fast_model(workspace, self._model)
 
     def run(self, point: ParameterPoint) -> RunRecord:
         """Run the model at a parameter point.
@@ -124,13 +122,8 @@ class SweptModel:
         """
         if self._fast is None:
             return []
-        found = []
-        for name in dict.fromkeys(map(self._fast.basis_at, points)):
-            if (basis := self._fast.on_basis(name)).trained_errors is None:
-                return []
-            for k, place in enumerate(basis.places):
-                found.append({PLACE: place} | _kept(items(basis.measured_differences, k)))
-        return found
+        found = self._fast.trained_differences(points)
+        return [{PLACE: place} | _kept(differences) for place, differences in found]
 
     def _of_trajectory(self, point: ParameterPoint, target: Target) -> RunRecord:
         """Return the record of a run on particles."""
@@ -152,12 +145,7 @@ class SweptModel:
         """Return the record of a run of a model from operators."""
         if run.failure is not None:
             return RunRecord(run.point, UNSTABLE, str(run.failure))
-        if (name := run.model.basis_at(run.point)) not in self._velocities:
-            self._velocities[name] = ModeVelocities(run.reduced.basis)
-        modes, mass = self._velocities[name], self.workspace.case.plan.mass
-        energies = modes.kinetic_energy(run.coordinates, mass)
-        speed = modes.largest_speed(run.coordinates)
-        values = _values(run.time, run.time_step, energies, speed)
+        values = _values(run.time, run.time_step, run.kinetic_energy, run.largest_speed)
         values["generalized_coordinates"] = run.coordinates
         if (found := run.estimate) is not None:
             values |= {

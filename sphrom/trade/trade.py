@@ -32,7 +32,7 @@ from sphrom.metrics.measures import errors_of as relative_errors
 from sphrom.metrics.measures import mean_square
 from sphrom.metrics.samples import Samples
 from sphrom.online.error_estimates import measured_errors, measured_shares
-from sphrom.online.fast_model import FastModel, FastRun
+from sphrom.online.fast_model import FastModel, FastRun, fast_model
 from sphrom.online.stable_ranges import TIME, StableRange, stable_ranges
 from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Panel, draw_grid
@@ -178,7 +178,7 @@ class _Trade:
 
     def _of(self, section: ReducedModelSection) -> Rows:
         """Run a reduced model at all points; return its rows."""
-        fast = FastModel(self.wider, section)
+        fast = fast_model(self.wider, section)
         family = "APG" if section.projection == "apg" else "Galerkin"
         own = [m for m in self.case.rom if m.model_copy(update={"name": section.name}) == section]
         label = f"{family}, M = {section.size}" + (f" ({own[0].name})" if own else "")

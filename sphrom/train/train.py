@@ -24,13 +24,13 @@ from sphrom.case.checks import case_problems
 from sphrom.case.models import resolved_yaml
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.case.studies import Region, fast_model, percent, trained_at
+from sphrom.case.studies import Region, fast_section, percent, trained_at
 from sphrom.case.study_sections import percentage
 from sphrom.errors import CaseError, UnstableError
 from sphrom.metrics.histories import TIME_TOLERANCE
 from sphrom.offline import fit_psi, fom, operators, pod
 from sphrom.offline import map as map_stage
-from sphrom.online.fast_model import FastModel, FastRun
+from sphrom.online.fast_model import FastRun, fast_model
 from sphrom.reduction.greedy import choose, ending
 from sphrom.reduction.trial_basis import (
     TrialBasis,
@@ -109,7 +109,7 @@ class _Training:
         self.context, self.case = context, context.case
         self._at_once, self._scheduler = workers, scheduler
         self.section = self.case.training
-        model = fast_model(self.case, self.section.model)
+        model = fast_section(self.case, self.section.model)
         if not self.section.ranges or model is None:
             raise CaseError(
                 "training: the case names no region of parameters; give ranges, such as --set "
@@ -284,7 +284,7 @@ class StageModel:
         for stage in (pod, fit_psi, operators):
             stage.run(context)
         self.workspace = Workspace(context)
-        self._points, self._fast = points, FastModel(self.workspace, model)
+        self._points, self._fast = points, fast_model(self.workspace, model)
 
     def estimate(self, point: ParameterPoint) -> Array:
         """Return the estimated errors (2,) of the model at a point, infinite if there are none."""

@@ -9,7 +9,7 @@ import pytest
 from sphrom.case.checks import coarser_resolution
 from sphrom.case.loader import load_case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.studies import Region, fast_model, fit_ranges, fit_values, percent, trained_at
+from sphrom.case.studies import Region, fast_section, fit_ranges, fit_values, percent, trained_at
 from sphrom.case.study_sections import N_CANDIDATES
 from sphrom.errors import CaseError
 
@@ -33,7 +33,7 @@ FAST = {"name": "fast", "evaluation": "operators", "n_modes": 3}
 
 def test_what_varies_is_looked_for_where_it_was_trained():
     case = load_case(CASE)
-    model = fast_model(case, case.fit.model)
+    model = fast_section(case, case.fit.model)
     assert model is not None
     assert model.name == "fast"
     assert fit_ranges(case, model) == {"reynolds": (50.0, 200.0), "lid": (0.5, 1.0)}
@@ -43,7 +43,7 @@ def test_what_varies_is_looked_for_where_it_was_trained():
 def test_ranges_and_values():
     parameters = {"lid": 0.8, "reynolds": [60, 90]}
     case = load_case({**CASE, "fit": {"model": "other", "parameters": parameters}})
-    model = fast_model(case, case.fit.model)
+    model = fast_section(case, case.fit.model)
     assert model is not None
     assert model.name == "other"
     assert fit_ranges(case, model) == {"reynolds": (60.0, 90.0)}
