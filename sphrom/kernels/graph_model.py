@@ -19,6 +19,8 @@ from sphrom.kernels.jit import parallel, term
 
 FINISHED, STEEP, ABOVE, DRY, DIVERGED = 0, 1, 2, 3, 4
 """How a run ends."""
+LARGEST = 1e100
+"""Sum of the coordinates' sizes beyond which, or where it is no number, a run has diverged."""
 
 
 class Tables(NamedTuple):
@@ -171,13 +173,16 @@ def _solve(mass: Array, out: Array) -> None:
 @term
 def _ending(tables: Tables, limits: Limits, state: Array, depth: float) -> tuple[int, int]:
     n_modes = tables.stream.shape[4]
+    size = 0.0
+    for i in range(state.size):
+        size += abs(state[i])
+    if not size < LARGEST:
+        return DIVERGED, 0
     for q in range(tables.weights.size):
         height, slope = depth, 0.0
         for s in range(tables.slope.shape[1]):
             height += tables.elevation[q, s] * state[n_modes + s]
             slope += tables.slope[q, s] * state[n_modes + s]
-        if not np.isfinite(height + slope + state.sum()):
-            return DIVERGED, q
         if height < limits.least_depth:
             return DRY, q
         if height > limits.top:
