@@ -266,11 +266,14 @@ def _measure_problem(case: Case, measured: MeasureSection) -> str | None:
 
 
 def outside_fluid(case: Case, place: Array) -> str | None:
-    """Return which of some places (n_places, 2) is out of the box or in a solid, in words."""
+    """Return which of some places (n_places, 2) is not in the fluid at rest, in words."""
     domain = case.scene.domain
     beyond = (place < np.array(domain.lower)) | (place > np.array(domain.upper))
     for x, y in place[beyond.any(axis=1)][:1]:
         return f"({x:g}, {y:g}) m is outside of the box"
+    level = min(case.scene.level_at(point.as_dict()) for point in case.plan.points)
+    for x, y in place[place[:, 1] > level][:1]:
+        return f"({x:g}, {y:g}) m is above the free surface at rest, y = {level:g} m"
     in_solid = domain.distance_and_normal(place)[0] < -WITHIN_WALL * case.plan.particle_spacing
     for x, y in place[in_solid][:1]:
         turns = np.flatnonzero(np.diff(~in_solid, prepend=False, append=False)).reshape(-1, 2)

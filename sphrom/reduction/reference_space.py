@@ -22,6 +22,18 @@ from sphrom.sph.domain import Domain
 from sphrom.sph.neighbourhood import sort_sources
 
 
+class TooFewParticlesError(ValueError):
+    """Particles around a point that fix no interpolation."""
+
+    def __init__(self, number: int, place: Array, reach: float) -> None:
+        super().__init__(
+            f"too few particles, or all on one curve, within {reach:.3g} m of the point "
+            f"({place[0]:.4g}, {place[1]:.4g}) to interpolate there"
+        )
+        self.number = number
+        """Which of the points it is."""
+
+
 class ReferenceMap:
     """Interpolation of particle fields onto fixed points.
 
@@ -53,7 +65,7 @@ class ReferenceMap:
     ) -> tuple[Array, Array]:
         """Map one snapshot: densities (n_points,) and velocities (n_points, 2).
 
-        Raises ValueError where too few particles are near a point, or do not fix a polynomial.
+        Raises TooFewParticlesError where those near a point are too few, or fix no polynomial.
         """
         reach = SUPPORT_RATIO * self.smoothing_length
         near = sort_sources(position.T, self.domain, reach, self.particle_spacing)
@@ -69,9 +81,6 @@ class ReferenceMap:
         else:
             interpolation.shepard(*search, out)
         if not np.isfinite(out).all():
-            place = self._points[:, np.flatnonzero(~np.isfinite(out).all(axis=0))[0]]
-            raise ValueError(
-                f"too few particles, or all on one curve, within {reach:.3g} m of the point "
-                f"({place[0]:.4g}, {place[1]:.4g}) to interpolate there"
-            )
+            number = int(np.flatnonzero(~np.isfinite(out).all(axis=0))[0])
+            raise TooFewParticlesError(number, self._points[:, number], reach)
         return out[0], np.ascontiguousarray(out[1:].T)

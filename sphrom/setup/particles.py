@@ -16,7 +16,7 @@ from sphrom.case.plan import BEYOND
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError, UnstableError
 from sphrom.metrics.measures import FieldMeasure, Quantities
-from sphrom.reduction.reference_space import ReferenceMap
+from sphrom.reduction.reference_space import ReferenceMap, TooFewParticlesError
 from sphrom.scenes.flows import Scene
 from sphrom.setup.assembly import field_measures
 from sphrom.sph.domain import Walls
@@ -172,6 +172,7 @@ class MeasuredFields:
 
     def __init__(self, case: Case, measures: Mapping[str, FieldMeasure]) -> None:
         self.measures, self._sound_speed = measures, case.plan.sound_speed
+        self._has_surface = case.scene.has_surface
         places = np.concatenate([measure.position for measure in measures.values()])
         distance, normal = case.scene.domain.distance_and_normal(places)
         spacing, (at_rest, per_unit) = case.plan.particle_spacing, _rest_and_units(case)
@@ -199,12 +200,17 @@ class MeasuredFields:
     ) -> dict[str, Quantities]:
         """Return by name what is measured of particles (n_particles[, 2]).
 
-        Raises UnstableError where too few particles are near a place.
+        Raises UnstableError where too few particles are near a place, as above a free surface.
         """
         try:
             return self.of_fields(*self._sample(position, density_fluctuation, velocity))
-        except ValueError as error:
-            raise UnstableError(f"unstable where fields are measured: {error}") from error
+        except TooFewParticlesError as error:
+            names = np.repeat([*self.measures], [len(m.position) for m in self.measures.values()])
+            name = np.concatenate((names, names[self._near]))[error.number]
+            told = f"unstable where fields are measured{f' ({name})' if name else ''}: {error}"
+            if self._has_surface:
+                told += "; the place must stay below the free surface: choose a lower one"
+            raise UnstableError(told) from error
 
     def of_fields(self, density_fluctuation: Array, velocity: Array) -> dict[str, Quantities]:
         """Return by name what is measured of fields (n_positions[, 2]) at `position`."""

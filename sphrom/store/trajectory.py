@@ -147,7 +147,10 @@ class TrajectoryWriter:
                 found |= force_datasets(name, loads)
         if self._fields is not None:
             fields = snapshot.position.T, snapshot.density_fluctuation, snapshot.velocity.T
-            found |= field_datasets(self._fields(*fields))
+            try:
+                found |= field_datasets(self._fields(*fields))
+            except UnstableError as error:
+                raise UnstableError(f"{error}, at t = {time:.6g} s") from error
         item = {name: found[name] for name in self._streams}
         self.write(item)
         return item

@@ -1,0 +1,152 @@
+"""Reduced models below an elevation: linear theory, energy, volume, and where a run ends."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sphrom.arrays import Array
+from sphrom.errors import SphromError
+from sphrom.reduction.graph_model import GraphModel, SurfaceBasis, calibrate_gravity, make_basis
+from sphrom.reduction.stream_functions import StreamSpace, find_elevation
+
+SPACE = StreamSpace(left=1.0, right=3.0, bottom=-1.0, top=0.5, n_columns=10, n_rows=8)
+DEPTH, GRAVITY = 1.0, 2.0
+
+
+def wave_number(mode: int) -> float:
+    return mode * math.pi / SPACE.width
+
+
+def potential_wave(points: Array, mode: int) -> Array:
+    k = wave_number(mode)
+    x, y = points[:, 0] - SPACE.left, points[:, 1] - SPACE.bottom
+    both = [-np.sin(k * x) * np.cosh(k * y), np.cos(k * x) * np.sinh(k * y)]
+    return np.stack(both, axis=-1) / math.sinh(k * DEPTH)
+
+
+def still_points() -> Array:
+    x, y = np.meshgrid(np.linspace(1.02, 2.98, 50), np.linspace(-0.98, -0.02, 25))
+    return np.stack([x.ravel(), y.ravel()], axis=-1)
+
+
+@pytest.fixture(scope="module")
+def basis() -> SurfaceBasis:
+    fits = [SPACE.fit(still_points(), potential_wave(still_points(), n))[0] for n in (1, 2, 3)]
+    x = np.linspace(0, SPACE.width, 48, endpoint=False) + SPACE.width / 96
+    waves = [0.1 * np.cos(wave_number(n) * x) for n in (1, 2, 3)]
+    return make_basis(SPACE, np.array([fits]), np.array([waves]), 1e-3, 3)
+
+
+def model(basis: SurfaceBasis, viscosity: float = 0.0, force: float = 0.0) -> GraphModel:
+    def body_force(times: Array) -> Array:
+        return np.stack([force * np.ones_like(times), 0 * times])
+
+    return GraphModel(basis, DEPTH, GRAVITY, viscosity, body_force)
+
+
+def first_wave(basis: SurfaceBasis, amplitude: float) -> Array:
+    n_modes = len(basis.stream_modes)
+    return np.concatenate([np.zeros(n_modes), amplitude * basis.surface_modes[:, 0]])
+
+
+def test_a_potential_wave_is_fitted_and_its_residual_is_the_noise() -> None:
+    points, exact = still_points(), potential_wave(still_points(), 2)
+    coefficients, residual = SPACE.fit(points, exact)
+    assert residual < 0.015
+    assert SPACE.velocity(coefficients, points) == pytest.approx(exact, abs=0.03)
+    noise = 0.05 * np.random.default_rng(1).standard_normal(exact.shape)
+    _, residual = SPACE.fit(points, exact + noise)
+    expected = float(np.linalg.norm(noise) / np.linalg.norm(exact + noise))
+    assert residual == pytest.approx(expected, rel=0.1)
+
+
+def test_a_fit_does_not_depend_on_units() -> None:
+    points, exact = still_points(), potential_wave(still_points(), 3)
+    sides = {name: 10 * getattr(SPACE, name) for name in ("left", "right", "bottom", "top")}
+    larger = StreamSpace(**sides, n_columns=10, n_rows=8)
+    assert larger.fit(10 * points, 7 * exact)[0] == pytest.approx(70 * SPACE.fit(points, exact)[0])
+
+
+def test_walls_are_stream_lines() -> None:
+    coefficients = np.random.default_rng(2).standard_normal(12 * 11)
+    walls = np.array([[1.0, -0.3], [3.0, 0.2], [1.7, -1.0]])
+    velocity = SPACE.velocity(coefficients, walls)
+    normal = [velocity[0, 0], velocity[1, 0], velocity[2, 1]]
+    assert normal == pytest.approx([0, 0, 0], abs=1e-12)
+
+
+def test_energy_is_constant_without_viscosity_and_force(basis: SurfaceBasis) -> None:
+    own = model(basis)
+    run = own.run(np.linspace(0, 20, 101), first_wave(basis, 0.15))
+    assert run.ended is None
+    energy = own.kinetic_energy(run.coordinates) + own.potential_energy(run.coordinates)
+    assert own.kinetic_energy(run.coordinates).max() > 0.5 * energy[0]
+    assert energy == pytest.approx(energy[0] * np.ones(101), rel=1e-4)
+
+
+def test_a_small_wave_has_the_frequency_and_decay_of_linear_theory(basis: SurfaceBasis) -> None:
+    viscosity, k = 2e-3, wave_number(1)
+    own = model(basis, viscosity)
+    period = 2 * math.pi / math.sqrt(GRAVITY * k * math.tanh(k * DEPTH))
+    run = own.run(np.linspace(0, 4 * period, 161), first_wave(basis, 1e-3))
+    expected = 1e-3 * np.exp(-2 * viscosity * k**2 * run.times)
+    expected *= np.cos(2 * math.pi * run.times / period)
+    at_wall = own.elevation(run.coordinates, np.array([SPACE.left]))[:, 0]
+    assert at_wall == pytest.approx(expected, abs=3e-5)
+
+
+def test_a_constant_force_tilts_the_surface(basis: SurfaceBasis) -> None:
+    own = model(basis, viscosity=0.05, force=0.02)
+    run = own.run(np.linspace(0, 100, 101), np.zeros(len(first_wave(basis, 1.0))))
+    tilt = 4 * SPACE.width * 0.02 / (math.pi**2 * GRAVITY)
+    coordinates = run.coordinates[-1, 3:] @ basis.surface_modes
+    assert coordinates[0] == pytest.approx(-tilt, rel=0.02)
+
+
+def test_a_run_ends_where_the_surface_is_too_steep(basis: SurfaceBasis) -> None:
+    run = model(basis, force=0.8).run(np.linspace(0, 10, 51), 0 * first_wave(basis, 1.0))
+    assert run.ended is not None
+    assert 0 < run.end_time < 10
+    assert 1 < run.end_place < 3
+    assert len(run.times) == len(run.coordinates) < 51
+    assert np.isfinite(run.coordinates).all()
+
+
+def test_a_run_that_diverges_within_a_step_ends(basis: SurfaceBasis) -> None:
+    start = first_wave(basis, 0.1)
+    own = replace(model(basis), closure=1e200 * np.eye(len(start)))
+    run = own.run(np.linspace(0, 10, 51), start)
+    assert run.ended == "the run has diverged"
+    assert np.isfinite(run.coordinates).all()
+
+
+def test_gravity_is_calibrated_on_training_runs(basis: SurfaceBasis) -> None:
+    own = model(basis)
+    trained = replace(own, gravity=1.012 * GRAVITY).run(
+        np.linspace(0, 8, 81), first_wave(basis, 0.02)
+    )
+    factors, errors = calibrate_gravity([own], [trained])
+    assert factors[errors.argmin()] == pytest.approx(1.012)
+    assert errors.min() < 1e-6
+    assert errors[factors == 1.0] > 0.01
+
+
+def test_elevation_of_particles_and_columns_without_one_surface() -> None:
+    spacing = 0.02
+    x, y = np.meshgrid(np.arange(0.01, 1, spacing), np.arange(0.01, 0.5, spacing))
+    fluid = np.stack([x.ravel(), y.ravel()], axis=-1)
+    walls, columns = (0.0, 1.0, 0.0), np.array([0.0, 0.33, 0.9])
+    area = np.full(len(fluid), spacing**2)
+    heights = find_elevation(fluid, area, columns, 4 * spacing, walls)
+    assert heights == pytest.approx([0.5] * 3, abs=2e-3)
+    drop = fluid[np.hypot(fluid[:, 0] - 0.9, fluid[:, 1] - 0.2) < 0.1] + [0, 0.6]
+    both = np.concatenate([fluid, drop])
+    with pytest.raises(SphromError, match=r"x = 0\.9 m has more than one surface"):
+        find_elevation(both, np.full(len(both), spacing**2), columns, 4 * spacing, walls)
+    half = fluid[:, 0] < 0.5
+    with pytest.raises(SphromError, match=r"x = 0\.9 m has no fluid"):
+        find_elevation(fluid[half], area[half], columns, 4 * spacing, walls)
