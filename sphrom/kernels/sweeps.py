@@ -51,10 +51,6 @@ N_REGULAR_ROWS = 9
 TINY = 1e-30
 
 
-LEAST_DETERMINANT = 1e-6
-"""Of the inverse of Eq. 2.11, which is one within fluid and a quarter in its corners."""
-
-
 class RegularityConstants(NamedTuple):
     """Eq. 2.13-2.14, and the acoustic damper."""
 
@@ -159,14 +155,11 @@ def finish_regularity(
         moment += walls[4, i]
         divergence += walls[5, i]
     out[OWN_PRESSURE] = density - constants.damping * divergence
-    out[OWN_VISCOUS] = -2.0 / moment if moment != 0.0 else 0.0
+    out[OWN_VISCOUS] = -2.0 / moment
     # L_i is the inverse of minus the sum of offset times gradient (Eq. 2.11).
     determinant = lxx * lyy - lxy * lxy
-    # Of spray, with neighbours on one line or none, no gradient is known.
-    inverse = 1.0 if determinant > LEAST_DETERMINANT else 0.0
-    determinant = max(determinant, LEAST_DETERMINANT)
-    out[OWN_GRADIENT_X] = -inverse * (lyy * gx - lxy * gy) / determinant
-    out[OWN_GRADIENT_Y] = -inverse * (lxx * gy - lxy * gx) / determinant
+    out[OWN_GRADIENT_X] = -(lyy * gx - lxy * gy) / determinant
+    out[OWN_GRADIENT_Y] = -(lxx * gy - lxy * gx) / determinant
     speed = constants.magnitude * math.sqrt(dx * dx + dy * dy)
     scale = -constants.magnitude
     if speed > constants.limit:
