@@ -21,6 +21,7 @@ from shapely.geometry.base import BaseGeometry
 from sphrom.arrays import Array
 from sphrom.case.expressions import CONSTANTS, FUNCTIONS, MOST_QUOTED, Expression
 from sphrom.case.fields import Coordinate, Place, Positive, SafeName, Section, key
+from sphrom.case.free_surfaces import SurfaceFluidSection, SurfaceForce, hydrostatic
 from sphrom.case.initial_file import read_start, start_fields
 from sphrom.case.resistances import (
     InflowSection,
@@ -132,6 +133,10 @@ class CustomScene(SceneSection):
     body_force: Vector = key(
         (0.0, 0.0), "acceleration, numbers or expressions in x, y, t", unit="m/s2"
     )
+    fluid: SurfaceFluidSection | None = key(
+        None, "the part of the box that fluid with a free surface fills; null fills all of it"
+    )
+    slip: Literal["none", "free"] = key("none", "whether fluid sticks to the walls or slips freely")
     resistance: Rate = key(
         0.0, "rate at which it slows the fluid, a number or an expression in x, y", unit="1/s"
     )
@@ -157,8 +162,53 @@ class CustomScene(SceneSection):
                 known = ", ".join(self.domain.wall_names) or "none"
                 raise ValueError(f"walls.{name}: there is no such wall; the walls are {known}")
         _ = self.domain
+        if self.slip == "free" and self.walls:
+            raise ValueError("slip: walls that move drag fluid along; set slip: none")
+        if self.fluid is not None:
+            if self.inflow is not None:
+                raise ValueError("inflow: is not for fluid with a free surface; leave it out")
+            if self.fluid.level is not None and "y" in self.box.periodic:
+                raise ValueError("fluid.level: needs a floor; leave y out of box.periodic")
         self.check_at({})
         return self
+
+    @property
+    def has_surface(self) -> bool:
+        """Whether the fluid has a free surface."""
+        return self.fluid is not None
+
+    @property
+    def free_slip(self) -> bool:
+        """Whether fluid slips along walls without friction."""
+        return self.slip == "free"
+
+    def level_at(self, values: Mapping[str, float] = NONE) -> float:
+        """Return the height y of a level free surface at rest [m], else infinity."""
+        if self.fluid is None or self.fluid.level is None:
+            return math.inf
+        return float(self._at(values)._expression("fluid.level", self.fluid.level)())
+
+    def fill(self, particle_spacing: float, values: Mapping[str, float] = NONE) -> Array:
+        """Return where particles on a lattice start (n_particles, 2) [m]."""
+        if self.fluid is None:
+            return super().fill(particle_spacing, values)
+        return self.fluid.fill(self.domain, particle_spacing, self.level_at(values))
+
+    def _check_surface(self) -> None:
+        """Raise ValueError where the fluid with a free surface isn't in the box."""
+        if self.fluid is None:
+            return
+        low, high = self.domain.lower[1], self.domain.upper[1]
+        if self.fluid.level is None:
+            if not self.domain.fluid.buffer(TOUCHING).contains(self.fluid.geometry()):
+                raise ValueError("fluid: must lie within the box and outside of solids")
+        elif not low < (level := self.level_at(self._values)) < high:
+            raise ValueError(
+                f"fluid.level: must be above {low:g} and below {high:g}; got {level:g}"
+            )
+        force = self._force
+        if force is not None:
+            _require_finite("body_force", force(self._samples.T, 0.0).T, self._samples)
 
     @cached_property
     def _shapes(self) -> dict[str, BaseGeometry]:
@@ -214,10 +264,18 @@ class CustomScene(SceneSection):
         return CustomFlow(
             here.domain,
             {name: here._wall_velocity(name) for name in here.walls},
-            lambda at: here._initial(at),
+            here._begin(scales.density),
             here._force,
             self._resistance,
         )
+
+    def _begin(self, density: float) -> Callable[[Array], Array]:
+        """Return what runs start with, given the density of the fluid [kg/m3]."""
+        level = self.level_at(self._values)
+        if self.fluid is None or math.isinf(level):
+            return lambda at: self._initial(at)
+        weight = density * self.fluid.gravity
+        return hydrostatic(lambda at: self._initial(at), level, weight)
 
     @cached_property
     def _known(self) -> Callable[[tuple[tuple[str, float], ...]], CustomScene]:
@@ -294,6 +352,7 @@ class CustomScene(SceneSection):
         for name in here.walls:
             here._check_along(name)
         _ = here._force, here._initial, here._resistance
+        here._check_surface()
 
     def largest_wall_speed(self, values: Mapping[str, float]) -> float:
         """Return the largest speed of walls and the inflow [m/s], at values of the parameters."""
@@ -314,8 +373,9 @@ class CustomScene(SceneSection):
         try:
             constants = {name: self._values.get(name, own) for name, own in self.constants.items()}
             expression = Expression(text, variables, constants)
-            # Expressions that change with time are used in two parts: in space and in time.
-            parts = expression.separated("t") if "t" in variables else (expression,)
+            # Without a surface, those that change with time are used in parts: space and time.
+            apart = "t" in variables and not self.has_surface
+            parts = expression.separated("t") if apart else (expression,)
             _ = [part.compiled for part in parts]
             return expression
         except ValueError as error:
@@ -354,7 +414,9 @@ class CustomScene(SceneSection):
 
     def starts_by(self, name: str) -> bool:
         """Return whether the start of runs depends on a parameter beside the viscosity."""
-        return any(part.degree_in([name]) > 0.0 for part in self._start.values())
+        level = None if self.fluid is None else self.fluid.level
+        starts = (*self._start.values(), self._expression("fluid.level", level or 0.0))
+        return any(part.degree_in([name]) > 0.0 for part in starts)
 
     def _wall_velocity(self, name: str) -> Callable[[Array], Array]:
         """Return the velocity (n_points, 2) [m/s] of a wall at places on it (n_points, 2) [m]."""
@@ -419,6 +481,8 @@ class CustomScene(SceneSection):
     @cached_property
     def _pushes(self) -> dict[str, _Push]:
         """What pushes the fluid, by what its factor is called as a parameter."""
+        if self.has_surface:
+            return {}  # its components needn't have one amplitude
         found, inflow = {}, () if self.inflow is None else self.inflow.velocity
         for name, values in {BODY_FORCE: self.body_force, INFLOW: inflow}.items():
             if any(value != 0.0 for value in values):
@@ -432,6 +496,9 @@ class CustomScene(SceneSection):
     @cached_property
     def _force(self) -> Drive | None:
         """What pushes the fluid: a field times an amplitude, of which parameters give a factor."""
+        if self.fluid is not None:
+            parts = [self._expression(BODY_FORCE, v, "x", "y", "t") for v in self.body_force]
+            return SurfaceForce.of(tuple(parts), self.fluid.gravity)
         pushes, strip = self._pushes, self._strip
         moving = {text: a for push in pushes.values() for text, a in push.amplitudes.items()}
         if not moving:
@@ -524,6 +591,13 @@ class CustomScene(SceneSection):
     def largest_head(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
         """Return what the body force's head along the box doesn't exceed until a time [m2/s2]."""
         here = self._at(values)
+        times = np.linspace(0.0, final_time, N_INSTANTS)
+        if here.has_surface and here._force is not None:
+            heights = self.domain.lengths[0], min(self.level_at(values), self.domain.upper[1])
+            reach = np.array(heights) - (0.0, self.domain.lower[1])
+            pulls = [np.abs(here._force(self._samples.T, t)).max(axis=1) for t in times]
+            largest = float(np.max(pulls @ reach))
+            return largest if math.isfinite(largest) else 0.0
         drive, push = here._force, here._pushes.get(BODY_FORCE)
         if drive is None or push is None:  # an inflow is forced no more than it falls short
             return 0.0
@@ -532,7 +606,6 @@ class CustomScene(SceneSection):
             rows = field.reshape(2, N_SAMPLES + 1, -1)
             for axis in np.flatnonzero(self.domain.periodic):  # a mean presses on nothing there
                 rows[axis] -= rows[axis].mean(axis=1 - axis, keepdims=True)
-        times = np.linspace(0.0, final_time, N_INSTANTS)
         largest = float(np.dot(self.domain.lengths, np.abs(field).max(axis=1, initial=0.0)))
         largest *= float(np.abs([drive.amplitude(t) for t in times]).max())
         return largest if math.isfinite(largest) else 0.0  # else `problems` says so
@@ -543,8 +616,14 @@ class CustomScene(SceneSection):
             yield "inflow.ramp", f"takes {self.inflow_ramp:g} s, until time.final_time or longer"
         if self._force is not None:
             for time in np.linspace(0.0, final_time, N_INSTANTS):
-                if not math.isfinite(self._force.amplitude(time)):
-                    yield KEYS[next(iter(self._pushes))], f"is not finite at t = {time:.4g} s"
+                amplitude = self._force.amplitude(time)
+                if self.has_surface:
+                    amplitude = float(self._force(self._samples.T, time).sum())
+                if not math.isfinite(amplitude):
+                    yield (
+                        KEYS[next(iter(self._pushes), BODY_FORCE)],
+                        f"is not finite at t = {time:.4g} s",
+                    )
                     return
 
 

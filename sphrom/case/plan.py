@@ -32,6 +32,8 @@ from sphrom.sph.time_loop import TimeSteps
 if TYPE_CHECKING:
     from sphrom.case.models import Case
 
+SURFACE_CHANGE = 0.01
+"""Largest change of the density by its own weight, where the fluid has a free surface."""
 DENSITY_CHANGE = 0.03
 """Largest change of the density, over its own, by the body force or by friction at walls."""
 CORNER_PRESSURE = 2.5
@@ -82,7 +84,10 @@ class Plan:
     @cached_property
     def n_particles(self) -> int:
         """The number of particles that the scene is filled with."""
-        return self._case.scene.domain.n_particles(self.particle_spacing)
+        scene = self._case.scene
+        if scene.has_surface:
+            return max(len(scene.fill(self.particle_spacing, v)) for v in self._settings)
+        return scene.domain.n_particles(self.particle_spacing)
 
     @cached_property
     def n_ghosts(self) -> int:
@@ -104,6 +109,8 @@ class Plan:
     def packed(self) -> bool:
         """Whether particles are packed before they start, not on a lattice."""
         asked = self._case.discretization.initial_particles
+        if self._case.scene.has_surface:
+            return asked == "packed"
         return not self.walls_fit_lattice if asked == "auto" else asked == "packed"
 
     @cached_property
@@ -144,7 +151,8 @@ class Plan:
     @cached_property
     def sound_speed(self) -> float:
         """c0 [m/s], the same at all points: that of the Mach number, or more for larger heads."""
-        least = math.sqrt(self.largest_head / DENSITY_CHANGE)
+        change = SURFACE_CHANGE if self._case.scene.has_surface else DENSITY_CHANGE
+        least = math.sqrt(self.largest_head / change)
         return max(self.max_speed / self._case.fluid.mach_number, least)
 
     @cached_property
@@ -215,8 +223,9 @@ class Plan:
             shifting_as_printed=section.shifting.form == "paper",
             shifting_transport=section.shifting.transport,
             fixed_volume=section.fixed_volume,
-            no_slip=section.walls.no_slip,
+            no_slip="free" if self._case.scene.free_slip else section.walls.no_slip,
             wall_continuity=section.walls.continuity,
+            free_surface=self._case.scene.has_surface,
         )
 
     def flow(self, point: ParameterPoint) -> Scene:

@@ -110,6 +110,15 @@ class SceneSection(Section):
         return math.inf
 
     @property
+    def free_slip(self) -> bool:
+        """Whether fluid slips along walls without friction."""
+        return False
+
+    def fill(self, particle_spacing: float, values: Mapping[str, float] = NONE) -> Array:
+        """Return where particles on a lattice start (n_particles, 2) [m], at parameters' values."""
+        return self.domain.fill(particle_spacing)
+
+    @property
     def porous_way(self) -> float:
         """The integral of 1/k along the fluid's way through porous bodies [1/m]."""
         return 0.0

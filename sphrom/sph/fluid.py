@@ -90,12 +90,14 @@ class Discretization:
     """Read Eq. 2.14 as printed, with the exponent outside of the bracket."""
     shifting_transport: Literal["advective", "paper"] = "advective"
     """What shifting carries: differences, by a particle's own velocity, or as printed."""
-    no_slip: Literal["linear", "whole", "paper"] = "linear"
+    no_slip: Literal["linear", "whole", "paper", "free"] = "linear"
     """Ghosts' velocity: extrapolated from each particle, twice the wall's less the fluid's, or its
-    tangential part turned round."""
+    tangential part turned round; free slip turns its normal part round."""
     wall_continuity: Literal["adjoint", "normal", "paper"] = "adjoint"
     """Walls in continuity: the transpose of their pressure force, or the ghosts' velocities, along
     the wall's normal only, or as those of fluid."""
+    free_surface: bool = False
+    """Whether ghosts beside the surface, or above it, count as far as fluid is beside them."""
     fixed_volume: bool = False
     """Whether the mean of continuity is taken out, so that volumes keep filling the domain."""
 

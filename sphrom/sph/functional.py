@@ -156,6 +156,8 @@ class Functional:
             sweeps.gather(near.particle, near.image, along, advection.FIRST, source)
             slopes = np.empty((along.shape[1], 3, 2))
             advection.regularity_and_gradients(*arguments, slopes)
+        if self.discretization.free_surface:
+            self._settle_spray(regular)
         moving = regular[sweeps.OWN_SHIFT_U : sweeps.OWN_SHIFT_V + 1]
         if walls is not None and self.discretization.shifting:
             moving = self._held_back(moving, walls)
@@ -164,6 +166,13 @@ class Functional:
         if walls is not None and self.discretization.acoustic_damping > 0.0:
             walls.damp(source[sweeps.PRESSURE])
         return source, walls, force, regular, moving, slopes
+
+    def _settle_spray(self, regular: Array) -> None:
+        """Set to zero, in place, what no neighbours or those on one line leave undetermined."""
+        regular[~np.isfinite(regular)] = 0.0
+        steepest = DENSITY_LIMIT * self.fluid.reference_density
+        slope = regular[sweeps.OWN_GRADIENT_X : sweeps.OWN_GRADIENT_Y + 1]
+        slope[:, np.hypot(*slope) * self.discretization.smoothing_length > steepest] = 0.0
 
     def _held_back(self, shifting: Array, walls: WallTerms) -> Array:
         """Limit what carries fields beside walls, in place, and return what particles move with.

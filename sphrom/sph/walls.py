@@ -23,6 +23,8 @@ from sphrom.sph.polygons import jutting_corners
 
 CLOSEST, TOUCHING, FELT = 0.25, 0.5, 1.5
 """Distances from a wall over the spacing: nothing moves closer; the first layer's; the second's."""
+SHARE_SLOPE = 0.78
+"""Integral of the kernel along a line through its centre, times the smoothing length."""
 NEAREST = 0.5
 """Least distance from a wall, over the spacing, that velocities are extrapolated from."""
 
@@ -71,13 +73,41 @@ class GhostParticles:
             self._depth = ghost_depths(domain, walls.position, discretization)
         self._mass = fluid.reference_density * spacing**2
         self._position = np.ascontiguousarray(walls.position.T)
+        self._inverse_length = 1.0 / discretization.smoothing_length
         # Walls that follow no axis are as corners are: normal to both.
         normal = np.ones_like(walls.position) if walls.normal is None else walls.normal
         self._normal = np.ascontiguousarray(normal.T)
+        self._into_fluid = domain.distance_and_normal(walls.position)[1].T
         # Fluid may have left the box along a periodic axis since it was last wrapped.
         margin = discretization.support_radius + 2.0 * MOVE_RATIO * spacing
         self._near = sort_sources(self._position, domain, margin, spacing)
-        self._inverse_length = 1.0 / discretization.smoothing_length
+        self._full_weights = (
+            self._weights_beside_all(domain) if discretization.free_surface else None
+        )
+
+    def _weights_beside_all(self, domain: Domain) -> Array:
+        """Return the sum of the kernel (n_ghosts,) [1/m2] where fluid fills the whole domain."""
+        spacing, reach = self.discretization.particle_spacing, self.discretization.support_radius
+        lattice = np.ascontiguousarray(domain.fill(spacing).T)
+        near = sort_sources(lattice, domain, reach, spacing)
+        source = np.zeros((wall_sweeps.N_GHOST_ROWS, near.particle.size))
+        gather(near.particle, near.image, lattice, X, source)
+        means = np.empty((5, self._position.shape[1]))
+        search = near.grid, near.cell_start, reach, self._inverse_length
+        ghost_fields.ghost_means(self._position, source, *search, means)
+        return means[3]
+
+    def _below_surface(self, weights: Array) -> Array | float:
+        """Return the share (n_ghosts,) of ghosts' cells that is below the free surface.
+
+        The share of the kernel's sum rises through it by SHARE_SLOPE over a smoothing length.
+        """
+        if self._full_weights is None:
+            return 1.0
+        share = np.zeros_like(weights)
+        np.divide(weights, self._full_weights, out=share, where=self._full_weights > 0.0)
+        rows = self.discretization.smoothing_length / self.discretization.particle_spacing
+        return np.clip(0.5 + (share - 0.5) * rows / SHARE_SLOPE, 0.0, 1.0)
 
     @property
     def search(self) -> Search:
@@ -113,6 +143,8 @@ class GhostParticles:
             ghost_fields.ghost_heads(self._position, source, force, weights, *search, head)
             fluctuation = fluctuation + fluctuation_of(head, self.fluid.sound_speed)
         volume = volume_of(fluctuation, self.fluid.reference_density, self._mass)
+        if self._full_weights is not None:
+            volume = volume * self._below_surface(weights)
         fields = np.zeros((wall_sweeps.N_GHOST_ROWS, fluctuation.size))
         fields[:2] = self._position
         fields[wall_sweeps.DENSITY] = fluctuation
@@ -135,6 +167,12 @@ class GhostParticles:
             return wall
         if self.discretization.no_slip == "whole":
             return 2.0 * wall - mean
+        if self.discretization.no_slip == "free":
+            if self.walls.normal is None:
+                return (
+                    mean - 2.0 * np.sum((mean - wall) * self._into_fluid, axis=0) * self._into_fluid
+                )
+            return mean - 2.0 * self._normal * (mean - wall)
         # As printed: walls at rest turn the tangential part round, moving ones keep their speed.
         corner = self._normal.all(axis=0)
         mirrored = np.where(corner, -mean, (2.0 * self._normal - 1.0) * mean)

@@ -12,7 +12,7 @@ from sphrom.artifacts import Artifact, read_record
 from sphrom.artifacts.records.reduced_models import Starts
 from sphrom.artifacts.records.runs import Start
 from sphrom.case.points import ParameterPoint
-from sphrom.sph.fluid import fluctuation_of
+from sphrom.sph.fluid import NONE, Factors, fluctuation_of
 from sphrom.store.trained_models import read_points
 from sphrom.store.workspace import Workspace
 
@@ -20,14 +20,14 @@ Fields = tuple[Array, Array]
 """Density fluctuation (n_points,) [kg/m3] and velocity (n_points, 2) [m/s]."""
 
 
-def initial_positions(workspace: Workspace) -> Array:
-    """Return where particles start (n_particles, 2) [m].
+def initial_positions(workspace: Workspace, values: Factors = NONE) -> Array:
+    """Return where particles start (n_particles, 2) [m], at values of the scene's parameters.
 
     Raises ArtifactError when they have to be packed first.
     """
     case = workspace.case
     if not case.plan.packed:
-        return case.scene.domain.fill(case.plan.particle_spacing)
+        return case.scene.fill(case.plan.particle_spacing, values)
     with workspace.open(workspace.packing()) as artifact:
         return np.asarray(artifact.read("position"))
 
@@ -45,7 +45,7 @@ def start(workspace: Workspace, point: ParameterPoint) -> Start:
 
 def scene_start(workspace: Workspace, point: ParameterPoint) -> Start:
     """Return the scene's state, from which a spin-up or a run without one starts."""
-    position = initial_positions(workspace)
+    position = initial_positions(workspace, point.factors)
     plan, flow = workspace.case.plan, workspace.case.plan.flow(point)
     density = fluctuation_of(flow.initial_pressure(position), plan.sound_speed)
     velocity = flow.initial_velocity(position)

@@ -31,7 +31,7 @@ ANYWHERE = {
     "low", "high", "from", "to",
     "lower", "upper", "centre", "polygon", "line", "translate", "distance", "velocity", "rotation",
     "constants", "body_force", "u", "v", "p", "box", "train", "test", "points", "sample",
-    "parameters", "training",
+    "parameters", "training", "level",
 }  # fmt: skip
 """Keys whose numbers may have either sign."""
 

@@ -82,8 +82,9 @@ def test_template_of_custom_shows_every_key_of_shapes_and_measures():
 
 
 def own_paths(kind):
-    """Return the keys that a case has unasked; it has no figures, and no inflow."""
-    return [path for path in key_paths(kind=kind) if not {"figures", "inflow"} & {*path[:-1]}]
+    """Return the keys that a case has unasked; it has no figures, no inflow and no surface."""
+    paths = [path for path in key_paths(kind=kind) if not {"figures", "inflow"} & {*path[:-1]}]
+    return [path for path in paths if path[:2] != ("scene", "fluid")]
 
 
 EXAMPLES = {"name": True, "parameters": True, "rom": True, "sweep": {"reynolds"}}

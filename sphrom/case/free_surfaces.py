@@ -1,0 +1,120 @@
+"""Fluid with a free surface: where it is at rest, and the accelerations that act on it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+import shapely
+from pydantic import Field, model_validator
+from shapely.geometry.base import BaseGeometry
+
+from sphrom.arrays import Array
+from sphrom.case.expressions import Expression
+from sphrom.case.fields import Duration, Place, Section, key, only_one
+from sphrom.case.resistances import Value
+from sphrom.case.shapes import CircleSection, RectangleSection, ShapeSection
+from sphrom.scenes.flows import Drive
+from sphrom.sph.domain import Domain
+
+OF_SURFACES: Mapping[str, Any] = {
+    "discretization": {
+        "acoustic_damping": 0.0,
+        "fixed_volume": False,
+        "viscosity": "paper",
+        "shifting": {"enabled": False},
+    }
+}
+"""Defaults of other sections for scenes with a free surface.
+
+The damper would take the divergence that sums over a cut support see at the surface for sound. Only
+the viscous forces along pairs are consistent there (Colagrossi et al., Phys. Rev. E 84, 2011).
+"""
+
+
+SHAPES = "level", "circle", "rectangle", "polygon"
+"""The keys that say where the fluid is, of which a case has one."""
+
+
+class SurfaceFluidSection(Section):
+    """Fluid that fills part of the box, below a level or within a shape."""
+
+    level: Value | None = key(
+        None, "height y of the surface at rest, a number or an expression of constants", unit="m"
+    )
+    circle: CircleSection | None = key(None, "a circle that fluid fills")
+    rectangle: RectangleSection | None = key(None, "a rectangle along the axes that fluid fills")
+    polygon: Annotated[tuple[Place, ...], Field(min_length=3)] | None = key(
+        None, "corners of a polygon that fluid fills, in their order", unit="m"
+    )
+    gravity: Duration = key(9.81, "acceleration along -y", unit="m/s2")
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> SurfaceFluidSection:
+        only_one(self, SHAPES)
+        return self
+
+    def geometry(self) -> BaseGeometry:
+        """Return the polygon of a shape [m]. Raises ValueError where it is none."""
+        kind = only_one(self, SHAPES)
+        return ShapeSection.model_validate({kind: getattr(self, kind)}).geometry()
+
+    def fill(self, domain: Domain, particle_spacing: float, level: float) -> Array:
+        """Return the points (n_particles, 2) [m] of the domain's lattice that fluid is at.
+
+        Parameters
+        ----------
+        level : of the surface at rest [m]; not used for a shape.
+        """
+        points = domain.fill(particle_spacing)
+        if self.level is not None:
+            return points[points[:, 1] < level]
+        return points[shapely.contains_xy(self.geometry(), *points.T)]
+
+
+@dataclass(frozen=True)
+class SurfaceForce(Drive):
+    """Gravity and a body force whose components change with time in their own ways.
+
+    `field` is its value at the start, and `amplitude` is one.
+    """
+
+    parts: tuple[Expression, ...] = ()
+    """Components of the body force, in x, y and t."""
+    gravity: float = 0.0
+    """Along -y [m/s2]."""
+
+    @classmethod
+    def of(cls, parts: tuple[Expression, ...], gravity: float) -> SurfaceForce:
+        """Return the acceleration of a body force's components and of gravity [m/s2]."""
+        found = cls(lambda at: found(at, 0.0), lambda time: 1.0, None, True, parts, gravity)
+        return found
+
+    def __call__(self, position: Array, time: float) -> Array:
+        """Return the acceleration (2, n_particles) [m/s2]."""
+        out = np.empty_like(position)
+        for row, part in zip(out, self.parts, strict=True):
+            row[:] = part(x=position[0], y=position[1], t=time)
+        out[1] -= self.gravity
+        return out
+
+
+def hydrostatic(
+    start: Callable[[Array], Array], level: float, weight: float
+) -> Callable[[Array], Array]:
+    """Return a start whose pressure has that of fluid at rest below a level [m] added to it.
+
+    Parameters
+    ----------
+    start : from positions (n_points, 2) [m], velocity and pressure (n_points, 3).
+    weight : density times gravity [N/m3].
+    """
+
+    def at(position: Array) -> Array:
+        fields = start(position)
+        fields[:, 2] += weight * (level - position[:, 1])
+        return fields
+
+    return at
