@@ -32,6 +32,7 @@ from sphrom.case.study_sections import FULL, ErrorFigure, FieldFigure, ModeFigur
 from sphrom.case.yaml_reader import Problem
 from sphrom.errors import CaseError
 from sphrom.kernels import SUPPORT_RATIO
+from sphrom.sph.box_domain import WHOLE_TOLERANCE
 from sphrom.sph.fluid import ROUNDING
 from sphrom.text import exact, nearest, repeated
 
@@ -139,7 +140,18 @@ def _check_geometry(case: Case) -> Found:
         reason = f"a spacing of {plan.particle_spacing:g} m doesn't divide all lengths of the scene"
         nearest_one = nearest_fitting_resolution(case) or "none that is near"
         yield "discretization.resolution", f"{reason}; {nearest_one} does"
-    if plan.walls_fit_lattice and plan.packed:
+    for level in sorted({case.scene.level_at(dict(point.others)) for point in plan.points}):
+        rows = (level - domain.lower[1]) / plan.particle_spacing
+        if math.isfinite(level) and abs(rows - round(rows)) > WHOLE_TOLERANCE:
+            nearest_level = domain.lower[1] + max(1, round(rows)) * plan.particle_spacing
+            reason = f"rows of particles {plan.particle_spacing:g} m apart don't end at {level:g} m"
+            yield "scene.fluid.level", f"{reason}; they do at {nearest_level:g} m"
+    if case.scene.has_surface and not plan.n_particles:
+        yield "scene.fluid", "no particle is in it; raise discretization.resolution"
+    if case.scene.has_surface and section.initial_particles == "packed":
+        reason = "fluid with a free surface starts on a lattice; leave initial_particles out"
+        yield "discretization.initial_particles", reason
+    elif plan.walls_fit_lattice and plan.packed:
         reason = f"a scene of kind {case.scene.kind} has walls, which only a lattice fits"
         yield "discretization.initial_particles", reason
     for key, field in () if domain.has_walls else type(section.walls).model_fields.items():

@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import curve_fit
 
+from sphrom.case.checks import case_problems
 from sphrom.case.models import Case
 from sphrom.errors import UnstableError
 from sphrom.setup import particles
@@ -116,3 +117,18 @@ def test_a_lonely_particle_flies_and_what_leaves_the_box_is_named() -> None:
 def test_what_makes_no_sense_is_refused(scene: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         tank(1.0, scene)
+
+
+@pytest.mark.parametrize(
+    ("fluid", "discretization", "message"),
+    [
+        ({"level": 0.53}, {}, "don't end at 0.53 m; they do at 0.5 m"),
+        ({"level": 0.5}, {"initial_particles": "packed"}, "starts on a lattice"),
+        ({"circle": {"centre": [0.5, 0.5], "radius": 0.001}}, {}, "no particle is in it"),
+    ],
+)
+def test_fluid_that_particles_cannot_fill_is_refused(
+    fluid: dict[str, Any], discretization: dict[str, Any], message: str
+) -> None:
+    problems = case_problems(tank(1.0, {"fluid": fluid}, **discretization))
+    assert any(message in problem.reason for problem in problems)
