@@ -7,9 +7,9 @@ from collections import Counter
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-LINES, MODULES, CODE_LINES = 38_500, 190, 23_050
+LINES, MODULES, CODE_LINES = 40_700, 200, 24_400
 """Ceilings of the package."""
-TEST_LINES = 24_750
+TEST_LINES = 25_850
 LARGEST_SHARE = 0.16
 """Of a package's lines in all."""
 LEFT_OUT = (ast.Import, ast.ImportFrom)
