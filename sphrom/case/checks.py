@@ -128,7 +128,7 @@ def _check_points(case: Case) -> Found:
 
 def _check_repeated(key: str, points: Iterable[ParameterPoint]) -> Found:
     for label in repeated(point.label for point in points):
-        yield key, f"{label} stands more than once"
+        yield key, f"{label} is listed more than once"
 
 
 def _check_geometry(case: Case) -> Found:

@@ -102,15 +102,15 @@ def test_outlines_of_files_are_part_of_the_case(load, tmp_path: Path, encoding: 
     ("content", "words"),
     [
         (None, "can't be read"),
-        ("[]", "must hold polygons; got []"),
-        ('{"type": "Point", "coordinates": [0, 0]}', "must hold polygons; got Point"),
-        ('{"type": "Polygon"}', "holds no polygon"),
+        ("[]", "must contain polygons; got []"),
+        ('{"type": "Point", "coordinates": [0, 0]}', "must contain polygons; got Point"),
+        ('{"type": "Polygon"}', "has no polygon"),
         ('{"type": "Polygon", "coordinates": [[[1,1,0],[2,1,0],[2,2,0],[1,1,0]]]}', "third"),
         ('{"type": "Polygon", "coordinates": [[[1,1],[2,2],[2,1],[1,2],[1,1]]]}', "not valid"),
         ("[" * 100_000, "part.geojson"),
-        (" " * (5 * 1024 * 1024), "larger than the 4 MiB that are read"),
+        (" " * (5 * 1024 * 1024), "larger than the limit of 4 MiB"),
         ('{"type": "Polygon", "coordinates": [[["1","a"],[2,1],[2,2],[1,1]]]}', "rings of points"),
-        ('{"type": "Polygon", "coordinates": [[[NaN,1],[2,1],[2,2],[1,1]]]}', "holds no polygon"),
+        ('{"type": "Polygon", "coordinates": [[[NaN,1],[2,1],[2,2],[1,1]]]}', "has no polygon"),
     ],
 )
 def test_files_that_hold_no_outline(
@@ -309,7 +309,7 @@ def test_a_case_that_measures_is_written_in_full_and_read_back(load) -> None:
 @pytest.mark.parametrize(
     ("strip", "solid", "words"),
     [
-        ([0, 1.4], bar(4, 1, 1, 1), "2 m or discretization.resolution: 86 would do"),
+        ([0, 1.4], bar(4, 1, 1, 1), "2 m, or discretization.resolution: 86"),
         ([0, 2.0], bar(4, 1, 1, 1), ""),
         ([0, 2.0], bar(0, 0, 6, 1), ""),  # a wall all along the strip
         ([0, 2.0], bar(1, 1, 1, 1), "scene.solids.a: is in the strip of the inflow"),
