@@ -34,7 +34,7 @@ from sphrom.declaration import SCHEMA_VERSION, Field, Record, fields_of_record, 
 from sphrom.errors import ArtifactError
 from sphrom.machine import computing_seconds
 from sphrom.version import __version__
-from sphrom.whole_files import TemporaryFile, Uncollected, explained, replacement
+from sphrom.whole_files import GarbageCollectionPaused, TemporaryFile, explained, replacement
 
 # The newest format that VTK's reader is known to read; its metadata have checksums.
 LIBVER = ("v110", "v110")
@@ -88,7 +88,7 @@ def create_artifact(
             file.discard()
             raise
         finally:
-            with Uncollected():
+            with GarbageCollectionPaused():
                 writer._streams.clear()
                 writer._hdf5.close()
 
@@ -103,7 +103,7 @@ class ArtifactWriter:
         self._started, self._computing = time.monotonic(), computing_seconds()
         self._streams: dict[str, Stream] = {}
         self._attributes: dict[str, Value] = {}
-        with Uncollected():
+        with GarbageCollectionPaused():
             self._hdf5 = h5py.File(file, "w", libver=LIBVER)
 
     def add_time(self, seconds: float) -> None:
@@ -274,7 +274,7 @@ def chunk_shape(field: Field, shape: Shape) -> Shape | None:
     return (min(shape[0], max(1, CHUNK_BYTES // row_bytes)), *shape[1:])
 
 
-class _Guard(Uncollected):
+class _Guard(GarbageCollectionPaused):
     """Raises an error of the file beneath HDF5 as an ArtifactError.
 
     It is a class, because an interrupt before it is entered would make a generator raise too.

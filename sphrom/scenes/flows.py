@@ -45,7 +45,7 @@ class Scales:
 
 
 @dataclass(frozen=True)
-class Drive:
+class BodyForce:
     """A body force that is one field times an amplitude in time."""
 
     field: Callable[[Array], Array]
@@ -74,7 +74,7 @@ class Channel:
 class Scene(ABC):
     """A flow to simulate, in SI units; positions are (n_particles, 2) unless stated otherwise."""
 
-    body_force: Drive | None = None
+    body_force: BodyForce | None = None
     """The driving body force, if any."""
     resistance: Resistance | None = None
     """The resistance that slows the fluid, if any."""
@@ -122,7 +122,7 @@ class CustomFlow(Scene):
     """Velocities [m/s] of moving walls at places on them, by the walls' names."""
     start: Callable[[Array], Array]
     """Velocity [m/s] and pressure [Pa] (n_points, 3) at positions (n_points, 2) [m]."""
-    body_force: Drive | None = None
+    body_force: BodyForce | None = None
     resistance: Resistance | None = None
 
     @property
@@ -332,9 +332,9 @@ class OpenCavity(Scene):
         return BoxDomain((0.0, 0.0), self.channel.upper, (True, False), parts)
 
     @property
-    def body_force(self) -> Drive:  # type: ignore[override]
+    def body_force(self) -> BodyForce:  # type: ignore[override]
         """The force of Eq. 4.5 above the cavity."""
-        return Drive(self._along_x_above, self.force)
+        return BodyForce(self._along_x_above, self.force)
 
     def _along_x_above(self, position: Array) -> Array:
         """Return (1, 0) [m/s2] at positions (2, n_particles) [m] above the cavity, else zero."""
