@@ -25,7 +25,7 @@ from sphrom.scenes.flows import Scene
 from sphrom.setup.assembly import field_measures
 from sphrom.sph.domain import Walls
 from sphrom.sph.fixed_points import FixedPoints
-from sphrom.sph.fluid import Drive, pressure_of
+from sphrom.sph.fluid import UnitForcing, pressure_of
 from sphrom.sph.functional import Functional
 from sphrom.sph.wall_forces import MeasuredWall, WallForces, measured_wall
 
@@ -116,7 +116,7 @@ def _rest_and_units(case: Case) -> tuple[Scene, dict[str, Scene]]:
         raise CaseError(f"parameters: drives at 0 and 1 make the operators: {error}") from error
 
 
-def drives(case: Case, position: Array) -> dict[str, Drive[Array]]:
+def drives(case: Case, position: Array) -> dict[str, UnitForcing[Array]]:
     """Return what each parameter gives walls' ghosts and points (n_points, 2) per unit."""
     at_rest, per_unit = _rest_and_units(case)
     ghosts, found = walls(case, at_rest), {}
@@ -129,7 +129,7 @@ def drives(case: Case, position: Array) -> dict[str, Drive[Array]]:
             force = of_flow(position.T) - of_rest(position.T)
         some = [part if part is not None and part.any() else None for part in (velocity, force)]
         if any(part is not None for part in some):
-            found[name] = Drive(*some)
+            found[name] = UnitForcing(*some)
     return found
 
 
