@@ -42,6 +42,7 @@ class ReferenceMap:
     points : (n_points, 2), the points to interpolate to [m].
     smoothing_length : of the kernel that weights particles [m].
     method : "shepard" or "mls" (moving least squares of second order).
+    partial : leaves what isn't finite where particles are too few.
     """
 
     def __init__(
@@ -52,11 +53,12 @@ class ReferenceMap:
         particle_spacing: float,
         smoothing_length: float,
         method: Literal["shepard", "mls"] = "mls",
+        partial: bool = False,
     ) -> None:
         self.domain = domain
         self.particle_spacing = particle_spacing
         self.smoothing_length = smoothing_length
-        self.method = method
+        self.method, self._partial = method, partial
         self._points = np.ascontiguousarray(domain.wrap(points).T)
         self._scratch = np.zeros((interpolation.N_CHUNKS, 90))
 
@@ -80,7 +82,7 @@ class ReferenceMap:
             interpolation.moving_least_squares(*search, self._scratch, out)
         else:
             interpolation.shepard(*search, out)
-        if not np.isfinite(out).all():
+        if not self._partial and not np.isfinite(out).all():
             number = int(np.flatnonzero(~np.isfinite(out).all(axis=0))[0])
             raise TooFewParticlesError(number, self._points[:, number], reach)
         return out[0], np.ascontiguousarray(out[1:].T)

@@ -19,7 +19,9 @@ from scipy.interpolate import BSpline
 
 from sphrom.arrays import Array
 from sphrom.declaration import Record, attribute
-from sphrom.errors import SphromError
+from sphrom.metrics.elevation import find_elevation
+
+__all__ = ["StreamSpace", "cosine_coordinates", "find_elevation"]
 
 DEGREE = 4
 """Of the splines."""
@@ -86,46 +88,6 @@ class StreamSpace(Record):
 
     def _along_y(self, y: Array, order: int) -> Array:
         return _splines(y, _breaks(self.bottom, self.top, self.n_rows), order)[:, 1:]
-
-
-def find_elevation(
-    position: Array, volume: Array, columns: Array, radius: float, walls: tuple[float, float, float]
-) -> Array:
-    """Return the heights (n_columns,) [m] where the particles' kernels sum up to one half.
-
-    Parameters
-    ----------
-    position, volume : (n_particles, 2) [m], (n_particles,) [m2].
-    columns : (n_columns,) [m], along x.
-    radius : of the kernel's support [m].
-    walls : left, right and bottom [m]; images of the particles complete the sums there.
-
-    Raises
-    ------
-    SphromError
-        If a column has no fluid or more than one surface; the message says where.
-    """
-    left, right, bottom = walls
-    mirrored = [position, position * [-1, 1] + [2 * left, 0], position * [-1, 1] + [2 * right, 0]]
-    points = np.concatenate(mirrored)
-    points = np.concatenate([points, points * [1, -1] + [0, 2 * bottom]])
-    volumes = np.tile(volume, 6)
-    heights = np.arange(bottom, position[:, 1].max() + radius, radius / 16)
-    out = np.empty(len(columns))
-    for number, x in enumerate(columns):
-        near = np.abs(points[:, 0] - x) < radius
-        offset = np.hypot(points[near, 0] - x, heights[:, None] - points[near, 1]) / radius
-        within = np.clip(1 - offset, 0, None)
-        kernel = 7 / (math.pi * radius**2) * within**4 * (1 + 4 * offset)
-        excess = kernel @ volumes[near] - 0.5
-        crossings = np.flatnonzero((excess[:-1] > 0) != (excess[1:] > 0))
-        if len(crossings) != 1 or excess[0] <= 0:
-            found = "no fluid" if excess.max() <= 0 else "more than one surface"
-            raise SphromError(f"The column x = {x:.4g} m has {found}.")
-        at = crossings[0]
-        share = excess[at] / (excess[at] - excess[at + 1])
-        out[number] = heights[at] + share * (heights[at + 1] - heights[at])
-    return out
 
 
 def cosine_coordinates(elevation: Array, n_cosines: int) -> Array:
