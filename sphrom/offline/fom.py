@@ -13,7 +13,7 @@ from sphrom.errors import UnstableError
 from sphrom.setup import assembly, particles
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import describe_cost, described_run, require_room
-from sphrom.setup.particles import MeasuredFields
+from sphrom.setup.particles import MeasuredParticles
 from sphrom.sph.packing import MAX_ITERATIONS, pack
 from sphrom.sph.time_loop import Clock, TimeSteps, march
 from sphrom.store.checkpoints import Checkpoints, integrate, remove_checkpoints
@@ -173,7 +173,7 @@ def _run_point(workspace: Workspace, point: ParameterPoint) -> None:
                     case.plan.sound_speed,
                     walls=particles.walls(case, case.plan.flow(point)),
                     forces=particles.wall_forces(case, point, functional),
-                    fields=MeasuredFields.of(case),
+                    fields=MeasuredParticles.of(case, point),
                 ),
                 advance,
                 checkpoints,

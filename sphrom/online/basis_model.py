@@ -41,7 +41,7 @@ from sphrom.setup.assembly import (
     amplitude_of,
     memory_length_of,
     output_times_of,
-    places_of,
+    scaled_parameters,
     sound_averages,
 )
 from sphrom.store.starts import Fields
@@ -72,7 +72,7 @@ class BasisModel:
     ----------
     section : the model in the case, with its number of modes.
     basis : the model's modes.
-    places : (n_points, n_parameters) of the training points, as `places_of` has them.
+    places : (n_points, n_parameters) of the training points, as `scaled_parameters` has them.
     modes : (n_modes,) their places among all modes of the basis.
     states : (n_states, n_modes) training states, around which steps have to be stable.
     n_integrated : modes that are integrated as long as training runs are.
@@ -84,7 +84,7 @@ class BasisModel:
         case, section = workspace.case, sized_in(workspace, section, name)
         self.workspace, self.section, self.name = workspace, section, name
         self.points = case.plan.bases[name]
-        self.places = places_of(case, self.points)
+        self.places = scaled_parameters(case, self.points)
         self._start = start
         self._last: tuple[Fields, tuple[Array, float]] | None = None
         whole = read_basis(workspace, name)
@@ -214,7 +214,9 @@ class BasisModel:
         return replace(found, leading=replace(leading, basis=self.basis))
 
     def _nearest(self, point: ParameterPoint) -> int:
-        distances = np.linalg.norm(self.places - places_of(self.workspace.case, [point]), axis=1)
+        distances = np.linalg.norm(
+            self.places - scaled_parameters(self.workspace.case, [point]), axis=1
+        )
         # Rounded: of points as near as each other, the first on any machine.
         return int(np.round(distances, 9).argmin())
 
@@ -264,7 +266,7 @@ class BasisModel:
         Of a training run that is `held_out`, the corrections are what the others give.
         """
         case = self.workspace.case
-        place, times = places_of(case, [point])[0], snapshot_times(case)
+        place, times = scaled_parameters(case, [point])[0], snapshot_times(case)
         added = {
             name: TimedLoads.of(times, learnt.held_out(place) if held_out else learnt.at(place))
             for name, learnt in self.force_corrections.items()
@@ -320,7 +322,7 @@ class BasisModel:
     def _added(self, point: ParameterPoint, held_out: bool = False) -> Array | None:
         """Return what is added to coordinates (n_trained_snapshots, n_modes), if anything is."""
         if self.correction is not None:
-            place = places_of(self.workspace.case, [point])[0]
+            place = scaled_parameters(self.workspace.case, [point])[0]
             return self.correction.held_out(place) if held_out else self.correction.at(place)
         if self.leading is None:
             return None

@@ -32,7 +32,7 @@ from sphrom.reduction.error_calibration import (
 from sphrom.reduction.held_out import UnheldShares
 from sphrom.reduction.reduced_operators import ResidualFactor, residual_norm
 from sphrom.reduction.reference_model import ReferenceModel
-from sphrom.setup.assembly import places_of
+from sphrom.setup.assembly import scaled_parameters
 from sphrom.store.trained_models import read_operators
 
 if TYPE_CHECKING:
@@ -167,7 +167,7 @@ def measured_errors(run: FastRun) -> dict[str, Quantities]:
     model, found = run.model.at_point(run.point), run.estimate
     if model.trained_errors is None or found is None:
         return {}
-    place = places_of(model.workspace.case, [run.point])[0]
+    place = scaled_parameters(model.workspace.case, [run.point])[0]
     variance = np.array(interpolation_variance(model.places, place))
     return {
         name: {q: known.at(variance, found.errors) for q, known in quantities.items()}
@@ -247,7 +247,7 @@ class TrainedErrors:
 
     def at(self, point: ParameterPoint) -> LocalErrorCalibration | None:
         """Return the fit at a parameter point."""
-        place = places_of(self._case, [point])[0]
+        place = scaled_parameters(self._case, [point])[0]
         return None if self.fitted is None else self.fitted.at(place)
 
     def residual(

@@ -14,7 +14,7 @@ from sphrom.reduction.particle_model import ParticleModel, reduced_jacobian
 from sphrom.reduction.trial_basis import mean_density_fluctuation, project
 from sphrom.setup import assembly, particles
 from sphrom.setup.assembly import memory_length_of
-from sphrom.setup.particles import MeasuredFields
+from sphrom.setup.particles import MeasuredParticles
 from sphrom.sph.time_loop import TimeSteps
 from sphrom.store.checkpoints import Checkpoints, integrate
 from sphrom.store.starts import start
@@ -103,7 +103,7 @@ def run_point(workspace: Workspace, model: ReducedModelSection, point: Parameter
             separate_mean=reduced.separate_mean,
             walls=None if ghosts is None else ghosts.walls,
             forces=particles.wall_forces(case, point, reduced.functional),
-            fields=MeasuredFields.of(case),
+            fields=MeasuredParticles.of(case, point),
         )
         with checkpoints.progress(f"{model.name}, {point.label}", n_steps) as advance:
             try:

@@ -31,7 +31,7 @@ def run(context: StageContext) -> None:
     for model, point in runs:
         target = ensure_run(workspace, model, point)
         remove_checkpoints(target)
-        with workspace.open_aside(target) as trajectory:  # looked through once, not twice
+        with workspace.open_intermediate(target) as trajectory:  # looked through once, not twice
             if trajectory.text("status") != "complete":
                 detail = trajectory.text("status_detail")
                 unstable.append(f"{model.name}, {point.label}: {detail}")

@@ -20,16 +20,14 @@ from scipy.interpolate import BSpline
 
 from sphrom.arrays import Array
 from sphrom.declaration import Record, attribute
-from sphrom.errors import SphromError
+from sphrom.metrics.elevation import find_elevation
+
+__all__ = ["StreamSpace", "cosine_coordinates", "find_elevation"]
 
 DEGREE = 4
 """Of the splines."""
 SMOOTHING = 1.25e-7
 """Weight of the penalty, over the square of the box's area."""
-
-
-STEPS_ALONG, STEPS_BETWEEN = 4, 5
-"""Of heights in a kernel's radius where surfaces are searched, and points of a step with one."""
 
 
 class StreamSpace(Record):
@@ -116,52 +114,6 @@ def _penalty(space: StreamSpace) -> Array:
         products = [(along_x.T * x_weights) @ along_x, (along_y.T * y_weights) @ along_y]
         total = total + math.comb(3, order) * np.kron(*products)
     return SMOOTHING * space.width * (space.top - space.bottom) * np.asarray(total)
-
-
-def find_elevation(
-    position: Array, volume: Array, columns: Array, radius: float, walls: tuple[float, float, float]
-) -> Array:
-    """Return the heights (n_columns,) [m] where the particles' kernels sum up to one half.
-
-    Parameters
-    ----------
-    position, volume : (n_particles, 2) [m], (n_particles,) [m2].
-    columns : (n_columns,) [m], along x.
-    radius : of the kernel's support [m].
-    walls : left, right and bottom [m]; images of the particles complete the sums there.
-
-    Raises
-    ------
-    SphromError
-        If a column has no fluid or more than one surface; the message says where.
-    """
-    left, right, bottom = walls
-    mirrored = [position, position * [-1, 1] + [2 * left, 0], position * [-1, 1] + [2 * right, 0]]
-    points = np.concatenate(mirrored)
-    points = np.concatenate([points, points * [1, -1] + [0, 2 * bottom]])
-    volumes = np.tile(volume, 6)
-    heights = np.arange(bottom, position[:, 1].max() + radius, radius / STEPS_ALONG)
-    out = np.empty(len(columns))
-    for number, x in enumerate(columns):
-        near = np.abs(points[:, 0] - x) < radius
-        fluid = points[near] - [x, 0.0], volumes[near], radius
-        excess = _filled(heights, *fluid) - 0.5
-        crossings = np.flatnonzero((excess[:-1] > 0) != (excess[1:] > 0))
-        if len(crossings) != 1 or excess[0] <= 0:
-            found = "no fluid" if excess.max() <= 0 else "more than one surface"
-            raise SphromError(f"The column x = {x:.4g} m has {found}.")
-        fine = heights[crossings[0]] + np.linspace(0.0, radius / STEPS_ALONG, STEPS_BETWEEN)
-        excess = _filled(fine, *fluid) - 0.5
-        out[number] = np.interp(0.0, -excess, fine)
-    return out
-
-
-def _filled(heights: Array, points: Array, volume: Array, radius: float) -> Array:
-    """Return the particles' kernel sums (n_heights,) at heights [m] on the line x = 0."""
-    offset = np.hypot(points[:, 0], heights[:, None] - points[:, 1]) / radius
-    within = np.clip(1 - offset, 0, None)
-    kernel = 7 / (math.pi * radius**2) * within**4 * (1 + 4 * offset)
-    return np.asarray(kernel @ volume)
 
 
 def cosine_coordinates(elevation: Array, n_cosines: int) -> Array:

@@ -104,7 +104,7 @@ class Checkpoints:
     def snapshots(self) -> Iterator[Item]:
         """Read back the snapshots that were done before."""
         for number in range(1, 1 + self._book.n_parts):
-            with self._workspace.open_aside(self._part(number)) as part:
+            with self._workspace.open_intermediate(self._part(number)) as part:
                 for i in range(part.length("step")):
                     yield {name: part.dataset(name)[i] for name in part.datasets}
 
@@ -149,14 +149,14 @@ class Checkpoints:
 
     def _latest(self) -> Checkpoint:
         """Return what is there. Raises ArtifactError unless it is whole, with all its parts."""
-        with self._workspace.open_aside(self._state) as artifact:
+        with self._workspace.open_intermediate(self._state) as artifact:
             artifact.verify_content()
             kept = read_record(artifact, Checkpoint)
         for number in range(1, kept.n_parts + 1):
             target = self._part(number)
             if not target.path.exists():
                 raise ArtifactError(f"{target.path} is missing; `--force` starts anew")
-            with self._workspace.open_aside(target) as part:
+            with self._workspace.open_intermediate(target) as part:
                 part.verify_content()
                 if part.number("number") != number:
                     raise ArtifactError(f"{target.path} is another part; `--force` starts anew")
@@ -228,7 +228,9 @@ class Checkpoints:
         n_parts = book.n_parts + (n_pending > 0)
         if n_pending:
             items = book.pending[:n_pending]
-            with self._workspace.create_aside(self._part(n_parts), {"number": n_parts}) as artifact:
+            with self._workspace.create_intermediate(
+                self._part(n_parts), {"number": n_parts}
+            ) as artifact:
                 for name in items[0]:
                     artifact.write(name, np.array([item[name] for item in items]))
         kept = Checkpoint(
@@ -242,7 +244,7 @@ class Checkpoints:
             seconds=run_state.seconds,
             wall_seconds=self._artifact.age,
         )
-        with self._workspace.create_aside(self._state) as artifact:
+        with self._workspace.create_intermediate(self._state) as artifact:
             write_record(artifact, kept)
         self._book = _Book(kept.step, n_parts, book.pending[n_pending:])
         self._pending_bytes = 0
