@@ -100,7 +100,7 @@ def prepared(context: StageContext, models: Sequence[ReducedModelSection]) -> Wo
     for target in (workspace.basis(), workspace.splines()):
         workspace.require(target)
     wider = replace(context, case=own.model_copy(update={"rom": (*own.rom, *models)}))
-    parts = ("reference_bases", "memory_models", "taught_bases")
+    parts = ("reference_bases", "memory_models", "corrected_bases")
     if any(getattr(wider.case.plan, part) != getattr(own.plan, part) for part in parts):
         wider = replace(wider, folders={"operators": context.out / FOLDER})
         operators.run(_own_context(wider))
