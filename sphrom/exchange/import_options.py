@@ -56,7 +56,7 @@ class ImportOptions:
     ] = None
     start: Annotated[float, _option("TIME", "Start of the case; earlier files are left out.")] = 0.0
     seconds: Annotated[
-        float | None, _option("SECONDS", "Wall-clock time of the run, to compute speed-ups.")
+        float | None, _option("SECONDS", "Wall-clock time of the run, shown beside the model's.")
     ] = None
 
     def __post_init__(self) -> None:
