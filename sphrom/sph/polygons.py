@@ -108,7 +108,6 @@ def require_few_crossings(shapes: Iterable[BaseGeometry]) -> None:
     one, other = shapely.STRtree(every).query(every)
     # Shapes apart from all others do not cross any.
     start, end = (corners.T for corners in edges_of(every[np.unique(one[one != other])]))
-    start, end = (corners.T for corners in edges_of(found[np.unique(one[one != other])]))
     chosen = np.random.default_rng(0).permutation(start.shape[1])[:N_EDGES]
     n_crossings = 0
     for edge in chosen:
