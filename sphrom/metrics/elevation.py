@@ -54,7 +54,7 @@ class Filling:
             self._left = np.maximum(1.0 - taken, LEAST_LEFT)
 
     def __call__(self, position: Array, volume: Array) -> Array:
-        """Return shares (n_points,) for particles at (n_particles, 2) [m] of (n_particles,) [m2]."""
+        """Return the shares (n_points,), given positions (n_particles, 2) [m] and volumes [m2]."""
         return self._sums(position, volume) / self._left
 
     def _sums(self, position: Array, volume: Array) -> Array:
