@@ -102,6 +102,11 @@ class SceneSection(Section):
         """Whether the fluid has a free surface."""
         return False
 
+    @property
+    def gravity(self) -> float:
+        """The acceleration along -y of fluid with a free surface [m/s2]."""
+        return 0.0
+
     def level_at(self, values: Mapping[str, float] = NONE) -> float:
         """Return the height y of a level free surface at rest [m], else infinity.
 

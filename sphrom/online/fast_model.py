@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from sphrom.arrays import Array
 from sphrom.case.hints import beyond_training, extrapolation
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.errors import CaseError, UnstableError
+from sphrom.errors import UnstableError
 from sphrom.metrics.measures import Quantities, items
 from sphrom.metrics.samples import Samples
 from sphrom.online.basis_model import BasisModel, quantities_of
@@ -39,10 +40,12 @@ DOUBTFUL = 50.0
 def fast_model(workspace: Workspace, section: ReducedModelSection) -> FastModel:
     """Return a model that is run without particles.
 
-    Raises CaseError for a scene with a free surface, where no such model is known.
+    Where the fluid has a free surface it is a `sphrom.online.surface_model.SurfaceModel`.
     """
     if workspace.case.scene.has_surface:
-        raise CaseError(f"rom: {section.name} can't be had with a free surface")
+        from sphrom.online.surface_model import SurfaceModel
+
+        return cast(FastModel, SurfaceModel(workspace, section))
     return FastModel(workspace, section)
 
 

@@ -42,6 +42,11 @@ class StreamSpace(Record):
         """Distance between the walls [m]."""
         return self.right - self.left
 
+    @property
+    def n_coefficients(self) -> int:
+        """The number of splines."""
+        return (self.n_columns + DEGREE - 2) * (self.n_rows + DEGREE - 1)
+
     def derivatives(self, points: Array, *orders: tuple[int, int]) -> list[Array]:
         """Return matrices (n_points, n_coefficients) of derivatives along x and y at points."""
         along_x = {k: self._along_x(points[:, 0], k) for k in {k for k, _ in orders}}

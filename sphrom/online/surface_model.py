@@ -1,0 +1,256 @@
+"""Models of flows with a free surface at any parameters, and their runs.
+
+`SurfaceModel` and `SurfaceRun` are for such scenes what `sphrom.online.fast_model` has for others,
+with the same members. They have no estimates of errors.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from sphrom.arrays import Array
+from sphrom.case.hints import beyond_training, extrapolation
+from sphrom.case.points import ParameterPoint
+from sphrom.case.scene_section import MeasureSection
+from sphrom.case.sections import ALL, ReducedModelSection
+from sphrom.errors import UnstableError
+from sphrom.machine import seconds_of
+from sphrom.metrics.measures import Quantities
+from sphrom.metrics.samples import Samples, grid_points
+from sphrom.reduction.graph_model import GraphModel, GraphRun
+from sphrom.reduction.polynomial_model import OutputTimes
+from sphrom.reduction.stream_functions import find_elevation
+from sphrom.setup.assembly import field_measures, run_attributes, surface_columns, uniform_force
+from sphrom.sph.fluid import ROUNDING, volume_of
+from sphrom.store.starts import start
+from sphrom.store.surfaces import dried, read_surface_basis, read_trained
+from sphrom.store.trajectory import field_datasets, force_datasets, write_positions
+from sphrom.store.workspace import Workspace
+
+N_TIMED = 5
+"""Repetitions of a run, to time it."""
+
+
+@dataclass(frozen=True)
+class SurfaceModelAt:
+    """A model at a parameter point, with the start and the snapshots of its runs."""
+
+    graph: GraphModel
+    start: Array
+    """(n_modes + n_surface,)."""
+    output_times: OutputTimes
+
+    def run(self) -> GraphRun:
+        """Return a run."""
+        return self.graph.run(self.output_times.time, self.start)
+
+
+class SurfaceModel:
+    """One model of a flow with a free surface: built and run at any parameters."""
+
+    def __init__(self, workspace: Workspace, section: ReducedModelSection) -> None:
+        self.workspace = workspace
+        self.section, self._trained = read_trained(workspace, section)
+        basis = read_surface_basis(workspace)
+        self._basis = basis.reduced(self.section.size, self._trained.n_surface)
+        self._starts: dict[object, Array] = {}
+
+    def basis_at(self, point: ParameterPoint) -> str:
+        """Return the name of the model's basis."""
+        return ALL
+
+    def at(self, point: ParameterPoint) -> SurfaceModelAt:
+        """Return the model at a parameter point."""
+        plan = self.workspace.case.plan
+        graph = self._trained.model(
+            self._basis,
+            plan.depth(point),
+            self.workspace.case.scene.gravity,
+            plan.kinematic_viscosity(point),
+            uniform_force(self.workspace.case, point),
+            calibrated=self.section.is_calibrated,
+        )
+        steps = plan.model_steps(self.section)
+        times = OutputTimes(steps.snapshot_interval, steps.n_snapshots, steps.start_time)
+        return SurfaceModelAt(graph, self._start(point), times)
+
+    def _start(self, point: ParameterPoint) -> Array:
+        """Return the coordinates that runs at a point start from."""
+        case, space = self.workspace.case, self._basis.space
+        begin, spun_up = case.plan.start_point(point), case.time.spin_up > 0.0
+        own = ((n, v) for n, v in begin.factors.items() if case.scene.starts_by(n))
+        key = begin if spun_up else tuple(own)
+        if key not in self._starts:
+            state, columns = start(self.workspace, begin), surface_columns(case)
+            level = case.scene.level_at(begin.factors)
+            elevation = np.full_like(columns, level)
+            if spun_up or not math.isfinite(level):
+                elevation = find_elevation(
+                    state.position,
+                    volume_of(state.density_fluctuation, case.fluid.reference_density, case.plan.mass),
+                    columns,
+                    2.0 * case.plan.smoothing_length,
+                    (space.left, space.right, space.bottom),
+                )
+            coefficients, _ = space.fit(state.position, state.velocity)
+            self._starts[key] = self._basis.project(coefficients[None], elevation[None])[0]
+        return self._starts[key]
+
+    def run(self, point: ParameterPoint, reduced: SurfaceModelAt | None = None) -> SurfaceRun:
+        """Run the model at a parameter point; `reduced` may have other output times."""
+        reduced = reduced or self.at(point)
+        return SurfaceRun(self, point, reduced, reduced.run())
+
+    def timed(self, point: ParameterPoint, repeats: int) -> tuple[SurfaceRun, float]:
+        """Return a run, and the least time that some took [s]."""
+        reduced = self.at(point)
+        run = self.run(point, reduced)
+        return run, min(seconds_of(reduced.run) for _ in range(repeats))
+
+    def runner(self, point: ParameterPoint) -> Callable[[], object]:
+        """Return what makes one run at a parameter point, to be timed."""
+        return self.at(point).run
+
+    def trained_differences(
+        self, points: Sequence[ParameterPoint]
+    ) -> list[tuple[Array, dict[str, Quantities]]]:
+        """Return nothing: there are no estimates of errors."""
+        return []
+
+
+@dataclass(frozen=True)
+class SurfaceRun:
+    """A run of a model, and the model that made it."""
+
+    model: SurfaceModel
+    point: ParameterPoint
+    reduced: SurfaceModelAt
+    graph_run: GraphRun
+
+    correction = estimate = None
+
+    @property
+    def name(self) -> str:
+        """The model and the point, as messages name them."""
+        return f"{self.model.section.name}, {self.point.label}"
+
+    @property
+    def time(self) -> Array:
+        """(n_snapshots,) [s], as far as the run went."""
+        return self.graph_run.times
+
+    @property
+    def coordinates(self) -> Array:
+        """(n_snapshots, n_modes + n_surface)."""
+        return self.graph_run.coordinates
+
+    @property
+    def time_step(self) -> float:
+        """[s]."""
+        interval = self.reduced.output_times.interval
+        return interval / math.ceil(interval / self.reduced.graph.time_step)
+
+    @property
+    def failure(self) -> UnstableError | None:
+        """Why the run ended early; None where it didn't."""
+        run = self.graph_run
+        if run.ended is None:
+            return None
+        return UnstableError(
+            f"ended at t = {run.end_time:.6g} s, x = {run.end_place:.4g} m: {run.ended}"
+        )
+
+    @property
+    def _density(self) -> float:
+        return self.model.workspace.case.fluid.reference_density
+
+    @property
+    def kinetic_energy(self) -> Array:
+        """The kinetic energy (n_snapshots,) [J/m]."""
+        return self._density * self.reduced.graph.kinetic_energy(self.coordinates)
+
+    @property
+    def largest_speed(self) -> float:
+        """The largest speed of all points and snapshots [m/s]."""
+        graph, space = self.reduced.graph, self.reduced.graph.basis.space
+        lower, upper = (space.left, space.bottom), (space.right, space.top)
+        points = grid_points(lower, upper, (2 * space.n_rows, 2 * space.n_columns))
+        speed = np.linalg.norm(graph.velocity(self.coordinates, points), axis=-1)
+        wet = points[:, 1] <= graph.elevation(self.coordinates, points[:, 0])
+        return float(np.max(speed, initial=0.0, where=wet))
+
+    @cached_property
+    def measured(self) -> dict[str, Quantities]:
+        """All that the case measures, by name and quantity (n_snapshots, ...)."""
+        case = self.model.workspace.case
+        return {name: self._measure(name, each) for name, each in case.scene.recorded.items()}
+
+    def _measure(self, name: str, section: MeasureSection) -> Quantities:
+        graph, state, density = self.reduced.graph, self.coordinates, self._density
+        if section.elevation is not None:
+            return {"elevation": graph.elevation(state, np.array([section.elevation]))[:, 0]}
+        if section.of_fluid == "energy":
+            potential = density * graph.potential_energy(state)
+            return {"kinetic_energy": self.kinetic_energy, "potential_energy": potential}
+        if section.of_fluid is not None:
+            return {"centre_of_mass": graph.centre_of_mass(state)}
+        if section.force_on is not None:
+            force, torque = graph.wall_force(self.time, state, section.force_on)
+            return {"force": density * force, "torque": density * torque}
+        measure = field_measures(self.model.workspace.case)[name]
+        samples = self.sampled(measure.position)
+        return measure.of(samples.velocity, samples.pressure)
+
+    def sampled(self, points: Array) -> Samples:
+        """Return velocity and pressure at points (n_points, 2) [m], zero above the surface."""
+        graph, state = self.reduced.graph, self.coordinates
+        pressure = self._density * graph.pressure(self.time, state, points)
+        samples = Samples(self.time, graph.velocity(state, points), pressure)
+        return dried(samples, points, graph.elevation(state, points[:, 0]))
+
+    @cached_property
+    def outside(self) -> tuple[str, ...]:
+        """Warnings of a run outside of the trained values, or longer than training runs."""
+        case, end = self.model.workspace.case, self.reduced.output_times.time[-1]
+        trained = case.plan.steps.end_time
+        found = [beyond_training(trained)] if end > trained * (1.0 + ROUNDING) else []
+        beyond = extrapolation(case, self.point)
+        return tuple(found) if beyond is None else (beyond, *found)
+
+    doubts = outside
+
+
+def run_point(workspace: Workspace, section: ReducedModelSection, point: ParameterPoint) -> None:
+    """Run a model at a parameter point, and write its artifact."""
+    workspace.require(workspace.operators())
+    target, report = workspace.reduced_run(section, point), workspace.context.report
+    run, seconds = SurfaceModel(workspace, section).timed(point, N_TIMED)
+    attributes = run_attributes(workspace.case, point, run.time_step)
+    with workspace.create(target, attributes) as artifact:
+        artifact.write("time", run.time)
+        artifact.write("generalized_coordinates", run.coordinates)
+        write_positions(artifact, field_measures(workspace.case))
+        for name, each in run.measured.items():
+            datasets = field_datasets({name: each})
+            if "force" in each:  # fluid that slips has no friction
+                datasets = force_datasets(name, np.stack([loads_of(each), 0.0 * loads_of(each)], 1))
+            for path, values in datasets.items():
+                artifact.write(path, values)
+        artifact.annotate("status", "complete" if run.failure is None else "unstable")
+        artifact.annotate("timing/integration", seconds)
+        if run.failure is not None:
+            artifact.annotate("status_detail", str(run.failure))
+            report.warn(f"{run.name}: {run.failure}")
+            return
+    n_steps = round((run.time[-1] - run.time[0]) / run.time_step)
+    report.info(f"{run.name}: {n_steps} steps of {run.time_step:.3g} s in {1e3 * seconds:.3g} ms")
+
+
+def loads_of(quantities: Quantities) -> Array:
+    """Return force and torque as one array (n_snapshots, 3) [N/m, N]."""
+    return np.column_stack((quantities["force"], quantities["torque"]))
