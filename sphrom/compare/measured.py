@@ -20,7 +20,7 @@ from sphrom.artifacts.records.coordinates import MeasuredOnce
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.metrics.measures import UNITS, Quantities, components, errors_of, mean_square
+from sphrom.metrics.measures import UNITS, Quantities, components, errors_of, variation
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.metrics.series import dominant_frequency, kinetic_energy
 from sphrom.online.basis_model import quantities_of
@@ -30,6 +30,8 @@ from sphrom.setup.particles import MeasuredFields
 from sphrom.store.stored_run import StoredRun
 from sphrom.store.workspace import Workspace
 
+SURFACE = "surface"
+"""What tables call the elevation of the whole surface."""
 Measured = Mapping[str, Quantities]
 """Quantities of each measurement by its name (n_snapshots, ...)."""
 
@@ -100,9 +102,13 @@ def measure_rows(
     full: Measured,
     counted: NDArray[np.bool_],
     estimates: Mapping[str, Any],
+    *,
+    with_weight: bool,
     **described: Any,
 ) -> Iterator[MeasureRow]:
     """Yield the rows of a run beside the full one, over the snapshots (n_snapshots,) that count.
+
+    `with_weight` says that pressures have a hydrostatic part, which errors are not relative to.
 
     Compared run, parameters, number of modes and role are `described` as in the rows. Estimated
     errors are root mean squares over time (...), by measurement and quantity.
@@ -110,7 +116,7 @@ def measure_rows(
     for measured, quantities in own.items():
         for quantity, values in quantities.items():
             reference = full[measured][quantity][counted]
-            square = mean_square(quantity, reference)
+            square = variation(quantity, reference, with_weight=with_weight)
             others = components(quantity, reference)
             for component, found in components(quantity, values[counted]).items():
                 estimated = None

@@ -20,10 +20,8 @@ from sphrom.metrics.histories import energy
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.graph_model import make_basis
 from sphrom.reduction.graph_training import TrainedGraph, TrainingRun, chosen_size, train
-from sphrom.reduction.stream_functions import find_elevation
 from sphrom.setup.assembly import medium, stream_space, surface_columns, uniform_force
-from sphrom.sph.fluid import volume_of
-from sphrom.store.surfaces import read_surface_basis
+from sphrom.store.surfaces import elevation_of, read_surface_basis
 from sphrom.store.trajectory import require_complete, snapshot_fields
 from sphrom.store.workspace import Workspace
 
@@ -38,7 +36,8 @@ def map_point(workspace: Workspace, point: ParameterPoint) -> None:
     Raises UnstableError where a column has no fluid or more than one surface.
     """
     case, space = workspace.case, stream_space(workspace.case)
-    columns, radius = surface_columns(case), 2.0 * case.plan.smoothing_length
+    columns = surface_columns(case)
+    find = elevation_of(case, space, columns)
     with workspace.open(workspace.full_run(point)) as trajectory:
         require_complete(trajectory)
         times = trajectory.read("time")
@@ -58,10 +57,8 @@ def map_point(workspace: Workspace, point: ParameterPoint) -> None:
             residuals = []
             for snapshot, instant in enumerate(times.tolist()):
                 position, density, velocity = snapshot_fields(trajectory, snapshot)
-                volume = volume_of(density, case.fluid.reference_density, case.plan.mass)
-                walls = space.left, space.right, space.bottom
                 try:
-                    elevation = find_elevation(position, volume, columns, radius, walls)
+                    elevation = find(position, density)
                 except SphromError as error:
                     raise UnstableError(
                         f"{point.label}, t = {instant:.6g} s: {error} A reduced model needs one "
@@ -143,12 +140,12 @@ def _training_runs(workspace: Workspace) -> Iterator[TrainingRun]:
 
 def _report(workspace: Workspace, trained: dict[int, TrainedGraph]) -> None:
     rows = []
-    for size, each in trained.items():
+    for each in dict.fromkeys(trained.values()):
         errors = each.elevation_error, each.velocity_error
-        plain = each.plain_elevation_error, each.plain_velocity_error
+        plain = each.uncalibrated_elevation_error, each.uncalibrated_velocity_error
         figures = (*errors, *plain)
         shown = (format_figure(100.0 * error) for error in figures)
-        rows.append((str(size), str(each.n_surface), f"{each.gravity_factor:.4f}", *shown))
+        rows.append((str(each.n_modes), str(each.n_surface), f"{each.gravity_factor:.4f}", *shown))
     workspace.context.report.table(
         "repeated training runs: errors of elevation and velocity [%], calibrated and not",
         ("modes", "of the elevation", "gravity", "elevation", "velocity", "elevation, not",

@@ -22,13 +22,10 @@ from sphrom.errors import UnstableError
 from sphrom.machine import seconds_of
 from sphrom.metrics.measures import Quantities
 from sphrom.metrics.samples import Samples, grid_points
-from sphrom.reduction.graph_model import GraphModel, GraphRun
-from sphrom.reduction.polynomial_model import OutputTimes
-from sphrom.reduction.stream_functions import find_elevation
-from sphrom.setup.assembly import field_measures, run_attributes, surface_columns, uniform_force
-from sphrom.sph.fluid import ROUNDING, volume_of
-from sphrom.store.starts import start
-from sphrom.store.surfaces import dried, read_surface_basis, read_trained
+from sphrom.reduction.graph_model import GraphRun
+from sphrom.setup.assembly import field_measures, run_attributes, surface_columns
+from sphrom.sph.fluid import ROUNDING
+from sphrom.store.surfaces import SurfaceModelAt, trained_surface
 from sphrom.store.trajectory import field_datasets, force_datasets, write_positions
 from sphrom.store.workspace import Workspace
 
@@ -36,29 +33,12 @@ N_TIMED = 5
 """Repetitions of a run, to time it."""
 
 
-@dataclass(frozen=True)
-class SurfaceModelAt:
-    """A model at a parameter point, with the start and the snapshots of its runs."""
-
-    graph: GraphModel
-    start: Array
-    """(n_modes + n_surface,)."""
-    output_times: OutputTimes
-
-    def run(self) -> GraphRun:
-        """Return a run."""
-        return self.graph.run(self.output_times.time, self.start)
-
-
 class SurfaceModel:
     """One model of a flow with a free surface: built and run at any parameters."""
 
     def __init__(self, workspace: Workspace, section: ReducedModelSection) -> None:
-        self.workspace = workspace
-        self.section, self._trained = read_trained(workspace, section)
-        basis = read_surface_basis(workspace)
-        self._basis = basis.reduced(self.section.size, self._trained.n_surface)
-        self._starts: dict[object, Array] = {}
+        self.workspace, self._trained = workspace, trained_surface(workspace, section)
+        self.section = self._trained.section
 
     def basis_at(self, point: ParameterPoint) -> str:
         """Return the name of the model's basis."""
@@ -66,40 +46,7 @@ class SurfaceModel:
 
     def at(self, point: ParameterPoint) -> SurfaceModelAt:
         """Return the model at a parameter point."""
-        plan = self.workspace.case.plan
-        graph = self._trained.model(
-            self._basis,
-            plan.depth(point),
-            self.workspace.case.scene.gravity,
-            plan.kinematic_viscosity(point),
-            uniform_force(self.workspace.case, point),
-            calibrated=self.section.is_calibrated,
-        )
-        steps = plan.model_steps(self.section)
-        times = OutputTimes(steps.snapshot_interval, steps.n_snapshots, steps.start_time)
-        return SurfaceModelAt(graph, self._start(point), times)
-
-    def _start(self, point: ParameterPoint) -> Array:
-        """Return the coordinates that runs at a point start from."""
-        case, space = self.workspace.case, self._basis.space
-        begin, spun_up = case.plan.start_point(point), case.time.spin_up > 0.0
-        own = ((n, v) for n, v in begin.factors.items() if case.scene.starts_by(n))
-        key = begin if spun_up else tuple(own)
-        if key not in self._starts:
-            state, columns = start(self.workspace, begin), surface_columns(case)
-            level = case.scene.level_at(begin.factors)
-            elevation = np.full_like(columns, level)
-            if spun_up or not math.isfinite(level):
-                elevation = find_elevation(
-                    state.position,
-                    volume_of(state.density_fluctuation, case.fluid.reference_density, case.plan.mass),
-                    columns,
-                    2.0 * case.plan.smoothing_length,
-                    (space.left, space.right, space.bottom),
-                )
-            coefficients, _ = space.fit(state.position, state.velocity)
-            self._starts[key] = self._basis.project(coefficients[None], elevation[None])[0]
-        return self._starts[key]
+        return self._trained.at(point)
 
     def run(self, point: ParameterPoint, reduced: SurfaceModelAt | None = None) -> SurfaceRun:
         """Run the model at a parameter point; `reduced` may have other output times."""
@@ -115,6 +62,14 @@ class SurfaceModel:
     def runner(self, point: ParameterPoint) -> Callable[[], object]:
         """Return what makes one run at a parameter point, to be timed."""
         return self.at(point).run
+
+    def nearest(self, point: ParameterPoint) -> SurfaceRun:
+        """Return the states of the basis that are nearest to a full run's snapshots."""
+        with self.workspace.open(self.workspace.mapped(point)) as mapped:
+            fields = mapped.read("stream_function"), mapped.read("elevation")
+            time = mapped.read("time")
+        states = self._trained.basis.project(*fields)
+        return SurfaceRun(self, point, self.at(point), GraphRun(time, states))
 
     def trained_differences(
         self, points: Sequence[ParameterPoint]
@@ -206,12 +161,15 @@ class SurfaceRun:
         samples = self.sampled(measure.position)
         return measure.of(samples.velocity, samples.pressure)
 
+    @property
+    def elevation(self) -> Array:
+        """The height y of the surface (n_snapshots, n_columns) [m], as mapped snapshots have it."""
+        columns = surface_columns(self.model.workspace.case)
+        return self.reduced.graph.elevation(self.coordinates, columns)
+
     def sampled(self, points: Array) -> Samples:
         """Return velocity and pressure at points (n_points, 2) [m], zero above the surface."""
-        graph, state = self.reduced.graph, self.coordinates
-        pressure = self._density * graph.pressure(self.time, state, points)
-        samples = Samples(self.time, graph.velocity(state, points), pressure)
-        return dried(samples, points, graph.elevation(state, points[:, 0]))
+        return self.reduced.sampled(points, self.time, self.coordinates)
 
     @cached_property
     def outside(self) -> tuple[str, ...]:
