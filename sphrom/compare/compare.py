@@ -199,7 +199,10 @@ class _PointComparison:
                 estimate = estimate_row(trajectory, reduced, self.full, self.probes, begin, **about)
                 if estimate is not None:
                     self.tables.estimates.append(estimate)
-                estimates, measured = measured_estimates(case, trajectory), measured_of(case, trajectory)
+                estimates, measured = (
+                    measured_estimates(case, trajectory),
+                    measured_of(case, trajectory),
+                )
                 if case.scene.has_surface:
                     measured |= {SURFACE: {"elevation": run.elevation}}
                 self._measure(model.name, measured, basis, size, estimates)

@@ -24,7 +24,7 @@ from sphrom.metrics.measures import UNITS, Quantities, components, errors_of, va
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.metrics.series import dominant_frequency, kinetic_energy
 from sphrom.online.basis_model import quantities_of
-from sphrom.online.fast_model import fast_model
+from sphrom.online.fast_model import FastModel
 from sphrom.reduction.trial_basis import mean_density_fluctuation, project
 from sphrom.setup.particles import MeasuredFields
 from sphrom.store.stored_run import StoredRun
@@ -80,7 +80,7 @@ def measured_of_best(
     workspace: Workspace, model: ReducedModelSection, point: ParameterPoint, mapped: Artifact
 ) -> Measured:
     """Measure the nearest states in the basis of a model, as the model does."""
-    fast, time = fast_model(workspace, model), mapped.read("time")
+    fast, time = FastModel(workspace, model), mapped.read("time")
     reduced = fast.at(point)
     state = mapped.read("density_fluctuation"), mapped.read("velocity")
     coordinates = project(reduced.basis, *state)

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,26 +26,26 @@ from sphrom.online.basis_model import BasisModel, quantities_of
 from sphrom.online.error_estimates import ErrorEstimate, estimate
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.polynomial_model import Run
-from sphrom.reduction.reference_model import Integrator, ReferenceModel
+from sphrom.reduction.reference_model import Integrator, ReferenceModel, automatic
 from sphrom.reduction.trial_basis import ModeVelocities
 from sphrom.setup.assembly import MOST_GROWTH
 from sphrom.sph.fluid import ROUNDING
 from sphrom.store.starts import MappedStarts
 from sphrom.store.workspace import Workspace
 
+if TYPE_CHECKING:
+    from sphrom.online.surface_model import SurfaceModel
+
 DOUBTFUL = 50.0
 """The estimated error from which a run is doubtful [%]: errors are up to twice their estimates."""
 
 
-def fast_model(workspace: Workspace, section: ReducedModelSection) -> FastModel:
-    """Return a model that is run without particles.
-
-    Where the fluid has a free surface it is a `sphrom.online.surface_model.SurfaceModel`.
-    """
+def fast_model(workspace: Workspace, section: ReducedModelSection) -> FastModel | SurfaceModel:
+    """Return a model that is run without particles."""
     if workspace.case.scene.has_surface:
-        from sphrom.online.surface_model import SurfaceModel
+        from sphrom.online.surface_model import SurfaceModel  # it loads kernels
 
-        return cast(FastModel, SurfaceModel(workspace, section))
+        return SurfaceModel(workspace, section)
     return FastModel(workspace, section)
 
 
@@ -102,6 +102,12 @@ class FastModel:
     def at(self, point: ParameterPoint) -> ReferenceModel:
         """Return the model at a parameter point."""
         return self.at_point(point).at(point)
+
+    def timed(self, point: ParameterPoint, repeats: int) -> tuple[FastRun, float]:
+        """Return a run in automatic steps, and the least time that some took [s]."""
+        reduced = self.at(point)
+        found, seconds = automatic(reduced).timed(repeats)
+        return FastRun(**vars(found), model=self, point=point, reduced=reduced), seconds
 
     def runner(self, point: ParameterPoint) -> Callable[[], object]:
         """Return what makes one run at a parameter point, to be timed."""

@@ -6,6 +6,7 @@ functional, walls and maps, which load the kernels.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np

@@ -19,8 +19,8 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.measures import Quantities
 from sphrom.reduction.trial_basis import TrialBasis, reconstruct, truncate
-from sphrom.sph.fluid import pressure_of
 from sphrom.setup.assembly import surface_columns
+from sphrom.sph.fluid import pressure_of
 from sphrom.store.sampling import Samples, expand, sample_run
 from sphrom.store.surfaces import SurfaceModelAt, surface_of, trained_surface
 from sphrom.store.trained_models import basis_used, read_basis, read_modes, read_points
@@ -93,9 +93,7 @@ class StoredRun:
     @property
     def elevation(self) -> Array:
         """The height y of a reduced model's free surface (n_snapshots, n_columns) [m]."""
-        return self._graph.graph.elevation(
-            self._coordinates, surface_columns(self._workspace.case)
-        )
+        return self._graph.graph.elevation(self._coordinates, surface_columns(self._workspace.case))
 
     def position(self, snapshot: int) -> Array:
         """Return the run's own points (n, 2) [m]."""

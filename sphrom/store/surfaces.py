@@ -112,9 +112,7 @@ class TrainedSurface:
         return self.starts[key]
 
 
-def elevation_of(
-    case: Case, space: StreamSpace, columns: Array
-) -> Callable[[Array, Array], Array]:
+def elevation_of(case: Case, space: StreamSpace, columns: Array) -> Callable[[Array, Array], Array]:
     """Return what finds the surface [m] at columns from positions and density fluctuations.
 
     It raises SphromError where a column has no fluid or more than one surface.
@@ -143,8 +141,7 @@ def sample_mapped_surface(mapped: Artifact, points: Array) -> tuple[Array, Array
 
 
 def dried(samples: Samples, points: Array, surface: Array) -> Samples:
-    """Return samples that are zero at points (n_points, 2) above a surface (n_snapshots, n_points).
-    """
+    """Return samples that are zero at points (n_points, 2) above a surface (n_snapshots, n_points)."""
     wet = points[:, 1] <= surface
     velocity = np.where(wet[..., None], samples.velocity, 0.0)
     return Samples(samples.time, velocity, np.where(wet, samples.pressure, 0.0))

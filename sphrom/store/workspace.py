@@ -300,7 +300,9 @@ class Workspace:
         plan = self.case.plan
         if self._own_kind:
             parents = {"basis": self.basis(), **self._mapped(plan.train_points)}
-            return self._target("operators of a surface", "", {"sizes": plan.surface_sizes}, parents)
+            return self._target(
+                "operators of a surface", "", {"sizes": plan.surface_sizes}, parents
+            )
         trained = dict.fromkeys(p for name in plan.reference_bases for p in plan.bases[name])
         parents = {"basis": self.basis(), **self._mapped(trained)}
         if self.case.scene.measure:
