@@ -17,6 +17,7 @@ extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
     "docstrings",
+    "formulas",
     "generated_pages",
     "linked_pictures",
     "self_contained",
@@ -27,7 +28,7 @@ nitpicky = True
 nitpick_ignore_regex = [("py:.*", r"(?!sphrom\.api).*"), ("py:.*", r".*\._.*")]
 default_role = "literal"
 
-myst_enable_extensions = ["attrs_inline", "colon_fence"]
+myst_enable_extensions = ["amsmath", "attrs_inline", "colon_fence", "dollarmath"]
 myst_heading_anchors = 3
 
 autodoc_typehints = "signature"
