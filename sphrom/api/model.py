@@ -44,7 +44,7 @@ from sphrom.text import nearest, quoted
 if TYPE_CHECKING:
     import xarray
 
-AnyModel = TypeVar("AnyModel", ReferenceModel, SurfaceModelAt)
+AnyModel = TypeVar("AnyModel", bound=ReferenceModel | SurfaceModelAt)
 """A model at a parameter point."""
 
 

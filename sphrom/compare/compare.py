@@ -216,7 +216,7 @@ class _PointComparison:
 
     def _describe_flow(self, name: str, run: StoredRun, samples: Samples) -> None:
         """Describe the flow of a run in a scene with walls; one that failed at once has none."""
-        if self.case.scene.domain.has_walls and len(samples.time) and run.has_own_points:
+        if self.case.scene.domain.has_walls and len(samples.time):
             row = flow_row(self.case, name, self.point, run, samples, self.probes)
             self.tables.flow.append(row)
 

@@ -69,7 +69,7 @@ class FittedModel:
     def __init__(
         self, fast: FastModel | SurfaceModel, box: Box, histories: Sequence[History]
     ) -> None:
-        self.fast: Any = fast
+        self.fast: Any = fast  # its kind is that of the class
         self.box = box
         self.histories = tuple(histories)
         self._case = fast.workspace.case
@@ -209,12 +209,11 @@ class FittedSurface(FittedModel):
         found, slopes = self._histories_at(place), []
         for k in range(len(place)):
             ends = np.clip(place[k] + DIFFERENCE * np.array([-1.0, 1.0]), 0.0, 1.0)
-            sides = [
-                self._histories_at(np.where(np.arange(len(place)) == k, e, place)) for e in ends
-            ]
-            if found is None or any(side is None for side in sides):
+            moved = (np.where(np.arange(len(place)) == k, end, place) for end in ends)
+            low, high = map(self._histories_at, moved)
+            if low is None or high is None:
                 return None
-            slopes.append((sides[1][1] - sides[0][1]) / np.ptp(ends))
+            slopes.append((high[1] - low[1]) / np.ptp(ends))
         return None if found is None else (*found, np.stack(slopes, axis=-1))
 
     def _histories_at(self, place: Array) -> tuple[Array, Array] | None:

@@ -22,7 +22,14 @@ from sphrom.metrics.series import OSCILLATION, oscillation, oscillation_beside
 Quantities = Mapping[str, Array]
 """By UNITS, what one measurement gives."""
 
-UNITS = {"force": "N/m", "torque": "N", "flow_rate": "m2/s", "velocity": "m/s", "pressure": "Pa"}
+UNITS = {
+    "force": "N/m",
+    "torque": "N",
+    "flow_rate": "m2/s",
+    "velocity": "m/s",
+    "pressure": "Pa",
+    "elevation": "m",
+}
 VECTORS = ("force", "velocity")
 """Quantities with an axis of components, the last."""
 AXES = ("x", "y")

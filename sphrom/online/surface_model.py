@@ -147,15 +147,18 @@ class SurfaceRun:
 
     def _measure(self, name: str, section: MeasureSection) -> Quantities:
         graph, state, density = self.reduced.graph, self.coordinates, self._density
-        if section.elevation is not None:
+        domain = self.model.workspace.case.scene.domain
+        if getattr(section, "elevation", None) is not None:
             return {"elevation": graph.elevation(state, np.array([section.elevation]))[:, 0]}
-        if section.of_fluid == "energy":
+        if getattr(section, "of_fluid", None) == "energy":
             potential = density * graph.potential_energy(state)
             return {"kinetic_energy": self.kinetic_energy, "potential_energy": potential}
-        if section.of_fluid is not None:
+        if getattr(section, "of_fluid", None) is not None:
             return {"centre_of_mass": graph.centre_of_mass(state)}
         if section.force_on is not None:
-            force, torque = graph.wall_force(self.time, state, section.force_on)
+            lower, upper = np.array((domain.lower, domain.upper))
+            centre = 0.5 * (lower + upper)
+            force, torque = graph.wall_force(self.time, state, section.force_on, centre)
             return {"force": density * force, "torque": density * torque}
         measure = field_measures(self.model.workspace.case)[name]
         samples = self.sampled(measure.position)
@@ -180,7 +183,10 @@ class SurfaceRun:
         beyond = extrapolation(case, self.point)
         return tuple(found) if beyond is None else (beyond, *found)
 
-    doubts = outside
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Why a run that went to its end may be wrong, known without a full run."""
+        return self.outside
 
 
 def run_point(workspace: Workspace, section: ReducedModelSection, point: ParameterPoint) -> None:

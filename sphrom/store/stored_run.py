@@ -20,7 +20,7 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.measures import Quantities
 from sphrom.reduction.trial_basis import TrialBasis, reconstruct, truncate
 from sphrom.setup.assembly import surface_columns
-from sphrom.sph.fluid import pressure_of
+from sphrom.sph.fluid import fluctuation_of, pressure_of
 from sphrom.store.sampling import Samples, expand, sample_run
 from sphrom.store.surfaces import SurfaceModelAt, surface_of, trained_surface
 from sphrom.store.trained_models import basis_used, read_basis, read_modes, read_points
@@ -86,23 +86,26 @@ class StoredRun:
         return trained_surface(self._workspace, self._rebuilt).at(self._point)
 
     @property
-    def has_own_points(self) -> bool:
-        """Whether the run has fields on points of its own: a model of a free surface has none."""
-        return self._rebuilt is None or not self._has_surface
-
-    @property
     def elevation(self) -> Array:
         """The height y of a reduced model's free surface (n_snapshots, n_columns) [m]."""
         return self._graph.graph.elevation(self._coordinates, surface_columns(self._workspace.case))
 
     def position(self, snapshot: int) -> Array:
         """Return the run's own points (n, 2) [m]."""
+        if self._rebuilt is not None and self._has_surface:
+            return self._workspace.case.scene.domain.fill(
+                self._workspace.case.plan.particle_spacing
+            )
         if self._rebuilt is not None:
             return read_points(self._workspace)
         return np.asarray(self._run.dataset("position")[snapshot])
 
     def rebuilt(self, snapshot: int) -> tuple[Array, Array]:
         """Return density fluctuations (n,) [kg/m3] and velocity (n, 2) [m/s] from coordinates."""
+        if self._has_surface:
+            samples = self.sampled(self.position(snapshot), [snapshot])
+            sound_speed = self._workspace.case.plan.sound_speed
+            return fluctuation_of(samples.pressure[0], sound_speed), samples.velocity[0]
         mean = self._run.number("mean_density_fluctuation")
         return reconstruct(self._basis, self._coordinates[snapshot], mean)
 

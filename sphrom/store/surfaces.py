@@ -141,7 +141,10 @@ def sample_mapped_surface(mapped: Artifact, points: Array) -> tuple[Array, Array
 
 
 def dried(samples: Samples, points: Array, surface: Array) -> Samples:
-    """Return samples that are zero at points (n_points, 2) above a surface (n_snapshots, n_points)."""
+    """Return samples that are zero at points (n_points, 2) [m] above a surface.
+
+    Its heights y are (n_snapshots, n_points) [m].
+    """
     wet = points[:, 1] <= surface
     velocity = np.where(wet[..., None], samples.velocity, 0.0)
     return Samples(samples.time, velocity, np.where(wet, samples.pressure, 0.0))
