@@ -133,12 +133,13 @@ class TemporaryFile(io.FileIO):
         """Do nothing: nothing is buffered, and HDF5 flushes a file that an interrupt left open."""
 
 
-class Uncollected:
-    """Keeps Python from collecting garbage while HDF5 writes to a `TemporaryFile`.
+class GarbageCollectionPaused:
+    """Pauses Python's garbage collection while HDF5 writes to a `TemporaryFile`.
 
-    HDF5 calls the file's methods, and Python may collect garbage in any of them. What it frees may
-    be HDF5's own, such as datasets of another artifact: HDF5 is then entered a second time, and
-    what it writes is damaged. A class, so that an interrupt can't leave a generator half done.
+    HDF5 calls the file's methods, and Python may collect garbage in any of them. If the garbage
+    includes HDF5's own objects, such as datasets of another artifact, HDF5 is entered a second time
+    and writes a damaged file. This is a class because an interrupt could leave a generator half
+    done.
     """
 
     _collects = False

@@ -1,8 +1,8 @@
-"""List what an HDF5 file holds that may be damaged or foreign, before anything in it is used.
+"""List the contents of an HDF5 file that may be damaged or foreign, before using any of them.
 
-Only groups, plain numbers and, in `/case`, one text are let through: no objects that Python would
-build, no links that lead out of the file, no data that lie elsewhere, no filter but the checksum,
-as HDF5 would load and run a plugin for one that it doesn't know.
+Only groups, plain numbers and, in `/case`, one text are allowed. Refused are objects that Python
+would construct, links that lead out of the file, data stored elsewhere, and all filters except the
+checksum, because HDF5 would load and run a plugin for an unknown filter.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ CASE = "case"
 DIGEST = "sha256"
 """The attribute with the digest of a dataset's values."""
 LOCKINGS = (None, False, True)
-"""How a file is locked. HDF5 refuses another way than that in which this process has it open, and
-so the default comes first. An artifact never changes: it needs no lock where none can be had."""
-# What h5py raises when the file's own structures are damaged, depending on which.
+"""Ways to lock a file. HDF5 refuses any other than the one with which this process has the file
+open, so the default comes first. An artifact never changes, so it can be read without a lock."""
+# The exceptions that h5py raises for the various damaged structures of a file.
 DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, OverflowError)
 
 
 class Fault(Exception):
-    """Why an artifact can't be used, in words that continue `FILE ...`."""
+    """Why an artifact cannot be used; the text continues `FILE ...`."""
 
 
 @contextlib.contextmanager
 def explained_faults(path: Path, made_by: str) -> Iterator[None]:
-    """Turn a Fault into the error that a user sees, which names the command that makes the file."""
+    """Turn a Fault into the user's error, which names the command that makes the file."""
     try:
         yield
     except Fault as fault:
@@ -46,7 +46,7 @@ def explained_faults(path: Path, made_by: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def damage(what: str) -> Iterator[None]:
-    """Turn what h5py raises on damaged structures into a Fault."""
+    """Turn exceptions of h5py for damaged structures into a Fault."""
     try:
         yield
     except DAMAGE as error:
@@ -56,7 +56,7 @@ def damage(what: str) -> Iterator[None]:
 def open_file(path: Path) -> h5py.File:
     """Open a regular HDF5 file for reading. Raises Fault."""
     try:
-        if not path.is_file():  # opening a pipe would wait for ever
+        if not path.is_file():  # opening a pipe would block
             raise Fault("is not a file" if path.exists() else "is missing")
         path.open("rb").close()
     except OSError as error:
@@ -71,21 +71,21 @@ def open_file(path: Path) -> h5py.File:
 
 @dataclass
 class Contents:
-    """What a file holds, by path: shapes and types of the datasets, attributes of the groups."""
+    """The contents of a file by path: shapes and types of datasets, and attributes of groups."""
 
     case_text: str = ""
     datasets: dict[str, tuple[Shape, np.dtype[np.generic]]] = field(default_factory=dict)
     attributes: dict[str, Value] = field(default_factory=dict)
     digests: dict[str, str] = field(default_factory=dict)
-    """What the writer stored of the values of datasets."""
+    """The stored digests of datasets."""
     verified: set[str] = field(default_factory=set)
-    """The datasets whose values were found to have their digests."""
+    """The datasets whose values match their digests."""
 
 
 def inspect(file: h5py.File) -> Contents:
-    """Return what the file holds. Raises Fault on anything that an artifact never holds."""
+    """Return the contents of the file. Raises Fault on anything that an artifact never contains."""
     contents = Contents(attributes=attributes_at(file, ""))
-    # The view is for other programs, and never used.
+    # The view is for other programs; this one never uses it.
     for path, item in items(file, but=VIEW):
         if isinstance(item, h5py.Group):
             contents.attributes |= attributes_at(item, path)
@@ -99,12 +99,12 @@ def inspect(file: h5py.File) -> Contents:
 
 
 def items(file: h5py.File, but: str = "") -> Iterator[tuple[str, h5py.HLObject]]:
-    """Yield every group and dataset by its path, except for those in one group.
+    """Yield every group and dataset by its path, except those in the group `but`.
 
-    Raises Fault where a link or a dataset may lead out of the file.
+    Raises Fault if a link or a dataset may lead out of the file.
     """
     links: dict[str, object] = {}
-    with damage("its structure"):  # each link once, however many names lead to a group
+    with damage("its structure"):  # each link once, however many names a group has
         file.visititems_links(links.__setitem__)
     for path, link in links.items():
         if path.partition("/")[0] == but:
@@ -121,7 +121,7 @@ def items(file: h5py.File, but: str = "") -> Iterator[tuple[str, h5py.HLObject]]
 
 
 def _require_plain(dataset: h5py.Dataset, path: str) -> None:
-    """Raise Fault unless a dataset holds plain numbers, or the case, behind checksums at most."""
+    """Raise Fault unless a dataset holds plain numbers, or the case, with checksums at most."""
     if dataset.dtype.kind not in ("S" if path == CASE else "fiu") or dataset.shape is None:
         raise Fault(f"is refused: {path} is of type {dataset.dtype}, which no artifact holds")
     properties = dataset.id.get_create_plist()
@@ -131,13 +131,13 @@ def _require_plain(dataset: h5py.Dataset, path: str) -> None:
 
 
 def attributes_at(item: h5py.HLObject, path: str) -> dict[str, Value]:
-    """Return the attributes of `item` by path; those that are no numbers or fixed texts are left.
+    """Return the attributes of `item` by path, if they are numbers or texts of fixed length.
 
-    Raises Fault when they are damaged.
+    Raises Fault if they are damaged.
     """
     with damage(f"an attribute of /{path}"):
-        found = {joined(path, key): _value(item.attrs.get_id(key)) for key in item.attrs}
-    return {name: value for name, value in found.items() if value is not None}
+        values = {joined(path, key): _value(item.attrs.get_id(key)) for key in item.attrs}
+    return {name: value for name, value in values.items() if value is not None}
 
 
 def _value(attribute: h5py.h5a.AttrID) -> Value | None:
@@ -152,5 +152,5 @@ def _value(attribute: h5py.h5a.AttrID) -> Value | None:
 
 
 def plain_text(value: bytes) -> str:
-    """Return a stored text; bytes that are none survive as escapes."""
+    """Return a stored text; bytes that are not UTF-8 become escapes."""
     return value.decode("utf-8", "surrogateescape")

@@ -1,7 +1,7 @@
-"""Artifacts as xarray sees them: datasets with named axes, units and times, read when needed.
+"""Artifacts as xarray datasets with named axes, units and times, read when needed.
 
-Values are verified like all others that are read from artifacts. This module is not imported with
-the others: xarray takes longer to load than a reduced run.
+Values are verified like all others. This module is imported separately, because importing xarray
+takes longer than a reduced run.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ _MEASURED = re.compile("((?:error_estimate|steady)/)?(measure|force)/([^/]+)/([^
 
 
 def open_labelled(path: str | Path, group: str = "") -> xarray.Dataset:
-    """Open an artifact, or a group of one such as `bases/all`, with what belongs to all groups.
+    """Open an artifact, or a group of one such as `bases/all` with the data common to all groups.
 
-    `sphrom.open` says how variables and attributes are called. The file stays open until the
+    `sphrom.open` documents the names of variables and attributes. The file stays open until the
     dataset is closed.
 
-    Raises ArtifactError when the file is missing, damaged or no artifact, CaseError when it has no
+    Raises ArtifactError if the file is missing, damaged or not an artifact, CaseError if it has no
     such group.
     """
     group = group.strip("/")
@@ -62,37 +62,37 @@ def open_labelled(path: str | Path, group: str = "") -> xarray.Dataset:
         }
         if groups:
             attributes["groups"] = groups
-        found = xarray.Dataset(variables, attrs=attributes)
-        if "parameters" in found:  # of the runs of a sweep that have a result
-            at = found["parameters"][found["complete"].values].values.T
+        labelled = xarray.Dataset(variables, attrs=attributes)
+        if "parameters" in labelled:  # of the runs of a sweep that have a result
+            at = labelled["parameters"][labelled["complete"].values].values.T
             along = zip(artifact.text("parameter_names").split(","), at, strict=True)
-            found = found.assign_coords({name: ("complete_run", row) for name, row in along})
-        if "component" in found.dims:
-            found = found.assign_coords(component=list(AXES))
-        if "time" in found and found["time"].dims == ("snapshot",):
-            found = found.set_coords("time").set_xindex("time")
-        found.set_close(stack.pop_all().close)
-        return found
+            labelled = labelled.assign_coords({name: ("complete_run", row) for name, row in along})
+        if "component" in labelled.dims:
+            labelled = labelled.assign_coords(component=list(AXES))
+        if "time" in labelled and labelled["time"].dims == ("snapshot",):
+            labelled = labelled.set_coords("time").set_xindex("time")
+        labelled.set_close(stack.pop_all().close)
+        return labelled
 
 
 def _variable(artifact: Artifact, name: str, field: Field) -> xarray.Variable:
-    dims = [  # no two axes of a dataset have one name
+    dims = [  # the axes of a dataset have different names
         f"{axis}_{again + 1}" if (again := field.axes[:i].count(axis)) else axis
         for i, axis in enumerate(field.axes)
     ]
     labels = {key: text for key, text in field.labels.items() if text}
     if (measured := _MEASURED.fullmatch(name)) and measured[1]:
         labels["long_name"] = f"{measured[1][:-1].replace('_', ' ')}: {field.meaning}"
-    found = xarray.Variable(dims, indexing.LazilyIndexedArray(_Lazy(artifact, name)), labels)
+    variable = xarray.Variable(dims, indexing.LazilyIndexedArray(_Lazy(artifact, name)), labels)
     if measured is None or "place" not in dims:
-        return found
-    if found.sizes["place"] == 1:  # a probe's
-        return found.squeeze("place")
-    return found._replace(dims=[dim.replace("place", f"{measured[3]}_place") for dim in dims])
+        return variable
+    if variable.sizes["place"] == 1:  # of a probe
+        return variable.squeeze("place")
+    return variable._replace(dims=[dim.replace("place", f"{measured[3]}_place") for dim in dims])
 
 
 def _home(field: Field, name: str) -> str:
-    """Return the innermost group of several of a kind that a dataset is in, `""` for none."""
+    """Return the innermost named group that contains a dataset, such as `bases/all`, or `""`."""
     if _MEASURED.fullmatch(name):
         return ""
     above = field.name.rpartition("/")[0]
@@ -101,9 +101,9 @@ def _home(field: Field, name: str) -> str:
 
 
 def _short(name: str, home: str) -> str:
-    """Return what a variable is called: what is measured by the measurement and the quantity."""
-    if found := _MEASURED.fullmatch(name):
-        begin, kind, measured, quantity = found.groups("")
+    """Return the name of a variable: that of the measurement and quantity, or the dataset's."""
+    if match := _MEASURED.fullmatch(name):
+        begin, kind, measured, quantity = match.groups("")
         force = "_force" if kind == "force" and not quantity.endswith("_torque") else ""
         return f"{begin.replace('/', '_')}{measured}_{quantity}{force}"
     return name.removeprefix(f"{home}/").replace("/", "_")

@@ -1,7 +1,4 @@
-"""What an artifact can hold: names, values, and its digest.
-
-No file is opened here.
-"""
+"""The allowed contents of an artifact: names, values, and its digest. No file is opened here."""
 
 from __future__ import annotations
 
@@ -21,7 +18,7 @@ Shape = tuple[int, ...]
 Value = str | int | float | tuple[float, ...]
 
 LARGEST = 1e100
-"""Magnitude that no value exceeds: sums of squares of larger ones may overflow."""
+"""Largest allowed magnitude of a value: sums of squares of larger ones may overflow."""
 
 _SEGMENT = re.compile(r"[A-Za-z0-9_+=-][A-Za-z0-9_.+=,-]*")
 _OF_KIND: Mapping[str, Callable[[Any], Value]] = {
@@ -33,12 +30,12 @@ _OF_KIND: Mapping[str, Callable[[Any], Value]] = {
 
 
 def valid_name(name: str) -> bool:
-    """Whether `name` is a path of groups that no tool will misread."""
+    """Whether `name` is a path of groups that every tool reads alike."""
     return all(_SEGMENT.fullmatch(segment) for segment in name.split("/"))
 
 
 def index_not_finite(values: NDArray[Any]) -> tuple[int, ...] | None:
-    """Return the index of the first value that is NaN, infinite or too large, if there is one."""
+    """Return the index of the first value that is NaN, infinite or too large, or None."""
     if values.dtype.kind != "f":
         return None
     most = min(LARGEST, float(np.finfo(values.dtype).max))
@@ -49,10 +46,9 @@ def index_not_finite(values: NDArray[Any]) -> tuple[int, ...] | None:
 
 
 def attribute_value(field: Field, value: object) -> Value:
-    """Return `value` as the plain Python value that its field asks for.
+    """Return `value` as a plain Python value of the field's kind.
 
-    Raises ValueError when it is none of those allowed, or not finite, TypeError when it is of
-    another kind.
+    Raises ValueError if it is not allowed or not finite, TypeError if it is of another kind.
     """
     plain = _OF_KIND[field.kind](value)
     allowed = not field.allowed or plain in field.allowed
@@ -63,11 +59,11 @@ def attribute_value(field: Field, value: object) -> Value:
 
 @dataclass(frozen=True)
 class Identity:
-    """What tells an artifact from another, as those made from it remember it.
+    """The identity of an artifact, as recorded in artifacts made from it.
 
-    The digest covers the datasets, each in C order, and the attributes that a stage set, in the
-    order of their names; not when, where or how fast the artifact was made. Two runs that compute
-    the same bits have the same digest.
+    The digest covers the datasets, each in C order, and the attributes set by the stage, in the
+    order of their names; it excludes when, where and how fast the artifact was made. Two runs that
+    compute the same bits have the same digest.
     """
 
     path: str
@@ -77,16 +73,16 @@ class Identity:
 
 @dataclass(frozen=True)
 class Origin:
-    """What an artifact is made with and from, and has to have been made with and from."""
+    """The case and the inputs of an artifact; a stored artifact is checked against them."""
 
     inputs_digest: str
-    """The digest of those parts of the case that it depends on."""
+    """The digest of the parts of the case that the artifact depends on."""
     case_text: str
     """The whole case."""
     sections: Collection[str] = ()
-    """The sections of the case that it depends on."""
+    """The sections of the case that the artifact depends on."""
     consequences: Callable[[str], str] = lambda text: ""
-    """Tells in words what follows otherwise from another case, given its text."""
+    """Return, in words, the derived values that differ for another case, given its text."""
     lineage: Mapping[str, Identity] = dataclasses.field(default_factory=dict)
     """The artifacts that it is made from, by role."""
 
@@ -94,7 +90,7 @@ class Origin:
 def content_digest(
     schema: str, attributes: Mapping[str, Value], datasets: Mapping[str, str]
 ) -> str:
-    """Return the digest of the attributes by path and of `dataset_line`s by dataset."""
+    """Return the digest of the attributes, by path, and the `dataset_line`s, by dataset."""
     provenance = (*PROVENANCE, TIMING, Field("lineage/*/*", "text"))
     own = {
         name: value for name, value in attributes.items() if find_field(provenance, name) is None
@@ -105,7 +101,7 @@ def content_digest(
 
 
 def dataset_line(dtype: object, shape: Shape, digest: str) -> str:
-    """Return what `content_digest` needs of one dataset."""
+    """Return the line that represents one dataset in `content_digest`."""
     return f"{dtype} {shape} {digest}"
 
 

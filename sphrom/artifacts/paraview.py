@@ -1,12 +1,12 @@
-"""The view of an artifact that ParaView opens: its own bytes, laid out as VTK's HDF files are.
+"""The view of an artifact that ParaView opens: the same data in the layout of VTK's HDF files.
 
-A view is a group of virtual datasets: the particles, or the points of the reference space, as
-PolyData, once for each snapshot, or for each mode where the artifact holds modes. Vectors
-(snapshot, particle, 2) show as (snapshot times particle, 3), the third component zero. What
-joins points to cells is stored once for all steps.
+A view is a group of virtual datasets. It shows the particles or reference points as PolyData, once
+per snapshot, or once per mode if the artifact holds modes. Vectors (snapshot, particle, 2) appear
+as (snapshot times particle, 3) with a zero third component. The cells that contain the points are
+stored once for all steps.
 
-A view is drawn from the schema's axes, holds nothing of its own, and is no part of the content's
-digest: reading an artifact never looks at it.
+A view follows from the axes in the schema. It holds no data of its own and is not part of the
+content digest; reading an artifact never uses it.
 """
 
 from __future__ import annotations
@@ -27,31 +27,31 @@ VIEW = "VTKHDF"
 STEP_AXES = ("snapshot", "mode")
 """Axes along which ParaView steps."""
 HOW_TO_OPEN = (
-    "ParaView 5.12, VTK 9.3 and later open this file; pyvista.read(path, force_ext='.vtkhdf'), as "
-    "it takes .h5 for another format. `sphrom export` writes files for any version."
+    "ParaView 5.12, VTK 9.3 and later open this file; so does pyvista.read(path, "
+    "force_ext='.vtkhdf'). `sphrom export` writes files for any version."
 )
 _NO_CELLS = ("Lines", "Polygons", "Strips")
 
 
 @dataclass(frozen=True)
 class View:
-    """What is shown: points, fields on them, and steps."""
+    """The content of a view: points, fields on them, and steps."""
 
     points: str
     """The dataset of the points."""
     fields: Mapping[str, str]
-    """The datasets on the points, by the names that ParaView shows."""
+    """The datasets on the points, by their names in ParaView."""
     times: str | None
-    """The dataset of the steps' times; where there is none, steps count from one."""
+    """The dataset of the steps' times; if None, steps are numbered from one."""
     n_points: int
     n_steps: int
-    """Zero where nothing depends on a snapshot or a mode."""
+    """Zero if nothing depends on a snapshot or a mode."""
     stepped: frozenset[str]
     """The datasets that differ from step to step."""
 
 
 def views(schema: str, given: Mapping[str, Shape]) -> dict[str, View]:
-    """Return the views of an artifact with some datasets, the principal one under ``""``.
+    """Return the views of an artifact with the datasets `given`, by name; the principal one is "".
 
     The others, such as a trajectory's ghosts, have points of their own.
     """
@@ -74,7 +74,7 @@ def views(schema: str, given: Mapping[str, Shape]) -> dict[str, View]:
 
 
 def _modes(group: str, given: Iterable[str]) -> dict[str, str]:
-    """Return the modes in a group of bases by names such as `all_velocity`."""
+    """Return the modes in a group of bases, by names such as `all_velocity`."""
     paths = {name: name.split("/") for name in given if matches(f"{group}/*/modes/*", name)}
     return {f"{basis}_{part}": name for name, (_, basis, _, part) in paths.items()}
 
@@ -95,7 +95,7 @@ def _view(schema: str, given: Mapping[str, Shape], points: str, fields: Mapping[
 
 
 def add_view(file: h5py.File, schema: str, given: Mapping[str, Shape]) -> None:
-    """Add the principal view to an artifact in the making; nothing where there is none."""
+    """Add the principal view to an artifact that is being written, if it has one."""
     view = views(schema, given).get("")
     if view is None:
         return
@@ -115,11 +115,11 @@ def add_view(file: h5py.File, schema: str, given: Mapping[str, Shape]) -> None:
 
 
 def _write_cells(group: h5py.Group, kind: str, n_cells: int) -> None:
-    """Make each of the first points a cell of its own."""
+    """Make each of the first `n_cells` points a cell of its own."""
     cells = group.create_group(kind)
     cells["NumberOfCells"] = np.array([n_cells])
     cells["NumberOfConnectivityIds"] = np.array([n_cells])
-    # Counting up compresses to almost nothing.
+    # Consecutive integers compress to almost nothing.
     packed = {"compression": "gzip", "shuffle": True} if n_cells else {}
     cells.create_dataset("Offsets", data=np.arange(n_cells + 1), **packed)
     cells.create_dataset("Connectivity", data=np.arange(n_cells), **packed)
@@ -144,14 +144,14 @@ def _write_steps(group: h5py.Group, view: View) -> None:
 
 
 def _offsets(view: View, source: str) -> NDArray[np.int64]:
-    """Return where in a dataset each step begins."""
+    """Return the index at which each step begins in a dataset."""
     return np.arange(view.n_steps) * (view.n_points if source in view.stepped else 0)
 
 
 def _map(group: h5py.Group, name: str, view: View, source: str) -> None:
-    """Show a dataset of the same file under another name, its steps one after the other.
+    """Show a dataset of the same file under another name, with its steps concatenated.
 
-    Rows beyond the last are zeros: a basis of fewer modes than another has no more.
+    Missing rows are zeros, for example if a basis has fewer modes than another.
     """
     stored = group.file[source]
     n_rows = view.n_points * (view.n_steps if source in view.stepped else 1)

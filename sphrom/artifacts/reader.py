@@ -1,10 +1,10 @@
-"""Read an artifact: refuse one that is missing, damaged, foreign or made from another input.
+"""Read an artifact: refuse it if it is missing, damaged, foreign or made from another input.
 
-A symbolic link to an artifact is followed, since large runs are often kept on another disk.
+Symbolic links to an artifact are followed, since large runs are often kept on another disk.
 
-HDF5's own checksums don't suffice: that of zeros is zero, and another program that changes a
-dataset stores a new one. So the writer stores a digest of its own. Values are compared with it when
-a dataset is first read, and again when the file has changed since.
+HDF5's own checksums are not sufficient: the checksum of zeros is zero, and another program that
+changes a dataset stores a new one. The writer therefore stores a digest of its own. Values are
+compared with it when a dataset is first read, and again if the file has changed since.
 """
 
 from __future__ import annotations
@@ -58,37 +58,37 @@ from sphrom.machine import available_ram
 from sphrom.text import data_size, shortened
 
 SMALL_BYTES = 2**20
-"""Size up to which datasets are verified when an artifact is opened [bytes]."""
+"""Datasets up to this size are verified when an artifact is opened [bytes]."""
 MOST_KNOWN = 256
-"""Files whose contents are remembered: those that were opened last."""
+"""Number of files whose contents are remembered; the last ones opened are kept."""
 BLOCK_BYTES = 2**23
-"""About the size of the blocks in which values are verified [bytes]."""
+"""Approximate size of the blocks in which values are verified [bytes]."""
 ALWAYS_FITS = 2**16
-"""Size up to which memory is not asked after: reading is quicker than asking [bytes]."""
+"""Largest size read without checking the available memory; the check takes longer [bytes]."""
 SHOWN_KEYS = 4
-"""Keys of a case that are named where two differ."""
+"""Number of differing keys of two cases that a message names."""
 MOST_CHARACTERS = 60
-"""Of a value that is shown: whoever wrote the file may have written anything."""
+"""Longest value shown in a message: a foreign file may contain any text."""
 
 SETTLED = 2.0
-"""Age [s] from which a file's times tell whether it changes: clocks of file systems are coarse."""
+"""Age [s] from which timestamps reliably show a change of a file: their resolution is coarse."""
 
 R = TypeVar("R", bound=Record)
 
 _known: dict[tuple[int, ...], Contents] = {}
-"""The contents of files by what changes when they do, of the one opened last at the end."""
+"""The contents of files by their status, in the order of opening."""
 
 
 @contextlib.contextmanager
 def open_artifact(
     path: str | Path, schema: str | None, *, made_by: str, origin: Origin | None = None
 ) -> Iterator[Artifact]:
-    """Open the artifact `path` of the kind `schema`, or of any, checked, for reading.
+    """Open the artifact `path` of the kind `schema`, or of any kind, for reading, and check it.
 
-    `made_by` is the command that makes it, for the message.
+    `made_by` is the command that makes it, for error messages.
 
-    Raises ArtifactError when the file is missing, damaged, of another kind or version, or not made
-    with and from what `origin` says.
+    Raises ArtifactError if the file is missing, damaged, of another kind or version, or was not
+    made with the case and inputs of `origin`.
     """
     path = Path(path)
     with explained_faults(path, made_by), _opened(path, schema, made_by, origin) as artifact:
@@ -101,9 +101,9 @@ def probe(
     origin: Origin | None = None,
     at_least: Mapping[str, int] | None = None,
 ) -> str | None:
-    """Return why the artifact `path` can't be used as it is, in words, or None when it can.
+    """Return why the artifact `path` cannot be used as it is, in words, or None if it can.
 
-    `at_least` has the length that the first axis of a dataset needs.
+    `at_least` gives the minimum length of the first axis of datasets.
     """
     try:
         with _opened(Path(path), schema, "", origin) as artifact:
@@ -140,7 +140,7 @@ class Artifact:
     attributes : every attribute by its path, such as `sound_speed` or `parameters/reynolds`.
     datasets : the names of the datasets, sorted.
     content_sha256 : the digest of the datasets and attributes, as the writer computed it.
-    identity : what an artifact made from this one remembers of it.
+    identity : identifies this artifact in artifacts made from it.
     case_text : the resolved case that the artifact was made with.
     """
 
@@ -156,11 +156,11 @@ class Artifact:
         self.identity = Identity(path.name, self.text("uuid"), self.content_sha256)
 
     def number(self, name: str) -> float:
-        """Return an attribute that is a number. Raises KeyError when there is none."""
+        """Return a numeric attribute. Raises KeyError if there is none."""
         return float(self.attributes[name])  # type: ignore[arg-type]
 
     def text(self, name: str) -> str:
-        """Return an attribute that is a text. Raises KeyError when there is none."""
+        """Return a text attribute. Raises KeyError if there is none."""
         return str(self.attributes[name])
 
     def __contains__(self, name: object) -> bool:
@@ -170,8 +170,8 @@ class Artifact:
     def read(self, name: str) -> NDArray[Any]:
         """Return a whole dataset.
 
-        Raises ArtifactError when it is damaged, ResourceError when memory is short, KeyError when
-        there is none.
+        Raises ArtifactError if it is damaged, ResourceError if it does not fit into memory,
+        KeyError if there is none.
         """
         dataset = self._file[name]
         needed: int = dataset.nbytes
@@ -187,15 +187,15 @@ class Artifact:
             return values
 
     def dataset(self, name: str) -> h5py.Dataset:
-        """Return a dataset, verified, to be read by slices.
+        """Return a verified dataset, to be read by slices.
 
-        Raises ArtifactError when it is damaged, KeyError when there is none.
+        Raises ArtifactError if it is damaged, KeyError if there is none.
         """
         with explained_faults(self.path, self.made_by):
             return self._verified(name)
 
     def _verified(self, name: str) -> h5py.Dataset:
-        """Return a dataset, once it was read block by block. Raises Fault."""
+        """Return a dataset after verifying it block by block. Raises Fault."""
         dataset = self._file[name]
         step = max(1, BLOCK_BYTES * len(dataset) // max(1, dataset.nbytes))
         starts = range(0, len(dataset), step)
@@ -204,7 +204,7 @@ class Artifact:
         return dataset
 
     def _verify(self, name: str, blocks: Iterable[NDArray[Any]]) -> None:
-        """Raise Fault unless a dataset holds what was written; do nothing if it was verified."""
+        """Raise Fault unless a dataset matches its digest; a verified one is not read again."""
         if name in self._contents.verified:
             return
         digest = hashlib.sha256()
@@ -215,23 +215,23 @@ class Artifact:
         self._contents.verified.add(name)
 
     def form(self, name: str) -> tuple[Shape, np.dtype[np.generic]]:
-        """Return the shape and the type of a dataset. Raises KeyError when there is none."""
+        """Return the shape and the type of a dataset. Raises KeyError if there is none."""
         return self._contents.datasets[name]
 
     def length(self, name: str) -> int:
-        """Return how long the first axis of a dataset is, 0 where there is none of the name."""
+        """Return the length of a dataset's first axis, or 0 if there is no such dataset."""
         return self.form(name)[0][0] if name in self else 0
 
     def verify_content(self) -> None:
-        """Read every dataset, and compare it with the digest that the writer stored.
+        """Read every dataset and compare it with its stored digest.
 
-        Raises ArtifactError naming the dataset that differs.
+        Raises ArtifactError that names the first dataset that differs.
         """
         with explained_faults(self.path, self.made_by):
             self.verify_datasets()
 
     def verify_datasets(self, up_to_bytes: float = math.inf) -> None:
-        """Verify the datasets up to a size [bytes]; raise Fault when one is damaged."""
+        """Verify the datasets up to a size [bytes]; raise Fault if one is damaged."""
         for name in self._contents.digests:
             shape, dtype = self._contents.datasets[name]
             if dtype.itemsize * math.prod(shape) <= up_to_bytes:
@@ -239,9 +239,9 @@ class Artifact:
 
 
 def _contents(file: h5py.File) -> Contents:
-    """Return what the file holds, once it is whole. Raises Fault.
+    """Return the contents of the file after checking that it is whole. Raises Fault.
 
-    A process looks through a file once, and again when it has changed since.
+    A process checks a file once, and again if it has changed since.
     """
     status = os.fstat(file.id.get_vfd_handle())
     changed = status.st_mtime_ns, status.st_ctime_ns
@@ -255,7 +255,7 @@ def _contents(file: h5py.File) -> Contents:
 
 
 def _looked_through(file: h5py.File) -> Contents:
-    """Look through a file, and compare what it holds with its kind of artifact. Raises Fault."""
+    """Read the structure of a file and check it against its kind of artifact. Raises Fault."""
     root = attributes_at(file, "")
     kind, version = str(root.get("schema")), str(root.get("schema_version"))
     if kind not in SCHEMAS:
@@ -263,7 +263,7 @@ def _looked_through(file: h5py.File) -> Contents:
     if version.partition(".")[0] != SCHEMA_VERSION.partition(".")[0]:
         raise Fault(f"has schema version {version!r}; this program reads {SCHEMA_VERSION}")
     contents = inspect(file)
-    for own in PROVENANCE:  # no digest covers it
+    for own in PROVENANCE:  # not covered by a digest
         if own.name not in contents.attributes:
             raise Fault(f"is damaged: attribute {own.name} is missing")
     with damage("the case"):
@@ -278,52 +278,54 @@ def _looked_through(file: h5py.File) -> Contents:
         for name, digest in contents.digests.items()
     }
     if content_digest(kind, contents.attributes, lines) != contents.attributes["content_sha256"]:
-        raise Fault("is damaged: its digest is not that of what it holds")
+        raise Fault("is damaged: its digest does not match its contents")
     return contents
 
 
 def _check_origin(contents: Contents, origin: Origin) -> None:
-    """Raise Fault when the artifact was made with another case or from other inputs."""
+    """Raise Fault if the artifact was made with another case or from other inputs."""
     if contents.attributes["inputs_sha256"] != origin.inputs_digest:
         text = contents.case_text
         keys = case_differences(text, origin.case_text, origin.sections)
-        if told := keys or origin.consequences(text):
-            raise Fault(f"was made with another case ({told})")
+        if differences := keys or origin.consequences(text):
+            raise Fault(f"was made with another case ({differences})")
         raise Fault("was made with other points, or by another version of this program")
     for role, identity in origin.lineage.items():
         stored = contents.attributes.get(f"lineage/{role}/content_sha256")
         if stored is None:
             raise Fault(f"was made without the input {role} ({identity.path})")
-        # The content decides: an input that was made again, bit for bit the same, is the same.
+        # The content decides: an input that was made again with the same bits is the same.
         if stored != identity.content_sha256:
             raise Fault(f"was made from another input: {identity.path} ({role}) has changed since")
 
 
 def case_differences(made_with: str, asked: str, sections: Collection[str]) -> str:
-    """Return, in words, the first keys that differ between two cases in YAML, in some sections."""
-    # The base loader leaves every value a text as it was written, and builds nothing.
+    """Return, in words, the first keys in some sections that differ between two cases in YAML."""
+    # The base loader keeps every value as text and constructs no objects.
     cases = [yaml.load(text, yaml.BaseLoader) or {} for text in (made_with, asked)]
     there, here = (
         dict(_values({section: value for section, value in case.items() if section in sections}))
         for case in cases
     )
-    # What only one of them has may be newer than the other, and is then no difference.
+    # Keys that only one case has come last: another version of the program may have added them.
     keys = sorted(
         (key for key in here | there if here.get(key) != there.get(key)),
         key=lambda key: key not in here or key not in there,
     )
-    told = (
+    differences = (
         (key, *(shortened(case.get(key, "absent"), MOST_CHARACTERS) for case in (there, here)))
         for key in keys[:SHOWN_KEYS]
     )
-    return "; ".join(f"{shortened(key)} is {one} there, {other} here" for key, one, other in told)
+    return "; ".join(
+        f"{shortened(key)} is {one} there, {other} here" for key, one, other in differences
+    )
 
 
 def _values(value: Any, path: str = "") -> Iterator[tuple[str, str]]:
-    """Yield `a.b[0]` and its value for every value that holds no others."""
+    """Yield `a.b[0]` and its value for every value that contains no others."""
     if isinstance(value, dict) and value:
         for key, one in value.items():
-            # What a file held is in keys beside its name, which makes no difference.
+            # The contents of a file stand in other keys; its name makes no difference.
             yield from _values(one, f"{path}.{key}" if path else key) if key != "file" else ()
     elif isinstance(value, list) and value:
         for i, one in enumerate(value):
@@ -335,17 +337,17 @@ def _values(value: Any, path: str = "") -> Iterator[tuple[str, str]]:
 def read_record(artifact: Artifact, record: type[R], group: str = "", **others: Any) -> R:
     """Read a group of an artifact, or its root, as a record; `others` are fields not stored.
 
-    Raises ArtifactError when it is damaged, or lacks what older versions didn't write.
+    Raises ArtifactError if it is damaged, or lacks a field because an older version wrote it.
     """
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     there = (*artifact.datasets, *artifact.attributes)
     for name, field in fields_of_record(record).items():
         path = joined(group, field.name)
         if field.is_mapping:
-            found[name] = _mapping(artifact, record, field, path)
+            values[name] = _mapping(artifact, record, field, path)
         elif field.required or any(f"{each}/".startswith(f"{path}/") for each in there):
-            found[name] = _read(artifact, field, path)
-    return record(**found, **others)
+            values[name] = _read(artifact, field, path)
+    return record(**values, **others)
 
 
 def _read(artifact: Artifact, field: Field, path: str) -> Any:
@@ -362,13 +364,13 @@ def _stored(artifact: Artifact, path: str) -> Any:
     if path in artifact.attributes:
         return artifact.attributes[path]
     raise ArtifactError(
-        f"{artifact.path} has no {path}, as an older version made it; "
+        f"{artifact.path} has no {path}, because an older version made it; "
         f"make it again with `{artifact.made_by} --force`"
     )
 
 
 def _mapping(artifact: Artifact, record: type[Record], field: Field, path: str) -> dict[str, Any]:
-    """Read what a mapping has, but for what has a name of its own in the record."""
+    """Read the items of a mapping, except those that are other fields of the record."""
     depth = path.count("/") + 1
     names = artifact.datasets if field.axes or field.record else artifact.attributes
     heads = {"/".join(name.split("/")[:depth]) for name in names}
@@ -376,9 +378,9 @@ def _mapping(artifact: Artifact, record: type[Record], field: Field, path: str) 
     heads -= {joined(parent, other.name) for other in fields_of_record(record).values()} - {path}
     if field.names is not None:
         heads &= {path.removesuffix("*") + name for name in field.names}
-    found = {}
+    items = {}
     for head in sorted(head for head in heads if matches(path, head)):
         pairs = zip(path.split("/"), head.split("/"), strict=True)
-        key = "/".join(given for expected, given in pairs if expected == "*")
-        found[key] = _read(artifact, field, head)
-    return found
+        key = "/".join(segment for expected, segment in pairs if expected == "*")
+        items[key] = _read(artifact, field, head)
+    return items

@@ -1,4 +1,4 @@
-"""Write an artifact: whole or not at all, checked against its schema, never with NaN inside."""
+"""Write an artifact: completely or not at all, checked against its schema, without NaN."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ from sphrom.declaration import SCHEMA_VERSION, Field, Record, fields_of_record, 
 from sphrom.errors import ArtifactError
 from sphrom.machine import computing_seconds
 from sphrom.version import __version__
-from sphrom.whole_files import TemporaryFile, Uncollected, explained, replacement
+from sphrom.whole_files import GarbageCollectionPaused, TemporaryFile, explained, replacement
 
-# The newest format that VTK's reader was seen to read; its metadata carry checksums.
+# The newest format that VTK's reader is known to read; its metadata have checksums.
 LIBVER = ("v110", "v110")
 CHUNK_BYTES = 4 * 2**20
 """Size of a chunk of a dataset that is not a series of fields [bytes]."""
@@ -53,13 +53,13 @@ def create_artifact(
     force: bool = False,
     attributes: Mapping[str, object] | None = None,
 ) -> Iterator[ArtifactWriter]:
-    """Write the artifact `path`, which appears under its name when the block ends well.
+    """Write the artifact `path`; it appears under its name when the block ends without an error.
 
     `schema` is a name such as `sphrom/basis`; `attributes` are by path, such as `sound_speed` or
     `parameters/reynolds`.
 
-    Raises ArtifactError when the target can't be written or a value is not finite, ValueError when
-    what is written is not what the schema says.
+    Raises ArtifactError if the target cannot be written or a value is not finite, ValueError if the
+    data do not match the schema.
     """
     provenance: dict[str, Value] = {
         "schema": schema,
@@ -88,13 +88,13 @@ def create_artifact(
             file.discard()
             raise
         finally:
-            with Uncollected():
+            with GarbageCollectionPaused():
                 writer._streams.clear()
                 writer._hdf5.close()
 
 
 class ArtifactWriter:
-    """An artifact in the making; made by `create_artifact` only."""
+    """An artifact that is being written; made by `create_artifact` only."""
 
     def __init__(self, path: Path, file: TemporaryFile, schema: str) -> None:
         self._path = path
@@ -103,11 +103,11 @@ class ArtifactWriter:
         self._started, self._computing = time.monotonic(), computing_seconds()
         self._streams: dict[str, Stream] = {}
         self._attributes: dict[str, Value] = {}
-        with Uncollected():
+        with GarbageCollectionPaused():
             self._hdf5 = h5py.File(file, "w", libver=LIBVER)
 
     def add_time(self, seconds: float) -> None:
-        """Count time [s] that was spent on the artifact before, by a process that was stopped."""
+        """Add time [s] that a process spent on the artifact before it was stopped."""
         self._started -= seconds
 
     @property
@@ -117,18 +117,18 @@ class ArtifactWriter:
 
     @property
     def removed(self) -> bool:
-        """Whether somebody has removed what is written so far, as with its folder."""
+        """Whether the file that is being written was removed, for example with its folder."""
         return not self._file.is_named
 
     def write(self, name: str, array: ArrayLike) -> None:
-        """Write a whole dataset, of the type and the axes that the schema gives it."""
+        """Write a whole dataset, with the type and the axes of the schema."""
         values = np.asarray(array)
         self.stream(name, values.shape[1:], len(values)).extend(values)
 
     def stream(self, name: str, item_shape: Shape, n_items: int) -> Stream:
-        """Start a dataset (n_items, *item_shape) that is written one item after the other.
+        """Start a dataset (n_items, *item_shape) that is written item by item.
 
-        Once `status` is something other than `complete`, fewer items may follow.
+        If `status` is set to a value other than `complete`, there may be fewer items.
         """
         shape = (n_items, *item_shape)
         field = self._schema.dataset(name)
@@ -190,7 +190,7 @@ class ArtifactWriter:
 
 
 class Stream:
-    """A dataset that takes items along its first axis; made by `ArtifactWriter.stream`."""
+    """A dataset that is written along its first axis; made by `ArtifactWriter.stream`."""
 
     def __init__(
         self, writer: ArtifactWriter, name: str, field: Field, dataset: h5py.Dataset
@@ -205,9 +205,9 @@ class Stream:
         self._digest = hashlib.sha256()
 
     def append(self, item: ArrayLike) -> None:
-        """Write the next item, of the dataset's type and shape.
+        """Write the next item, which must have the dataset's type and shape.
 
-        Raises ArtifactError when it is not finite, ValueError when it does not fit.
+        Raises ArtifactError if it is not finite, ValueError if it does not fit.
         """
         self.extend(np.asarray(item)[np.newaxis])
 
@@ -236,18 +236,18 @@ class Stream:
             self.seal()
 
     def shorten(self) -> None:
-        """Give up the items that were never written."""
+        """Drop the items that were never written."""
         if self.written < self.shape[0]:
             self.shape = (self.written, *self.shape[1:])
             with self._writer._guarded():
                 self._dataset.resize(self.shape)
 
     def seal(self) -> str:
-        """Store the digest of what was written, and return the dataset's line in the content's.
+        """Store the digest of the written data; return the dataset's line for the content digest.
 
-        The dataset is closed: with a thousand of them open HDF5 fails on the next one.
+        The dataset is closed, because HDF5 fails with a thousand of them open.
 
-        Raises ValueError when items are missing.
+        Raises ValueError if items are missing.
         """
         if self._line:
             return self._line
@@ -262,9 +262,9 @@ class Stream:
 
 
 def chunk_shape(field: Field, shape: Shape) -> Shape | None:
-    """Return one field a chunk for a series of fields, else rows of about `CHUNK_BYTES`.
+    """Return one field per chunk for a series of fields, else rows of about `CHUNK_BYTES`.
 
-    None when there is nothing to store.
+    Return None if there is nothing to store.
     """
     if not all(shape):
         return None
@@ -274,10 +274,10 @@ def chunk_shape(field: Field, shape: Shape) -> Shape | None:
     return (min(shape[0], max(1, CHUNK_BYTES // row_bytes)), *shape[1:])
 
 
-class _Guard(Uncollected):
-    """Raises what went wrong in the file beneath HDF5, as an ArtifactError where it was that.
+class _Guard(GarbageCollectionPaused):
+    """Raises an error of the file beneath HDF5 as an ArtifactError.
 
-    A class, as an interrupt may leave it before it is entered: a generator would complain of it.
+    It is a class, because an interrupt before it is entered would make a generator raise too.
     """
 
     def __init__(self, path: Path, file: TemporaryFile) -> None:
@@ -293,10 +293,10 @@ class _Guard(Uncollected):
 
 
 def fixed_text(text: str) -> NDArray[Any]:
-    """Return a text as a scalar that HDF5 stores with its length.
+    """Return a text as a scalar that HDF5 stores with a fixed length.
 
-    HDF5 keeps texts of variable length in a heap without checksums, and one flipped bit there was
-    seen to send it into an endless loop. Of fixed length they lie where a checksum covers them.
+    HDF5 keeps texts of variable length in a heap without checksums, where one flipped bit sent it
+    into an endless loop. Texts of fixed length are covered by a checksum.
     """
     encoded = text.encode()
     return np.array(encoded, dtype=h5py.string_dtype("utf-8", max(1, len(encoded))))
@@ -305,8 +305,8 @@ def fixed_text(text: str) -> NDArray[Any]:
 def write_record(artifact: ArtifactWriter, record: Record, group: str = "") -> None:
     """Write a record into a group of an artifact, or into its root.
 
-    Raises ArtifactError when it can't be written or isn't finite, ValueError when an array is not
-    of the type and the axes that are declared.
+    Raises ArtifactError if it cannot be written or is not finite, ValueError if an array does not
+    have the declared type and axes.
     """
     for name, field in fields_of_record(type(record)).items():
         value, path = getattr(record, name), joined(group, field.name)

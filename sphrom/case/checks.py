@@ -280,6 +280,8 @@ def _measure_problem(case: Case, measured: MeasureSection) -> str | None:
         return "from_time must be before time.final_time" if late else None
     if measured.probe is not None:
         return outside_fluid(case, np.array([measured.probe]))
+    if measured.of_surface:
+        return _surface_problem(case, measured)
     assert measured.segment is not None
     start, end = np.array(measured.segment)
     length = math.dist(start, end)
@@ -289,15 +291,27 @@ def _measure_problem(case: Case, measured: MeasureSection) -> str | None:
     return outside_fluid(case, start + np.linspace(0.0, 1.0, number)[:, None] * (end - start))
 
 
+def _surface_problem(case: Case, measured: MeasureSection) -> str | None:
+    scene, periodic = case.scene, case.scene.domain.periodic
+    if not scene.has_surface:
+        return "is for fluid with a free surface; scene.fluid gives it one"
+    if measured.of_fluid == "centre_of_mass" and any(periodic):
+        return "fluid in a periodic box has no centre of mass; take of_fluid: energy"
+    if measured.elevation is None:
+        return None
+    if periodic[1]:
+        return "needs a floor; leave y out of box.periodic"
+    levels = [scene.level_at(dict(point.others)) for point in case.plan.points]
+    y = min((*levels, scene.domain.upper[1]))
+    return outside_fluid(case, np.array([[measured.elevation, y]]))
+
+
 def outside_fluid(case: Case, place: Array) -> str | None:
-    """Return which of some places (n_places, 2) is not in the fluid at rest, in words."""
+    """Return which of some places (n_places, 2) is out of the box or in a solid, in words."""
     domain = case.scene.domain
     beyond = (place < np.array(domain.lower)) | (place > np.array(domain.upper))
     for x, y in place[beyond.any(axis=1)][:1]:
         return f"({x:g}, {y:g}) m is outside of the box"
-    level = min(case.scene.level_at(point.as_dict()) for point in case.plan.points)
-    for x, y in place[place[:, 1] > level][:1]:
-        return f"({x:g}, {y:g}) m is above the free surface at rest, y = {level:g} m"
     in_solid = domain.distance_and_normal(place)[0] < -WITHIN_WALL * case.plan.particle_spacing
     for x, y in place[in_solid][:1]:
         turns = np.flatnonzero(np.diff(~in_solid, prepend=False, append=False)).reshape(-1, 2)

@@ -34,7 +34,7 @@ from sphrom.case.resistances import (
 )
 from sphrom.case.scene_section import MEASURE, OF_WALLS, Defaults, Measures, SceneSection
 from sphrom.case.shapes import ShapeSection
-from sphrom.scenes.flows import CustomFlow, Drive, Scales, Scene
+from sphrom.scenes.flows import BodyForce, CustomFlow, Scales, Scene
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import SIDES, Domain
 from sphrom.sph.fluid import NONE
@@ -179,7 +179,7 @@ class CustomScene(SceneSection):
 
     @property
     def gravity(self) -> float:
-        """The acceleration along -y of fluid with a free surface [m/s2]."""
+        """Gravity along -y, of a scene with a free surface [m/s2]."""
         return 0.0 if self.fluid is None else self.fluid.gravity
 
     @property
@@ -499,7 +499,7 @@ class CustomScene(SceneSection):
         return found
 
     @cached_property
-    def _force(self) -> Drive | None:
+    def _force(self) -> BodyForce | None:
         """What pushes the fluid: a field times an amplitude, of which parameters give a factor."""
         if self.fluid is not None:
             parts = [self._expression(BODY_FORCE, v, "x", "y", "t") for v in self.body_force]
@@ -530,7 +530,9 @@ class CustomScene(SceneSection):
         # All runs of a case ask for it at the same snapshots.
         at = lru_cache(N_TIMES)(lambda t: factor * float(share(t)) * float(amplitude(t=t)))
         changes = bool(amplitude.depends_on)
-        return Drive(field, at, lambda times: factor * (share(times) * amplitude(t=times)), changes)
+        return BodyForce(
+            field, at, lambda times: factor * (share(times) * amplitude(t=times)), changes
+        )
 
     @cached_property
     def _strip(self) -> Strip | None:

@@ -16,7 +16,7 @@ from sphrom.case.expressions import Expression
 from sphrom.case.fields import Duration, Place, Section, key, only_one
 from sphrom.case.resistances import Value
 from sphrom.case.shapes import CircleSection, RectangleSection, ShapeSection
-from sphrom.scenes.flows import Drive
+from sphrom.scenes.flows import BodyForce
 from sphrom.sph.domain import Domain
 
 OF_SURFACES: Mapping[str, Any] = {
@@ -75,7 +75,7 @@ class SurfaceFluidSection(Section):
 
 
 @dataclass(frozen=True)
-class SurfaceForce(Drive):
+class SurfaceForce(BodyForce):
     """Gravity and a body force whose components change with time in their own ways.
 
     `field` is its value at the start, and `amplitude` is one.

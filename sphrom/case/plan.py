@@ -185,6 +185,10 @@ class Plan:
         """The mass of a particle, per metre of depth [kg/m]."""
         return self._case.fluid.reference_density * self.particle_spacing**2
 
+    def volumes(self, density_fluctuation: Array) -> Array:
+        """Return the volumes of particles (n_particles,) [m2]."""
+        return self.mass / (self._case.fluid.reference_density + density_fluctuation)
+
     @cached_property
     def longest_sound_period(self) -> float:
         """The period of the longest standing wave in the scene's box [s]."""
@@ -518,10 +522,11 @@ class Plan:
         return tuple(sorted(found))
 
     @cached_property
-    def taught_bases(self) -> tuple[str, ...]:
-        """The bases to whose training runs some model is calibrated or corrected, by name.
+    def corrected_bases(self) -> tuple[str, ...]:
+        """The names of the bases with a model that their training runs calibrate or correct.
 
-        With forces, all on points: their calibration needs training runs too.
+        In scenes with measured forces these are all bases on the reference points, because the
+        calibration of forces needs training runs too.
         """
         if self._case.scene.measured_walls:
             return self.reference_bases
@@ -541,7 +546,7 @@ class Plan:
 
     @cached_property
     def sized_bases(self) -> tuple[str, ...]:
-        """The bases whose training runs choose the number of modes of some model, by name."""
+        """The names of the bases with a model whose number of modes their training runs choose."""
         return self._in_order(basis for model, basis in self._used if model.n_modes == AUTO)
 
     def _in_order(self, used: Iterable[str]) -> tuple[str, ...]:

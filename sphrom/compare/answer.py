@@ -93,14 +93,11 @@ class Answer:
             text = "; ".join(parts)
             yield f"{text[0].upper()}{text[1:]}."
         if self.surface is not None:
-            best = (
-                ""
-                if self.surface[1] is None
-                else f", that of the nearest state by {percent(self.surface[1])}"
-            )
+            error, least = self.surface
+            nearest = "" if least is None else f", that of the nearest state by {percent(least)}"
             yield (
-                f"The surface's elevation differs by {percent(self.surface[0])}{best}, of the root "
-                "mean square of its change."
+                f"The surface's elevation differs by {percent(error)}{nearest}, of the root mean "
+                "square of its change."
             )
         for name, error, best, estimate in self.forces:
             nearest = "" if best is None else f", that of the nearest state by {percent(best)}"

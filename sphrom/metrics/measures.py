@@ -23,14 +23,10 @@ Quantities = Mapping[str, Array]
 """By UNITS, what one measurement gives."""
 
 UNITS = {
-    "force": "N/m",
-    "torque": "N",
-    "flow_rate": "m2/s",
-    "velocity": "m/s",
-    "pressure": "Pa",
-    "elevation": "m",
-}
-VECTORS = ("force", "velocity")
+    "force": "N/m", "torque": "N", "flow_rate": "m2/s", "velocity": "m/s", "pressure": "Pa",
+    "elevation": "m", "centre_of_mass": "m", "kinetic_energy": "J/m", "potential_energy": "J/m",
+}  # fmt: skip
+VECTORS = ("force", "velocity", "centre_of_mass")
 """Quantities with an axis of components, the last."""
 AXES = ("x", "y")
 """Names of components."""

@@ -52,7 +52,7 @@ from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.stokes_fields import stokes_fields
 from sphrom.reduction.trial_basis import project, truncate
 from sphrom.setup import particles
-from sphrom.setup.assembly import amplitude_of, output_times_of, places_of, sound_averages
+from sphrom.setup.assembly import amplitude_of, output_times_of, scaled_parameters, sound_averages
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import require_room
 from sphrom.setup.particles import MeasuredFields
@@ -127,7 +127,7 @@ class _Projection:
         # Around them steps have to be stable.
         self.states = np.concatenate(states)
         taught = None
-        if self.name in self.case.plan.taught_bases:
+        if self.name in self.case.plan.corrected_bases:
             taught = training_runs(self.workspace, self.basis, self.name)
         residual, estimate = self._error_data()
         chosen = self._held_out(taught, estimate)
@@ -314,7 +314,9 @@ class _Projection:
             mapped = map(self.workspace.mapped, self.trained)
             runs = [stack.enter_context(self.workspace.open(target)) for target in mapped]
             products = snapshot_products(self.basis, n_snapshots, scale, read(runs))
-        return unheld_shares(products, places_of(self.case, self.trained), self.basis.n_modes)
+        return unheld_shares(
+            products, scaled_parameters(self.case, self.trained), self.basis.n_modes
+        )
 
     def _held_out(self, runs: Array | None, estimate: Estimate | None) -> HeldOut | None:
         """Return what training runs choose for calibrated models with the basis.
@@ -331,7 +333,7 @@ class _Projection:
                     "more; see snapshots.every"
                 )
             return None
-        places = places_of(self.case, self.trained)
+        places = scaled_parameters(self.case, self.trained)
         sizes = TrainedSizes(places, runs, products=estimate, compared=self.compared)
         repeated = [self._repeated(runs, n + 1) for n in range(sizes.largest)]
         integrated, error = choose_integrated(sizes, repeated)

@@ -148,12 +148,12 @@ class SurfaceRun:
     def _measure(self, name: str, section: MeasureSection) -> Quantities:
         graph, state, density = self.reduced.graph, self.coordinates, self._density
         domain = self.model.workspace.case.scene.domain
-        if getattr(section, "elevation", None) is not None:
+        if section.elevation is not None:
             return {"elevation": graph.elevation(state, np.array([section.elevation]))[:, 0]}
-        if getattr(section, "of_fluid", None) == "energy":
+        if section.of_fluid == "energy":
             potential = density * graph.potential_energy(state)
             return {"kinetic_energy": self.kinetic_energy, "potential_energy": potential}
-        if getattr(section, "of_fluid", None) is not None:
+        if section.of_fluid is not None:
             return {"centre_of_mass": graph.centre_of_mass(state)}
         if section.force_on is not None:
             lower, upper = np.array((domain.lower, domain.upper))

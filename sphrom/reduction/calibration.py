@@ -1,32 +1,34 @@
-"""Calibration: a small correction of reduced rates, learnt from the coordinates of training runs.
+"""Calibration: a small correction of the reduced rates, fitted to the coordinates of training runs.
 
-Operators on fixed points differ a little from those on moving particles. The difference hardly
-changes in time, so that its effect adds up: in the mean flow, and more so in the pressure, to which
-the modes' divergence contributes a small difference of large terms. A constant and a linear part of
-the rates compensate for it, each affine in the kinematic viscosity nu as the rates themselves are:
+Operators on fixed points differ slightly from those on moving particles. The difference hardly
+changes in time, so its effect accumulates in the mean flow. The pressure suffers most, because it
+depends on the divergence of the modes, which is a small difference of large terms. A constant and a
+linear term compensate for the difference. Like the rates, both are affine in the kinematic
+viscosity nu:
 
     da/dt = f(a) + (c + A a) + (nu / nu_mean - 1) (c' + A' a)
 
-and likewise in every other parameter, whose share in the sum is its difference from the mean over
-the runs' largest value.
+Every other parameter adds such a term; its factor is the parameter's difference from the mean of
+the runs, divided by the runs' largest value.
 
-They minimise the sum of squares of the residual, averaged over a window that moves along each run,
-with a penalty that pulls them to zero:
+The terms minimise the squared residual, averaged over a window that moves along each run, with a
+penalty that pulls them to zero:
 
     sum |<da/dt - f(a)> - c - A <a> - ...|^2 + lambda n s^2 (|c|^2 / s^2 + |A|^2 + ...)
 
 where n is the number of averages, s^2 the mean square of the averaged coordinates and nu_mean the
-mean of the runs' viscosities. The window is a hat with half-width of the longest sound wave's
-period: snapshots are too far apart to differentiate sound in time, and averages of the rates need
-no more than that sound cancels in them. One calibration serves all parameters, also between the
-trained ones. If all runs have the same viscosity, c' and A' are zero.
+mean viscosity of the runs. The window is a hat whose half-width is the period of the longest sound
+wave: snapshots are too far apart to resolve the time derivative of sound, and sound cancels in
+averages over a period. One calibration serves all parameters, also those between the training
+points. If all runs have the same viscosity, c' and A' are zero.
 
-With a constant, a flow that nothing drives would never come to rest. Where rates vanish at rest c
-and c' are therefore multiplied by the energy |a|^2 over its mean: it is about one in training, and
-what is left out of convection and pressure changes with the square of the flow indeed.
+With a constant term, a flow without a driving force would never come to rest. If the rates vanish
+at rest, c and c' are therefore multiplied by the energy |a|^2 over its mean. This factor is about
+one in training, and the errors of convection and pressure do grow with the square of the flow.
 
-All coordinates share one scale s. If each coordinate had its own, the penalty would no longer hold
-back the coupling of small coordinates, which the averages hardly show: cavities became unstable.
+All coordinates share one scale s. With a scale for each coordinate, the penalty would no longer
+limit the coupling of small coordinates, which the averages hardly determine: reduced models of
+cavities became unstable.
 """
 
 from __future__ import annotations
@@ -41,8 +43,8 @@ from sphrom.metrics.series import hat, moving_average
 from sphrom.reduction.reduced_rates import Polynomial
 
 PENALTY = 1e-2
-"""lambda. Measured on cavities: ten times as much or a tenth changes little; a hundred times less
-is better at the trained values and worse between them."""
+"""lambda. Measured on cavities: a factor of ten either way changes little; a hundred times less is
+better at the training points and worse between them."""
 
 
 @dataclass(frozen=True)
@@ -55,25 +57,25 @@ class TrainingRun:
     kinematic_viscosity: float
     """nu [m2/s]."""
     amplitude: Array | None = None
-    """(n_snapshots,) of the body force or of driven walls, if it changes."""
+    """(n_snapshots,) of the body force or of the driven walls, if it changes in time."""
     factors: Mapping[str, float] = field(default_factory=dict)
-    """The values of what varies beside the viscosity."""
+    """The values of the other parameters, by name."""
 
 
 @dataclass(frozen=True)
 class Slope:
-    """The part of corrections that grows with a parameter."""
+    """The term of the correction that is linear in one parameter."""
 
     slope: Polynomial
     mean: float
-    """Of the runs' values."""
+    """Mean of the runs' values."""
     largest: float
-    """Of the runs' values, either sign; one where all are zero."""
+    """Largest absolute value of the runs; one where all are zero."""
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Corrections by viscosity."""
+    """The correction of the rates as a function of the parameters."""
 
     mean: Polynomial
     """c and A, at the mean viscosity."""
@@ -82,28 +84,28 @@ class Calibration:
     mean_viscosity: float
     """nu_mean [m2/s]."""
     others: Mapping[str, Slope] = field(default_factory=dict)
-    """By what varies beside the viscosity."""
+    """The slopes in the other parameters, by name."""
 
     def at(
         self, kinematic_viscosity: float, factors: Mapping[str, float] | None = None
     ) -> Polynomial:
-        """Return the correction of the rates at a viscosity [m2/s] and values of what varies."""
-        found = self.mean.plus(self.slope, kinematic_viscosity / self.mean_viscosity - 1.0)
+        """Return the correction at a viscosity [m2/s] and at values of the other parameters."""
+        correction = self.mean.plus(self.slope, kinematic_viscosity / self.mean_viscosity - 1.0)
         for name, other in self.others.items():
             offset = ((factors or {})[name] - other.mean) / other.largest
-            found = found.plus(other.slope, offset)
-        return found
+            correction = correction.plus(other.slope, offset)
+        return correction
 
 
 def calibrate(
     runs: Sequence[TrainingRun], interval: float, window: float, penalty: float = PENALTY
 ) -> Calibration:
-    """Fit the corrections to training runs.
+    """Fit the correction to training runs.
 
     Parameters
     ----------
-    interval : between snapshots [s].
-    window : half the width of the averages [s]; short runs have as much of it as they are long.
+    interval : time between snapshots [s].
+    window : half-width of the averages [s]; short runs use at most their own length.
     penalty : lambda.
 
     Raises ValueError when a run has fewer than three snapshots.
@@ -112,10 +114,10 @@ def calibrate(
     coordinates, residuals = (np.concatenate(parts) for parts in zip(*averages, strict=True))
     viscosities = np.array([run.kinematic_viscosity for run in runs])
     mean_viscosity = float(viscosities.mean())
-    # A flow at rest determines the constant alone.
+    # A flow at rest determines the constant only.
     scale = float(np.sqrt(np.mean(coordinates**2))) or 1.0
     driven = any(tensors and tensors[0].any() for run in runs for tensors in run.rates.powers)
-    # As large as the largest coordinate, and so held back as much.
+    # Scaled to the size of the largest coordinate, so that the penalty treats both alike.
     energy = 1.0 / (scale**2 * np.sqrt(coordinates.shape[1]))
     first = np.ones(len(coordinates)) if driven else energy * np.sum(coordinates**2, axis=1)
     features = np.insert(coordinates / scale, 0, first, axis=1)
@@ -128,7 +130,7 @@ def calibrate(
     parts = [features, *(np.repeat(o, lengths)[:, None] * features for o in offsets)]
     features = np.hstack(parts)
     gram = features.T @ features + penalty * len(features) * np.eye(features.shape[1])
-    # Runs at one value of a parameter leave its features, and that part of the solution, zero.
+    # If all runs have one value of a parameter, its features are zero, and so is its slope.
     solved = np.split(np.linalg.lstsq(gram, features.T @ residuals)[0], len(parts))
     at_mean, slope, *others = (
         _correction(p[0], p[1:].T / scale, None if driven else energy) for p in solved
@@ -140,7 +142,7 @@ def calibrate(
 
 
 def _correction(first: Array, linear: Array, energy: float | None) -> Polynomial:
-    """Return rates of a constant and a linear part; with a factor, of |a|^2 in place of one."""
+    """Return a constant and a linear rate; with `energy`, the constant is multiplied by |a|^2."""
     if energy is None:
         return Polynomial(((first, linear),))
     quadratic = energy * first[:, None, None] * np.eye(len(first))
@@ -148,7 +150,7 @@ def _correction(first: Array, linear: Array, energy: float | None) -> Polynomial
 
 
 def _averaged(run: TrainingRun, interval: float, window: float) -> tuple[Array, Array]:
-    """Return averages (n_averages, n_modes) of coordinates, and of the errors of their rates."""
+    """Return window averages (n_averages, n_modes) of the coordinates and of the rate errors."""
     states = run.coordinates
     if len(states) < 3:
         reason = "a run of fewer than three snapshots has no rates to calibrate with"

@@ -1,42 +1,45 @@
-"""Interpolation between training points, and defect correction of runs at other parameters.
+"""Interpolation between training points, and correction of runs by their defects there.
 
-Points are given by numbers in which distances count alike, (n_points, n_parameters): logarithms of
-parameters that are positive. The weights w are those of linear interpolation in the simplex of
-training points around a point (the Delaunay triangulation's): of all w >= 0 with sum w = 1 that
-give the point, they have the least sum of w_k d_k^2, d_k the distances. With one parameter
-they are those of the two neighbours. Outside of the training points they give the nearest point of
-their hull.
+A point is an array (n_points, n_parameters) of scaled parameters, whose distances are comparable:
+positive parameters enter by their logarithms. The weights w of `interpolation_weights` are those of
+linear interpolation in the simplex of training points around the point (the Delaunay
+triangulation): of all w >= 0 with sum w = 1 that reproduce the point, they minimise the sum of
+w_k d_k^2, where d_k are the distances. With one parameter they are the weights of the two
+neighbours. A point outside the convex hull of the training points is replaced by the nearest point
+of the hull.
 
-Rates that are projected on fixed points miss what moving particles do: their noise, which has modes
-of its own, and slow drifts. At training points k the defects d_k = Phi^T x_k - a_k are known, of
-projected full runs from the model's own. Elsewhere the coordinates of a run become
+Rates projected on fixed points lack two effects of moving particles: particle noise, which has
+modes of its own, and slow drifts. At the training points k the defects d_k = Phi^T x_k - a_k are
+known; they are the differences between the projected full run and the reduced run. At other points
+the corrected coordinates are
 
     a(t) + sum_k w_k d_k(t).
 
-The weights w are those of kriging (Gaussian-process regression) with mean zero and the correlation
+The weights w are those of kriging (Gaussian process regression) with mean zero and the correlation
 exp(-|p - p_k| / l) of defects at a distance in the parameters:
 
     w = K^-1 (exp(-|p - p_k| / l))_k,    K_jk = exp(-|p_j - p_k| / l).
 
-With a long l they interpolate linearly between neighbours, and outside of the training points give
-the nearest defect; with a short one they vanish away from the training points. The length l is the
-one with which runs are predicted best from the others, the sum over the runs of |e_k|^2 with
+With a long l they interpolate linearly between neighbours and, outside the training points, give
+the nearest defect. With a short l they vanish away from the training points. The length l is chosen
+by leave-one-out cross-validation: it minimises the sum over the runs of |e_k|^2 with
 
     e_k = (K^-1 d)_k / (K^-1)_kk
 
-(Dubrule 1983). So defects that other runs do not share, such as sound that has lost its phase, are
-hardly added; where the others predict little of them there is no correction. At training points the
-corrected coordinates are the projected full run's.
+(Dubrule 1983). Defects that differ from run to run, such as sound with a random phase, are
+therefore hardly added. If the other runs predict too little of the defects, there is no correction.
+At the training points the corrected coordinates equal those of the projected full run.
 
-All modes have one length. Pressure is a small difference of what modes contribute, and a sum of
-states with the same weights for all modes keeps such relations between modes; with a length for
-each mode, the pressure in channels was off by up to half as much again.
+All modes share one length. Pressure is a small difference of large contributions of modes. A sum of
+states with the same weights for all modes keeps such relations between modes; with one length per
+mode, the pressure error in channels grew by up to a half.
 
-A model may integrate its first modes alone. The coordinates of the others are zero in its runs, so
-that their defects are the training runs' coordinates themselves. Both groups of modes have a length
-of their own, and whether they are worth it is asked of them separately.
+A model may integrate only its first modes. The other coordinates are zero in its runs, so their
+defects are the coordinates of the training runs. The two groups of modes have separate lengths, and
+each group is corrected only if cross-validation supports it.
 
-A run that goes on beyond the trained time has its correction faded out before, and none after it.
+In a run that is longer than the training runs, the correction fades out before their end and is
+zero after it.
 """
 
 from __future__ import annotations
@@ -49,23 +52,23 @@ import numpy as np
 from sphrom.arrays import Array, Indices
 
 NEARNESS = 1e-4
-"""Weight of the distances beside that of the error at the point."""
+"""Weight of the squared distances relative to the error in reproducing the point."""
 ROUNDING = 1e-12
-"""Distance over the largest, below which two points are one."""
+"""Two points closer than this share of the largest distance are the same."""
 INSIDE = 1e-6
-"""Distance over the farthest training point's, up to which a point lies inside of them."""
+"""A point is inside the hull up to this distance, over that of the farthest training point."""
 
 
 def spline_weights(places: Array, place: Array) -> Array:
-    """Return weights (n_points,) of the smoothest interpolation, which may be negative.
+    """Return weights (n_points,) of the smoothest interpolation; they may be negative.
 
-    It is that of radial cubes and a linear polynomial: with one parameter the natural cubic spline,
-    which goes on as a straight line outside. Parameters are those of `interpolation_weights`.
+    The interpolant is a sum of radial cubes and a linear polynomial. With one parameter it is the
+    natural cubic spline, which is linear outside. Parameters: see `interpolation_weights`.
     """
     n_points, size = len(places), float(np.ptp(places, axis=0).max()) or 1.0
     points = (np.vstack((places, place)) - places.mean(axis=0)) / size
     distances = np.linalg.norm(points[:, None] - points[:-1], axis=2)
-    # Points that lie in a plane tell no slope across it.
+    # Points in a plane do not determine the slope across it.
     spread = np.linalg.matrix_rank(places - places[0]) == places.shape[1]
     radial = distances**3 if spread else -distances
     polynomial = np.column_stack((np.ones(n_points + 1), *(points.T if spread else ())))
@@ -75,13 +78,13 @@ def spline_weights(places: Array, place: Array) -> Array:
 
 
 def interpolation_weights(places: Array, place: Array) -> tuple[Array, float]:
-    """Return weights (n_points,) of training points, and the distance of a point from their hull.
+    """Return weights (n_points,) of the training points, and a point's distance from their hull.
 
-    The distance is zero inside.
+    The distance is zero inside the hull.
 
     Parameters
     ----------
-    places : (n_points, n_parameters) of the training points.
+    places : (n_points, n_parameters), the training points.
     place : (n_parameters,).
     """
     offsets = places - place
@@ -101,11 +104,11 @@ def interpolation_weights(places: Array, place: Array) -> tuple[Array, float]:
         return weights, missed if missed > INSIDE * largest else 0.0
     if len(places) == 1:
         return np.ones(1), float(np.linalg.norm(offsets[0] / largest)) * largest
-    # Loading it takes longer than most runs; one parameter needs no solver.
+    # Importing the solver takes longer than most runs; one parameter does not need it.
     from scipy.optimize import nnls
 
     scaled, squares = offsets / largest, (distances / largest) ** 2
-    # Weights are not negative: the square of their sum of squares is least where that is.
+    # Weights are nonnegative, so minimising the square of their weighted sum minimises the sum.
     rows = np.vstack((scaled.T, np.ones(len(places)), NEARNESS * squares))
     target = np.zeros(len(rows))
     target[places.shape[1]] = 1.0
@@ -116,10 +119,10 @@ def interpolation_weights(places: Array, place: Array) -> tuple[Array, float]:
 
 
 def interpolation_variance(places: Array, place: Array) -> float:
-    """Return the variance of what `interpolation_weights` miss at a place (n_parameters,).
+    """Return the variance of the interpolation error at a place (n_parameters,).
 
-    It is that of a process whose increments have the distance as variance: zero at training
-    points (n_points, n_parameters), and between two of them largest in the middle.
+    It is that of a process whose increments have the distance as their variance: zero at the
+    training points (n_points, n_parameters), and largest halfway between two of them.
     """
     weights, _ = interpolation_weights(places, place)
     reach, between = _distances(places, place[None])[:, 0], _distances(places, places)
@@ -127,41 +130,41 @@ def interpolation_variance(places: Array, place: Array) -> float:
 
 
 CORRELATIONS = np.concatenate(([1e-6], np.linspace(0.02, 0.98, 49), [1.0 - 1e-6]))
-"""Correlations of the defects at the two training points farthest apart, that are tried."""
+"""Candidate correlations of the defects at the two training points that are farthest apart."""
 WORTHWHILE = 0.9
-"""Share of the defects' squares that stays in runs held out, up to which there is a correction.
+"""Largest share of the squared defects that may remain in held-out runs, for a correction to apply.
 
-With shedding in the open cavity, whose phase depends on the parameter, it is 0.9 to 1, and nothing
-is gained.
+With shedding in the open cavity, whose phase depends on the parameter, the share is 0.9 to 1, and a
+correction does not help.
 """
 FADED = 0.1
-"""Share of the trained time, its last, over which the correction of longer runs fades out."""
+"""Final share of the trained time over which the correction of longer runs fades out."""
 
 
 @dataclass(frozen=True)
 class Correction:
-    """The defects at training points, and how far they reach."""
+    """The defects at the training points and their correlation lengths."""
 
     places: Array
-    """(n_runs, n_parameters), in which distances count alike."""
+    """(n_runs, n_parameters), scaled so that distances are comparable."""
     defects: Array
     """(n_runs, n_snapshots, n_modes)."""
     lengths: Array
-    """(n_modes,) over which defects are correlated; NaN for modes without a correction."""
+    """(n_modes,) correlation lengths of the defects; NaN for modes without a correction."""
 
     def at(self, place: Array) -> Array:
-        """Return what is added to coordinates (n_snapshots, n_modes) at a place (n_parameters,)."""
+        """Return the correction (n_snapshots, n_modes) at a place (n_parameters,)."""
         between = _distances(self.places, self.places)
         reach = _distances(self.places, place[None])[:, 0]
-        found, modes = np.zeros(self.defects.shape[1:]), np.isfinite(self.lengths)
+        correction, modes = np.zeros(self.defects.shape[1:]), np.isfinite(self.lengths)
         lengths = self.lengths[modes, None]
         alike = np.exp(-between / lengths[..., None]), np.exp(-reach / lengths)[..., None]
         weights = np.linalg.solve(*alike)[..., 0]
-        found[:, modes] = np.einsum("mk,ksm->sm", weights, self.defects[..., modes])
-        return found
+        correction[:, modes] = np.einsum("mk,ksm->sm", weights, self.defects[..., modes])
+        return correction
 
     def held_out(self, place: Array) -> Array:
-        """Return the correction (n_snapshots, n_modes) of a training run that others give."""
+        """Return a training run's correction (n_snapshots, n_modes) from the other runs."""
         others = np.any(self.places != place, axis=1)
         return replace(self, places=self.places[others], defects=self.defects[others]).at(place)
 
@@ -169,17 +172,17 @@ class Correction:
 def learn_correction(
     places: Array, defects: Array, groups: Sequence[Indices] = (), worthwhile: float = WORTHWHILE
 ) -> Correction | None:
-    """Find out how far the defects (n_runs, n_snapshots, n_modes) of training runs reach.
+    """Fit the correlation lengths of the defects (n_runs, n_snapshots, n_modes) of training runs.
 
-    None where they predict too little of each other's, or fewer than two runs are finite. Others
-    are left out.
+    Runs with defects that are not finite are left out. Return None if fewer than two runs remain,
+    or if the runs predict too little of each other's defects.
 
     Parameters
     ----------
-    places : (n_runs, n_parameters), in which distances count alike; no two are the same.
-    groups : of modes; those of which too little is predicted have no correction. By default all
-        modes are one group.
-    worthwhile : the share of the defects' squares that may stay in runs held out.
+    places : (n_runs, n_parameters), scaled so that distances are comparable; all different.
+    groups : of modes with a common length; a group that is predicted too poorly has no correction.
+        By default all modes are one group.
+    worthwhile : largest share of the squared defects that may remain in held-out runs.
     """
     finite = np.isfinite(defects).all(axis=(1, 2))
     places, defects = places[finite], defects[finite]
@@ -187,7 +190,7 @@ def learn_correction(
         return None
     between = _distances(places, places)
     lengths = -between.max() / np.log(CORRELATIONS)
-    missed = np.empty((len(lengths), defects.shape[2]))  # squares that the other runs leave
+    missed = np.empty((len(lengths), defects.shape[2]))  # squared leave-one-out errors
     for k, length in enumerate(lengths):
         inverse = np.linalg.inv(np.exp(-between / length))
         errors = np.einsum("jk,ksm->jsm", inverse / np.diag(inverse)[:, None], defects)
@@ -201,12 +204,12 @@ def learn_correction(
 
 
 def faded(correction: Array, n_snapshots: int) -> Array:
-    """Return a correction (..., n_trained, n_modes) over a run of some equally spaced snapshots."""
+    """Return a correction (..., n_trained, n_modes) over `n_snapshots` equally spaced snapshots."""
     n_trained = correction.shape[-2]
     if n_snapshots <= n_trained:
         return correction[..., :n_snapshots, :]
     rest = np.arange(n_trained - 1, -1, -1) / max(1.0, FADED * (n_trained - 1))
-    # The square of a sine: neither it nor its slope jumps.
+    # The square of a sine: value and slope are continuous.
     share = np.sin(0.5 * np.pi * np.minimum(rest, 1.0)) ** 2
     out = np.zeros((*correction.shape[:-2], n_snapshots, correction.shape[-1]))
     out[..., :n_trained, :] = share[:, None] * correction

@@ -1,13 +1,14 @@
 """Proper orthogonal decomposition of a streamed snapshot matrix (Eq. 3.13-3.14, 3.16).
 
-The matrix S, one column a snapshot, is read in blocks of points and is never held as a whole. Its
-R factor is built up block by block (TSQR), so that singular values are accurate to rounding times
-the largest one; a Gram matrix would lose all below its square root. A second pass over the blocks
-gives the modes S V / sigma. As S = Q R, any subset of the columns has the singular values and
-right vectors of the same columns of R: one factorization serves every training set.
+The matrix S has one column per snapshot. It is read in blocks of points and never held as a whole.
+Its R factor is built up block by block (TSQR), so singular values are accurate to rounding times
+the largest one; a Gram matrix would lose all values below the square root of rounding. A second
+pass over the blocks gives the modes S V / sigma. As S = Q R, any subset of the columns has the
+singular values and right vectors of the same columns of R, so one factorization serves every
+training set.
 
-Shapes: density (n_snapshots, n_points), velocity (n_snapshots, n_points, 2), and modes likewise
-with the mode first.
+Shapes: density (n_snapshots, n_points), velocity (n_snapshots, n_points, 2). Modes have the same
+shapes with the mode first.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ ReadBlock = Callable[[slice], tuple[Array, Array]]
 (n_snapshots, n_block, 2) [m/s] of all snapshots there."""
 
 GRAM_TOLERANCE = 1e-13
-"""Modes whose Gram matrix is farther than this from the identity are orthonormalised once more."""
+"""Modes whose Gram matrix differs from the identity by more than this are orthonormalised again."""
 DEFAULT_RAM = 2**30
 EPSILON = float(np.finfo(np.float64).eps)
 N_FIELD_VALUES = 3
@@ -34,9 +35,9 @@ N_FIELD_VALUES = 3
 BLOCK_COPIES = 5
 """Copies of a block of snapshots alive at once: as read, weighted, as rows, stacked on R, in QR."""
 BYTES = 8
-"""Of a number."""
+"""Bytes of a float."""
 AT_REST = 1e-100
-"""Singular values that are lost where they are squared."""
+"""Smallest usable singular value: the square of a smaller one underflows."""
 
 
 def decompose(
@@ -53,11 +54,11 @@ def decompose(
 ) -> dict[str, TrialBasis]:
     """Return a trial basis for each named set of snapshots (Eq. 3.13-3.14, 3.16).
 
-    `n_modes` and `snapshots` have the modes and the snapshots of each basis. `mean_density`
-    (n_snapshots,) [kg/m3] is the weighted spatial mean of each snapshot's density fluctuation,
-    which the bases then have carried apart. `volume` is (n_points,) [m2]. `ram_limit` bounds the
-    blocks and the factors, beyond the modes themselves. A mode's sign is such that the snapshot in
-    which it is strongest has a positive coordinate.
+    `n_modes` and `snapshots` give the number of modes and the snapshots of each basis.
+    `mean_density` (n_snapshots,) [kg/m3] is the weighted spatial mean of each snapshot's density
+    fluctuation; if given, the bases represent it separately. `volume` is (n_points,) [m2].
+    `ram_limit` [bytes] bounds the blocks and the factors; the modes come on top. The sign of a mode
+    is such that the snapshot in which it is strongest has a positive coordinate.
 
     Raises ValueError when a set has fewer independent snapshots than modes, ResourceError when the
     limit is too small for the number of snapshots.
@@ -68,7 +69,7 @@ def decompose(
     root, n_block = np.sqrt(weights), _points_per_block(n_snapshots, ram_limit)
 
     def blocks() -> Iterator[tuple[slice, Array]]:
-        """Yield points, and the weighted states (n_snapshots, 3 n) there: first field, velocity."""
+        """Yield points and their weighted states (n_snapshots, 3 n): first field, velocity."""
         for start in range(0, n_points, n_block):
             points = slice(start, min(start + n_block, n_points))
             density_fluctuation, velocity = read_block(points)
@@ -93,7 +94,7 @@ def decompose(
     bases = {}
     for name, (singular_values, _) in spectra.items():
         orthonormal = modes.pop(name)
-        if _gram_error(orthonormal) > GRAM_TOLERANCE:  # the division lost digits
+        if _gram_error(orthonormal) > GRAM_TOLERANCE:  # the division by sigma lost digits
             q, triangle = np.linalg.qr(orthonormal.T)
             orthonormal = np.ascontiguousarray((q * np.sign(np.diag(triangle))).T)
         density, velocity = np.split(orthonormal, [n_points], axis=1)
@@ -112,23 +113,23 @@ def decompose(
 def decomposition_bytes(n_snapshots: int, n_points: int) -> int:
     """Return the memory [bytes] of a decomposition that reads blocks of points (Eq. 3.14).
 
-    It is made of the triangular factor with its copies, and the copies of one block.
+    It comprises the triangular factor and its copies, and the copies of one block.
     """
     return BYTES * (3 * n_snapshots**2 + BLOCK_COPIES * N_FIELD_VALUES * n_snapshots * n_points)
 
 
 def smallest_block(n_snapshots: int) -> int:
-    """Return the least points of a block in a decomposition: enough for a square matrix."""
+    """Return the smallest number of points in a block: enough for a square matrix."""
     return -(-n_snapshots // N_FIELD_VALUES)
 
 
 def _points_per_block(n_snapshots: int, ram_limit: int) -> int:
-    """Return how many points fit into the limit; at least enough for a square block."""
+    """Return the number of points per block that fit into the limit, at least a square block's."""
     needed = decomposition_bytes(n_snapshots, smallest_block(n_snapshots))
     if needed > ram_limit:
         raise ResourceError(
             f"the basis of {n_snapshots} snapshots needs {needed / 2**20:.0f} MiB, more than the "
-            f"limit of {ram_limit / 2**20:.0f} MiB: store fewer snapshots or raise it"
+            f"limit of {ram_limit / 2**20:.0f} MiB: store fewer snapshots or raise the limit"
         )
     factors = decomposition_bytes(n_snapshots, 0)
     return (ram_limit - factors) // (decomposition_bytes(n_snapshots, 1) - factors)
@@ -137,7 +138,7 @@ def _points_per_block(n_snapshots: int, ram_limit: int) -> int:
 def _spectrum(
     name: str, factor: Array, columns: NDArray[np.int64], n_modes: int
 ) -> tuple[Array, Array]:
-    """Return singular values, and combinations (n_modes, n_snapshots) of snapshots to modes."""
+    """Return singular values, and the combinations (n_modes, n_snapshots) that give the modes."""
     _, values, right = np.linalg.svd(factor[:, columns], full_matrices=False)
     # The error of each singular value is about rounding times the largest one.
     least = max(len(columns) * EPSILON * values[0], AT_REST)

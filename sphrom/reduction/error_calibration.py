@@ -1,39 +1,41 @@
-"""Estimates of the errors in velocity and pressure, from the norm of a model's residual.
+"""Estimates of the errors in velocity and pressure from the norm of a model's residual.
 
-The residual r(t) = |R - Phi da/dt| feeds the errors, which decay at some rate. At a training point
-k they are modelled as
+The residual r(t) = |R - Phi da/dt| is the source of the errors, which also decay at some rate. At a
+training point k their model is
 
     C_k E(t),    dE/dt = r - lambda E,    E = 0 at the start,
 
-with one constant C_k for each field, and one rate lambda. They are fitted to reduced runs at the
-training points, whose errors against the snapshots are known: C_k is the geometric mean of error
-over E, and lambda, of some from slower than the run to faster than snapshots follow, the one with
-which error over E varies least within runs (sum over the fields of the variance of the logarithm).
-The first tenth of every run is left out, as E has no memory of how a run starts.
+with one constant C_k per field and one rate lambda. They are fitted to reduced runs at the training
+points, where the errors against the snapshots are known. C_k is the geometric mean of error over E.
+The candidates for lambda range from slower than the run to faster than the snapshots resolve; the
+chosen one has the least variation of error over E within runs (sum over the fields of the variance
+of the logarithm). The first tenth of every run is left out, as E has no memory of the start.
 
-The residual does not show the error of a basis away from its training states, because most of it
-arises everywhere alike. That error grows with the change of the state from the training runs, times
-the share of such a change that the basis cannot represent. Leaving training snapshots out measures
-this share (`sphrom.reduction.held_out`):
+The residual does not show the error of a basis away from its training states, because most of that
+error has the same size everywhere. It grows with the change of the state from the training runs,
+times the share of such a change that the basis cannot represent. This share is measured by leaving
+training snapshots out (`sphrom.reduction.held_out`):
 
     error(t)^2 = (C E(t))^2 + (s_p |a(t') - sum_k w_k a_k(t')|)^2 + (s_t g^2 |a(t) - a(t')|)^2,
     log C = sum_k w_k log C_k,    s_t = sum_k w_k s_tk,    t' = min(t, end of the training runs).
 
-The weights w interpolate in the parameters (`sphrom.reduction.correction`). Outside of
-the training points they are those of the nearest point of their hull: the second part is then the
-whole change from there, and the estimate grows with it. C may go on changing there as it does
-between training points: it is multiplied by the largest of them over the least, to the power of the
-distance over that of the training points from each other, at most one. The third part is for times
-that training did not reach. A flow that is still driven faster then leaves the states in which its
-share was measured: g is its size over the largest of sum_k w_k a_k, at least one, and squared, as
-convection and pressure grow with the square of the flow.
+The weights w interpolate in the parameters (`sphrom.reduction.correction`). Outside the hull of the
+training points they are those of the nearest point of the hull; the second term is then the whole
+change from that point, so the estimate grows with the distance. C may keep changing outside as it
+does between training points. It is therefore multiplied by the ratio of its largest to its smallest
+training value, raised to the distance over the largest distance between training points (at most
+one). The third term covers times beyond the training runs. A flow that is still accelerating then
+leaves the states for which its share was measured. The factor g is the size of the state over the
+largest size of sum_k w_k a_k, at least one; it is squared because convection and pressure grow with
+the square of the flow.
 
-It is no bound. Its accuracy is known inside of training: the errors of each training run are within
-some factor of an estimate with the constant of the other runs.
+The estimate is not a bound. Its accuracy is measured within the training data: the errors of each
+training run are within some factor of an estimate with the constant of the other runs.
 
 Errors are root mean squares over the fluid: of the velocity [m/s], and of q = c0 rho'/rho0 [m/s]
-less its mean, which is the pressure over rho0 c0. They follow for many runs, without the points,
-from products of snapshots with the basis, |x - Phi a|^2 = x.x - 2 a.(Phi^T x) + a.(Phi^T Phi) a.
+less its mean, which is the pressure over rho0 c0. For many runs they follow from products of
+snapshots with the basis, without reading the points again:
+|x - Phi a|^2 = x.x - 2 a.(Phi^T x) + a.(Phi^T Phi) a.
 """
 
 from __future__ import annotations
@@ -49,42 +51,42 @@ from sphrom.reduction.correction import interpolation_variance, interpolation_we
 from sphrom.reduction.held_out import UnheldShares
 
 N_COMPARED = 100
-"""Snapshots of a training run, about, that errors are known at."""
+"""Approximate number of snapshots of a training run at which errors are known."""
 N_RATES = 15
-"""Rates of decay that are tried."""
+"""Number of candidate decay rates."""
 SLOWEST = 0.3
-"""The slowest of them over one a run."""
+"""The slowest candidate, in decays per run."""
 LEFT_OUT = 0.1
-"""Share of a run from its start that nothing is fitted to."""
+"""Initial share of a run that the fit leaves out."""
 N_PARTS = 10
-"""Of a run, over which errors of outputs are averaged."""
+"""Number of parts of a run over which errors of outputs are averaged."""
 WITHIN = 0.95
-"""Share of the training errors that stay within the factor."""
+"""Share of the training errors that are within the factor of their estimates."""
 
 
 @dataclass(frozen=True)
 class ErrorCalibration:
-    """The fitted relation of residuals and changes to errors of the velocity and of q."""
+    """The fitted relation between residuals, changes, and the errors of the velocity and of q."""
 
     decay_rate: float
     """lambda [1/s]."""
     constants: Array
     """C_k (n_runs, 2)."""
     factors: Array
-    """(2,) within which, either way, 95 % of the training errors are of their estimates."""
+    """(2,) The ratio of error to estimate, either way, of 95 % of the training errors."""
     places: Array
     """(n_runs, n_parameters) of the runs, as `interpolation_weights` measures distances."""
     coordinates: Array
     """(n_runs, n_snapshots, n_modes) of the training runs."""
     shares: UnheldShares
-    """Of changes: (2,) with the parameters, and (n_runs, 2) with time."""
+    """Of changes: (2,) with the parameters, (n_runs, 2) with time."""
 
     def at(self, place: Array) -> LocalErrorCalibration:
         """Return the calibration at a parameter point (n_parameters,)."""
         weights, distance = interpolation_weights(self.places, place)
         logarithms = np.log(self.constants)
         apart = np.linalg.norm(self.places[:, None] - self.places, axis=2).max()
-        # Beyond the hull of the training points they may go on changing.
+        # Beyond the hull of the training points the constants may keep changing.
         share = min(1.0, distance / apart) if apart > 0.0 else 0.0
         return LocalErrorCalibration(
             self.decay_rate,
@@ -103,18 +105,18 @@ class LocalErrorCalibration:
     constants: Array
     """C (2,)."""
     factors: Array | None
-    """None outside of the training points: nothing tells them there."""
+    """None outside the training points, where they are unknown."""
     expected: Array
-    """(n_snapshots, n_modes) coordinates that the training runs interpolate to."""
+    """(n_snapshots, n_modes) coordinates interpolated from the training runs."""
     shares: UnheldShares
-    """Of changes, (2,) each."""
+    """Of changes with the parameters and with time, (2,) each."""
 
     def extrapolates(self, n_snapshots: int) -> bool:
-        """Return whether a run reaches beyond the training points, or their last snapshot."""
+        """Return whether a run is outside the training points or longer than the training runs."""
         return self.factors is None or n_snapshots > len(self.expected)
 
     def changes(self, coordinates: Array) -> Array:
-        """Return how far (n_snapshots, 2) states are from training ones: by parameters, by time."""
+        """Return distances (n_snapshots, 2) from training states: with parameters, with time."""
         last = min(len(coordinates), len(self.expected)) - 1
         reached = np.minimum(np.arange(len(coordinates)), last)
         by_parameters = coordinates[reached] - self.expected[reached]
@@ -122,9 +124,9 @@ class LocalErrorCalibration:
         return np.stack([np.linalg.norm(part, axis=1) for part in (by_parameters, by_time)], axis=1)
 
     def errors(self, time: Array, residual: Array, coordinates: Array) -> Array:
-        """Return the estimates (n_snapshots, 2) of root mean square errors [m/s] along a run.
+        """Return the estimated root mean square errors (n_snapshots, 2) [m/s] along a run.
 
-        Its snapshots are as far apart as those of training runs, and may go on beyond them.
+        Its snapshots have the interval of the training runs; the run may be longer.
         """
         known = accumulated(time, residual, self.decay_rate)[:, None] * self.constants
         sizes, trained = (np.linalg.norm(each, axis=1) for each in (coordinates, self.expected))
@@ -133,10 +135,11 @@ class LocalErrorCalibration:
         return self._combined(known, self.changes(coordinates), time_shares)
 
     def steady_errors(self, residual: float, change: Array, steady_change: float) -> Array:
-        """Return the estimates (2,) of errors [m/s] of a steady state.
+        """Return the estimated errors (2,) [m/s] of a steady state.
 
-        `change` (2,) is that at the end of the run, `steady_change` the norm of that from there on.
-        No share is known for changes over any length of time: the velocity's whole change counts.
+        `change` (2,) is the change up to the end of the run, `steady_change` the norm of the change
+        from there to the steady state. No share is known for arbitrarily long times, so the whole
+        change of the velocity counts.
         """
         known = residual / self.decay_rate * self.constants
         later = change + np.array([0.0, steady_change])
@@ -151,14 +154,14 @@ class LocalErrorCalibration:
 
 
 def compared_snapshots(n_snapshots: int) -> Indices:
-    """Return the snapshots of a training run that errors are known at."""
+    """Return the snapshots of a training run at which its errors are known."""
     return np.arange(0, n_snapshots, max(1, (n_snapshots - 1) // N_COMPARED))
 
 
 def accumulated(time: Array, residual: Array, decay_rate: float | Array) -> Array:
-    """Return E (..., n_snapshots), the residual's integral that decays.
+    """Return E (..., n_snapshots), the residual's integral with decay.
 
-    Residuals (..., n_snapshots) vary linearly between snapshots; rates (...) may be many.
+    Residuals (..., n_snapshots) vary linearly between snapshots; decay rates have shape (...).
     """
     rate, steps = np.asarray(decay_rate)[..., None], np.diff(time)
     remains = np.exp(-rate * steps)
@@ -167,11 +170,11 @@ def accumulated(time: Array, residual: Array, decay_rate: float | Array) -> Arra
     passed = older * residual[..., :-1] + newer * residual[..., 1:]
     out = np.zeros((*passed.shape[:-1], len(time)))
     if out.ndim == 1:
-        # The same sums, of which there are too few for arrays.
-        found = [0.0]
+        # The same sums in plain Python: quicker for a single run.
+        sums = [0.0]
         for share, more in zip(remains.tolist(), passed.tolist(), strict=True):
-            found.append(share * found[-1] + more)
-        return np.array(found)
+            sums.append(share * sums[-1] + more)
+        return np.array(sums)
     for k in range(len(steps)):
         out[..., k + 1] = remains[..., k] * out[..., k] + passed[..., k]
     return out
@@ -179,25 +182,25 @@ def accumulated(time: Array, residual: Array, decay_rate: float | Array) -> Arra
 
 @dataclass(frozen=True)
 class OutputErrors:
-    """What an output, such as the velocity at a probe, may be wrong by.
+    """The expected errors of an output, such as the velocity at a probe.
 
     Arrays are (n_snapshots, *shape).
     """
 
     noise: Array
-    """Mean square of what changes faster than sound."""
+    """Mean square of the error's part that varies faster than sound."""
     slope: Array
     """Mean square of the rest, over the `interpolation_variance` of the training runs."""
 
     def at(self, variance: Array, over_fluid: Array) -> Array:
         """Return the errors (..., n_instants, *shape) of runs.
 
-        Beyond the trained time they grow as those over the fluid do.
+        Beyond the trained time they grow like the errors over the fluid.
 
         Parameters
         ----------
-        variance : (...) `interpolation_variance` of their places.
-        over_fluid : (..., n_instants, 2) their estimated errors.
+        variance : (...) `interpolation_variance` of the runs' places.
+        over_fluid : (..., n_instants, 2) estimated errors of the runs over the fluid.
         """
         n_instants, n_trained = over_fluid.shape[-2], len(self.noise)
         known, longer = np.minimum(np.arange(n_instants), n_trained - 1), np.ones(n_instants)
@@ -211,21 +214,21 @@ class OutputErrors:
 
 
 def output_errors(differences: Array, places: Array, averages: Array) -> OutputErrors:
-    """Return the errors of an output, from those of training runs that the others predict.
+    """Return the errors of an output from those of held-out training runs.
 
-    Mean squares are over the runs, and a tenth of the time to either side.
+    Mean squares are over the runs, and over a tenth of the time to either side.
 
     Parameters
     ----------
-    differences : (n_runs, n_snapshots, *shape) of training runs from full ones; of runs that
-        diverged not finite: they are left out.
+    differences : (n_runs, n_snapshots, *shape) of the predicted training runs from the full ones.
+        Runs that diverged are not finite and are left out.
     places : (n_runs, n_parameters) of the runs, as `interpolation_weights` measures distances.
     averages : weights of averages over snapshots in which sound cancels.
     """
     finite = np.isfinite(differences).all(axis=tuple(range(1, differences.ndim)))
     known, places = differences[finite], places[finite]
     slow = np.stack([smoothed(each, averages) for each in known])
-    # Sound that a start sends out is alike in all runs.
+    # The sound that a start emits is the same in all runs.
     begin = slice(int(LEFT_OUT * known.shape[1]))
     slow[:, begin] = known[:, begin]
     around = hat(1 + known.shape[1] // N_PARTS)
@@ -246,16 +249,16 @@ def calibrate_errors(
     places: Array,
     shares: UnheldShares,
 ) -> ErrorCalibration | None:
-    """Fit constants and rate to training runs.
+    """Fit the constants and the decay rate to training runs.
 
-    None where nothing can be fitted: residuals or errors are zero, or no run went far enough.
+    Return None if nothing can be fitted: residuals or errors are zero, or every run diverged.
 
     Parameters
     ----------
     time : (n_snapshots,) at equal intervals [s].
-    coordinates : (n_runs, n_snapshots, n_modes), NaN from where a run diverged: it is left out.
+    coordinates : (n_runs, n_snapshots, n_modes), NaN from a divergence on; such runs are left out.
     residuals : (n_runs, n_snapshots).
-    errors : (n_runs, n_compared, 2), those of the snapshots `compared` (n_compared,).
+    errors : (n_runs, n_compared, 2), at the snapshots `compared` (n_compared,).
     places : (n_runs, n_parameters), as `interpolation_weights` measures distances.
     """
     length = time[-1] - time[0]
@@ -294,7 +297,7 @@ def calibrate_errors(
 
 
 def _factors(ratios: Sequence[Array], middle: Array, places: Array) -> Array:
-    """Return the factors (2,) between the runs' constants and those that the other runs predict."""
+    """Return the factors (2,) between the runs' constants and their predictions by other runs."""
     misses = []
     for run, each in enumerate(ratios):
         others = np.arange(len(ratios)) != run

@@ -1,13 +1,14 @@
-"""Reduced models on the reference points in steps that sound doesn't limit.
+"""Reduced models on the reference points with time steps that sound does not limit.
 
-Around a flow the rates are stiff through sound, whose frequencies are those of a linear part L:
-rates(a) = L a + N(a). Exponential Runge-Kutta steps (Cox and Matthews 2002, Krogstad 2005) carry L
-exactly, and are of fourth order in the rest N, which changes as slowly as the flow. Its values in a
-step give a parabola in time, which integrated exactly (by the functions phi_1 to phi_3 of L) gives
-the state anywhere in the step: also the snapshots, between which sound may turn over many times.
+The rates around a flow are stiff because of sound, whose frequencies are those of a linear part L:
+rates(a) = L a + N(a). Exponential Runge-Kutta steps (Cox and Matthews 2002, Krogstad 2005)
+integrate L exactly. They are of fourth order in the rest N, which changes as slowly as the flow.
+The values of N within a step define a parabola in time. Its exact integral (by the functions phi_1
+to phi_3 of L) gives the state anywhere in the step, and so at snapshots between which sound may
+complete many periods.
 
-The nearer L comes to the Jacobian along a run the longer steps may be: that at the mean of training
-states serves all runs near a training point. Any L gives the same solution.
+The closer L is to the Jacobian along a run, the longer the steps may be. The Jacobian at the mean
+of the training states serves all runs near a training point. The solution does not depend on L.
 """
 
 from __future__ import annotations
@@ -36,43 +37,43 @@ N_INTEGRALS = 3
 
 @dataclass(frozen=True)
 class StepRatio:
-    """How steps and snapshots alternate: one of the two numbers is one."""
+    """How many steps there are per snapshot or snapshots per step; one of the numbers is one."""
 
     snapshots_per_step: int
     steps_per_snapshot: int
 
     @classmethod
     def of(cls, n_steps: int, n_intervals: int) -> StepRatio:
-        """Return steps of which some intervals take `n_steps`, or a few more."""
+        """Return the ratio for `n_steps` or slightly more steps over `n_intervals` intervals."""
         if n_steps <= 1:
             return cls(max(1, n_intervals), 1)
         if n_steps < n_intervals:
             longest = (n_intervals - 1) // (n_steps - 1)
             taken = math.ceil(n_intervals / longest)
-            # As many steps may be shorter: the last one then ends nearer to the last snapshot.
+            # The same number of steps may be shorter, so that the last one overshoots less.
             return cls(math.ceil(n_intervals / taken), 1)
         return cls(1, math.ceil(n_steps / max(1, n_intervals)))
 
     def n_steps(self, n_intervals: int) -> int:
-        """Return the steps over some intervals, of which the last may reach beyond them."""
+        """Return the number of steps over some intervals; the last one may end beyond them."""
         return math.ceil(n_intervals / self.snapshots_per_step) * self.steps_per_snapshot
 
     def time_step(self, interval: float) -> float:
-        """Return a step [s] from the time between snapshots [s]."""
+        """Return the time step [s], given the time between snapshots [s]."""
         return interval * self.snapshots_per_step / self.steps_per_snapshot
 
 
 def integrals(linear: Array, time_step: float) -> Array:
-    """Return t^k phi_k(t L) of a linear part (n_modes, n_modes) at a time t [s], k = 0 to 3.
+    """Return t^k phi_k(t L) for a linear part (n_modes, n_modes) and a time t [s], k = 0 to 3.
 
-    They are (4, n_modes, n_modes) [s^k], of which the first is the exponential.
+    The shape is (4, n_modes, n_modes), the unit s^k. The first one is the exponential.
     """
     n_modes = len(linear)
     chain = np.zeros(((N_INTEGRALS + 1) * n_modes,) * 2)
     chain[:n_modes, :n_modes] = time_step * linear
-    # Each block row is the derivative of the one before: the exponential holds all integrals.
+    # Each block row is the derivative of the one before, so the exponential holds all integrals.
     chain[:-n_modes, n_modes:] += time_step * np.eye(N_INTEGRALS * n_modes)
-    # Runge-Kutta steps do without it, and it takes long to load.
+    # Runge-Kutta steps do not need this module, and importing it takes long.
     from scipy.linalg import expm
 
     rows: Array = expm(chain)[:n_modes].reshape(n_modes, N_INTEGRALS + 1, n_modes)
@@ -80,7 +81,7 @@ def integrals(linear: Array, time_step: float) -> Array:
 
 
 def after(first: Array, second: Array, time_step: float) -> Array:
-    """Return integrals at the sum of two times, of which the second is a time step [s]."""
+    """Return the integrals at the sum of two times, the second of which is a time step [s]."""
     both: Array = first[0] @ second
     powers = np.array([time_step**i / math.factorial(i) for i in range(N_INTEGRALS)])
     for j in range(1, N_INTEGRALS + 1):
@@ -89,18 +90,18 @@ def after(first: Array, second: Array, time_step: float) -> Array:
 
 
 Matrices = tuple[Array, Array, Array]
-"""Of steps of one length: stages, links and ends, as `sphrom.kernels.exponential` takes them."""
+"""Of steps of one length: stages, links and ends, see `sphrom.kernels.exponential`."""
 
 
 def _matrices(halves: Callable[[int], Array], time_step: float, n_states: int) -> Matrices:
-    """Return the matrices of steps of a length [s] that reach some states, equally far apart.
+    """Return the matrices of steps of a length [s] that output some equally spaced states.
 
-    `halves` returns integrals at a multiple of half the time between two states.
+    `halves` returns the integrals at a multiple of half the time between two states.
     """
     reached = [halves(2 * k) for k in range(1, n_states + 1)]
     stages, links = _krogstad(halves(n_states), reached[-1], time_step)
     ends = _parabola(np.stack(reached, axis=1), time_step)
-    # Kernels sum up columns: the index of the result comes last.
+    # Kernels sum over columns, so the index of the result comes last.
     n_modes = ends.shape[-1]
     return (
         np.ascontiguousarray(stages.transpose(1, 3, 0, 2)).reshape(2, n_modes, -1),
@@ -110,9 +111,9 @@ def _matrices(halves: Callable[[int], Array], time_step: float, n_states: int) -
 
 
 def _parabola(at: Array, step: float) -> Array:
-    """Return the weights (4, ...) of the start state and a parabola's values in states in a step.
+    """Return weights (4, ...) that give states within a step from its start and a parabola.
 
-    Those are reached by integrals (4, ...).
+    `at` (4, ...) are the integrals at these states; the parabola is given by three values.
     """
     power, first, second, third = at[0], at[1], at[2] / step, at[3] / step**2
     start = first - 3.0 * second + 4.0 * third
@@ -120,7 +121,7 @@ def _parabola(at: Array, step: float) -> Array:
 
 
 def _krogstad(half: Array, whole: Array, step: float) -> tuple[Array, Array]:
-    """Return the weights of the start in the other stages, and of these stages in one another."""
+    """Return the weights of the start in the later stages, and those of stages in each other."""
     to_third, to_fourth = 4.0 * half[2] / step, 2.0 * whole[2] / step
     second, third = [half[0], half[1]], [half[0], half[1] - to_third]
     fourth = [whole[0], whole[1] - to_fourth]
@@ -130,7 +131,7 @@ def _krogstad(half: Array, whole: Array, step: float) -> tuple[Array, Array]:
 class LinearPart:
     """The linear part of steps (n_modes, n_modes) [1/s], and the matrices that follow from it.
 
-    They are computed once for all systems whose steps carry it.
+    The matrices are computed once for all systems with this linear part.
     """
 
     def __init__(self, matrix: Array) -> None:
@@ -139,43 +140,43 @@ class LinearPart:
         self._matrices: dict[tuple[float, StepRatio], Matrices] = {}
 
     def integrals(self, unit: float, multiple: int) -> Array:
-        """Return the integrals (4, n_modes, n_modes) at a multiple, from 1, of a time [s].
+        """Return the integrals (4, n_modes, n_modes) at a multiple (1 or more) of a time [s].
 
-        Each follows from the one before.
+        Each is computed from the one before.
         """
         if unit not in self._integrals:
             self._integrals[unit] = [integrals(self.matrix, unit)]
-        known = self._integrals[unit]
-        while len(known) < multiple:
-            known.append(after(known[-1], known[0], unit))
-        return known[multiple - 1]
+        computed = self._integrals[unit]
+        while len(computed) < multiple:
+            computed.append(after(computed[-1], computed[0], unit))
+        return computed[multiple - 1]
 
     def steps(self, interval: float, ratio: StepRatio) -> Matrices:
-        """Return the matrices of steps, from the time between snapshots [s]."""
+        """Return the matrices of steps, given the time between snapshots [s]."""
         if (key := (interval, ratio)) not in self._matrices:
             halves = partial(self.integrals, 0.5 * interval / ratio.steps_per_snapshot)
-            about = ratio.time_step(interval), ratio.snapshots_per_step
-            self._matrices[key] = _matrices(halves, *about)
+            step_and_states = ratio.time_step(interval), ratio.snapshots_per_step
+            self._matrices[key] = _matrices(halves, *step_and_states)
         return self._matrices[key]
 
 
 @dataclass(frozen=True)
 class Change:
-    """What changes with a parameter, per unit of it."""
+    """The derivative of a system with respect to one parameter."""
 
     polynomial: Polynomial
-    """The rates, with the tensors that those of the system have."""
+    """Of the rates, with the same tensors as the system."""
     start: Array
-    """(n_modes,)."""
+    """(n_modes,) Of the start coordinates."""
     amplitude: Amplitude | None = None
-    """The amplitude; None where it stays."""
+    """Of the amplitude; None if it does not depend on the parameter."""
 
 
 class ExponentialModel(PolynomialModel):
-    """A polynomial system whose steps carry a linear part exactly.
+    """A polynomial system whose steps integrate a linear part exactly.
 
-    Steps are whole numbers of snapshots long, or some make one snapshot; the last may reach beyond
-    the last snapshot.
+    A step spans a whole number of snapshot intervals, or an interval a whole number of steps. The
+    last step may end beyond the last snapshot.
     """
 
     integrator = EXPONENTIAL
@@ -186,12 +187,12 @@ class ExponentialModel(PolynomialModel):
         self._coefficients[0, :, 1 : 1 + len(linear.matrix)] -= linear.matrix
 
     def steps_taken(self, n_steps: int, output_times: OutputTimes) -> int:
-        """Return the steps that a run asked for `n_steps` takes: a few more, to meet snapshots."""
+        """Return the number of steps taken: `n_steps` or a few more, to match the snapshots."""
         n_intervals = output_times.n_snapshots - 1
         return StepRatio.of(n_steps, n_intervals).n_steps(n_intervals)
 
     def time_step(self, n_steps: int, output_times: OutputTimes) -> float:
-        """Return the length [s] of the steps of a run that is asked for some."""
+        """Return the time step [s] of a run with about `n_steps` steps."""
         return StepRatio.of(n_steps, output_times.n_snapshots - 1).time_step(output_times.interval)
 
     def _integrate(
@@ -212,15 +213,15 @@ class ExponentialModel(PolynomialModel):
         changes: Sequence[Change],
         amplitude: Amplitude | None = None,
     ) -> tuple[Array, Array]:
-        """Return the run from coordinates (n_modes,), and its derivatives, per unit of a parameter.
+        """Return the run from coordinates (n_modes,) and its derivatives by each parameter.
 
-        These (n_parameters, n_snapshots, n_modes) are the exact derivatives of the steps that the
-        run takes, and NaN or infinite where it diverges.
+        The derivatives (n_parameters, n_snapshots, n_modes) are the exact ones of the discrete
+        steps. They are NaN or infinite where the run diverges.
 
         Parameters
         ----------
-        changes : what changes with each parameter.
-        amplitude : None where it is zero throughout, whatever the parameters are.
+        changes : derivative of the system by each parameter.
+        amplitude : None if it is zero at all times and for all parameters.
         """
         from sphrom.kernels import tangent  # few commands need it
 
@@ -237,8 +238,8 @@ class ExponentialModel(PolynomialModel):
         out[0, 0] = start
         times = start_time + 0.5 * time_step * np.arange(amplitudes.size, dtype=np.float64)
         for k, change in enumerate(changes):
-            found, _ = change.polynomial.packed()
-            by_parameter[k] = found[: len(used)]
+            packed, _ = change.polynomial.packed()
+            by_parameter[k] = packed[: len(used)]
             out[1 + k, 0] = change.start
             if amplitude is not None and change.amplitude is not None:
                 amplitude_changes[k] = change.amplitude(times)
@@ -252,6 +253,6 @@ class ExponentialModel(PolynomialModel):
         return out[0], out[1:]
 
     def _method(self, n_steps: int, output_times: OutputTimes) -> tuple[Matrices, StepRatio]:
-        """Return the matrices of a run's steps, and how long steps are."""
+        """Return the matrices of a run's steps, and the ratio of steps to snapshots."""
         ratio = StepRatio.of(n_steps, output_times.n_snapshots - 1)
         return self._linear.steps(output_times.interval, ratio), ratio

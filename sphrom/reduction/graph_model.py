@@ -117,7 +117,7 @@ def make_basis(
     ----------
     coefficients : (n_runs, n_snapshots, n_coefficients) [m2/s].
     elevation : (n_runs, n_snapshots, n_columns) [m] at the midpoints of equal columns.
-    noise : root mean square of the fits' relative residuals.
+    noise : root of the residuals' share in the energy of all snapshots.
     """
     snapshots = coefficients.reshape(-1, coefficients.shape[-1])
     heights = elevation.reshape(-1, elevation.shape[-1])

@@ -1,16 +1,16 @@
-"""Weak greedy training: which full run a reduced model learns from next, and when it may stop.
+"""Weak greedy training: which full run to add to the training set next, and when to stop.
 
-The region of the parameters is the unit cube, in which distances count alike. Its candidates are a
-dense set of places. Training starts from some corners, estimates the error of the model at every
-candidate, and runs the full model where the estimate is largest, until it is within a tolerance
-everywhere (Buffa et al. 2012, ESAIM: M2AN 46, 595-603).
+The parameter region is the unit cube, in which distances are comparable. The candidates are a dense
+set of places in it. Training starts from some corners, estimates the error of the model at every
+candidate, and runs the full model where the estimate is largest, until all estimates are within a
+tolerance (Buffa et al. 2012, ESAIM: M2AN 46, 595-603).
 
-An estimate is no bound. So each full run is first predicted by the model that hasn't seen it, and
-the estimates are multiplied by the largest ratio of error to estimate that such runs have shown, at
-least one. Nothing is within the tolerance before one run was held out.
+An estimate is not a bound. Each new full run is therefore first predicted by the model that was
+trained without it, and all estimates are multiplied by the largest ratio of error to estimate found
+so far, at least one. Training does not end within the tolerance before one such held-out run.
 
-Errors and estimates are in one unit; an estimate is infinite where a model has none, as where its
-run diverges.
+Errors and estimates have the same unit. An estimate is infinite where the model has none, for
+example where its run diverges.
 """
 
 from __future__ import annotations
@@ -23,25 +23,25 @@ import numpy as np
 from sphrom.arrays import Array, Indices
 
 MOST_CORNERED = 8
-"""Parameters up to which all corners of the region are candidates."""
+"""Largest number of parameters for which all corners of the region are candidates."""
 APART = 0.5
-"""Distance of places that are chosen together, over that of the first from the trained ones."""
+"""Least distance between places chosen together, over that of the first from the trained ones."""
 NEAR = 0.25
-"""Least distance from the trained places, over that of the candidate that is farthest from them.
+"""Least distance from the trained places, over that of the farthest candidate.
 
-Next to a training run the error is what training leaves there: a further run, which would tell
-little new, doesn't change it.
+Close to a training run the error is the remaining training error, which a further run there would
+not reduce.
 """
 
 Ending = Literal["within", "floor", "budget"]
-"""Why training ends: the estimate is within the tolerance; the best approximations of training
-runs aren't; or there may be no further run."""
+"""Why training ends: the estimates are within the tolerance ("within"); the basis cannot represent
+the training runs to the tolerance ("floor"); or no further run is allowed ("budget")."""
 
 
 def first_corners(n_parameters: int) -> Array:
     """Return the corners (2 or 4, n_parameters) of the unit cube that training starts from.
 
-    Every parameter has both ends there: all are low, all high, and the first is against the others.
+    Both ends of every parameter occur: all low, all high, and the first opposite to the others.
     """
     ends = [np.zeros(n_parameters), np.ones(n_parameters)]
     if n_parameters > 1:
@@ -51,11 +51,11 @@ def first_corners(n_parameters: int) -> Array:
 
 
 def candidate_places(count: int, n_parameters: int, seed: int) -> Array:
-    """Return a dense set of places (n, n_parameters) in the unit cube, and its corners.
+    """Return a dense set of places (n, n_parameters) in the unit cube, with its corners.
 
-    They are the first `count` of a scrambled Sobol sequence; a longer set begins with a shorter.
+    They are the first `count` points of a scrambled Sobol sequence, so sets of one seed are nested.
     """
-    from scipy.stats import qmc  # it takes long to load
+    from scipy.stats import qmc  # importing it takes long
 
     sequence = qmc.Sobol(n_parameters, rng=seed)
     inside = sequence.random_base2(max(0, (count - 1).bit_length()))[:count]
@@ -65,9 +65,9 @@ def candidate_places(count: int, n_parameters: int, seed: int) -> Array:
 
 
 def safety_factor(estimates: Array, errors: Array) -> float:
-    """Return the factor on estimates that covers all errors (n,) of runs held out, at least one.
+    """Return the least factor, at least one, with which estimates cover all held-out errors (n,).
 
-    Runs without an estimate or an error, infinite here, don't count.
+    Runs whose estimate or error is infinite do not count.
     """
     known = np.isfinite(estimates) & np.isfinite(errors) & (estimates > 0.0)
     return float(np.max(errors[known] / estimates[known], initial=1.0))
@@ -76,17 +76,18 @@ def safety_factor(estimates: Array, errors: Array) -> float:
 def choose(
     places: Array, estimates: Array, trained: Array, count: int, tolerance: float
 ) -> Indices:
-    """Return up to `count` candidates to run the full model at: the worst, apart from each other.
+    """Return up to `count` candidates for full runs: the worst ones, apart from each other.
 
-    The first has the largest estimate of those that aren't next to a trained place, within the
-    tolerance or not; of equal ones it is the farthest from these places. Further ones are beyond
-    the tolerance, and not within half of the distance of an earlier one from the trained places.
+    The first has the largest estimate of the candidates that are not close to a trained place, even
+    if it is within the tolerance; of equal estimates the farthest from these places wins. Further
+    ones have estimates above the tolerance, and keep a distance from the earlier ones: half of the
+    earlier one's distance from the trained places.
 
     Parameters
     ----------
     places : (n_candidates, n_parameters).
     estimates : (n_candidates,).
-    trained : (n_trained, n_parameters), where there is nothing to run.
+    trained : (n_trained, n_parameters), the places of the existing full runs.
     """
     distances = np.linalg.norm(places[:, None] - trained, axis=2).min(axis=1)
     free = distances > NEAR * distances.max()
@@ -105,14 +106,14 @@ def choose(
 def ending(
     worst_estimate: float, floor: float, tolerance: float, *, n_held_out: int, n_left: int
 ) -> Ending | None:
-    """Return why training ends, None where it goes on.
+    """Return why training ends, or None if it continues.
 
     Parameters
     ----------
-    worst_estimate : over all candidates, corrected.
-    floor : largest error of the best approximations of training runs in the basis.
-    n_held_out : runs that were predicted before they were learnt from.
-    n_left : full runs that the budget has left.
+    worst_estimate : over all candidates, times the safety factor.
+    floor : largest error of the best approximation of a training run in the basis.
+    n_held_out : number of runs that were predicted before training on them.
+    n_left : number of full runs left in the budget.
     """
     if floor > tolerance:
         return "floor"

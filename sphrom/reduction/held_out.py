@@ -1,38 +1,38 @@
-"""Snapshots and runs held out of training: the share that a basis misses, and numbers of modes.
+"""Held-out snapshots and runs: which share of a change a basis misses, and how many modes to use.
 
-Away from its training states the error of a model contains the part of the change from them that
-its basis cannot represent. Training errors don't show it, but a basis of fewer snapshots does. With
-e the root mean square error of a field's best approximation,
+Away from the training states, the error of a model contains the part of the change from them that
+the basis cannot represent. Training errors do not show this part, but a basis of fewer snapshots
+does. With e the root mean square error of a field's best approximation,
 
-    share^2 = (e^2 of a basis without the snapshots left out - e^2 of one with them) / |change|^2,
+    share^2 = (e^2 of a basis without the held-out snapshots - e^2 of one with them) / |change|^2,
 
-over the snapshots that are left out. Their change is the distance, in the norm of the inner
-product, from the state that the others predict for them. Shares are between zero and about one, by
-field and number of modes. Two kinds are left out:
+over the held-out snapshots. Their change is the distance, in the norm of the inner product, from
+the state that the other snapshots predict. Shares are between zero and about one, by field and
+number of modes. There are two kinds of held-out snapshots:
 
-- each training run in turn: its change is that from the others, interpolated at its parameters;
-- the second half of all training runs: its change is that from the run's state at half time.
+- each training run in turn: its change is from the other runs, interpolated at its parameters;
+- the second half of all training runs: its change is from the state at half time.
 
-All of it follows from products of snapshots with each other, so that points are visited once.
-Products lose digits below the root of rounding, far below the error of a basis.
+Everything follows from the products of snapshots with each other, so the points are read once. The
+products lose digits below the square root of rounding, far below the error of a basis.
 
-From some number of modes on, the coordinates that a model integrates may be as wrong as they are
-large, and more of them make the others worse. A model of M modes can therefore integrate its first
-m alone; training runs predict the others, and correct the first (`sphrom.reduction.correction`).
+Beyond some number of modes, the coordinates that a model integrates may have errors of 100 %, and
+more of them make the others worse. A model of M modes can therefore integrate only its first m. The
+training runs predict the other coordinates and correct the first (`sphrom.reduction.correction`).
 
-Each training run is predicted with a correction from the others, and with its own. Errors count as
-a share of the run's size, in velocity and in c0 rho'/rho0 less its mean. With h and o their root
-mean squares over the runs, a prediction between training runs is expected to be off by
+Each training run is predicted twice: with a correction from the other runs, and with its own.
+Errors are relative to the size of the run, in velocity and in c0 rho'/rho0 less its mean. With h
+and o their root mean squares over the runs, the expected error between training runs is
 
     e^2 = o^2 + (h^2 - o^2) / 4,
 
-as a run that is left out is twice as far from its neighbours. Of h only those runs count that the
-others surround in the parameters, where there are any: at the ends of the trained range the others
-extrapolate. The basis and the calibration stay those of all runs: rates without the run that is
-predicted are extrapolated too, and choose far worse.
+because a held-out run is twice as far from its neighbours. If some runs are surrounded by the
+others in the parameters, h contains those runs only, because at the ends of the trained range the
+others extrapolate. The basis and the calibration are those of all runs: rates fitted without the
+predicted run would extrapolate too, and lead to far worse choices.
 
-- For each M the number m has the least product of both fields' errors.
-- M is the least whose product is within 3 % of the least.
+- For each M, the number m minimises the product of both fields' errors.
+- M is the smallest number whose product is within 3 % of the least.
 """
 
 from __future__ import annotations
@@ -57,23 +57,23 @@ _UNHELD = (
 ROUNDING = 1e-13
 """Smallest eigenvalue of the products that counts as a mode, over the largest."""
 UNTRIED = 3.0
-"""Share of the change with the parameters over that with time, where only the latter was measured.
+"""Share of a change with the parameters over that with time, if only the latter was measured.
 
-An order of magnitude: trained at Re 100 alone, errors at Re 105 to 600 want 0.9 to 1.8 for it
-(Taylor-Green) and 2 to 4.3 (lid-driven cavity), at Re 50 to 70 they want 0 to 0.2 and 5 to 6.
+It is an order of magnitude. For training at Re 100 alone, errors at Re 105 to 600 correspond to 0.9
+to 1.8 (Taylor-Green) and 2 to 4.3 (lid-driven cavity); at Re 50 to 70, to 0 to 0.2 and 5 to 6.
 """
 LEFT_OUT = 0.1
-"""Share of a run from its start that is ignored: runs start alike."""
+"""Initial share of a run that is ignored, because runs start alike."""
 
 
 @dataclass(frozen=True)
 class SnapshotProducts:
-    """Products of snapshots with each other (n_snapshots, n_snapshots), run after run."""
+    """Products (n_snapshots, n_snapshots) of snapshots with each other, run by run."""
 
     fields: tuple[Array, Array]
-    """Means over the fluid, of velocities and of q less its mean [m2/s2]."""
+    """Means over the fluid: of the velocities, and of q less its mean [m2/s2]."""
     states: Array
-    """In the inner product of whole states, which the modes come from."""
+    """In the inner product of whole states, which defines the modes."""
 
 
 def snapshot_products(
@@ -82,10 +82,10 @@ def snapshot_products(
     density_scale: float,
     blocks: Iterable[tuple[slice, Array, Array]],
 ) -> SnapshotProducts:
-    """Sum the products of snapshots up over blocks of points.
+    """Sum the products of snapshots over blocks of points.
 
-    Blocks are points, density fluctuations (n_snapshots, n) [kg/m3] and velocities (n_snapshots, n,
-    2) [m/s]. `density_scale` times a density fluctuation is q.
+    A block is its points, the density fluctuations (n_snapshots, n) [kg/m3] and the velocities
+    (n_snapshots, n, 2) [m/s]. `density_scale` times a density fluctuation is q.
     """
     density, flow = np.zeros((n_snapshots, n_snapshots)), np.zeros((n_snapshots, n_snapshots))
     sums = np.zeros(n_snapshots)
@@ -124,7 +124,7 @@ class FieldProducts(Record):
     )  # fmt: skip
 
     def only(self, modes: Indices, n_modes: int) -> FieldProducts:
-        """Return the products of some of `n_modes` modes, and of the constant part of states."""
+        """Return the products of some of the `n_modes` modes and of the constant part of states."""
         kept = np.concatenate((modes, np.arange(n_modes, self.gram.shape[1])))
         return FieldProducts(
             gram=self.gram[:, kept][:, :, kept],
@@ -133,16 +133,16 @@ class FieldProducts(Record):
         )
 
     def errors(self, run: int, coordinates: Array) -> Array:
-        """Return a run's root mean square errors (n_snapshots, 2) of coordinates.
+        """Return the root mean square errors (n_snapshots, 2) of a run's coordinates.
 
-        Those are (n_snapshots, n_modes), at the instants of the products.
+        They are (n_snapshots, n_modes), at the snapshots of the products.
         """
         factors = self._factors(coordinates)
         products = np.einsum("sfc,sc->sf", self.projections[run], factors)
         return _root(self.squares[run] - 2.0 * products + self._squares_of(factors))
 
     def sizes(self, coordinates: Array) -> Array:
-        """Return the root mean squares (n_states, 2) of the states of coordinates."""
+        """Return the root mean squares (n_states, 2) of the states with these coordinates."""
         return _root(self._squares_of(self._factors(coordinates)))
 
     def _factors(self, coordinates: Array) -> Array:
@@ -154,12 +154,12 @@ class FieldProducts(Record):
 
 
 def _root(squares: Array) -> Array:
-    """Return square roots of what rounding may have made negative."""
+    """Return square roots, with zero for values that rounding made negative."""
     return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
 
 
 class UnheldShares(Record):
-    """By number of modes and field: velocity, then q; in [m/s] over the norm."""
+    """Shares [m/s over the norm] by number of modes and field: velocity, then q."""
 
     parameters: Array = dataset(
         "size field", "m/s over the inner product's",
@@ -173,13 +173,13 @@ class UnheldShares(Record):
 def unheld_shares(products: SnapshotProducts, places: Array, n_modes: int) -> UnheldShares:
     """Measure the shares by leaving out runs and second halves of runs.
 
-    A single training run doesn't show the share of a change with the parameters: `UNTRIED` times
-    that of the change with time replaces it. Nor does a run that the others surround.
+    Neither a single training run nor runs surrounded by the others determine the share of a change
+    with the parameters. It is then set to `UNTRIED` times that of the change with time.
 
     Parameters
     ----------
     places : (n_runs, n_parameters) of the runs, as `interpolation_weights` measures distances.
-    n_modes : up to which shares are wanted.
+    n_modes : largest number of modes.
     """
     n_runs = len(places)
     snapshots = np.arange(len(products.states)).reshape(n_runs, -1)
@@ -211,9 +211,9 @@ def unheld_shares(products: SnapshotProducts, places: Array, n_modes: int) -> Un
 def _shares(
     products: SnapshotProducts, learnt: Indices, asked: Indices, expected: Array, n_modes: int
 ) -> Array:
-    """Return shares (n_modes, 2) of the change of asked snapshots from what is expected of them.
+    """Return the shares (n_modes, 2) of the change of the held-out snapshots `asked`.
 
-    That is (n_snapshots, n_asked), combinations of snapshots.
+    `expected` (n_snapshots, n_asked) are their predictions, as combinations of snapshots.
     """
     changes = -expected
     changes[asked, np.arange(len(asked))] += 1.0
@@ -229,7 +229,7 @@ def _shares(
 
 
 def _errors(products: SnapshotProducts, learnt: Indices, asked: Indices, n_modes: int) -> Array:
-    """Return mean square errors (n_modes, 2) of bases of some snapshots in other snapshots."""
+    """Return the mean square errors (n_modes, 2) of bases of `learnt` in the snapshots `asked`."""
     values, vectors = np.linalg.eigh(products.states[np.ix_(learnt, learnt)])
     kept = np.flatnonzero(values > ROUNDING * values[-1])[::-1][:n_modes]
     modes = vectors[:, kept] / np.sqrt(values[kept])
@@ -247,24 +247,24 @@ def _errors(products: SnapshotProducts, learnt: Indices, asked: Indices, n_modes
 
 
 DIVERGED = 1e6
-"""Error over the size of a run that has none, because a run diverged."""
+"""Relative error assigned if a run diverged."""
 NEARER = 0.5
-"""Distance of predictions from training runs over that of runs held out."""
+"""Distance of predictions from training runs, over that of held-out runs."""
 ALIKE = 1.03
-"""Product of errors over the least one, up to which fewer modes are as good."""
+"""Product of errors, over the least one, up to which fewer modes are as good."""
 
 
 @dataclass(frozen=True)
 class TrainedSizes:
-    """Training runs, in all modes, and what their errors follow from."""
+    """Training runs in all modes, and the data that determine their errors."""
 
     places: Array
-    """(n_runs, n_parameters), in which distances count alike."""
+    """(n_runs, n_parameters), scaled so that distances are comparable."""
     projected: Array
-    """(n_runs, n_snapshots, n_all_modes) the full runs' coordinates."""
+    """(n_runs, n_snapshots, n_all_modes), the coordinates of the full runs."""
     products: FieldProducts
     compared: Indices
-    """(n_compared,) the snapshots of the products."""
+    """(n_compared,), the snapshots of the products."""
 
     @property
     def largest(self) -> int:
@@ -273,7 +273,7 @@ class TrainedSizes:
 
     @cached_property
     def judged(self) -> Indices:
-        """The runs that the others surround in the parameters; all where none is."""
+        """The runs that the others surround in the parameters; all runs if there is none."""
         every = np.arange(len(self.places) if len(self.places) > 1 else 0)
         others = (np.delete(self.places, k, axis=0) for k in every)
         missed = [interpolation_weights(o, self.places[k])[1] for k, o in enumerate(others)]
@@ -281,12 +281,12 @@ class TrainedSizes:
         return inside if len(inside) else np.arange(len(self.places))
 
     def errors(self, n_modes: int, integrated: Array) -> Array:
-        """Return the expected errors (2,) of predictions, over the fields' sizes.
+        """Return the expected errors (2,) of predictions, relative to the fields' sizes.
 
         Parameters
         ----------
         n_modes : of the model.
-        integrated : (n_runs, n_snapshots, n_integrated) the model's runs, in its first modes.
+        integrated : (n_runs, n_snapshots, n_integrated), the model's runs in its first modes.
         """
         projected = self.projected[..., np.arange(n_modes)]
         first = np.arange(integrated.shape[2])
@@ -305,32 +305,33 @@ class TrainedSizes:
         return np.minimum(np.sqrt(expected), DIVERGED)
 
     def _squares(self, runs: Array) -> Array:
-        """Return mean square errors (n_runs, 2) of coordinates, over those of the fields."""
+        """Return mean square errors (n_runs, 2) of coordinates, relative to those of the fields."""
         products = self.products.only(np.arange(runs.shape[2]), self.largest)
         errors = [products.errors(k, run[self.compared]) for k, run in enumerate(runs)]
         return np.asarray(np.mean(np.square(errors), axis=1) / np.mean(products.squares, axis=1))
 
 
 def best_size(errors: Array) -> int:
-    """Return the least size, from 1, whose errors are as good as the best.
+    """Return the smallest size, from 1, whose errors are as good as the best.
 
-    Errors are (n_sizes, n_quantities); all quantities count alike, by the product of their errors.
+    Errors are (n_sizes, n_quantities); sizes are ranked by the product over the quantities.
     """
     products = np.prod(errors, axis=1)
     return int(np.flatnonzero(products <= ALIKE * products.min())[0]) + 1
 
 
 def choose_integrated(sizes: TrainedSizes, runs: Sequence[Array]) -> tuple[Indices, Array]:
-    """Return how many modes to integrate of 1, 2, ... modes (n_sizes,), and errors (n_sizes, 2).
+    """Return how many of 1, 2, ... modes to integrate (n_sizes,), and the errors (n_sizes, 2).
 
-    `runs` (n_runs, n_snapshots, n_integrated) are of models that integrate 1, 2, ... modes, at the
-    training points. A single run predicts no modes: all are integrated.
+    `runs` (n_runs, n_snapshots, n_integrated) are the runs at the training points of models that
+    integrate 1, 2, ... modes. With a single training run all modes are integrated, because it
+    cannot predict any.
     """
     chosen, errors = [], []
     for n_modes in range(1, sizes.largest + 1):
         tried = runs[0 if len(sizes.places) > 1 else n_modes - 1 : n_modes]
-        found = {run.shape[2]: sizes.errors(n_modes, run) for run in tried}
-        # The most of those that are equal.
-        chosen.append(min(found, key=lambda n: (float(np.prod(found[n])), -n)))
-        errors.append(found[chosen[-1]])
+        by_integrated = {run.shape[2]: sizes.errors(n_modes, run) for run in tried}
+        # Of equal ones, the most modes.
+        chosen.append(min(by_integrated, key=lambda n: (float(np.prod(by_integrated[n])), -n)))
+        errors.append(by_integrated[chosen[-1]])
     return np.array(chosen), np.array(errors)

@@ -1,14 +1,14 @@
-"""Tensor-product cubic B-splines of the trial basis, through the points of a lattice.
+"""Tensor-product cubic B-splines of the trial basis through the points of a lattice.
 
-Where reference points are a lattice whose fluid fills a box, the polyharmonic splines of Eq. 3.17
-can give way to one spline for the whole box that is twice continuously differentiable: a value
-takes sixteen coefficients instead of a cell's 81 points, and nothing jumps across cells. Both are
-of fourth order in values and third in gradients.
+If the reference points form a lattice and the fluid fills a box, one spline for the whole box can
+replace the polyharmonic splines of Eq. 3.17. It is twice continuously differentiable: an evaluation
+uses 16 coefficients instead of the 81 points of a cell, and nothing jumps between cells. Both are
+of fourth order in values and third order in gradients.
 
-Points are cell centres, half a spacing from the box's edges. Along a periodic axis the spline is
-periodic. Along another one its third derivative is continuous across the second point from each end
-(not a knot), and the first cell's polynomial goes on over the half spacing to the wall, and beyond.
-Cubic polynomials are then exact up to the walls.
+Points are cell centres, half a spacing from the edges of the box. Along a periodic axis the spline
+is periodic. Along any other axis its third derivative is continuous at the second point from each
+end (not a knot), and the polynomial of the first cell extends over the half spacing to the wall and
+beyond it. Cubic polynomials are therefore reproduced exactly up to the walls.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from sphrom.reduction.mode_splines import LatticeCoefficients, ModeSplines
 from sphrom.sph.domain import Domain
 
 LATTICE_TOLERANCE = 1e-6
-"""How far a point may be from the lattice, over its spacing."""
+"""Largest distance of a point from the lattice, over its spacing."""
 NOT_A_KNOT = (1.0, -4.0, 6.0, -4.0, 1.0)
 """Combination of five successive coefficients that vanishes: the jump of the third derivative."""
 
@@ -34,8 +34,8 @@ NOT_A_KNOT = (1.0, -4.0, 6.0, -4.0, 1.0)
 class LatticeSplines(LatticeCoefficients, ModeSplines):
     """Splines of `n_columns` functions over a box.
 
-    There are three more nodes than points along a periodic axis, else two. Raises ValueError where
-    the coefficients aren't those of such a lattice.
+    There are three more nodes than points along a periodic axis, two more along others. Raises
+    ValueError if the coefficients do not fit such a lattice.
     """
 
     domain: Domain
@@ -67,7 +67,7 @@ class LatticeSplines(LatticeCoefficients, ModeSplines):
 
     def combine(self, coefficients: ArrayLike) -> LatticeSplines:
         """Return splines of linear combinations of the columns."""
-        # Row by row: one large product would be shared out over threads of its own.
+        # Row by row: one large product would use several threads.
         return replace(self, coefficients=self.coefficients @ np.asarray(coefficients))
 
     def first(self, n_modes: int) -> LatticeSplines:
@@ -81,10 +81,10 @@ def fit_lattice_splines(points: ArrayLike, values: ArrayLike, domain: Domain) ->
     Parameters
     ----------
     points : (n_points, 2) the reference points [m].
-    values : (n_points, n_columns) the columns there, such as the modes by field.
+    values : (n_points, n_columns), the values of the functions there, such as the modes by field.
 
-    Raises ValueError if the points are not the cell centres of a lattice that fills the domain's
-    box, or there are too few.
+    Raises ValueError if the points are too few, or not the cell centres of a lattice that fills the
+    domain's box.
     """
     shape, order = _lattice_order(domain.wrap(np.asarray(points, dtype=np.float64)), domain)
     ordered = np.asarray(values)[order].reshape(shape[1], shape[0], -1)
@@ -113,7 +113,7 @@ def _cells(domain: Domain, shape: tuple[int, ...]) -> bspline.Lattice:
 
 
 def _lattice_order(position: Array, domain: Domain) -> tuple[tuple[int, int], Indices]:
-    """Return the lattice's shape, and its points' places among `position`, row by row."""
+    """Return the lattice's shape, and the indices of its points in `position`, row by row."""
     width, height = domain.lengths
     n_columns = max(1, round(math.sqrt(len(position) * width / height)))
     n_rows = len(position) // n_columns
@@ -123,21 +123,21 @@ def _lattice_order(position: Array, domain: Domain) -> tuple[tuple[int, int], In
     number = nearest[:, 1] * n_columns + nearest[:, 0]
     near = np.abs(place - nearest) < LATTICE_TOLERANCE
     if not (near.all() and np.array_equal(np.sort(number), np.arange(n_columns * n_rows))):
-        raise ValueError("B-splines need points that are a lattice's, which these are not")
+        raise ValueError("B-splines need points on a lattice, and these are not on one")
     return (n_columns, n_rows), np.argsort(number)
 
 
 def _along_first_axis(values: Array, periodic: bool) -> Array:
-    """Return coefficients whose spline has values (n_points, ...) at the points."""
+    """Return the coefficients of the spline through values (n_points, ...) at the points."""
     n_points = len(values)
     if periodic:
         angle = 2.0 * np.pi * np.arange(n_points // 2 + 1) / n_points
         response = (4.0 + 2.0 * np.cos(angle)) / 6.0
         spectrum = np.fft.rfft(values, axis=0) / response[:, None, None]
-        found = np.fft.irfft(spectrum, n_points, axis=0)
-        return found[np.arange(-1, n_points + 2) % n_points]
+        coefficients = np.fft.irfft(spectrum, n_points, axis=0)
+        return coefficients[np.arange(-1, n_points + 2) % n_points]
     matrix = np.zeros((9, n_points + 2))
-    # Column j of the matrix stands in column j here, row i in row 4 + i - j.
+    # Column j of the matrix is column j of the banded form, and row i is its row 4 + i - j.
     for j, jump in enumerate(NOT_A_KNOT):
         matrix[4 - j, j] = jump
         matrix[8 - j, n_points - 3 + j] = jump

@@ -1,24 +1,26 @@
-"""A closure that settles reduced models on the limit cycles of training runs, and between them.
+"""A closure that makes reduced models settle on the limit cycles of training runs.
 
-Modes of a wake in its periodic state know little of what damps them: integrated for long, a model
-finds a cycle of its own, with another amplitude and frequency. What training runs tell is theirs,
+In the periodic state of a wake, the modes hardly represent its damping: over a long time, a model
+settles on a cycle of its own, with another amplitude and frequency. Each training run determines
+the right cycle,
 
     C(phi) = A_0 + Re sum_k A_k exp(i k phi),    dphi/dt = omega,
 
-fitted to each run's coordinates. Just beyond its onset an oscillation follows the equation of
-Stuart and Landau (Landau 1944; Stuart 1960): squared amplitude and frequency are linear in the
-Reynolds number, and a harmonic k grows with the power k of the amplitude r = |A_1|. So omega, r^2
-and A_k / r^k are interpolated in 1/nu and in what else varies, with all runs at one phase of A_1.
+which is fitted to the run's coordinates. Just beyond its onset, an oscillation follows the equation
+of Stuart and Landau (Landau 1944; Stuart 1960): squared amplitude and frequency are linear in the
+Reynolds number, and harmonic k grows with the power k of the amplitude r = |A_1|. Therefore omega,
+r^2 and A_k / r^k are interpolated in 1/nu and the other parameters, with A_1 of all runs in phase.
 
-There the rates f get a constant and a linear part, fitted to the cycle that is wanted,
+The rates f at a point get a constant and a linear term, fitted to the interpolated cycle,
 
     c + A C = omega dC/dphi - f(C),
 
-which leaves the cycle a solution, while f decides how states come to it. Directions in which the
-cycle doesn't move are damped: little, and modes that training runs hardly show lead away from the
-cycle; much, and the mean flow can't follow the oscillation, which limits its amplitude. Of some
-dampings the one is taken with which disturbances of the trained cycles decay fastest, by Floquet's
-multipliers. Forces get such parts for what recorded ones differ by. Below the onset all decays.
+so that the cycle is a solution, while f determines how states approach it. Directions in which the
+cycle does not move are damped. With too little damping, modes that training runs hardly determine
+lead away from the cycle; with too much, the mean flow cannot follow the oscillation and limit its
+amplitude. Of several dampings, the chosen one makes disturbances of the trained cycles decay
+fastest (by their Floquet multipliers). Forces get such terms too, fitted to the difference from
+the recorded ones. Below the onset all oscillations decay.
 """
 
 from __future__ import annotations
@@ -45,19 +47,19 @@ Harmonics = NDArray[np.complex128]
 N_HARMONICS = 4
 ORDERS = np.arange(1 + N_HARMONICS)
 N_PHASES = 64
-"""Phases of a cycle at which rates are fitted."""
+"""Number of phases of a cycle at which rates are fitted."""
 PHASES = 2.0 * np.pi * np.arange(N_PHASES) / N_PHASES
 PERIODIC = 0.9
-"""Share of a run's fluctuations that its harmonics have to explain."""
+"""Least share of a run's fluctuations that the harmonics have to explain."""
 RIDGE = 1e-4
-"""Of fits, over the mean square of a direction in which the cycle moves."""
+"""Penalty of fits, over the mean square of a direction in which the cycle moves."""
 DAMPINGS = (0.0, 0.0625, 0.125, 0.25, 0.5, 1.0)
-"""Rates over omega that are tried."""
+"""Candidate damping rates over omega."""
 
 
 @dataclass(frozen=True)
 class LimitCycle:
-    """A periodic state in the coordinates."""
+    """A periodic state in generalized coordinates."""
 
     frequency: float
     """omega [rad/s]."""
@@ -66,17 +68,17 @@ class LimitCycle:
 
     @property
     def states(self) -> Array:
-        """(N_PHASES, n_modes) at equal steps of the phase."""
+        """(N_PHASES, n_modes), at equally spaced phases."""
         return around(self.harmonics)
 
     @property
     def rates(self) -> Array:
-        """(N_PHASES, n_modes) how they change [1/s]."""
+        """(N_PHASES, n_modes), the time derivatives of the states [1/s]."""
         return around(1j * self.frequency * ORDERS[:, None] * self.harmonics)
 
 
 def around(harmonics: Harmonics) -> Array:
-    """Return values (N_PHASES, n_values) at equal steps of the phase."""
+    """Return values (N_PHASES, n_values) at equally spaced phases."""
     return np.asarray((np.exp(1j * np.outer(PHASES, ORDERS)) @ harmonics).real)
 
 
@@ -84,15 +86,15 @@ def harmonics_of(time: Array, values: Array, frequency: float) -> Harmonics:
     """Return the harmonics of values (n_times, n_values) at a frequency [rad/s]."""
     turns = frequency * np.outer(time, ORDERS)
     waves = np.hstack((np.cos(turns), np.sin(turns[:, 1:])))
-    found = np.linalg.lstsq(waves, values)[0].astype(np.complex128)
-    found[1 : len(ORDERS)] -= 1j * found[len(ORDERS) :]
-    return found[: len(ORDERS)]
+    fitted = np.linalg.lstsq(waves, values)[0].astype(np.complex128)
+    fitted[1 : len(ORDERS)] -= 1j * fitted[len(ORDERS) :]
+    return fitted[: len(ORDERS)]
 
 
 def fitted_cycle(time: Array, states: Array) -> LimitCycle:
     """Return the cycle of a run's coordinates (n_snapshots, n_modes).
 
-    Raises ValueError where it is not periodic, or too short.
+    Raises ValueError if the run is too short or not periodic.
     """
     from scipy.optimize import minimize_scalar  # few models need it
 
@@ -111,16 +113,16 @@ def fitted_cycle(time: Array, states: Array) -> LimitCycle:
     if not explained > PERIODIC:
         raise ValueError(
             f"is not periodic: harmonics of {frequency / (2.0 * math.pi):.4g} Hz explain "
-            f"{100.0 * explained:.0f} % of how it changes"
+            f"{100.0 * explained:.0f} % of its fluctuations"
         )
     return LimitCycle(frequency, harmonics_of(time, states, frequency))
 
 
 @dataclass(frozen=True)
 class CycleClosure:
-    """The closure of a model by the cycles of its training runs, at any parameters.
+    """The closure of a model, at any parameters, by the cycles of its training runs.
 
-    Of training runs it has viscosities [m2/s], values of what drives the flow, and the amplitude.
+    `viscosities` [m2/s], `factors` and `amplitude` are those of the training runs.
     """
 
     operators: ReducedOperators
@@ -131,7 +133,7 @@ class CycleClosure:
 
     @cached_property
     def _turns(self) -> Harmonics:
-        """(n_runs, 1 + N_HARMONICS, 1) what brings the runs to one phase."""
+        """(n_runs, 1 + N_HARMONICS, 1) rotations that bring all runs into phase."""
         first = [cycle.harmonics[1] for cycle in self.cycles]
         phases = [np.angle(np.vdot(first[0], each)) for each in first]
         return np.exp(-1j * np.multiply.outer(phases, ORDERS))[..., None]
@@ -149,13 +151,13 @@ class CycleClosure:
         return spline_weights(np.array(places), np.array(place(viscosity, factors)))
 
     def _square(self, weights: Array) -> float:
-        """Return r^2 over the largest of training runs; negative below the onset."""
+        """Return r^2 over the largest of the training runs; negative below the onset."""
         return float(weights @ self._radii**2) / float(self._radii.max()) ** 2
 
     def _between(
         self, weights: Array, harmonics: Sequence[Harmonics], fitted: bool = True
     ) -> Harmonics:
-        """Return harmonics between those of training runs, of a radius not below theirs."""
+        """Return interpolated harmonics; `fitted`: of a radius not below the training runs'."""
         radius = self._radii.max() * math.sqrt(max(self._square(weights), 0.0))
         radius = max(radius, self._radii.min()) if fitted else radius
         scales = (radius / self._radii[:, None]) ** ORDERS
@@ -164,14 +166,14 @@ class CycleClosure:
     def cycle_at(
         self, viscosity: float, factors: Factors = NONE, fitted: bool = False
     ) -> LimitCycle:
-        """Return the cycle somewhere; one that is `fitted` is no smaller than trained ones."""
+        """Return the cycle at a point; if `fitted`, not smaller than the smallest trained one."""
         weights = self._weights(viscosity, factors)
         frequency = float(weights @ [cycle.frequency for cycle in self.cycles])
         harmonics = self._between(weights, [cycle.harmonics for cycle in self.cycles], fitted)
         return LimitCycle(frequency, harmonics)
 
     def at(self, viscosity: float, factors: Factors = NONE) -> Polynomial:
-        """Return what is added to the rates at a viscosity [m2/s] and values of what varies."""
+        """Return the added rates at a viscosity [m2/s] and values of the other parameters."""
         return self._damped(viscosity, factors, self._damping)
 
     def _damped(self, viscosity: float, factors: Factors, damping: float) -> Polynomial:
@@ -190,8 +192,8 @@ class CycleClosure:
         return DAMPINGS[int(np.argmin([self.slowest(each) for each in DAMPINGS]))]
 
     def slowest(self, damping: float | None = None) -> float:
-        """Return Floquet's largest multiplier of trained cycles, but for those along them."""
-        found, used = [], self._damping if damping is None else damping
+        """Return the largest Floquet multiplier of trained cycles across their direction."""
+        largest, used = [], self._damping if damping is None else damping
         for point in zip(self.viscosities, self.factors, strict=True):
             cycle, growth = self.cycle_at(*point), np.eye(self.operators.n_modes)
             rates = self.operators.at(*point).plus(self._damped(*point, used))
@@ -201,8 +203,8 @@ class CycleClosure:
                 growth = step @ growth
             multipliers = np.linalg.eigvals(growth)
             others = np.delete(multipliers, int(np.abs(multipliers - 1.0).argmin()))
-            found.append(float(np.abs(others).max(initial=0.0)))
-        return max(found)
+            largest.append(float(np.abs(others).max(initial=0.0)))
+        return max(largest)
 
     def force_at(
         self,
@@ -212,9 +214,10 @@ class CycleClosure:
         viscosity: float,
         factors: Factors,
     ) -> PointForce:
-        """Return a force with what the loads of training runs differ by from the model's own.
+        """Return a force corrected by the differences between recorded loads and the model's.
 
-        These are forces at the runs' parameters, and harmonics (1 + N_HARMONICS, 6) [N/m, N].
+        `trained` are the forces at the runs' parameters, and `loads` the harmonics
+        (1 + N_HARMONICS, 6) [N/m, N] of the recorded ones.
         """
 
         def own(at: PointForce, cycle: LimitCycle) -> Array:
@@ -233,7 +236,7 @@ class CycleClosure:
 
 
 def _slope(states: Array, values: Array) -> Array:
-    """Return the matrix (n_values, n_modes) that is least of those that fit values to states."""
+    """Return the smallest matrix (n_values, n_modes) that fits values to states."""
     moved = states - states.mean(axis=0)
     gram = moved.T @ moved
     gram += RIDGE * np.trace(gram) / len(gram) * np.eye(len(gram))

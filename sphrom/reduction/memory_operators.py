@@ -1,21 +1,20 @@
 """The closure of adjoint Petrov-Galerkin on fixed points, as a polynomial (Eq. 3.22).
 
-The reduced rates are Phi^T W (f + tau J r), where f are the rates of all points, r = Pi' f what
-projection leaves of them, and J the Jacobian of f. With b = (1, a), e_0 for the constant part of a
-state, and e_m for the modes, f is the sum of b_k b_l F_kl over k <= l. F_kl is S(e_k, e_l), halved
-for k = l; with k = 0 it has L e_l too, and with k = l = 0 the constant sources. L is the linear
-part here, and S(x, y) = B(x, y) + B(y, x) that of products. As J x = L x + S(u, x),
+The reduced rates are Phi^T W (f + tau J r), where f are the rates at all points, r = Pi' f is their
+residual after projection, and J the Jacobian of f. With b = (1, a), e_0 the constant part of a
+state and e_m the modes, f is the sum of b_k b_l F_kl over k <= l. F_kl is S(e_k, e_l), halved
+for k = l; with k = 0 it also contains L e_l, and with k = l = 0 the constant sources. L is the
+linear part here, and S(x, y) = B(x, y) + B(y, x) that of products. As J x = L x + S(u, x),
 
     Phi^T W J r = sum_m sum_{k <= l} b_m b_k b_l Phi^T W (S(e_m, R_kl) + [m = 0] L R_kl)
 
-where R_kl = Pi' F_kl. Summed up over its indices' permutations this is one symmetric tensor of the
-third degree in b: a cubic polynomial in a, which needs no residual and no Jacobian online. It has
-n^4/6 entries for n modes, and its parts are quadratic in the viscosity. With a body force or driven
-walls, L and the sources have a part that the amplitude multiplies, and the polynomial has its first
-two powers.
+where R_kl = Pi' F_kl. Symmetrised over its indices this is one tensor of the third degree in b: a
+cubic polynomial in a, which needs neither residual nor Jacobian online. It has n^4/6 entries for
+n modes and is quadratic in the viscosity. With a body force or driven walls, L and the sources have
+a part proportional to the amplitude, and the polynomial contains its first two powers.
 
-A residual is no combination of modes, so that its gradients are sums over points (Eq. 2.11), as
-they are where particles move.
+A residual is not a combination of modes, so its gradients are sums over points (Eq. 2.11), as for
+moving particles.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ Pairs = list[tuple[int, int]]
 
 @dataclass(frozen=True)
 class _States:
-    """Some states, and the linear terms and gradients that rates are made of."""
+    """Some states, with their linear terms and gradients, from which rates are computed."""
 
     scaled_density: Array
     """(n_points, n_states)."""
@@ -67,7 +66,7 @@ class _States:
 
 
 class _Rates:
-    """The parts of f at a viscosity: sources, L and B."""
+    """The parts of f at one viscosity: sources, L and B."""
 
     def __init__(self, points: FixedPoints, kinematic_viscosity: float) -> None:
         self.points = points
@@ -78,11 +77,11 @@ class _Rates:
 
     @property
     def n_powers(self) -> int:
-        """Powers of the amplitude, 0 among them, that sources and L have."""
+        """Number of powers of the amplitude in the sources and L, including the zeroth."""
         return 1 + (self.head is not None or self.points.walls_driven)
 
     def _dragged(self, power: int) -> Array | None:
-        """Return the friction of moving walls, if it comes with this power of the amplitude."""
+        """Return the friction of moving walls if it belongs to this power of the amplitude."""
         return self.drag if power == int(self.points.walls_driven) else None
 
     def source(self, power: int) -> Array:
@@ -95,7 +94,7 @@ class _Rates:
         return out
 
     def linear(self, states: _States, power: int) -> Array:
-        """Return L of states (3, n_points, n_states) [m/s2]."""
+        """Return L applied to states (3, n_points, n_states) [m/s2]."""
         points, terms, speed = self.points, states.terms, self.points.sound_speed
         share, out = states.scaled_density / speed, np.zeros_like(states.slopes[:, 0])
         if power == 0:
@@ -116,7 +115,7 @@ class _Rates:
         return self._products(one, others) + self._products(others, one)
 
     def _products(self, carrier: _States, carried: _States) -> Array:
-        """Return B of a carrier, which advects and is compressed, and the states it carries."""
+        """Return B of a carrier, which advects and is compressed, and of the carried states."""
         (u, v), q, terms = carrier.velocity, carrier.scaled_density, carried.terms
         out = -u * carried.slopes[:, 0] - v * carried.slopes[:, 1]
         out[0] -= self._kept(q * terms.divergence)
@@ -125,7 +124,7 @@ class _Rates:
         return out
 
     def _kept(self, rates: Array) -> Array:
-        """Return rates (n_points, n_states) without their mean, where volume is fixed."""
+        """Return rates (n_points, n_states), less their mean if the fluid's volume is fixed."""
         return rates - rates.mean(axis=0) if self.points.fixed_volume else rates
 
 
@@ -138,7 +137,7 @@ def project_memory(
 ) -> Polynomial:
     """Return Phi^T W J r, the term of Eq. 3.22 per unit of memory length.
 
-    The other parameters are those of `sphrom.reduction.operator_projection.project_operators`.
+    Other parameters: see `sphrom.reduction.operator_projection.project_operators`.
     """
     rates = _Rates(points, kinematic_viscosity)
     fields = mode_fields(basis, points)
@@ -160,14 +159,14 @@ def project_memory(
             for other in range(rates.n_powers):
                 change = rates.linear(residuals, other)
                 sums[power + other, :, 0, some] += _projected(weights, change)
-    # The amplitude's powers come with ones in place of coordinates.
+    # Higher powers of the amplitude multiply lower degrees in the coordinates.
     return Polynomial(
         tuple(_tensors(total, pairs)[: 4 - power] for power, total in enumerate(sums))
     )
 
 
 def _all_states(points: FixedPoints, fields: ModeFields, splines: ModeSplines | None) -> _States:
-    """Return the constant part of a state, which may be zero, and then the modes."""
+    """Return the constant part of a state, which may be zero, followed by the modes."""
 
     def ordered(values: Array) -> Array:
         rest = values[..., fields.n_modes :]
@@ -182,7 +181,7 @@ def _all_states(points: FixedPoints, fields: ModeFields, splines: ModeSplines | 
 def _left_over(
     rates: _Rates, states: _States, pairs: Pairs, power: int, weights: Array, fields: ModeFields
 ) -> Array:
-    """Return R of pairs (3, n_points, n_pairs) in q and the velocity, Pi' F (Alg. 3.5)."""
+    """Return R = Pi' F (3, n_points, n_pairs) of some pairs, in q and the velocity (Alg. 3.5)."""
     out = np.zeros((3, rates.points.n_points, len(pairs)))
     for column, (k, l) in enumerate(pairs):
         first, second = states.only(k), states.only(l)
@@ -205,7 +204,7 @@ def _projected(weights: Array, rates: Array) -> Array:
 
 
 def _tensors(sums: Array, pairs: Pairs) -> Tensors:
-    """Return symmetric tensors by degree, of sums (n_modes, n, n_pairs) over b_m b_k b_l."""
+    """Return symmetric tensors by degree, from sums (n_modes, n, n_pairs) over b_m b_k b_l."""
     n = sums.shape[1]
     whole = np.zeros((len(sums), n, n, n))
     for p, (k, l) in enumerate(pairs):
@@ -224,7 +223,7 @@ def _tensors(sums: Array, pairs: Pairs) -> Tensors:
 def project_memory_operators(
     points: FixedPoints, basis: TrialBasis, splines: ModeSplines | None, *, largest_viscosity: float
 ) -> MemoryOperators:
-    """Assemble the operators of all viscosities from three: zero, half the largest, the largest."""
+    """Interpolate the operators from three viscosities: zero, half the largest, the largest."""
     nu = largest_viscosity
     low, middle, high = (
         project_memory(points, basis, splines, kinematic_viscosity=share * nu)

@@ -1,8 +1,8 @@
 """The modes of a trial basis as fields at fixed points, in the acoustic scaling, with gradients.
 
-The first field of a state is q = c0 rho'/rho0 [m/s] here, whatever the inner product of the basis.
-The raw product has a constant density, the constant part of a state: one more field after the
-modes, whose coordinate is always one.
+The first field of a state is q = c0 rho'/rho0 [m/s] here, for every inner product of the basis.
+States in the raw product have a constant part, a uniform density. It is one more field after the
+modes, with a coordinate that is always one.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from sphrom.reduction.trial_basis import TrialBasis, weighted_mean
 from sphrom.sph.fixed_points import FixedPoints, Rows
 
 BLOCK_VALUES = 2**21
-"""Values of a field at a block of points."""
+"""Number of values of a field in a block of points."""
 
 Gradients = Callable[[Rows], Array]
-"""From some points, the gradients (3, 2, n, n_fields) [1/s] of q and velocity of all fields."""
+"""Return the gradients (3, 2, n, n_fields) [1/s] of q and velocity of all fields at some points."""
 
 
 @dataclass(frozen=True)
 class ModeFields:
-    """The modes, and the constant part of a state if there is one, as fields at the points."""
+    """The modes as fields at the points, followed by the constant part of a state, if any."""
 
     scaled_density: Array
     """q (n_points, n_fields) [m/s]."""
@@ -35,11 +35,11 @@ class ModeFields:
     density_ratio: float
     """q over the first field of the basis: one in the acoustic product."""
     n_modes: int
-    """The first fields; one more is the constant part, if there is one."""
+    """Number of leading fields that are modes; one more is the constant part, if any."""
 
     @property
     def n_fields(self) -> int:
-        """Number of modes, and one more for the constant part."""
+        """Number of fields: the modes, and the constant part, if any."""
         return self.scaled_density.shape[1]
 
 
@@ -63,7 +63,7 @@ def mode_fields(basis: TrialBasis, points: FixedPoints) -> ModeFields:
 def weighted_rows(basis: TrialBasis, fields: ModeFields, rows: Rows) -> Array:
     """Return the weights (n_modes, 3, n) of the rates of q and velocity at some points.
 
-    The weighted sums over all points are the projection (Eq. 3.21).
+    The weighted sum of the rates over all points is the projection (Eq. 3.21).
     """
     weights = basis.weights[rows]
     density = basis.density_modes[:, rows] * (weights / fields.density_ratio)
@@ -76,8 +76,7 @@ def mode_gradients(
 ) -> Gradients:
     """Return the gradients of the fields, by splines or renormalised sums (Eq. 2.11).
 
-    Splines are those of the first field and the velocity of each mode. A constant density needs
-    none.
+    Splines have the first field and the velocity of each mode; the constant part needs none.
     """
 
     if splines is None:
@@ -85,9 +84,9 @@ def mode_gradients(
         return lambda rows: np.stack([points.gradients(part, rows) for part in parts])
 
     def by_splines(rows: Rows) -> Array:
-        found = splines.values_and_gradients(points.position[rows])[1]
-        out = np.zeros((3, 2, len(found), fields.n_fields))
-        by_column = found.reshape(len(found), fields.n_modes, 3, 2)
+        gradients = splines.values_and_gradients(points.position[rows])[1]
+        out = np.zeros((3, 2, len(gradients), fields.n_fields))
+        by_column = gradients.reshape(len(gradients), fields.n_modes, 3, 2)
         out[..., : fields.n_modes] = by_column.transpose(2, 3, 0, 1)
         out[0] *= fields.density_ratio
         return out
@@ -96,13 +95,13 @@ def mode_gradients(
 
 
 def blocks(n_points: int, size: int) -> Iterator[slice]:
-    """Yield blocks of points, none of which is larger than a size, or than one point."""
+    """Yield blocks of at most `size` points each, and at least one point."""
     for first in range(0, n_points, max(1, size)):
         yield slice(first, min(first + max(1, size), n_points))
 
 
 class FieldProjections:
-    """Products of states with the modes, separately for velocity and q."""
+    """Products of states with the modes, separately for the velocity and q."""
 
     def __init__(self, basis: TrialBasis, fields: ModeFields) -> None:
         self._share = basis.weights / basis.weights.sum()

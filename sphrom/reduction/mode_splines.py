@@ -1,6 +1,6 @@
-"""Splines of the modes, whatever kind they are of.
+"""The common interface of the splines of modes.
 
-There are two kinds: the paper's local polyharmonic ones, which take points wherever they are
+There are two kinds: the paper's local polyharmonic splines for arbitrarily placed points
 (`sphrom.reduction.spline`), and tensor-product B-splines on a lattice
 (`sphrom.reduction.lattice_splines`).
 """
@@ -17,9 +17,9 @@ from sphrom.declaration import Record, dataset
 from sphrom.reduction.trial_basis import TrialBasis
 
 CELL_WIDTH_RATIO = 3.0
-"""Cell width over the spacing of points, 81 points a system. At 2 (36 points) the error of a cubic
-spline is six times larger and evaluation 1.5 times faster; at 4 (144 points) three times smaller
-and 1.5 times slower."""
+"""Cell width over the spacing of points; each cell's system has 81 points. At 2 (36 points) the
+error of a cubic spline is six times larger and evaluation 1.5 times faster; at 4 (144 points) the
+error is three times smaller and evaluation 1.5 times slower."""
 
 
 class ModeSplines(ABC):
@@ -42,16 +42,16 @@ class ModeSplines(ABC):
     def _fill(self, x: Array, y: Array, *out: Array) -> None:
         """Fill values (n_positions, n_columns) at coordinates x, y (n_positions,) [m].
 
-        If there are two arrays to fill, the other is of gradients (n_positions, n_columns, 2).
+        A second array is filled with gradients (n_positions, n_columns, 2).
         """
 
     def values(self, positions: ArrayLike, out: Array | None = None) -> Array:
         """Return all functions (Eq. 3.20) at positions (n_positions, 2) [m].
 
-        Along periodic axes any position will do. Along the others, a position beyond the points is
-        extrapolated from the nearest cell. Where there is no spline, the result is NaN.
+        Along periodic axes any position is valid. Along the others, positions beyond the points are
+        extrapolated from the nearest cell. The result is NaN where there is no spline.
 
-        `out` (n_positions, n_columns) is where to write, C-contiguous; a new array by default.
+        `out` (n_positions, n_columns) is a C-contiguous array to write to; by default a new one.
         """
         x, y = coordinates(positions)
         out = np.empty((x.size, self.n_columns)) if out is None else out
@@ -113,7 +113,7 @@ class LatticeCoefficients(Record):
     coefficients: Array = dataset(
         "node_row node column",
         "of the modes",
-        "what the B-splines around each point are multiplied with, for each mode and field",
+        "coefficients of the B-splines around each point, for each mode and field",
         equation="Eq. 3.20",
     )
 

@@ -1,17 +1,17 @@
-"""What is projected once from the reference points: rates, their residual, and forces on walls.
+"""Projection of rates, their residual, and forces on walls from the reference points, done once.
 
-The rates of `sphrom.sph.fixed_points` are quadratic once rho0/rho is expanded, so that their
-Galerkin projection (Eq. 3.21) is quadratic in the generalized coordinates: see
-`sphrom.reduction.reduced_operators`. The columns of the residual that is described there are
-replaced by the triangular factor of their QR decomposition. Directions that no state near the
-training ones reaches are dropped.
+The rates of `sphrom.sph.fixed_points` are quadratic once rho0/rho is expanded, so their Galerkin
+projection (Eq. 3.21) is quadratic in the generalized coordinates (see
+`sphrom.reduction.reduced_operators`). That module also describes the columns of the residual. They
+are replaced by the triangular factor of their QR decomposition, without the directions that no
+state near the training states reaches.
 
-All is computed for the modes and the constant part of a state alike, and the latter is then folded
-into the former. Points are visited in blocks: memory holds the basis, its copy as fields, and the
-diffusion of q, a third of it.
+Everything is computed alike for the modes and the constant part of a state, and the constant part
+is then folded into the modes. Points are read in blocks; the memory holds the basis, its copy as
+fields, and the diffusion of q, a third of that size.
 
-States of a basis with a separate mean have no mean density here: no velocity follows from it, and
-fixed points keep it.
+With a separate mean, states have no mean density here: it induces no velocity, and is conserved on
+fixed points.
 """
 
 from __future__ import annotations
@@ -47,10 +47,10 @@ from sphrom.sph.fluid import NONE
 from sphrom.sph.wall_forces import TORQUE, MeasuredWall
 
 Advance = Callable[[int], None]
-"""Called with the number of points that have been done."""
+"""Called with the number of points that were completed."""
 
 DROPPED = 1e-5
-"""Singular values of the scaled columns over the largest, below which directions are dropped."""
+"""Directions are dropped if their singular value, over the largest, is below this."""
 
 
 def project_operators(
@@ -62,7 +62,7 @@ def project_operators(
 ) -> ReducedOperators:
     """Project the rates of fixed points onto a basis (Eq. 3.21).
 
-    `splines` are the basis's, whose gradients then advect; by default sums over the points do.
+    Advection uses the gradients of `splines`, those of the basis; by default, sums over the points.
     """
     sums = _Sums(points, basis, splines)
     for rows in blocks(points.n_points, BLOCK_VALUES // (6 * sums.fields.n_fields)):
@@ -81,13 +81,14 @@ def residual_factor(
     scales: Mapping[str, float] | None = None,
     advance: Advance = lambda n_points: None,
 ) -> ResidualFactor:
-    """Factorise the residual's columns, block by block.
+    """Factorise the columns of the residual, block by block.
 
     Parameters
     ----------
-    operators : those that were projected with the same points, basis and splines.
-    largest : (n_modes,) coordinates that states reach; by default one each. Directions below
-        `DROPPED` there, at `scales` of the parameters by part (by default one), are dropped.
+    operators : projected with the same points, basis and splines.
+    largest : (n_modes,) largest coordinates that states reach; by default one each. Directions
+        whose residuals are below `DROPPED` for these coordinates are dropped.
+    scales : values of the parameters by part for this purpose; by default one.
     """
     residuals = _Residuals(points, basis, operators, splines)
     triangle = np.zeros((0, sum(residuals.widths)))
@@ -96,30 +97,30 @@ def residual_factor(
         triangle = np.asarray(np.linalg.qr(block, mode="r"))
         advance(rows.stop - rows.start)
     reached = np.ones(basis.n_modes) if largest is None else largest
-    # No coordinate counts for nothing.
+    # Every coordinate counts at least a little.
     floor = np.finfo(float).eps * float(np.max(reached))
     size = monomials(np.maximum(reached, floor)[None])[0]
     factors = [(scales or {}).get(part, 1.0) for part in residuals.parts]
     scale = np.concatenate(
         [factor * size[:n] for factor, n in zip(factors, residuals.widths, strict=True)]
     )
-    # As few rows as give the same norms.
+    # The fewest rows that give the same norms.
     _, values, directions = np.linalg.svd(triangle * scale, full_matrices=False)
     kept = values > DROPPED * values[0]
     reduced = np.asarray(values[kept, None] * directions[kept] / scale)
     parts = np.split(reduced, np.cumsum(residuals.widths)[:-1], axis=1)
-    found = dict(zip(residuals.parts, parts, strict=True))
-    fields = _fields_of(found, operators.drives, DriveResidual)
+    by_part = dict(zip(residuals.parts, parts, strict=True))
+    fields = _fields_of(by_part, operators.drives, DriveResidual)
     return ResidualFactor(**fields, walls_driven=points.walls_driven)
 
 
 def _fields_of(
-    found: Mapping[str, Any], names: Iterable[str], drive: type[DriveRates | DriveResidual]
+    by_part: Mapping[str, Any], names: Iterable[str], drive: type[DriveRates | DriveResidual]
 ) -> dict[str, Any]:
-    """Return what was found, by part, as the fields of a record: parameters have their own."""
-    own = {part: found.get(part) for part in ("inertia", "viscosity", "walls", "force")}
+    """Return arrays by part as the fields of a record; each driving parameter has a nested one."""
+    own = {part: by_part.get(part) for part in ("inertia", "viscosity", "walls", "force")}
     drives = {
-        name: drive(walls=found.get(f"walls/{name}"), force=found.get(f"force/{name}"))
+        name: drive(walls=by_part.get(f"walls/{name}"), force=by_part.get(f"force/{name}"))
         for name in names
     }
     return {**own, "drives": drives}
@@ -128,8 +129,8 @@ def _fields_of(
 class _Fields:
     """The modes as fields, and their rates at some points.
 
-    Rates by walls that move and by body forces have a name for each part, such as `walls`, and
-    `walls/lid` of a parameter.
+    Rates caused by moving walls and body forces are named by part, such as `walls`, or
+    `walls/lid` for the parameter `lid`.
     """
 
     def __init__(self, points: FixedPoints, basis: TrialBasis, splines: ModeSplines | None) -> None:
@@ -153,8 +154,8 @@ class _Fields:
     def products(self, k: int, rows: slice, terms: Terms, slopes: Array) -> tuple[Array, Array]:
         """Return the products of a field, as carrier or compressed density, with all fields.
 
-        Those of the inertia (4, n, n_fields): the advection of q, the rest of continuity, and the
-        velocity; and those of the viscosity (2, n, n_fields).
+        The first result is the inertia (4, n, n_fields): the advection of q, the rest of the
+        continuity equation, and the velocity. The second is the viscosity (2, n, n_fields).
         """
         q, (u, v) = (
             self.fields.scaled_density[rows, k, None],
@@ -167,27 +168,27 @@ class _Fields:
         return products, -q / self.points.sound_speed * terms.laplacian
 
     def driven(self, rows: slice) -> dict[str, tuple[Array, Array]]:
-        """Return the rates of the velocity by moving walls and body forces, by part.
+        """Return the rates of the velocity caused by moving walls and body forces, by part.
 
-        The constant (2, n), and the part that is linear in the fields (2, n, n_fields).
+        A part has a constant (2, n) and a term that is linear in the fields (2, n, n_fields).
         """
-        density, found = self.fields.scaled_density, {}
+        density, rates = self.fields.scaled_density, {}
         for part, drag in self.drags.items():
             share = density[rows] / self.points.sound_speed
-            found[part] = drag[:, rows], -drag[:, rows, None] * share
+            rates[part] = drag[:, rows], -drag[:, rows, None] * share
         for part, force in self.forces.items():
             head = self.points.head_push(force, rows)
             more = self.points.head_push(force[..., None] * density, rows)
             more = more - head[..., None] * density[rows]
-            found[part] = force[:, rows] + head, more / self.points.sound_speed
-        return found
+            rates[part] = force[:, rows] + head, more / self.points.sound_speed
+        return rates
 
 
 class _Sums(_Fields):
     """Sums of the operators of all fields over blocks of points.
 
-    A point has four rates: the advection of q, then the rest of continuity, whose mean may be taken
-    out, and two of the velocity.
+    A point has four rates: the advection of q, the rest of the continuity equation (from which the
+    mean may be subtracted), and two components of the velocity.
     """
 
     def __init__(self, points: FixedPoints, basis: TrialBasis, splines: ModeSplines | None) -> None:
@@ -201,7 +202,7 @@ class _Sums(_Fields):
         }
         self._mean_weight = np.zeros(m)
         if points.fixed_volume:
-            # Taking the mean out of rates is the same as taking it out of what weighs them.
+            # Subtracting the mean from rates is the same as subtracting it from their weights.
             total = basis.density_modes @ basis.weights
             self._mean_weight = total / (self.fields.density_ratio * points.n_points)
 
@@ -233,8 +234,8 @@ class _Sums(_Fields):
         """Return the operators of the modes, with the constant part folded in."""
         n_modes, points = self.fields.n_modes, self.points
         parts = {"inertia": self.inertia, "viscosity": self.viscosity, **self.by_part}
-        found = {part: _folded(sums, n_modes) for part, sums in parts.items()}
-        fields = _fields_of(found, points.drives, DriveRates)
+        folded = {part: _folded(sums, n_modes) for part, sums in parts.items()}
+        fields = _fields_of(folded, points.drives, DriveRates)
         acoustic = self.acoustic[:, :n_modes]
         return ReducedOperators(**fields, acoustic=acoustic, walls_driven=points.walls_driven)
 
@@ -248,7 +249,7 @@ def _projected(weights: Array, rates: Array) -> Array:
 def _folded(tensors: Tensors, n_modes: int) -> Tensors:
     """Return tensors of fields (n, ...) as symmetric tensors of modes.
 
-    The coordinate of the constant part, which stands last, is one.
+    The constant part is the last field; its coordinate is one.
     """
     constant, linear, *quadratic = tensors
     modes, one = slice(n_modes), slice(n_modes, None)
@@ -262,7 +263,7 @@ def _folded(tensors: Tensors, n_modes: int) -> Tensors:
 
 
 class _Residuals(_Fields):
-    """The residual's columns at points, orthogonal to the modes and weighted as the product is."""
+    """The residual's columns at points, orthogonal to the modes and weighted as in the product."""
 
     def __init__(
         self,
@@ -281,7 +282,7 @@ class _Residuals(_Fields):
         projected = [pack(each) for each in tensors.values()]
         self.widths = [p.shape[1] for p in projected]
         self._projected = np.concatenate(projected, axis=1)
-        # What is taken out of continuity, of fields and of their products.
+        # The mean of the continuity equation, from the fields and from their products.
         self._means: tuple[Array | float, Array | float] = 0.0, 0.0
         if points.fixed_volume:
             linear = self.diffusion.sum(axis=0)
@@ -304,7 +305,7 @@ class _Residuals(_Fields):
         return rates.reshape(-1, n_columns)
 
     def _by_part(self, rows: slice) -> dict[str, Tensors]:
-        """Return the rates of columns at some points, by part and degree, as (3, n, ...)."""
+        """Return the rates of the columns at some points, by part and degree, as (3, n, ...)."""
         points, terms, slopes = self.points, self.terms(rows), self.slopes(rows)
         constant = np.zeros((3, *terms.divergence.shape[:1]))
         sound, friction = np.zeros((2, 3, *terms.divergence.shape))
@@ -321,14 +322,14 @@ class _Residuals(_Fields):
             inertia[0, :, k] += own[1]
             viscosity[1:, :, k] = light
         inertia[0] -= self._means[1]
-        found: dict[str, Tensors] = {
+        by_part: dict[str, Tensors] = {
             "inertia": (constant, sound, inertia),
             "viscosity": (constant, friction, viscosity),
         }
         for part, rates in self.driven(rows).items():
-            # They have no part in continuity.
-            found[part] = tuple(np.concatenate((np.zeros_like(t[:1]), t)) for t in rates)
-        return found
+            # They do not enter the continuity equation.
+            by_part[part] = tuple(np.concatenate((np.zeros_like(t[:1]), t)) for t in rates)
+        return by_part
 
 
 def project_forces(
@@ -342,9 +343,9 @@ def project_forces(
 
     Parameters
     ----------
-    circulations : [m2/s] of the walls' velocity that a parameter gives per unit.
-    balance : the Stokes flows of the wall's motions, where the balance of momentum is projected
-        too, and the splines of the modes.
+    circulations : of the wall velocity per unit of each driving parameter [m2/s].
+    balance : the Stokes flows of the wall's motions and the splines of the modes, to project the
+        balance of momentum too.
     """
     tested = None if balance is None else balance[0]
 
@@ -357,7 +358,7 @@ def project_forces(
     uniform = np.full((points.n_points, 1), points.density_scale)
 
     def terms(of_fields: Array, of_mean: Array) -> Array:
-        """Return loads (3, n_terms): of the constant part, of a uniform density, of the modes."""
+        """Return loads (3, n_terms) of the constant part, of a uniform density, of the modes."""
         of_columns, n = wall.loads(of_fields), fields.n_modes
         constant = of_columns[:, n:].sum(axis=1, keepdims=True)
         return np.hstack((constant, wall.loads(of_mean), of_columns[:, :n]))
@@ -369,16 +370,16 @@ def project_forces(
         if force is None:
             return None
         head, share = force[..., None], 1.0 / points.sound_speed
-        found = terms(
+        loads = terms(
             points.ghost_heads(head * density * share), points.ghost_heads(head * uniform * share)
         )
-        found[:, 0] += wall.loads(points.ghost_heads(force))
-        return found
+        loads[:, 0] += wall.loads(points.ghost_heads(force))
+        return loads
 
     def drag(ghost_drag: Array, circulation: float) -> Array:
-        found = wall.loads(ghost_drag)
-        found[TORQUE] -= points.reference_density * circulation
-        return found
+        loads = wall.loads(ghost_drag)
+        loads[TORQUE] -= points.reference_density * circulation
+        return loads
 
     drives = {}
     for name, drive in points.drives.items():

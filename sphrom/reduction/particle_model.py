@@ -1,22 +1,22 @@
 """The reduced model on moving particles: Alg. 3.4, Galerkin and adjoint Petrov-Galerkin.
 
-The state is a vector: the generalized coordinates (n_modes,), the mean density where that is
-carried apart, then the positions x and y of all particles [m]. Each evaluation carries the modes to
-the particles by their splines, rebuilds the fields, evaluates the full functional there, takes the
-advection out (Eq. 3.4), and projects. Galerkin projection (Eq. 3.21) takes the rates as they are;
-adjoint Petrov-Galerkin (Eq. 3.22, Alg. 3.5; Parish, Wentland and Duraisamy 2020) adds the effect of
-the unresolved residual.
+The state is a vector: the generalized coordinates (n_modes,), the mean density if it is separate,
+then the positions x and y of all particles [m]. Each evaluation computes the modes at the particles
+by splines, reconstructs the fields, evaluates the full functional, removes the advection (Eq. 3.4)
+and projects. Galerkin projection (Eq. 3.21) uses the rates directly. Adjoint Petrov-Galerkin
+(Eq. 3.22, Alg. 3.5; Parish, Wentland and Duraisamy 2020) adds the effect of the unresolved
+residual.
 
-Advection is taken out in one of two ways. `paper` subtracts Eq. 3.5-3.6, which carry with u and
+Advection is removed in one of two ways. `paper` subtracts Eq. 3.5-3.6, which advect with u and
 leave the shifting terms in. `consistent` subtracts (u + delta u) . grad of the reduced field, with
-the exact gradient of the modes' splines: the points move with u + delta u, and the coordinates
-belong to fixed modes.
+the exact gradient of the modes' splines, because the points move with u + delta u while the
+coordinates belong to fixed modes.
 
-The mean density may be separate: it is subtracted from snapshots, no mode has one, and the
-model carries it as one coordinate more, whose mode is constant density.
+A separate mean density is subtracted from the snapshots, so no mode contains it. The model carries
+it as one more coordinate, whose mode is a constant density.
 
 Fields at particles are (3, n_particles): the state's first field and two components of velocity.
-The basis there is (n_particles, n_modes, 3).
+The basis at particles is (n_particles, n_modes, 3).
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ from sphrom.sph.functional import Functional, Rates
 from sphrom.sph.time_loop import Snapshot
 
 JACOBIAN_STEP = 1e-5
-"""epsilon of Eq. 3.22: the finite difference's step over the state's size, per field."""
+"""epsilon of Eq. 3.22: the step of the finite difference over the size of the state, per field."""
 
 
 def relative_step(state: Array, direction: Array) -> float:
     """Return the largest step that changes no field by more than its own size.
 
-    Density and velocity differ by orders of magnitude, so that one constant (Eq. 3.22 has 1e-5)
-    would mean nothing.
+    Density and velocity differ by orders of magnitude, so a constant step (1e-5 in Eq. 3.22) would
+    not suit both.
     """
     norms = [
         [math.sqrt(np.sum(fields[f] ** 2)) for fields in (state, direction)]
@@ -57,7 +57,7 @@ def relative_step(state: Array, direction: Array) -> float:
 class Projector:
     """The weighted pseudo-inverse of a basis at particles.
 
-    With `separate_mean` a constant first field is one vector more of the basis, its last.
+    With `separate_mean`, a constant first field is the last vector of the basis.
     """
 
     def __init__(self, basis: Array, weights: Array, *, separate_mean: bool = False) -> None:
@@ -70,13 +70,13 @@ class Projector:
         self._factor = cho_factor(partial.sum(axis=0), lower=True)
 
     def __call__(self, fields: Array) -> Array:
-        """Return the coordinates (n_vectors,) of the field nearest to `fields`."""
+        """Return the coordinates (n_vectors,) of the best approximation of `fields`."""
         partial = np.empty((projection.N_CHUNKS, self._n_vectors))
         projection.products(self._basis, self._weights, self._separate_mean, fields, partial)
         return np.asarray(cho_solve(self._factor, partial.sum(axis=0)))
 
     def orthogonal(self, fields: Array) -> Array:
-        """Return the part that the projection leaves out, Pi' f (Alg. 3.5)."""
+        """Return the residual of the projection, Pi' f (Alg. 3.5)."""
         remainder = np.empty_like(fields)
         projection.leave_out(self._basis, self._separate_mean, self(fields), fields, remainder)
         return remainder
@@ -95,14 +95,14 @@ class ReducedFields:
 
 
 class ParticleModel:
-    """A reduced model whose modes are carried by moving particles.
+    """A reduced model whose modes are evaluated at moving particles.
 
     Parameters
     ----------
     modes : splines of 3 n_modes columns: the state's first field and the velocity of mode 1, of
         mode 2, ...
-    separate_mean : whether the mean density is a variable of its own.
-    memory_length : tau of the closure (Eq. 3.22) [s]; None is Galerkin projection.
+    separate_mean : whether the mean density is a separate variable.
+    memory_length : tau of the closure (Eq. 3.22) [s]; None for Galerkin projection.
     """
 
     def __init__(
@@ -127,13 +127,13 @@ class ParticleModel:
 
     @property
     def n_coordinates(self) -> int:
-        """Unknowns beside the positions: coordinates, and the mean density if separate."""
+        """Number of unknowns beside positions: coordinates, and the mean density if separate."""
         return self.n_modes + self.separate_mean
 
     def initial_state(
         self, coordinates: Array, position: Array, mean_density_fluctuation: float = 0.0
     ) -> Array:
-        """Return the state of coordinates (n_modes,) and positions (n_particles, 2) [m]."""
+        """Return the state with coordinates (n_modes,) and positions (n_particles, 2) [m]."""
         mean = [self._scale * mean_density_fluctuation] if self.separate_mean else []
         return np.concatenate((coordinates, mean, position[:, 0], position[:, 1]))
 
@@ -142,7 +142,7 @@ class ParticleModel:
         return state[: self.n_modes]
 
     def mean_density_fluctuation(self, state: Array) -> float:
-        """Return the mean density fluctuation that is carried apart [kg/m3]."""
+        """Return the separate mean density fluctuation [kg/m3], or zero."""
         return float(state[self.n_modes]) / self._scale if self.separate_mean else 0.0
 
     def position(self, state: Array) -> Array:
@@ -150,7 +150,7 @@ class ParticleModel:
         return state[self.n_coordinates :].reshape(2, -1)
 
     def fields(self, state: Array) -> ReducedFields:
-        """Rebuild the fields at the particles (Eq. 3.7 and 3.20)."""
+        """Reconstruct the fields at the particles (Eq. 3.7 and 3.20)."""
         combined = self.modes.combine(np.kron(self.coordinates(state)[:, None], np.eye(3)))
         values, gradient = combined.values_and_gradients(self.position(state).T)
         return ReducedFields(
@@ -161,14 +161,14 @@ class ParticleModel:
         )
 
     def wrapped(self, state: Array) -> Array:
-        """Return the state with its particles in the box, and forget their neighbours."""
+        """Return the state with its particles wrapped into the box; reset the neighbour search."""
         self.neighbourhood.rebuild_at(None)
         position = self.domain.wrap(self.position(state).T)
         mean = self.mean_density_fluctuation(state)
         return self.initial_state(self.coordinates(state), position, mean)
 
     def snapshot(self, state: Array) -> Snapshot:
-        """Rebuild the fields of a state."""
+        """Reconstruct the fields of a state as a snapshot."""
         fields = self.fields(state)
         return Snapshot(
             self.position(state),
@@ -179,18 +179,18 @@ class ParticleModel:
         )
 
     def remedy(self, state: Array, time_step: float) -> str:
-        """Return what may help a run that left the model's range near a state."""
+        """Return a suggestion for a run that became unstable near a state."""
         return "another number of modes or a smaller time step may help"
 
     def rates(self, state: Array, time: float = 0.0) -> Array:
-        """Return the state's rates at a time [s] (Eq. 3.21 or 3.22, and 3.23).
+        """Return the rates of the state at a time [s] (Eq. 3.21 or 3.22, and 3.23).
 
-        Raises UnstableError when a density is no longer one.
+        Raises UnstableError if a density is not positive and finite.
         """
         position = self.position(state)
         fields = self.fields(state)
         density = self.functional.fluid.reference_density + fields.density_fluctuation
-        # A comparison with NaN is false: every bad particle fails it.
+        # A comparison with NaN is false, so every bad particle is found.
         bad = np.flatnonzero(~((density > 0.0) & (density < np.inf)))
         if bad.size:
             where, value = first_of(bad, position), density[bad[0]]
@@ -212,7 +212,7 @@ class ParticleModel:
 
     def _projector(self, position: Array, density_fluctuation: Array) -> Projector:
         shape = (position.shape[1], 3 * self.n_modes)
-        # Kept, because getting so much memory anew takes as long as filling it.
+        # Kept, because allocating so much memory takes as long as filling it.
         if self._basis.shape != shape:
             self._basis = np.empty(shape)
         self.modes.values(position.T, self._basis)
@@ -223,7 +223,7 @@ class ParticleModel:
     def _without_advection(
         self, position: Array, fields: ReducedFields, full: Rates, time: float
     ) -> Array:
-        """Return rates (3, N) in the state's scaling without their advective part."""
+        """Return the rates (3, N), in the state's scaling, without their advective part."""
         rates = np.vstack((self._scale * full.density, full.velocity))
         if self.advection == "paper":
             carried = self.functional.advection(
@@ -240,8 +240,8 @@ class ParticleModel:
     ) -> Array:
         """Return the derivative of f-bar along a field, by a finite difference (Alg. 3.5, 3).
 
-        The particles stay where they are. The field is known at the particles alone, so that
-        its gradient is the renormalised one.
+        The particles do not move. The field is known only at the particles, so its gradient is the
+        renormalised one.
         """
         state = np.vstack((self._scale * fields.density_fluctuation, fields.velocity))
         if (step := JACOBIAN_STEP * relative_step(state, along)) == 0.0:
@@ -262,7 +262,7 @@ def reduced_jacobian(
 ) -> Array:
     """Return the reduced rates' Jacobian (n_coordinates, n_coordinates) [1/s], by differences.
 
-    The step is relative to the coordinates' size, or at rest to that of a flow at U_max.
+    The step is relative to the size of the coordinates, or at rest to that of a flow at U_max.
     """
     n = model.n_coordinates
     base = model.rates(state, time)[:n]

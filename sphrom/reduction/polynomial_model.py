@@ -1,4 +1,4 @@
-"""Reduced models on the reference points: steps of Runge and Kutta, and steady states.
+"""Reduced models on the reference points: Runge-Kutta time steps, and steady states.
 
 The cost of a step depends on the number of modes only. Coordinates are (n_modes,) each.
 """
@@ -19,15 +19,15 @@ from sphrom.reduction.reduced_rates import Polynomial, stability_limits
 Amplitude = Callable[[Array], Array]
 """The amplitude at times (n_times,) [s]."""
 Driven = tuple[Array, Indices, Array]
-"""The coefficients that count, how many, and the amplitudes at substeps."""
+"""The used coefficients, their number per row, and the amplitudes at substeps."""
 
 SAFETY = 0.9
 """Automatic time step over the stability limit."""
 RUNGE_KUTTA, EXPONENTIAL = "runge-kutta", "exponential"
-"""Methods of integration, as artifacts name them."""
+"""Names of the integration methods in artifacts."""
 CONVERGED, MOST_STEPS, N_HALVINGS = 1e-10, 50, 20
-"""Of Newton's method: the rates of a steady state over their terms, the number of steps, and how
-often each may be halved."""
+"""Newton's method: norm of a steady state's rates over that of their terms, largest number of
+steps, largest number of halvings of a step."""
 
 
 def step_limit(polynomial: Polynomial, states: Array, amplitude: float = 0.0) -> float:
@@ -37,24 +37,24 @@ def step_limit(polynomial: Polynomial, states: Array, amplitude: float = 0.0) ->
 
 
 def steps_within(duration: float, limit: float) -> int:
-    """Return how many equal steps of at most `SAFETY` times a limit [s] make a duration [s]."""
+    """Return the number of equal steps over a duration [s], each at most `SAFETY` times a limit."""
     return max(1, math.ceil(duration / (SAFETY * limit)))
 
 
 @dataclass(frozen=True)
 class OutputTimes:
-    """The snapshots of a run, and when it counts as divergent."""
+    """The snapshot times of a run, and the norm beyond which it counts as diverged."""
 
     interval: float
-    """From one snapshot to the next [s]."""
+    """Time between snapshots [s]."""
     n_snapshots: int
-    """The start among them."""
+    """Number of snapshots, including the start."""
     start_time: float = 0.0
     """[s]."""
     largest_norm: float = 1e100
-    """Of the coordinates; beyond it a run has diverged."""
+    """Of the coordinates; a run with a larger norm has diverged."""
     trained: float = math.inf
-    """The time for which that is so [s]; longer runs may grow in proportion."""
+    """Duration for which the limit holds [s]; it grows in proportion for longer runs."""
 
     @property
     def duration(self) -> float:
@@ -63,7 +63,7 @@ class OutputTimes:
 
     @property
     def largest_square(self) -> float:
-        """Of the norm of coordinates that count as those of a flow."""
+        """Square of the largest norm of coordinates that has not diverged."""
         return (self.largest_norm * max(1.0, self.duration / self.trained)) ** 2
 
     @cached_property
@@ -74,24 +74,24 @@ class OutputTimes:
 
 @dataclass(frozen=True)
 class Run:
-    """Coordinates of a run."""
+    """The coordinates of a run."""
 
     time: Array
     """(n_snapshots,) [s]."""
     coordinates: Array
-    """(n_snapshots, n_modes), NaN from where the run diverged."""
+    """(n_snapshots, n_modes), NaN once the run has diverged."""
     time_step: float
     """[s]."""
     diverged_at: float
-    """The time [s] of the last step before the run diverged; NaN where it didn't."""
+    """Time [s] of the last step before the run diverged; NaN if it did not."""
     correction: Array | None = None
-    """(n_snapshots, n_modes) the part of the coordinates that training runs add."""
+    """(n_snapshots, n_modes), the part of the coordinates that the correction adds."""
 
 
 class PolynomialModel:
-    """A polynomial system in Runge-Kutta steps (Eq. 2.18).
+    """A polynomial system integrated by Runge-Kutta steps (Eq. 2.18).
 
-    Snapshots within a step are interpolated by the cubic of the states and slopes at its ends.
+    Snapshots within a step are interpolated by cubics through the states and slopes at its ends.
     """
 
     integrator = RUNGE_KUTTA
@@ -101,12 +101,12 @@ class PolynomialModel:
         self._degree = polynomial.degree
 
     def steps_taken(self, n_steps: int, output_times: OutputTimes) -> int:
-        """Return the steps that a run asked for some takes: as many."""
+        """Return the number of steps taken by a run with `n_steps` requested: the same."""
         return n_steps
 
     def time_step(self, n_steps: int, output_times: OutputTimes) -> float:
-        """Return the length [s] of the steps of a run that is asked for some."""
-        # Exactly a part of the interval where steps end on every snapshot.
+        """Return the time step [s] of a run with `n_steps` steps."""
+        # An exact fraction of the interval if steps end on every snapshot.
         per_snapshot = max(n_steps, 1) / max(1, output_times.n_snapshots - 1)
         return output_times.interval / per_snapshot
 
@@ -117,9 +117,9 @@ class PolynomialModel:
         output_times: OutputTimes,
         amplitude: Amplitude | None = None,
     ) -> Run:
-        """Advance the system from coordinates (n_modes,), in some equal steps at least.
+        """Integrate the system from coordinates (n_modes,), in at least `n_steps` equal steps.
 
-        An amplitude of None is zero throughout.
+        An amplitude of None is zero at all times.
         """
         out = np.full((output_times.n_snapshots, start.size), np.nan)
         out[0] = start
@@ -133,7 +133,7 @@ class PolynomialModel:
     def _integrate(
         self, n_steps: int, output_times: OutputTimes, driven: Driven, out: Array
     ) -> int:
-        """Fill the snapshots after the first, and return the steps before it diverged, or all."""
+        """Fill the snapshots after the first; return the number of steps before a divergence."""
         return kernels.integrate(
             *driven, self.time_step(n_steps, output_times), n_steps, self._degree,
             output_times.largest_square, np.empty(driven[0].shape[2]),
@@ -151,20 +151,20 @@ class PolynomialModel:
 
 @dataclass(frozen=True)
 class SteadyState:
-    """Where the rates vanish, or as near as Newton's method came."""
+    """A zero of the rates, or the closest state that Newton's method reached."""
 
     coordinates: Array
     residual: float
-    """The rates' norm [1/s]."""
+    """Norm of the rates [1/s]."""
     n_steps: int
     converged: bool
 
 
 def steady_state(polynomial: Polynomial, start: Array, amplitude: float = 0.0) -> SteadyState:
-    """Find coordinates at which the rates vanish, by Newton's method with halved steps.
+    """Find a zero of the rates by Newton's method with step halving.
 
-    It has converged when the rates' norm is below `CONVERGED` times that of the constant and the
-    linear part. Whether the state is stable is for the eigenvalues of its Jacobian to say.
+    It has converged if the norm of the rates is below `CONVERGED` times that of the constant and
+    linear parts. The eigenvalues of the Jacobian there show whether the state is stable.
     """
     state, rates = np.array(start), polynomial(start, amplitude)
     for n_steps in range(MOST_STEPS):

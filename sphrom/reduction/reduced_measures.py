@@ -1,8 +1,8 @@
-"""Forces on walls, flow rates and fields at places, in generalized coordinates: projected once.
+"""Forces on walls, flow rates and fields at places as functions of generalized coordinates.
 
-What is measured in the fluid is linear in the state: flow rates and fields at places are products
-of constant arrays with the terms (1, mean of the density fluctuation that is carried apart,
-coordinates). No field is rebuilt.
+They are projected once; no field is reconstructed. Flow rates and fields at places are linear in
+the state: products of constant arrays with the terms (1, separate mean density fluctuation,
+coordinates).
 
 A force follows from the balance of momentum of the whole fluid, tested with the Stokes flow w of
 the wall's motion (`sphrom.reduction.stokes_fields`). With the velocity sum_k a_k phi_k and the
@@ -11,21 +11,22 @@ model's own rates da/dt it is
     F = beta(t) p - q . da/dt + a . A a - nu s . a - r . a,
 
 with p = rho int f . w, q_k = rho int phi_k . w, A_kl = rho int phi_k . (phi_l . grad) w,
-s_k = 2 rho int E(phi_k) : E(w), and r_k = rho int lambda phi_k . w of what slows the fluid; in
-porous bodies s has that with 1/k in place of lambda. Its errors are those of the velocity, weighed
-over the whole fluid. The pressure's share is what is left of it by the viscous force at the wall.
-That one, and both where there is no such field, are the forces on ghosts of fields at fixed points
-(`sphrom.sph.fixed_points`), linear in the state:
+s_k = 2 rho int E(phi_k) : E(w), and r_k = rho int lambda phi_k . w for damping at a rate lambda;
+in porous bodies s includes the same integral with 1/k in place of lambda. The errors of F are those
+of the velocity, weighted over the whole fluid. The pressure's share is F less the viscous force at
+the wall. The viscous force, and both forces of a wall without such a field w, are the forces on
+ghosts of fields at fixed points (`sphrom.sph.fixed_points`), linear in the state:
 
     pressure: P z + beta(t) B z,    viscous: nu (V z + s w).
 
-They depend on the pressure and on slopes at the wall, which errors of coordinates change most.
+They depend on the pressure and on gradients at the wall, which are the most sensitive to errors of
+coordinates.
 
-The forces that training runs recorded differ from those of the model there: particles beside a
-wall move closer to it and lose their order, and their pressures follow how they are arranged, which
-a map smooths. The difference is interpolated between training runs (`sphrom.reduction.correction`)
-and added: its average over a period of the longest sound, and the rest, each as far as runs predict
-that of each other. After the trained time its mean over the later half of it stays.
+The recorded forces of training runs differ from the model's: particles beside a wall move closer
+to it and lose their order, and their pressures depend on their arrangement, which the map smooths.
+The difference is interpolated between training runs (`sphrom.reduction.correction`) and added in
+two parts, the average over a period of the longest sound wave and the rest, each only as far as
+the runs predict each other's. After the trained time, its mean over the later half is added.
 
 Rows are the components of the force, then the torque.
 """
@@ -48,7 +49,7 @@ from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.sph.fluid import NONE, Factors
 
 N_OTHER_TERMS = 2
-"""Terms before the coordinates."""
+"""Number of terms before the coordinates."""
 _LOADS = "N/m, N of the torque, of the terms"
 _BALANCED = "N/m, N of the torque, of the modes"
 
@@ -62,12 +63,12 @@ class MomentumBalance(Record):
     strain: Array = dataset("load mode", _BALANCED + VISCOSITY, "viscous stress in the fluid", "s")
     push: Array | None = dataset("load", f"N/m, N{FORCE}", "body force", "p", default=None)
     slowing: Array | None = dataset(
-        "load mode", _BALANCED, "what slows the fluid at a rate of its own", "r", default=None
+        "load mode", _BALANCED, "damping of the fluid at a prescribed rate", "r", default=None
     )
 
 
 class DriveForce(Record):
-    """The force and the torque that one parameter gives by walls and by the body force."""
+    """The force and torque caused by one parameter, through walls and the body force."""
 
     walls: Array | None = dataset(
         "load", _LOADS + WALLS + VALUE, "by walls that move", default=None
@@ -81,9 +82,9 @@ class DriveForce(Record):
 
 
 class ReducedForce(Record):
-    """The force along x and y [N/m] and the torque [N] on a wall, in the coordinates.
+    """The force along x and y [N/m] and the torque [N] on a wall, as functions of coordinates.
 
-    Terms are one, the mean of the density fluctuation that is carried apart, and the coordinates.
+    Terms are one, the separate mean density fluctuation, and the coordinates.
     """
 
     pressure: Array = dataset("load term", _LOADS, "by the pressure", "P")
@@ -117,8 +118,8 @@ class ReducedForce(Record):
         ----------
         kinematic_viscosity : [m2/s].
         walls_driven : whether walls move with the amplitude.
-        factors : the values of the parameters that drive the flow.
-        correction : what training runs add.
+        factors : the values of the driving parameters.
+        correction : loads added by the training runs.
         """
         viscous, n = kinematic_viscosity * self.viscous, N_OTHER_TERMS
         direct = np.concatenate((self.pressure, viscous))
@@ -131,7 +132,7 @@ class ReducedForce(Record):
         quadratic = np.zeros((6, *2 * momentum.shape[1:]))
         if self.balance is not None:
             balance, follows = self.balance, self.balance.follows[:, None].astype(float)
-            # The pressure has what the viscous force leaves of the whole.
+            # The pressure force is the whole force less the viscous one.
             for terms in (direct, heads):
                 terms[:3] -= follows * (terms[:3] + terms[3:])
             direct[:3, n:] -= follows * kinematic_viscosity * balance.strain
@@ -150,38 +151,38 @@ class ReducedForce(Record):
 
 @dataclass(frozen=True)
 class TimedLoads:
-    """What training runs add to a force over time."""
+    """The loads over time that training runs add to a force."""
 
     time: Array
     """(n_times,) [s]."""
     loads: Array
-    """(n_times, 6), the pressure's, then the viscous ones [N/m, N]."""
+    """(n_times, 6), those of the pressure, then the viscous ones [N/m, N]."""
 
     @classmethod
     def of(cls, time: Array, loads: Array) -> TimedLoads:
-        """Return slow and fast parts (n_snapshots, 12) of loads at times (n_snapshots,).
+        """Return the sum of slow and fast loads (n_snapshots, 12) at times (n_snapshots,).
 
-        After the last, the mean of their later half stays.
+        After the last time it is constant: the mean of the later half.
         """
         whole, after = loads[:, :6] + loads[:, 6:], 2.0 * time[-1] - time[-2]
         mean = whole[len(whole) // 2 :].mean(axis=0)
         return cls(np.append(time, after), np.vstack((whole, mean)))
 
     def at(self, time: Array) -> Array:
-        """Return the loads (n_times, 6) at some times [s]."""
+        """Return the loads (n_times, 6) at times [s]."""
         return np.stack([np.interp(time, self.time, each) for each in self.loads.T], axis=1)
 
 
 @dataclass(frozen=True)
 class PointForce:
-    """A force at a parameter point, as a function of state and time."""
+    """A force at one parameter point, as a function of state and time."""
 
     polynomial: Polynomial
-    """The six loads in the coordinates and the amplitude."""
+    """The six loads as functions of the coordinates and the amplitude."""
     momentum: Array
-    """(6, n_modes) by the rates of the coordinates."""
+    """(6, n_modes), the factors of the coordinates' rates."""
     uniform: Array
-    """(2, 6) by the mean density fluctuation: alone, and times the amplitude [m3/s2, m4/s2]."""
+    """(2, 6) factors of the mean density fluctuation: alone, times the amplitude [m3/s2, m4/s2]."""
     correction: TimedLoads | None = None
 
     def at(
@@ -192,13 +193,13 @@ class PointForce:
         amplitude: Array,
         mean: Array | float = 0.0,
     ) -> Array:
-        """Return the pressure's and the viscous force and torque (n_states, 2, 3) [N/m, N].
+        """Return the pressure and the viscous force and torque (n_states, 2, 3) [N/m, N].
 
         Parameters
         ----------
-        time, amplitude : (n_states,) [s], and of the body force or of driven walls.
-        coordinates, rates : (n_states, n_modes), and how they change [1/s].
-        mean : density fluctuation that is carried apart [kg/m3], (n_states,) or one for all.
+        time, amplitude : (n_states,) time [s], amplitude of the body force or of driven walls.
+        coordinates, rates : (n_states, n_modes) coordinates and their rates [1/s].
+        mean : separate density fluctuation [kg/m3], (n_states,) or one for all.
         """
         loads = self.polynomial.along(coordinates, amplitude) + rates @ self.momentum.T
         by_mean = self.uniform[0] + amplitude[:, None] * self.uniform[1]
@@ -213,11 +214,11 @@ def _kept_terms(modes: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 Measuring = Callable[[Array, Array], Mapping[str, Quantities]]
-"""From density fluctuation (n_positions,) and velocity (n_positions, 2), what is measured."""
+"""Measured quantities of a density fluctuation (n_positions,) and velocity (n_positions, 2)."""
 
 
 class ReducedMeasure(Record):
-    """A measurement in the fluid, linear in the terms that forces have too."""
+    """A measurement in the fluid, linear in the same terms as forces."""
 
     flow_rate: Array | None = dataset(
         "term", "m2/s, of the terms", "flow through a section", default=None
@@ -231,16 +232,16 @@ class ReducedMeasure(Record):
 
     @property
     def quantities(self) -> Quantities:
-        """The terms' factors (..., n_terms) by quantity."""
+        """The factors of the terms (..., n_terms), by quantity."""
         return {name: terms for name, terms in vars(self).items() if terms is not None}
 
     def of_modes(self, modes: NDArray[np.int64]) -> ReducedMeasure:
-        """Return the measurement in the coordinates of some modes, the others zero."""
+        """Return the measurement for coordinates of some modes, with the others zero."""
         kept = _kept_terms(modes)
         return self.mapped(lambda terms: terms[..., kept])
 
     def at(self, coordinates: Array, mean_density_fluctuation: Array | float) -> Quantities:
-        """Return what is measured in states, by quantity (n_states, ...).
+        """Return the measured quantities (n_states, ...) of states, by name.
 
         Parameters
         ----------
@@ -256,19 +257,19 @@ class ReducedMeasure(Record):
 def project_measures(
     basis: TrialBasis, splines: ModeSplines, position: Array, measured: Measuring
 ) -> dict[str, ReducedMeasure]:
-    """Project what is measured onto a basis, of which there are splines.
+    """Project measurements onto a basis with splines.
 
-    `measured` is affine in the fields at positions (n_positions, 2) [m].
+    `measured` must be affine in the fields at positions (n_positions, 2) [m].
     """
     product, modes = basis.inner_product, splines.values(position).reshape(len(position), -1, 3)
     fields = np.concatenate((np.zeros((2, *modes.shape[::2])), modes.swapaxes(0, 1)))
     density, velocity = fields[..., 0] / product.density_scale, fields[..., 1:]
     density[0], density[1] = product.density_fluctuation(density[0]), 1.0
-    found = [measured(*each) for each in zip(density, velocity, strict=True)]
-    offset, linear = measured(0.0 * density[0], velocity[0]), np.arange(len(found)) > 0
+    columns = [measured(*each) for each in zip(density, velocity, strict=True)]
+    offset, linear = measured(0.0 * density[0], velocity[0]), np.arange(len(columns)) > 0
 
     def terms(name: str, quantity: str) -> Array:
-        values = np.stack([each[name][quantity] for each in found], -1)
+        values = np.stack([each[name][quantity] for each in columns], -1)
         return np.asarray(values - np.multiply.outer(offset[name][quantity], linear))
 
     return {

@@ -1,31 +1,31 @@
-"""Projected right-hand sides, and the norm of what projection leaves out, at any parameters.
+"""Projected right-hand sides, and the norm of their residual, at any parameters.
 
 Galerkin projection (Eq. 3.21) at fixed points gives rates that are quadratic in the coordinates,
 
     da/dt = sum_k theta_k (c_k + A_k a + H_k(a, a)),
 
 with factors theta_k of the parameters: 1 for the inertia (pressure, diffusion, advection), the
-kinematic viscosity nu, nu again for walls that move, and the amplitude beta(t) of the body force.
-Where walls are driven, their factor is nu beta(t). A parameter that drives the flow by walls or
-force has parts of its own, whose factors are its value times theirs. One set of operators serves
-all parameters. `sphrom.reduction.operator_projection` and
-`sphrom.reduction.memory_operators` make them; reduced runs need nothing but these records.
+kinematic viscosity nu, nu again for moving walls, and the amplitude beta(t) of the body force. For
+driven walls the factor is nu beta(t). A parameter that drives the flow by walls or force has parts
+of its own; its value multiplies their factors. One set of operators serves all parameters.
+`sphrom.reduction.operator_projection` and `sphrom.reduction.memory_operators` make them; reduced
+runs need only these records.
 
-The norm of a model's residual comes at the cost of the model. A state of coordinates a has the
-rates R(a) at the fixed points. The model follows Phi da/dt, and its residual is R(a) - Phi da/dt.
+The norm of a model's residual costs no more than the model. A state with coordinates a has the
+rates R(a) at the fixed points. The model follows Phi da/dt, so its residual is R(a) - Phi da/dt.
 Both are polynomials of a, so that
 
     R(a) - Phi R^(a) = sum_k theta_k (columns of part k) (monomials of a),    R^ = Phi^T W R,
 
-with the same factors theta_k. The columns depend on neither a nor the parameters, and only the
-triangular factor F of their QR decomposition is kept: |columns times m| = |F m|. The norm is the
-inner product's; its square is a quartic of a.
+with the same factors theta_k. The columns depend on neither a nor the parameters. Only the
+triangular factor F of their QR decomposition is kept, because |columns times m| = |F m|. The norm
+is that of the inner product; its square is a quartic of a.
 
-The columns are orthogonal to all modes of the basis. A model of fewer modes also leaves out the
-rates of the other modes, which the projected operators know. A closure (Eq. 3.22) changes da/dt
-within the basis, by something orthogonal to both. So
+The columns are orthogonal to all modes of the basis. The residual of a model with fewer modes also
+contains the rates of the other modes, which the projected operators give. A closure (Eq. 3.22)
+changes da/dt within the basis, orthogonally to both. So
 
-    |R - Phi da/dt|^2 = |F m|^2 + |R^ of the modes left out|^2 + |R^ - da/dt|^2.
+    |R - Phi da/dt|^2 = |F m|^2 + |R^ of the other modes|^2 + |R^ - da/dt|^2.
 
 Monomials are ordered as in `sphrom.kernels.polynomial`, up to the second degree.
 """
@@ -49,17 +49,17 @@ VALUE = ", per unit of the parameter"
 _RATES = "of the modes, /s"
 _PART = "part of the reduced rates by"
 _CLOSURE = (
-    "part that a closure with so many modes adds, per memory length, by the power of the viscosity "
+    "rates that a closure with so many modes adds, per memory length, by power of the viscosity "
     "[m2/s]"
 )
 _LEFT_OUT = (
-    "part of the rates by {} that projection leaves out: times monomials of coordinates, a vector "
-    "with the residual's norm"
+    "residual of the rates by {}: multiplied with monomials of coordinates, a vector with the norm "
+    "of the residual"
 )
 
 
 class DriveRates(Record):
-    """The reduced rates that one parameter gives by walls and by the body force."""
+    """The reduced rates caused by one parameter, through walls and the body force."""
 
     walls: Tensors | None = tensors(
         1, _RATES + WALLS + VALUE, f"{_PART} walls", "Eq. 3.21", symbols="cA", default=None
@@ -70,7 +70,7 @@ class DriveRates(Record):
 
 
 class ReducedOperators(Record):
-    """Tensors (c, A, H) of degree 0, 1 and 2 by parameter; None where a scene lacks the term."""
+    """Tensors (c, A, H) of degree 0, 1 and 2 by part; None if a scene lacks the part."""
 
     inertia: Tensors = tensors(2, _RATES, f"{_PART} inertia", "Eq. 3.21", symbols="cAH")
     viscosity: Tensors = tensors(
@@ -97,9 +97,9 @@ class ReducedOperators(Record):
 
     @property
     def skewness(self) -> float:
-        """The largest entry of the acoustic part's symmetric part, over the part's largest.
+        """Largest entry of the acoustic part's symmetric part, over the largest entry of the part.
 
-        Zero but for rounding in the acoustic product: no sound is created by projection.
+        In the acoustic product it is zero up to rounding: projection creates no sound.
         """
         largest = float(np.max(np.abs(self.acoustic)))
         symmetric = float(np.max(np.abs(self.acoustic + self.acoustic.T)))
@@ -110,24 +110,24 @@ class ReducedOperators(Record):
         return self.mapped(lambda tensor: tensor[np.ix_(*(modes,) * tensor.ndim)])
 
     def at(self, kinematic_viscosity: float, factors: Factors = NONE) -> Polynomial:
-        """Return the rates at a viscosity [m2/s] and values of the parameters that drive the flow.
+        """Return the rates at a viscosity [m2/s] and values of the driving parameters.
 
-        The amplitude of the polynomial is that of the body force, or of driven walls.
+        The amplitude of the polynomial is that of the body force or of driven walls.
         """
         viscosity = Polynomial((self.viscosity,))
-        found = Polynomial((self.inertia,)).plus(viscosity, kinematic_viscosity)
+        rates = Polynomial((self.inertia,)).plus(viscosity, kinematic_viscosity)
         force = with_drives(self.force, self.drives, "force", factors)
         if force is not None:
-            found = found.plus(Polynomial(((), force)))
+            rates = rates.plus(Polynomial(((), force)))
         moved = with_drives(self.walls, self.drives, "walls", factors)
         if moved is not None:
             walls = ((), moved) if self.walls_driven else (moved,)
-            found = found.plus(Polynomial(walls), kinematic_viscosity)
-        return found
+            rates = rates.plus(Polynomial(walls), kinematic_viscosity)
+        return rates
 
 
 class DriveResidual(Record):
-    """The part of the rates that one parameter gives and that projection leaves out."""
+    """The residual of the rates caused by one parameter."""
 
     walls: Array | None = dataset(
         "direction linear_monomial", f"of the inner product, /s{WALLS}{VALUE}",
@@ -140,9 +140,9 @@ class DriveResidual(Record):
 
 
 class ResidualFactor(Record):
-    """F by parameter: coefficients (n_directions, n_monomials) of the monomials of a basis's modes.
+    """F by part: coefficients (n_directions, n_monomials) of the monomials of a basis's modes.
 
-    Those of walls and force are up to the first degree; None where a scene lacks the term.
+    Those of walls and force are of degree one at most; None if a scene lacks the part.
     """
 
     inertia: Array = dataset(
@@ -164,9 +164,9 @@ class ResidualFactor(Record):
     """Whether walls move with the amplitude."""
 
     def of_model(self, operators: ReducedOperators, modes: Indices) -> ResidualFactor:
-        """Return the factor of a model with some modes, rising, and the operators of all.
+        """Return the factor of a model with some modes, in rising order, from the operators of all.
 
-        Its rows hold the rates of the other modes too, and are as few as give the same norms.
+        Its rows include the rates of the other modes; there are no more rows than columns.
         """
         n_modes, parts = operators.n_modes, list[Array]()
         first, second = np.triu_indices(n_modes)
@@ -200,7 +200,7 @@ class ResidualFactor(Record):
 
 
 def with_drives(own: Any, drives: Mapping[str, Any], part: str, factors: Factors) -> Any:
-    """Return tensors, or an array, of walls or force with those of all parameters at their values.
+    """Return tensors (or an array) of walls or force, plus those of all driving parameters.
 
     `own` may be None, and so may the result.
     """
@@ -261,9 +261,9 @@ def residual_norm(
     Parameters
     ----------
     factor : of the model.
-    amplitude : (n_states,) of the body force or of driven walls, None where there is none.
-    factors : the values of the parameters that drive the flow.
-    closure : the rates that it adds to the projected ones.
+    amplitude : (n_states,) of the body force or of driven walls, None if there is none.
+    factors : the values of the driving parameters.
+    closure : the rates that a closure adds to the projected ones.
     """
     steady, *driven = factor.at(kinematic_viscosity, factors)
     values = monomials(states)

@@ -1,10 +1,10 @@
-"""Rates that are polynomials of the generalized coordinates, and how they grow.
+"""Rates that are polynomials of the generalized coordinates, and their growth rates.
 
 The rates da/dt = c + A a + H(a, a) + ... are those of Galerkin projection (Eq. 3.21) at fixed
-reference points; with a closure they are of the third degree. Coefficients may change with time
-through the powers of one amplitude, such as a body force's.
+reference points; with a closure they are of third degree. Coefficients may change in time through
+the powers of one amplitude, such as that of a body force.
 
-Shapes: coordinates (n_modes,), tensors of degree d (n_modes, ...) with d trailing axes of n_modes
+Shapes: coordinates (n_modes,), tensors of degree d (n_modes, ...) with d trailing axes of n_modes,
 in which they are symmetric.
 """
 
@@ -22,14 +22,14 @@ from sphrom.arrays import Array, Indices
 from sphrom.declaration import Tensors
 
 STABLE_RADIUS = 4.0
-"""Beyond it no ray of the left half-plane is stable for Runge-Kutta's fourth-order scheme."""
+"""Beyond this radius the scheme of Eq. 2.18 is unstable along every ray of the left half-plane."""
 NEUTRAL = 1e-12
-"""How far a factor of growth may exceed one by rounding."""
+"""Largest excess of a growth factor over one that counts as rounding."""
 N_BISECTIONS = 50
 MEMORY_RATIO = 0.2
 """Automatic memory length times the reduced Jacobian's spectral radius."""
 ACOUSTIC_RATIO = 0.5
-"""Largest automatic memory length over the time that sound takes to cross h."""
+"""Largest automatic memory length over the time in which sound crosses h."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Polynomial:
     """Rates as a polynomial of the coordinates."""
 
     powers: tuple[Tensors, ...]
-    """The tensors that the amplitude's powers 0, 1, ... multiply."""
+    """The tensors by power 0, 1, ... of the amplitude."""
 
     @property
     def n_modes(self) -> int:
@@ -46,7 +46,7 @@ class Polynomial:
 
     @property
     def degree(self) -> int:
-        """The highest degree of any tensor."""
+        """The highest degree of a tensor."""
         return max(1, *(len(tensors) - 1 for tensors in self.powers))
 
     def __call__(self, coordinates: Array, amplitude: float = 0.0) -> Array:
@@ -60,7 +60,7 @@ class Polynomial:
         return rates
 
     def along(self, states: Array, amplitudes: Array) -> Array:
-        """Return the rates (n_states, n_modes) [1/s] at states, and at an amplitude for each."""
+        """Return the rates (n_states, n_modes) [1/s] at states with an amplitude each."""
         rates = np.zeros((len(states), self.n_modes))
         for power, tensors in enumerate(self.powers):
             factors = amplitudes[:, None] ** power
@@ -74,18 +74,18 @@ class Polynomial:
 
     def jacobians(self, states: Array, amplitude: float = 0.0) -> Array:
         """Return the derivatives (n_states, n_modes, n_modes) [1/s] at states."""
-        found = np.zeros((len(states), self.n_modes, self.n_modes))
+        derivatives = np.zeros((len(states), self.n_modes, self.n_modes))
         for power, tensors in enumerate(self.powers):
             for degree, tensor in enumerate(tensors[1:], 1):
                 contracted = tensor[None]
                 for left in range(degree - 1, 0, -1):
                     columns = states.reshape(len(states), *(1,) * left, self.n_modes, 1)
                     contracted = (contracted @ columns)[..., 0]
-                found += degree * amplitude**power * contracted
-        return found
+                derivatives += degree * amplitude**power * contracted
+        return derivatives
 
     def at_rest(self, amplitude: float = 0.0) -> Array:
-        """Return the Jacobian at zero coordinates, where only the linear parts count."""
+        """Return the Jacobian at zero coordinates, which contains the linear parts only."""
         return self.jacobian(np.zeros(self.n_modes), amplitude)
 
     def scaled(self, factor: float) -> Polynomial:
@@ -93,9 +93,9 @@ class Polynomial:
         return Polynomial(tuple(tuple(factor * t for t in tensors) for tensors in self.powers))
 
     def plus(self, other: Polynomial, factor: float = 1.0) -> Polynomial:
-        """Return the sum of these rates and a factor times others; degrees and powers may differ.
+        """Return the sum of these rates and `factor` times others; degrees and powers may differ.
 
-        A power of the amplitude without tensors counts as zero.
+        Missing tensors of a power count as zero.
         """
         powers = (
             zip_longest(own, more, fillvalue=0.0)
@@ -106,7 +106,7 @@ class Polynomial:
         )
 
     def packed(self) -> tuple[Array, Indices]:
-        """Return the coefficients of monomials, as `sphrom.kernels.polynomial` wants them."""
+        """Return the coefficients of monomials, in the layout of `sphrom.kernels.polynomial`."""
         packed = [pack(tensors) for tensors in self.powers]
         width = sum(len(_exponents(self.n_modes, d)[1]) for d in range(self.degree + 1))
         coefficients = np.zeros((len(packed), self.n_modes, width))
@@ -119,15 +119,15 @@ def _contracted_with_each(tensor: Array, states: Array, times: int) -> Array:
     """Return a tensor (n, ...) contracted with every state (n_states, n_modes)."""
     if times == 0:
         return tensor[None]
-    found = (states @ tensor.reshape(-1, states.shape[1]).T).reshape(-1, *tensor.shape[:-1])
+    contracted = (states @ tensor.reshape(-1, states.shape[1]).T).reshape(-1, *tensor.shape[:-1])
     for _ in range(times - 1):
-        found = np.einsum("s...j,sj->s...", found, states)
-    return np.asarray(found)
+        contracted = np.einsum("s...j,sj->s...", contracted, states)
+    return np.asarray(contracted)
 
 
 @cache
 def _exponents(n_modes: int, degree: int) -> tuple[Indices, Array]:
-    """Return the indices (degree, n) of all monomials of a degree, and how often each occurs."""
+    """Return the indices (degree, n) of all monomials of a degree, and their multiplicities."""
     index = np.array(list(combinations_with_replacement(range(n_modes), degree)), dtype=np.int64).T
     if degree == 0:
         return np.zeros((0, 1), dtype=np.int64), np.ones(1)
@@ -140,9 +140,9 @@ def _exponents(n_modes: int, degree: int) -> tuple[Indices, Array]:
 
 
 def pack(tensors: Tensors) -> Array:
-    """Return the coefficients (n, n_monomials) of tensors (n, ...) by degree, as kernels want them.
+    """Return tensors (n, ...) by degree as coefficients (n, n_monomials) in the layout of kernels.
 
-    There may be more or fewer rows than coordinates.
+    The number of rows may differ from that of the coordinates.
     """
     parts = []
     for degree, tensor in enumerate(tensors):
@@ -152,7 +152,7 @@ def pack(tensors: Tensors) -> Array:
 
 
 def largest_growth(jacobian: Array) -> float:
-    """Return the largest real part [1/s] of a Jacobian's eigenvalues: above zero, states grow."""
+    """Return the largest real part [1/s] of a Jacobian's eigenvalues: if positive, states grow."""
     return float(np.linalg.eigvals(jacobian).real.max())
 
 
@@ -162,10 +162,10 @@ def spectral_radius(jacobian: Array) -> float:
 
 
 def stability_limits(eigenvalues: NDArray[np.complex128]) -> Array:
-    """Return the largest stable steps (n,) [s] of Eq. 2.18 for eigenvalues (n,) [1/s], not zero.
+    """Return the largest stable steps (n,) [s] of Eq. 2.18 for eigenvalues (n,) [1/s].
 
-    They are where rays leave the scheme's region of stability. What grows does so at any step: it
-    counts as if it only oscillated.
+    They are where rays leave the stability region of the scheme; zero eigenvalues have no limit. A
+    growing mode grows at any step, so its real part counts as zero.
     """
     neutral = np.minimum(eigenvalues.real, 0.0) + 1j * eigenvalues.imag
     size = np.abs(neutral)
@@ -183,7 +183,7 @@ def stability_limits(eigenvalues: NDArray[np.complex128]) -> Array:
 def memory_length(jacobian: Array, smoothing_length: float, sound_speed: float) -> float:
     """Return the automatic memory length [s] for a Galerkin Jacobian (n_modes, n_modes) [1/s].
 
-    0.2 over the spectral radius, and at most half the time in which sound crosses a smoothing
+    It is 0.2 over the spectral radius, and at most half the time in which sound crosses a smoothing
     length: a basis of few modes may represent no sound, but the closure's residual is full of it.
     """
     longest = ACOUSTIC_RATIO * smoothing_length / sound_speed

@@ -1,15 +1,15 @@
-"""Reduced models on the reference points at given parameters, and the steps that integrate them.
+"""Reduced models on the reference points at given parameters, and their time integration.
 
-A model is its rates as a polynomial, and the start of its runs. Automatic steps of polynomial rates
-are exponential: they carry sound exactly, so that sound doesn't limit them. Other steps are those
-of Runge and Kutta (Eq. 2.18).
+A model consists of its rates as a polynomial and the start of its runs. Automatic steps of
+polynomial rates are exponential: they integrate sound exactly, so sound does not limit them. Other
+steps are Runge-Kutta steps (Eq. 2.18).
 
-Stability is not accuracy. Sound limits the steps of Runge and Kutta's scheme, and at 0.9 of the
-limit it halves the amplitude of the fastest sound in every step: pressure is then off by as much as
-the model itself, or twice that. Exponential steps have no limit, but an error from the change of
-the flow within a step. Runs are therefore repeated with twice the steps, until coordinates change
-by little beside the truncation error of the basis, which its singular values give and which is
-about the error of models.
+Stability is not accuracy. Sound limits Runge-Kutta steps, and at 0.9 of the limit every step halves
+the amplitude of the fastest sound; the resulting pressure error is once or twice that of the model
+itself. Exponential steps have no limit, but an error from the change of the flow within a step.
+Runs are therefore repeated with twice as many steps until the coordinates change little compared
+with the truncation error of the basis. That error follows from the singular values and is about the
+error of models.
 """
 
 from __future__ import annotations
@@ -47,35 +47,35 @@ class ReferenceModel:
     start: Array
     """(n_modes,) the coordinates at the start."""
     output_times: OutputTimes
-    """The snapshots of a run, and when it counts as divergent."""
+    """The snapshot times of a run, and the norm beyond which it counts as diverged."""
     mean_density_fluctuation: float = 0.0
-    """[kg/m3], carried apart."""
+    """The separate mean [kg/m3]."""
     amplitude: Amplitude | None = None
-    """Of the body force or of driven walls, where it changes."""
+    """Of the body force or of driven walls, if it changes."""
     closure: Polynomial | None = None
-    """What of the polynomial a closure or a calibration has added to the projected rates."""
+    """The part of the polynomial that a closure or calibration added to the projected rates."""
     memory_length: float | None = None
-    """tau of Eq. 3.22 [s], of a model with the closure."""
+    """tau of Eq. 3.22 [s], for a model with the closure."""
     states: Array | None = None
-    """(n_states, n_modes) training states: around them, and the start, steps have to be stable."""
+    """(n_states, n_modes) training states; steps must be stable around them and the start."""
     linear: LinearPart | None = None
-    """That of exponential steps, such as the Jacobian at the mean of the training states. None:
-    automatic steps are Runge-Kutta's."""
+    """Of exponential steps, such as the Jacobian at the mean of the training states. If None,
+    automatic steps are Runge-Kutta steps."""
     first_step: float | None = None
-    """Length [s] of the automatic steps that are tried first, where training runs tell it."""
+    """First trial length [s] of automatic steps, if training runs determined it."""
     correction: Array | None = None
-    """(n_trained_snapshots, n_modes) added to the coordinates of runs, where the model has one."""
+    """(n_trained_snapshots, n_modes) added to the coordinates of runs, if the model has one."""
     leading: ReferenceModel | None = None
-    """The model of the first modes that alone is integrated as long as training runs are; the
-    correction is the whole of the others' coordinates. None where all modes are integrated."""
+    """The model of the first modes. Within the trained time only these are integrated, and the
+    correction gives the other coordinates. None if all modes are integrated."""
     forces: Mapping[str, PointForce] = field(default_factory=dict)
-    """By the names of the measurements, the forces on walls."""
+    """Forces on walls, by name of the measurement."""
     measures: Mapping[str, ReducedMeasure] = field(default_factory=dict)
-    """By the names of the measurements, flow rates and fields at places."""
+    """Flow rates and fields at places, by name of the measurement."""
 
     @cached_property
     def strongest(self) -> float:
-        """The largest amplitude of a run, either sign."""
+        """The largest absolute amplitude of a run."""
         if self.amplitude is None:
             return 0.0
         return float(np.abs(self.amplitude(self.output_times.time)).max())
@@ -99,18 +99,18 @@ class ReferenceModel:
 
     @property
     def n_integrated(self) -> int:
-        """Number of modes that are integrated, as long as training runs are."""
+        """Number of modes that are integrated within the trained time."""
         return len(self.start) if self.leading is None else len(self.leading.start)
 
     def with_steps_of(self, other: ReferenceModel) -> ReferenceModel:
-        """Return the model with the linear parts that exponential steps of another one have."""
+        """Return the model with the linear parts of another model's exponential steps."""
         leading = self.leading
         if leading is not None and other.leading is not None:
             leading = replace(leading, linear=other.leading.linear)
         return replace(self, linear=other.linear, leading=leading)
 
     def spread(self, leading: Array) -> Array:
-        """Return coordinates (..., n_modes) of which the leading ones alone are not zero."""
+        """Return coordinates (..., n_modes) with the leading ones, and zero for the others."""
         out = np.zeros((*leading.shape[:-1], self.basis.n_modes))
         out[..., : leading.shape[-1]] = leading
         return out
@@ -118,14 +118,14 @@ class ReferenceModel:
     def completed(
         self, leading: Array | None, whole: Array | None, correction: Array | None
     ) -> tuple[Array, Array | None]:
-        """Return coordinates (..., n_snapshots, n_modes), and what of them is the correction.
+        """Return coordinates (..., n_snapshots, n_modes), and the correction that they contain.
 
-        Linear in all of them: derivatives by a parameter follow from their own.
+        The result is linear in the arguments, so it applies to derivatives by a parameter too.
 
         Parameters
         ----------
-        leading : those integrated in the leading modes, as long as training runs are.
-        whole : those integrated in all modes; None where the leading modes are enough.
+        leading : coordinates integrated in the leading modes, within the trained time.
+        whole : coordinates integrated in all modes; None if the leading modes suffice.
         correction : (n_trained_snapshots, n_modes).
         """
         if correction is not None and leading is not None:
@@ -144,24 +144,24 @@ class ReferenceModel:
 
 STEP_SHARE = 0.05
 """Largest error of steps over the truncation error of the basis. It is a tenth or less of the
-error of pressure in all three scenes (M = 5 to 20), and less of velocity's, as sound has as much
-energy in one as in the other while velocity's error is the larger."""
+pressure error in all three scenes (M = 5 to 20), and less of the velocity error, which is larger
+while sound has as much energy in one as in the other."""
 LEAST_ERROR = 1e-5
-"""Of coordinates, relative to their norm, that is asked for: a basis may leave out nothing."""
+"""Smallest tolerance of coordinates over their norm: a basis may have no truncation error."""
 ORDER = 4
-"""Of Eq. 2.18, and of exponential steps."""
+"""Order of Eq. 2.18 and of exponential steps."""
 MARGIN = 1.05
-"""Factor over the number of steps that the order predicts."""
+"""Factor on the number of steps that the order predicts."""
 MOST = 1.4
 """Largest factor between two trials: errors of large steps fall faster than the order predicts."""
 FINEST = 16
-"""Largest refinement of stable steps: finer ones don't help."""
+"""Largest refinement of stable steps; finer ones do not help."""
 LONGER = 6
-"""Exponential steps that are tried first, over stable ones: they turn out 1 to 6 times as long."""
+"""First trial of exponential steps over stable ones; they turn out 1 to 6 times as long."""
 
 
 def step_tolerance(basis: TrialBasis) -> float:
-    """Return the largest error of coordinates by steps, in root mean squares over their norm."""
+    """Return the largest time-step error of coordinates (root mean square over their norm)."""
     squares = basis.singular_values[JOINT] ** 2
     share = math.sqrt(float(squares[basis.n_modes :].sum()) / float(squares.sum()))
     return max(LEAST_ERROR, STEP_SHARE * share)
@@ -169,20 +169,20 @@ def step_tolerance(basis: TrialBasis) -> float:
 
 @dataclass(frozen=True)
 class Steps:
-    """Steps of all modes of a model, from its start to its last snapshot."""
+    """Time steps of a model in all modes, from its start to its last snapshot."""
 
     model: ReferenceModel
     system: PolynomialModel
     n_steps: int
-    """Of the whole run."""
+    """Number of steps of the whole run."""
 
     @property
     def time_step(self) -> float:
-        """Their length [s]."""
+        """The time step [s]."""
         return self.system.time_step(self.n_steps, self.model.output_times)
 
     def scaled(self, factor: float) -> Steps:
-        """Return steps that are a factor as long."""
+        """Return steps that are `factor` times as long."""
         return replace(self, n_steps=max(1, round(self.n_steps / factor)))
 
     def run(self) -> Run:
@@ -192,12 +192,13 @@ class Steps:
 
 
 def accurate(first: Steps, tolerance: float) -> Steps:
-    """Return steps that are accurate, about the least that are enough; for a run that diverges at
-    any step the first, and `FINEST` times as many at most.
+    """Return about the fewest steps that are accurate, at most `FINEST` times the first.
+
+    A run that diverges with any step keeps the first number.
 
     Parameters
     ----------
-    first : the least number that is tried.
+    first : the smallest number that is tried.
     tolerance : see `step_tolerance`.
     """
 
@@ -205,9 +206,9 @@ def accurate(first: Steps, tolerance: float) -> Steps:
         return first.system.steps_taken(n_steps, first.model.output_times)
 
     def excess(n_steps: int) -> float:
-        """Return the error over the tolerance; zero if the divergence is not the steps' fault.
+        """Return the error over the tolerance; zero if the model itself diverges.
 
-        From as many steps as are stable it is the model's.
+        A divergence is the model's if there are at least as many steps as are stable.
         """
         coarse, fine = (replace(first, n_steps=n).run().coordinates for n in (n_steps, 2 * n_steps))
         if not np.isfinite(fine).all():
@@ -221,10 +222,10 @@ def accurate(first: Steps, tolerance: float) -> Steps:
     most = taken(FINEST * first.n_steps)
     n_steps, too_few = taken(first.n_steps), 0
     while n_steps < most:
-        found = excess(n_steps)
-        called_for = taken(math.ceil(n_steps * min(MARGIN * found ** (1.0 / ORDER), MOST)))
-        if found <= 1.0:
-            # Far from small steps the order calls for more than it takes.
+        ratio = excess(n_steps)
+        called_for = taken(math.ceil(n_steps * min(MARGIN * ratio ** (1.0 / ORDER), MOST)))
+        if ratio <= 1.0:
+            # For large steps the order predicts more steps than are needed.
             fewer = taken(max(called_for, too_few + 1, first.n_steps))
             enough = fewer < n_steps and 0.0 < excess(fewer) <= 1.0
             return replace(first, n_steps=fewer if enough else n_steps)
@@ -234,9 +235,9 @@ def accurate(first: Steps, tolerance: float) -> Steps:
 
 @dataclass(frozen=True)
 class Integrator:
-    """The steps of a model: of all modes, of the leading ones, or of both.
+    """The time steps of a model: of all modes, of the leading ones, or of both.
 
-    Both are taken where leading modes are integrated, and a run is longer than training runs are.
+    Both are used if leading modes are integrated and the run is longer than the training runs.
     """
 
     model: ReferenceModel
@@ -245,18 +246,18 @@ class Integrator:
 
     @property
     def steps(self) -> Steps:
-        """Those of all modes where it takes both."""
+        """The steps of all modes if there are any, else those of the leading ones."""
         steps = self.whole or self.leading
         assert steps is not None
         return steps
 
     def with_steps(self, factor: float) -> Integrator:
-        """Return the same with steps that are a factor as long."""
+        """Return an integrator with steps that are `factor` times as long."""
         whole, leading = (steps and steps.scaled(factor) for steps in (self.whole, self.leading))
         return replace(self, whole=whole, leading=leading)
 
     def run(self) -> Run:
-        """Run the model, and add what training runs add to its coordinates."""
+        """Run the model and add its correction."""
         whole = None if self.whole is None else self.whole.run()
         leading = None if self.leading is None else self.leading.run()
         run = whole or leading
@@ -272,19 +273,19 @@ class Integrator:
         return replace(run, coordinates=coordinates, correction=correction, diverged_at=diverged_at)
 
     def timed(self, repeats: int) -> tuple[Run, float]:
-        """Run it, and return the least processor time [s] of some runs, once all is compiled.
+        """Return a run and the least processor time [s] of some repetitions, after compilation.
 
-        The matrices of exponential steps are computed once, and their time doesn't count.
+        The matrices of exponential steps are computed once and not timed.
         """
         return self.run(), min(seconds_of(self.run) for _ in range(repeats))
 
 
 def choose(model: ReferenceModel, steps: Callable[[ReferenceModel], Steps]) -> Integrator:
-    """Return the integrator of a model, whose parts take the steps that a function chooses."""
+    """Return the integrator of a model; `steps` chooses the steps of its parts."""
     if model.leading is None:
         return Integrator(model, steps(model))
     n_snapshots = model.output_times.n_snapshots
-    # Not after the training runs' last.
+    # The leading modes alone are integrated up to the end of the training runs.
     n_trained = n_snapshots if model.correction is None else len(model.correction)
     times = replace(model.output_times, n_snapshots=min(n_snapshots, n_trained))
     whole = None
@@ -299,10 +300,10 @@ def runge_kutta(model: ReferenceModel, n_steps: int) -> Steps:
 
 
 def automatic_whole(model: ReferenceModel) -> Steps:
-    """Return steps of all modes that are fine enough for the basis: exponential ones if it can.
+    """Return steps of all modes that are accurate enough for the basis, exponential if possible.
 
-    The first that are tried are from snapshot to snapshot at least: that is enough where it is
-    something other than sound that is stiff.
+    The first trial has at most one step per snapshot, which suffices if the stiffness comes from
+    something other than sound.
     """
     if model.linear is None:
         return accurate(runge_kutta(model, model.n_stable), step_tolerance(model.basis))
@@ -310,13 +311,13 @@ def automatic_whole(model: ReferenceModel) -> Steps:
     n_first = 0 if step is None else math.ceil(round(times.duration / step, 6))
     n_first = n_first or min(math.ceil(model.n_stable / LONGER), times.n_snapshots - 1)
     first = Steps(model, ExponentialModel(model.polynomial, model.linear), max(1, n_first))
-    found = accurate(first, step_tolerance(model.basis))
-    if step is None or model.states is None or found.n_steps < FINEST * first.n_steps:
-        return found
-    # The nearest training run is far away.
+    steps = accurate(first, step_tolerance(model.basis))
+    if step is None or model.states is None or steps.n_steps < FINEST * first.n_steps:
+        return steps
+    # The nearest training run is too far away.
     return automatic_whole(replace(model.around(model.states), first_step=None))
 
 
 def automatic(model: ReferenceModel) -> Integrator:
-    """Return steps that are fine enough for the basis."""
+    """Return an integrator with steps that are accurate enough for the basis."""
     return choose(model, automatic_whole)

@@ -1,13 +1,13 @@
 """The map of particle fields onto the fixed points of a reference space (Eq. 3.13-3.15).
 
-Shepard's interpolation, the paper's, smooths: with h = 4 dx it loses several per cent of a vortex
-a few tens of particles wide. Moving least squares of second order lose a few hundredths.
+The paper's Shepard interpolation smooths: with h = 4 dx it loses several per cent of a vortex that
+is a few tens of particles wide. Moving least squares of second order lose a few hundredths of one.
 
-Next to walls the support is one-sided, so that odd terms don't cancel. Moving least squares are of
-third order there: on 100x100 jittered particles a layer of a tenth of the box has an error of 2e-4
-within the support of the wall, 3e-5 elsewhere; noise in the outermost points is damped to 0.6 of
-itself, and in corners amplified by 1.2. Shepard's interpolation is of first order there: the same
-layer has an error of 6e-2 at h = 2 dx, and of 0.12 at h = 4 dx.
+Next to walls the support is one-sided, so odd terms do not cancel, and moving least squares are of
+third order. On 100x100 jittered particles, a layer of a tenth of the box has an error of 2e-4
+within the support of the wall and 3e-5 elsewhere. Noise is damped to 0.6 in the outermost points
+and amplified by 1.2 in corners. Shepard interpolation is of first order there: the same layer has
+an error of 6e-2 at h = 2 dx, and of 0.12 at h = 4 dx.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from sphrom.sph.neighbourhood import sort_sources
 
 
 class TooFewParticlesError(ValueError):
-    """Particles around a point that fix no interpolation."""
+    """The particles around a point do not determine an interpolation."""
 
     def __init__(self, number: int, place: Array, reach: float) -> None:
         super().__init__(
@@ -31,7 +31,7 @@ class TooFewParticlesError(ValueError):
             f"({place[0]:.4g}, {place[1]:.4g}) to interpolate there"
         )
         self.number = number
-        """Which of the points it is."""
+        """Index of the point."""
 
 
 class ReferenceMap:
@@ -39,9 +39,10 @@ class ReferenceMap:
 
     Parameters
     ----------
-    points : (n_points, 2) where to interpolate to [m].
-    smoothing_length : of the kernel that weighs particles [m].
+    points : (n_points, 2), the points to interpolate to [m].
+    smoothing_length : of the kernel that weights particles [m].
     method : "shepard" or "mls" (moving least squares of second order).
+    partial : leaves what isn't finite where particles are too few.
     """
 
     def __init__(
@@ -52,11 +53,12 @@ class ReferenceMap:
         particle_spacing: float,
         smoothing_length: float,
         method: Literal["shepard", "mls"] = "mls",
+        partial: bool = False,
     ) -> None:
         self.domain = domain
         self.particle_spacing = particle_spacing
         self.smoothing_length = smoothing_length
-        self.method = method
+        self.method, self._partial = method, partial
         self._points = np.ascontiguousarray(domain.wrap(points).T)
         self._scratch = np.zeros((interpolation.N_CHUNKS, 90))
 
@@ -65,7 +67,7 @@ class ReferenceMap:
     ) -> tuple[Array, Array]:
         """Map one snapshot: densities (n_points,) and velocities (n_points, 2).
 
-        Raises TooFewParticlesError where those near a point are too few, or fix no polynomial.
+        Raises TooFewParticlesError if those near a point are too few or determine no polynomial.
         """
         reach = SUPPORT_RATIO * self.smoothing_length
         near = sort_sources(position.T, self.domain, reach, self.particle_spacing)
@@ -80,7 +82,7 @@ class ReferenceMap:
             interpolation.moving_least_squares(*search, self._scratch, out)
         else:
             interpolation.shepard(*search, out)
-        if not np.isfinite(out).all():
+        if not self._partial and not np.isfinite(out).all():
             number = int(np.flatnonzero(~np.isfinite(out).all(axis=0))[0])
             raise TooFewParticlesError(number, self._points[:, number], reach)
         return out[0], np.ascontiguousarray(out[1:].T)

@@ -1,27 +1,26 @@
 """Local polyharmonic splines of the trial basis, by cell (Eq. 3.17-3.20, Alg. 3.2-3.3).
 
-The domain is divided into cells. Every cell has one spline per column, through all points of the
-3x3 cells around it; a position is served by the spline of the cell it lies in. Across the faces of
-cells, where errors are largest, splines therefore jump, by a few times their mean error. Along a
-periodic axis cells are found by counting on past the edge, each turn adding the domain's length, so
-that one or two cells along an axis are as good as many.
+The domain is divided into cells. Each cell has one spline per column, through all points of the 3x3
+cells around it. A position uses the spline of its own cell, so the result jumps between cells by a
+few times the mean error; errors are largest there. Along a periodic axis the cell count continues
+past the edge, with the domain's length added per turn, so one or two cells along an axis suffice.
 
-At a wall a cell sees points on one side only, and particles come nearer to the wall than the
-points, so that the spline extrapolates by up to half a spacing. With the paper's linear polynomial
-its error in that last half spacing is 50 to 270 times that of the interior (measured with cubic
-splines on 100x100 points). A cubic polynomial makes that 17 times smaller, and the interior's error
-9 times, while it amplifies noise at the wall by a fifth more: walls want `polynomial_degree` 3.
+At a wall, a cell has points on one side only. Particles come closer to the wall than the points, so
+the spline extrapolates by up to half a spacing. With the paper's linear polynomial the error in
+that last half spacing is 50 to 270 times that of the interior (measured with cubic splines on
+100x100 points). A cubic polynomial reduces it 17 times, and the interior error 9 times, while it
+amplifies noise at the wall by 20 % more: walls call for `polynomial_degree` 3.
 
-Where walls run through the box, a cell may hold no points: it lies in the solid, or has a sliver of
-fluid narrower than the points' spacing. Such a cell is given the points of the cell beside it, so
-that a particle in the sliver, or a little beyond the wall, is served as its neighbours are. Farther
-inside the solid a cell has no spline, and a position in it gets NaN.
+If walls run through the box, a cell may contain no points: it is solid, or contains a sliver of
+fluid narrower than the spacing of points. Such a cell uses the points of an adjacent cell, so that
+particles in the sliver, or slightly beyond the wall, have a spline. Deeper inside the solid a cell
+has no spline, and the result is NaN.
 
-Coordinates are centred on the cell and divided by its width, so that the conditioning does not
-depend on the size of the domain. That leaves Eq. 3.17 unchanged for odd orders; for even orders
-k >= 4 it needs a polynomial of at least degree k/2. Eq. 3.19 is sure to have a solution with a
-polynomial of degree floor(k/2) or higher; the paper's linear one, the default, was enough for
-orders 1 to 5 whenever tried, while at order 7 it can be useless (cells of 1.5 spacings were).
+Coordinates are relative to the cell's centre and scaled by its width, so that the conditioning does
+not depend on the size of the domain. This leaves Eq. 3.17 unchanged for odd orders; for even orders
+k >= 4 it requires a polynomial of degree k/2 or more. Eq. 3.19 is guaranteed to have a solution
+with a polynomial of degree floor(k/2) or higher. The paper's linear polynomial, the default,
+sufficed for orders 1 to 5 in all tests; at order 7 it may fail (cells of 1.5 spacings did).
 """
 
 from __future__ import annotations
@@ -45,12 +44,12 @@ FACES = ((0, -1), (0, 1), (-1, 0), (1, 0))
 CORNERS = ((-1, -1), (-1, 1), (1, -1), (1, 1))
 """Steps in row and column to the cells that share a face, or only a corner, with a cell."""
 WHOLE = 1.0 - 1e-9
-"""A cell with a larger share of fluid has no solid in it."""
+"""A cell with a larger share of fluid contains no solid."""
 
 
 def fitting_cells(domain: Domain, cell_width: float) -> tuple[int, int]:
-    """Return how many cells of at least a width [m] fit along x and y, at least one."""
-    # A width that divides the length but for rounding is meant to divide it.
+    """Return the numbers of cells, of at least a width [m], that fit along x and y; one or more."""
+    # Up to rounding, a width that divides the length is meant to divide it.
     columns, rows = (
         max(1, math.floor(length / cell_width * (1.0 + 1e-9))) for length in domain.lengths
     )
@@ -64,7 +63,7 @@ def cell_grid(domain: Domain, cell_shape: tuple[int, int]) -> Grid:
 
 
 def length_scale(grid: Grid) -> float:
-    """Return the length [m] that both coordinates in a cell are measured in."""
+    """Return the unit of length [m] of both coordinates in a cell."""
     return max(grid.cell_width, grid.cell_height)
 
 
@@ -79,20 +78,20 @@ def cell_centre(grid: Grid, cell: int) -> Array:
 def points_by_cell(
     position: Array, grid: Grid, domain: Domain, least: int
 ) -> tuple[Indices, Array, Indices]:
-    """Find the points that every cell sees.
+    """Find the points that every cell uses.
 
     Parameters
     ----------
     position : (n_points, 2) in the fluid [m].
-    least : how many points a cell must see, unless it lies in the solid.
+    least : minimum number of points per cell, unless it is solid.
 
     Returns
     -------
     near : (n_seen,) the points of the first cell, then of the second, ...
     local : (2, n_seen) their coordinates from the cell's centre, over the grid's length scale.
-    cell_start : (n_cells + 1,) where each cell begins among them.
+    cell_start : (n_cells + 1,) the start of each cell in these arrays.
 
-    Raises ValueError if a cell with fluid in it sees fewer points than `least`.
+    Raises ValueError if a cell that contains fluid has fewer points than `least`.
     """
     columns = np.ascontiguousarray(position.T)
     order, start = sort_by_cell(columns[0], columns[1], grid)
@@ -116,7 +115,7 @@ def points_by_cell(
 
 
 def fluid_share(grid: Grid, domain: Domain) -> Array:
-    """Return the share of fluid (n_cells,) in each cell of the box; zero where it is rounding."""
+    """Return the share of fluid (n_cells,) in each cell; zero if it is only rounding."""
     x: Array = grid.x_origin + grid.cell_width * np.arange(grid.n_columns + 1.0)
     y: Array = grid.y_origin + grid.cell_height * np.arange(grid.n_rows + 1.0)
     return domain.fluid_share((x, y)).ravel()
@@ -125,25 +124,25 @@ def fluid_share(grid: Grid, domain: Domain) -> Array:
 def _nearest_with_points(
     place: tuple[int, int], grid: Grid, domain: Domain, start: Indices
 ) -> tuple[int, int]:
-    """Return row and column of the neighbour with the most points, one across a face if any has.
+    """Return row and column of the neighbour with the most points, preferably across a face.
 
-    The cell itself where none has any. Beyond a periodic edge the count goes on.
+    If none has points, return the cell itself. Beyond a periodic edge the count continues.
     """
     for steps in (FACES, CORNERS):
-        found = [(place[0] + j, place[1] + i) for j, i in steps]
-        sources = [_source(other, grid, domain) for other in found]
+        candidates = [(place[0] + j, place[1] + i) for j, i in steps]
+        sources = [_source(other, grid, domain) for other in candidates]
         counts = [0 if s is None else int(start[s[0] + 1] - start[s[0]]) for s in sources]
         if any(counts):
-            return found[int(np.argmax(counts))]
+            return candidates[int(np.argmax(counts))]
     return place
 
 
 def _source(
     place: tuple[int, int], grid: Grid, domain: Domain
 ) -> tuple[int, tuple[int, int]] | None:
-    """Return the cell that a row and column mean, and how many boxes away; None if there is none.
+    """Return the cell at a row and column, and its offset in boxes; None if there is no such cell.
 
-    Along a periodic axis rows and columns go on past the edge.
+    Along a periodic axis rows and columns continue past the edge.
     """
     image_y, row = divmod(place[0], grid.n_rows)
     image_x, column = divmod(place[1], grid.n_columns)
@@ -169,32 +168,32 @@ def _neighbours(
 
 
 WORST_CONDITION_NUMBER = 1.0 / float(np.finfo(np.float64).eps)
-"""Beyond it the weights have no right digit."""
+"""Beyond it the weights have no correct digit."""
 
 
 class LocalSplines(CellSplines, ModeSplines):
     """Splines of `n_columns` functions in every cell of a domain.
 
-    Raises ValueError where the arrays don't fit one another.
+    Raises ValueError if the arrays do not fit one another.
     """
 
     order: int
     """k of Eq. 3.18."""
     polynomial_degree: int
-    """-1 for none."""
+    """-1 for no polynomial."""
     domain: Domain
 
     def __post_init__(self) -> None:
-        # Compiled loops don't ask whether an index lies within an array.
+        # Compiled loops do not check indices.
         n_cells, start = math.prod(self.cell_shape), self.cell_start
         if min(self.cell_shape) < 1 or len(start) != n_cells + 1:
-            raise ValueError(f"{len(start)} boundaries are not those of {self.cell_shape} cells")
+            raise ValueError(f"{len(start)} boundaries do not fit {self.cell_shape} cells")
         if start[0] != 0 or start[-1] != self.points.shape[1] or np.any(np.diff(start) < 0):
-            raise ValueError("the cells don't share out the points")
+            raise ValueError("the cells do not divide the points among them")
         shapes = self.radial_weights.shape, self.polynomial_weights.shape
         terms = math.comb(self.polynomial_degree + 2, 2)
         if shapes != ((self.n_columns, start[-1]), (n_cells, terms, self.n_columns)):
-            raise ValueError(f"weights {shapes} are not those of the points and cells")
+            raise ValueError(f"weights {shapes} do not fit the points and cells")
 
     @cached_property
     def _systems(self) -> polyharmonic.Systems:
@@ -221,7 +220,7 @@ class LocalSplines(CellSplines, ModeSplines):
             sweep = polyharmonic.evaluate_with_gradients
         most = int(np.max(np.diff(self.cell_start))) + self.polynomial_weights.shape[1]
         scratch = np.empty((polyharmonic.N_CHUNKS, 2 * len(out), most))
-        # Kernels take positions in the domain, cell by cell.
+        # Kernels take positions inside the domain, cell by cell.
         inside_x, inside_y = coordinates(self.domain.wrap(np.column_stack((x, y))))
         particle, start = sort_by_cell(inside_x, inside_y, self.grid)
         kind = (length_scale(self.grid), self.order, self.polynomial_degree)
@@ -238,7 +237,7 @@ class LocalSplines(CellSplines, ModeSplines):
 
     def first(self, n_modes: int) -> LocalSplines:
         """Return the splines of the first modes."""
-        radial = self.radial_weights[: 3 * n_modes].copy()  # which lets go of the others
+        radial = self.radial_weights[: 3 * n_modes].copy()  # frees the others
         polynomial = self.polynomial_weights[..., : 3 * n_modes].copy()
         return replace(self, radial_weights=radial, polynomial_weights=polynomial)
 
@@ -246,8 +245,8 @@ class LocalSplines(CellSplines, ModeSplines):
 def default_cell_width(domain: Domain, n_points: int) -> float:
     """Return the cell width [m] for evenly spread points: three times their spacing.
 
-    On 50x50 points a wave as long as the domain then has relative errors of 1e-5 in value and 2e-4
-    in gradient at order 3, and a sixth of these at order 5 for the same cost.
+    On 50x50 points, a wave as long as the domain then has relative errors of 1e-5 in value and 2e-4
+    in gradient at order 3. At order 5 they are a sixth of these, for the same cost.
     """
     return CELL_WIDTH_RATIO * math.sqrt(domain.area / n_points)
 
@@ -267,10 +266,10 @@ def fit_splines(
     Parameters
     ----------
     points : (n_points, 2) the reference points, in the fluid [m].
-    values : (n_points, n_columns) the columns there, such as the modes by field.
+    values : (n_points, n_columns), the values of the functions there, such as the modes by field.
     order : k of Eq. 3.18, odd or even.
     polynomial_degree : -1 (no polynomial) to 3.
-    cell_width : the least width of a cell [m]; as many cells as fit are used.
+    cell_width : minimum width of a cell [m]; as many cells as fit are used.
     progress : called with 1 after each cell.
 
     Raises ValueError if a point is outside, or a cell's points do not determine a spline.
@@ -321,9 +320,9 @@ def _solve(matrix: Array, values: Array) -> tuple[Array, float]:
     right = np.zeros((matrix.shape[0], values.shape[1]), order="F")
     right[: values.shape[0]] = values
     norm = float(np.max(np.sum(np.abs(matrix), axis=0)))
-    # The matrix is symmetric: its transpose is itself, in the order of memory that LAPACK wants.
-    # Not getrf and getrs: OpenBLAS shares even the smallest getrs out over threads, which on a busy
-    # machine is a hundred times slower.
+    # The matrix is symmetric, so its transpose has LAPACK's memory order. Separate getrf and getrs
+    # are avoided: OpenBLAS spreads even the smallest getrs over threads, which on a busy machine is
+    # a hundred times slower.
     factors, _, weights, info = lapack.dgesv(matrix.T, right, overwrite_a=True, overwrite_b=True)
     reciprocal = lapack.dgecon(factors, norm)[0] if info == 0 else 0.0
     return weights, 1.0 / reciprocal if reciprocal > 0.0 else math.inf

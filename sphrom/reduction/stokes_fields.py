@@ -1,22 +1,22 @@
-"""Stokes flows around walls that move one by one: they turn forces on walls into integrals.
+"""Stokes flows around walls that move one at a time; with them, forces on walls become integrals.
 
-Let w be a velocity field without divergence that moves with one wall as a rigid body, and that
-vanishes at all others. Tested with it, the momentum equation of an incompressible fluid gives the
-force along that motion,
+Let w be a velocity field without divergence that moves with one wall as a rigid body and vanishes
+at all others. The momentum equation of an incompressible fluid, tested with w, gives the force
+along that motion,
 
     F = rho int (f . w - du/dt . w + u . (u . grad) w - 2 nu E(u) : E(w)) dV
 
-with the strain rates E. The pressure has gone. Any such field serves, and an error of the velocity
-counts least if w is itself a flow without inertia: its stress does no work on errors that have no
-divergence and vanish at walls. Codes of finite elements evaluate drag and lift as integrals of this
-kind (John and Matthies, Int. J. Numer. Meth. Fluids 37, 2001).
+with the strain rates E. The pressure drops out. Any such field is valid. Errors of the velocity
+have the least effect if w itself is a flow without inertia, because its stress then does no work on
+errors that have no divergence and vanish at walls. Finite element codes evaluate drag and lift as
+integrals of this kind (John and Matthies, Int. J. Numer. Meth. Fluids 37, 2001).
 
-What slows the fluid at a rate lambda adds -rho int lambda u . w, and to the dissipation that is
-least lambda/nu w^2. In the strip of an open flow w is held at zero, so that what holds the flow
-rate there has no part in the force.
+Damping of the fluid at a rate lambda adds -rho int lambda u . w to the force, and lambda/nu w^2 to
+the minimised dissipation. In the strip of an open flow w is held at zero, so that the forcing that
+keeps the flow rate there does not enter the force.
 
-The stream function of w is a tensor product of quartic B-splines that minimises the dissipation at
-the points of a lattice. It moves with the wall at places along it, and is kept smooth behind it.
+The stream function of w is a tensor product of quartic B-splines. It minimises the dissipation at
+the points of a lattice, moves with the wall at places along it, and is kept smooth behind it.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ from sphrom.arrays import Array, Indices, Mask
 from sphrom.sph.domain import Domain
 
 DEGREE = 4
-"""Of the stream function, so that strain rates are smooth."""
+"""Degree of the stream function's splines, such that strain rates are smooth."""
 CELL = 2.0
-"""Size of the splines' cells over the spacing of the points: smaller ones see too few points."""
+"""Size of the splines' cells over the spacing of points; smaller cells contain too few points."""
 PENALTY, SMOOTHING, REGULARIZATION = 1e4, 1.0, 1e-10
-"""Weights of the conditions at walls, of third derivatives times the spacing, and of coefficients,
-over that of the dissipation."""
+"""Weights, relative to the dissipation, of the wall conditions, of third derivatives times the
+spacing, and of the coefficients."""
 LEAK = 0.1
-"""Largest flow through a wall, and motion into others that it touches, over its own motion."""
+"""Largest flow through a wall, or motion into a touching wall, over the wall's own motion."""
 
 TOUCHING = 2.0
 """Distance of walls that touch each other, over the spacing."""
@@ -53,9 +53,9 @@ class StokesFields:
     """The fields w of a wall's motion along x, along y, and of its rotation."""
 
     follows: Mask
-    """(3,) whether there is such a field: no fluid passes walls. There is none where a wall leaves
-    no room for the fluid that it displaces, or lifts off another one that it touches. It may slide
-    along that."""
+    """(3,) whether there is such a field, without flow through walls. There is none if a wall
+    leaves no room for the fluid that it displaces, or lifts off a wall that it touches; it may
+    slide along that wall."""
     value: Array
     """(3, n_points, 2) [1], of the rotation [m]."""
     gradient: Array
@@ -79,8 +79,8 @@ def stokes_fields(
     ghosts : (n_ghosts, 2) [m] behind walls, on the same lattice.
     spacing : of the points [m].
     names : of the walls.
-    slowing : (n_points,) the rate at which the fluid is slowed over its viscosity [1/m2].
-    strip : (n_points,) which of them are in the strip of an open flow.
+    slowing : (n_points,) the damping rate of the fluid over its viscosity [1/m2].
+    strip : (n_points,) whether a point is in the strip of an open flow.
     """
     wrapped = domain.wrap(ghosts)
     wall, on_wall = domain.nearest_wall(wrapped), domain.on_wall(wrapped)
@@ -108,10 +108,10 @@ def stokes_fields(
         smooth = smooth + weight * _squares(still @ stream.of(0, 1), still @ stream.of(1, 0))
     small = REGULARIZATION * size * eye_array(held.shape[0])
     whole = (dissipation + smooth + weight * held + small).tocsc()
-    # Symmetric and positive: the order may keep the factors sparse, without pivots.
+    # Symmetric and positive definite: ordered for sparse factors, without pivoting.
     symmetric = {"SymmetricMode": True}
     solved = splu(whole, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
-    found = {}
+    fields = {}
     for name in names:
         own = wall == domain.wall_names.index(name)
         motions = np.zeros((3, 2, len(ghosts)))
@@ -123,30 +123,30 @@ def stokes_fields(
         wrong = (at_walls @ coefficients - wanted).reshape(2, -1, 3)[:, own]
         through = np.sum(np.einsum("dgm,gd->gm", wrong, normal[own]) ** 2, axis=0)
         follows = through < LEAK**2 * np.sum(motions**2, axis=(1, 2))
-        if strip is not None:  # which holds no wall's motion
+        if strip is not None:  # no wall's motion is possible there
             follows &= not np.any(strip[beside] & (behind == domain.wall_names.index(name)))
         if own.any():
-            # Beside the fluid normals are those of sides, behind a corner they aren't.
+            # Normals beside the fluid belong to sides; those behind a corner do not.
             others = beside[behind != domain.wall_names.index(name)]
             foot = position[others] - depth[others, None] * inward[others]
             apart, nearest = KDTree(on_wall[own]).query(foot)
             moved = motions[..., np.flatnonzero(own)[nearest]]
             lifted = np.abs(np.einsum("mdg,gd->mg", moved, inward[others]))
             follows &= lifted[:, apart < TOUCHING * spacing].max(axis=1, initial=0.0) < LEAK
-        found[name] = StokesFields(follows, *stream.fields(coefficients))
-    return found
+        fields[name] = StokesFields(follows, *stream.fields(coefficients))
+    return fields
 
 
 def _squares(*rows: csr_array) -> csr_array:
-    """Return the matrix of the sum of squares of rows times coefficients."""
+    """Return the matrix of the sum of squares of `rows` times coefficients."""
     return sum(each.T @ each for each in rows)
 
 
 class _Stream:
     """Derivatives of the stream function at places, as matrices on its coefficients.
 
-    Splines cover the box, and all points. Along a periodic axis the stream function is periodic but
-    for a mean flow across it, which has a coefficient of its own.
+    The splines cover the box and all points. Along a periodic axis the stream function is periodic
+    except for a mean flow across it, which has a coefficient of its own.
     """
 
     def __init__(self, domain: Domain, place: Array, points: Array, spacing: float) -> None:
@@ -188,7 +188,7 @@ class _Axis:
     """Splines along one axis, at some places."""
 
     index: Indices
-    """(n_places, DEGREE + 1) the splines that aren't zero there."""
+    """(n_places, DEGREE + 1), the splines that are not zero at each place."""
 
     def __init__(
         self, place: Array, lower: float, upper: float, periodic: bool, spacing: float
@@ -204,7 +204,7 @@ class _Axis:
         self._within = (along - first)[:, None] + DEGREE - np.arange(DEGREE + 1)
 
     def values(self, order: int) -> Array:
-        """Return a derivative of those splines (n_places, DEGREE + 1)."""
+        """Return a derivative of these splines (n_places, DEGREE + 1)."""
         spline = BSpline.basis_element(np.arange(DEGREE + 2.0), extrapolate=False)
         spline = spline.derivative(order) if order else spline
         return np.nan_to_num(spline(self._within)) / self._cell**order

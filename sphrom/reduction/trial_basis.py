@@ -1,21 +1,20 @@
 """Trial bases: modes that are orthonormal in an inner product (Eq. 3.7-3.8).
 
-A state is a first field made from the density, and the velocity. In the acoustic product the
-first field is c0 rho'/rho0 and a row is weighted with its particle's volume, so that the norm is
-the acoustic energy; in the raw product, the paper's, it is the full density with unit weights.
+A state consists of a first field, derived from the density, and the velocity. In the acoustic
+product the first field is c0 rho'/rho0 and a row is weighted with its particle's volume, so the
+norm is the acoustic energy. In the paper's raw product it is the full density with unit weights.
 
-In a closed box the spatial mean of the density drives no flow, and it may drift. A basis may leave
-it out. Every state is then stripped of its mean, weighted as the rows are, so that no mode has one
-and constant density is orthogonal to them all. The mean of the density fluctuation is then a
-variable of its own.
+In a closed box the spatial mean of the density drives no flow, and it may drift. A basis may
+therefore treat it as a separate variable. Every state is then stripped of its mean (with the
+weights of the rows), so all modes have zero mean and are orthogonal to a constant density.
 
-Shapes: density (n_snapshots, n_points), velocity (n_snapshots, n_points, 2), and modes likewise
-with the mode first.
+Shapes: density (n_snapshots, n_points), velocity (n_snapshots, n_points, 2). Modes have the same
+shapes with the mode first.
 
 The largest speed and the kinetic energy of a reduced run follow from its coordinates. The largest
-speed over all points and snapshots is found without visiting most of them: a speed is
-no larger than the sum of the modes' speeds there times the largest of their coordinates. Where that
-bound is below a speed that was found elsewhere, nothing has to be rebuilt.
+speed over all points and snapshots is found without evaluating most points: the speed at a point is
+at most the sum of the modes' speeds there times their largest coordinates. Points whose bound is
+below a speed already found are skipped.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ from sphrom.arrays import Array
 from sphrom.declaration import Record, attribute, dataset
 
 JOINT = "joint"
-"""The name of singular values of density and velocity as one."""
+"""The name of the singular values of density and velocity taken together."""
 _STATE = "of the inner product's state"
 
 
@@ -54,19 +53,19 @@ class InnerProduct:
         return cls("raw", 1.0, reference_density)
 
     def without_mean(self) -> InnerProduct:
-        """Return the product of states stripped of their mean density: no constant part is left."""
+        """Return the product for states without their mean density; it has no constant part."""
         return replace(self, density_offset=0.0)
 
     def first_field(self, density_fluctuation: Array) -> Array:
-        """Return the state's first field from the density fluctuation [kg/m3]."""
+        """Return the first field of a state, given the density fluctuation [kg/m3]."""
         return self.density_scale * density_fluctuation + self.density_offset
 
     def density_fluctuation(self, first_field: Array) -> Array:
-        """Return the density fluctuation [kg/m3] from the state's first field."""
+        """Return the density fluctuation [kg/m3], given the first field of a state."""
         return (first_field - self.density_offset) / self.density_scale
 
     def weights(self, volume: Array) -> Array:
-        """Return the weight of every point (n_points,) from its volume [m2]."""
+        """Return the weight of every point (n_points,), given its volume [m2]."""
         return np.ones(len(volume)) if self.name == "raw" else np.array(volume, dtype=float)
 
 
@@ -82,13 +81,13 @@ class Modes(Record):
     )  # fmt: skip
     singular_values: Mapping[str, Array] = dataset(
         "singular_value", "of the inner product",
-        "singular values, descending, of density and velocity as one (joint)", "sigma", "Eq. 3.16",
+        "joint singular values of density and velocity, descending", "sigma", "Eq. 3.16",
         default_factory=dict,
     )  # fmt: skip
 
 
 class StoredBasis(Modes):
-    """The modes of a trial basis as its artifact has them."""
+    """The modes of a trial basis as stored in its artifact."""
 
     gram_error: float = attribute("1", "largest departure from orthonormality")
 
@@ -100,7 +99,7 @@ class TrialBasis(StoredBasis):
     weights: Array
     """(n_points,), of the inner product."""
     separate_mean: bool = False
-    """Whether the mean density fluctuation is carried apart."""
+    """Whether the mean density fluctuation is a separate variable."""
 
     @property
     def n_modes(self) -> int:
@@ -114,9 +113,9 @@ def weighted_mean(field: Array, weights: Array) -> Array:
 
 
 def mean_density_fluctuation(basis: TrialBasis, density_fluctuation: Array) -> Array:
-    """Return the means (...) [kg/m3] that a basis without a mean density leaves out of states.
+    """Return the separate mean density fluctuations (...) [kg/m3] of states.
 
-    Zero where modes hold the mean.
+    They are zero if the modes include the mean.
     """
     if not basis.separate_mean:
         return np.zeros(density_fluctuation.shape[:-1])
@@ -126,8 +125,8 @@ def mean_density_fluctuation(basis: TrialBasis, density_fluctuation: Array) -> A
 def project(basis: TrialBasis, density_fluctuation: Array, velocity: Array) -> Array:
     """Return the generalized coordinates (..., n_modes) of states (..., n_points[, 2]).
 
-    The best approximation in the basis's inner product; with a separate mean, of the states less
-    their mean density fluctuation.
+    They give the best approximation in the inner product of the basis. With a separate mean, it is
+    that of the states without their mean density fluctuation.
     """
     if basis.separate_mean:
         mean = mean_density_fluctuation(basis, density_fluctuation)
@@ -142,10 +141,10 @@ def project(basis: TrialBasis, density_fluctuation: Array, velocity: Array) -> A
 def reconstruct(
     basis: TrialBasis, generalized_coordinates: Array, mean: Array | float = 0.0
 ) -> tuple[Array, Array]:
-    """Return the states of coordinates (..., n_modes) (Eq. 3.7).
+    """Return the states with coordinates (..., n_modes) (Eq. 3.7).
 
-    The density fluctuation (..., n_points) [kg/m3] and the velocity (..., n_points, 2) [m/s].
-    `mean` (...) [kg/m3] is the mean density fluctuation, where the basis has it carried apart.
+    They are the density fluctuation (..., n_points) [kg/m3] and the velocity (..., n_points, 2)
+    [m/s]. `mean` (...) [kg/m3] is the mean density fluctuation of a basis that separates it.
     """
     first_field = np.tensordot(generalized_coordinates, basis.density_modes, 1)
     velocity = np.tensordot(generalized_coordinates, basis.velocity_modes, 1)
@@ -166,11 +165,11 @@ def truncate(basis: TrialBasis, n_modes: int) -> TrialBasis:
 
 
 N_FIRST = 64
-"""Points of the largest bounds, which are looked at first."""
+"""Number of points, those with the largest bounds, that are evaluated first."""
 N_BLOCK = 4096
-"""Points that are rebuilt at once."""
+"""Number of points evaluated at once."""
 ROUNDING = 1e-9
-"""Slack of bounds."""
+"""Relative margin of the bounds for rounding."""
 
 
 class ModeVelocities:
@@ -187,10 +186,10 @@ class ModeVelocities:
         bounds = np.abs(coordinates).max(axis=0) @ self._speeds
         n_first = min(N_FIRST, len(bounds))
         first = np.argpartition(bounds, -n_first)[-n_first:]
-        found = self._largest_at(coordinates, first)
-        left = np.flatnonzero(bounds * (1.0 + ROUNDING) > found)
+        largest = self._largest_at(coordinates, first)
+        left = np.flatnonzero(bounds * (1.0 + ROUNDING) > largest)
         blocks = np.split(left, range(N_BLOCK, len(left), N_BLOCK))
-        return max([found, *(self._largest_at(coordinates, some) for some in blocks if len(some))])
+        return max([largest, *(self._largest_at(coordinates, one) for one in blocks if len(one))])
 
     def _largest_at(self, coordinates: Array, points: NDArray[np.int64]) -> float:
         velocity = np.tensordot(coordinates, self._modes[:, points], 1)
@@ -199,6 +198,6 @@ class ModeVelocities:
     def kinetic_energy(self, coordinates: Array, mass: float) -> Array:
         """Return the energy (n_states,) [J/m] of coordinates (n_states, n_modes).
 
-        `mass` [kg/m] is a particle's.
+        `mass` [kg/m] is that of a particle.
         """
         return np.sum((coordinates @ (0.5 * mass * self._products)) * coordinates, axis=1)

@@ -1,11 +1,11 @@
-"""Flows: geometry, starts, walls, what drives them, and exact solutions.
+"""Flows: geometry, initial conditions, walls, driving forces, and exact solutions.
 
-A scene says what differs from the least: fluid at rest at zero pressure, between walls at rest,
-that nothing drives and of which no exact solution is known.
+By default a scene has fluid at rest at zero pressure between walls at rest, no driving force and no
+known exact solution. Subclasses override the differences.
 
 The vortex (Eq. 4.4) is an exact solution of incompressible flow. With u = (sin cos, -cos sin) the
-momentum equation gives a pressure with a plus sign; the minus sign of Eq. 4.4 as printed starts an
-acoustic wave of twice the pressure's amplitude.
+momentum equation gives a pressure with a plus sign; the minus sign printed in Eq. 4.4 starts an
+acoustic wave with twice the amplitude of the pressure.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from sphrom.sph.domain import Domain
 from sphrom.sph.resistance import Resistance
 
 VectorField = Callable[[Array], Array]
-"""From positions (n_points, 2) [m], vectors (n_points, 2)."""
+"""Vectors (n_points, 2) at positions (n_points, 2) [m]."""
 Amplitude = Callable[[float], float]
 """An amplitude at a time [s]."""
 
 
 @dataclass(frozen=True)
 class Scales:
-    """What a scene takes from the fluid."""
+    """The properties of the fluid that a scene depends on."""
 
     speed: float
     """Largest speed of the flow [m/s]."""
@@ -41,18 +41,18 @@ class Scales:
     kinematic_viscosity: float
     """[m2/s]."""
     values: Mapping[str, float] = field(default_factory=dict)
-    """Of the scene's own parameters, by name; those that aren't there don't vary."""
+    """The scene's own varying parameters, by name."""
 
 
 @dataclass(frozen=True)
-class Drive:
+class BodyForce:
     """A body force that is one field times an amplitude in time."""
 
     field: Callable[[Array], Array]
     """(2, n_particles) [m/s2] at positions (2, n_particles) [m], for an amplitude of 1."""
     amplitude: Amplitude
     series: Callable[[Array], Array] | None = None
-    """The amplitude at many times at once, where that is faster."""
+    """The amplitude at many times at once, if that is faster."""
     changes: bool = True
     """Whether the amplitude changes with time."""
 
@@ -68,21 +68,21 @@ class Channel:
     height: float
     """[m]."""
     contains: Callable[[Array], NDArray[np.bool_]]
-    """Whether positions (n_points, 2) [m] lie where all that flows through it passes."""
+    """Whether positions (n_points, 2) [m] are in the part that the whole flow passes through."""
 
 
 class Scene(ABC):
-    """A flow to simulate, in SI units; positions are (n_particles, 2) unless they say otherwise."""
+    """A flow to simulate, in SI units; positions are (n_particles, 2) unless stated otherwise."""
 
-    body_force: Drive | None = None
-    """What pushes the fluid, or None where nothing does."""
+    body_force: BodyForce | None = None
+    """The driving body force, if any."""
     resistance: Resistance | None = None
-    """What slows the fluid, or None where nothing does."""
+    """The resistance that slows the fluid, if any."""
 
     @property
     @abstractmethod
     def domain(self) -> Domain:
-        """Where the fluid is."""
+        """The domain of the fluid."""
 
     def initial_velocity(self, position: Array) -> Array:
         """Return the velocity (n_particles, 2) [m/s] at the start."""
@@ -93,22 +93,22 @@ class Scene(ABC):
         return np.zeros(len(position))
 
     def wall_velocity(self, position: Array) -> Array:
-        """Return the velocity (n_ghosts, 2) [m/s] of the walls that ghosts (n_ghosts, 2) are of."""
+        """Return the velocity (n_ghosts, 2) [m/s] of the walls of ghosts at (n_ghosts, 2) [m]."""
         return np.zeros_like(position)
 
     @property
     def wall_amplitude(self) -> Amplitude | None:
-        """What `wall_velocity` is multiplied with, or None where walls move steadily."""
+        """The time-dependent factor of `wall_velocity`, or None if walls move steadily."""
         return None
 
     @property
     def amplitude(self) -> Amplitude | None:
-        """How strongly the flow is driven, by force or walls, or None where that never changes."""
+        """The time-dependent factor of the driving force or walls, or None if it never changes."""
         return self.wall_amplitude if self.body_force is None else self.body_force.amplitude
 
     @property
     def exact(self) -> TaylorGreen | None:
-        """The exact solution of incompressible flow, or None where none is known."""
+        """The exact solution of incompressible flow, or None if none is known."""
         return None
 
 
@@ -119,15 +119,15 @@ class CustomFlow(Scene):
     where: Domain
     """The domain of the fluid."""
     wall_velocities: Mapping[str, VectorField]
-    """By the names of walls that move, their velocity [m/s] at places on them."""
+    """Velocities [m/s] of moving walls at places on them, by the walls' names."""
     start: Callable[[Array], Array]
-    """From positions (n_points, 2) [m], velocity [m/s] and pressure [Pa] (n_points, 3)."""
-    body_force: Drive | None = None
+    """Velocity [m/s] and pressure [Pa] (n_points, 3) at positions (n_points, 2) [m]."""
+    body_force: BodyForce | None = None
     resistance: Resistance | None = None
 
     @property
     def domain(self) -> Domain:
-        """Where the fluid is."""
+        """The domain of the fluid."""
         return self.where
 
     def initial_velocity(self, position: Array) -> Array:
@@ -139,7 +139,7 @@ class CustomFlow(Scene):
         return self.start(position)[:, 2]
 
     def wall_velocity(self, position: Array) -> Array:
-        """Return the velocity (n_ghosts, 2) [m/s] of the walls that ghosts (n_ghosts, 2) are of."""
+        """Return the velocity (n_ghosts, 2) [m/s] of the walls of ghosts at (n_ghosts, 2) [m]."""
         velocity = np.zeros_like(position)
         if self.wall_velocities:
             names = np.array(self.where.wall_names)[self.where.nearest_wall(position)]
@@ -168,7 +168,7 @@ class TaylorGreen(Scene):
 
     @property
     def exact(self) -> TaylorGreen:
-        """The exact solution, whatever sign of the pressure this flow starts with."""
+        """The exact solution, which has the correct sign of the pressure in any case."""
         return replace(self, pressure_sign=1.0)
 
     def initial_velocity(self, position: Array) -> Array:
@@ -186,7 +186,7 @@ class TaylorGreen(Scene):
 
     @property
     def energy_decay_rate(self) -> float:
-        """The rate -4 nu kappa^2 at which the kinetic energy's logarithm changes [1/s]."""
+        """The rate of change of the logarithm of the kinetic energy, -4 nu kappa^2 [1/s]."""
         return -4.0 * self.kinematic_viscosity * self.wave_number**2
 
     def velocity(self, position: Array, time: float) -> Array:
@@ -196,7 +196,7 @@ class TaylorGreen(Scene):
         return amplitude * np.stack((np.sin(x) * np.cos(y), -np.cos(x) * np.sin(y)), axis=1)
 
     def pressure(self, position: Array, time: float) -> Array:
-        """Return the pressure (n_particles,) [Pa] at a time [s], its mean zero."""
+        """Return the pressure (n_particles,) [Pa] at a time [s]; its mean is zero."""
         x, y = (2.0 * self.wave_number * position).T
         amplitude = 0.25 * self.reference_density * self.speed**2
         decay = math.exp(self.energy_decay_rate * time)
@@ -204,7 +204,7 @@ class TaylorGreen(Scene):
 
 
 LID_EXPONENT = 14
-"""How flat the regularised lid's profile is (Rodriguez et al., section 4.2)."""
+"""Flatness of the regularised lid's profile (Rodriguez et al., section 4.2)."""
 
 
 @dataclass(frozen=True)
@@ -212,23 +212,23 @@ class LidDrivenCavity(Scene):
     """The cavity [0, L] x [0, L], in SI units; fluid starts at rest, at zero pressure.
 
     The regularised lid moves at U (1 - (2 x / L - 1)^14)^2, which vanishes at the corners; section
-    4.2 of Rodriguez et al. prints it without its minus signs. The uniform one moves at U all along,
-    and the flow is singular at the corners.
+    4.2 of Rodriguez et al. prints it without the minus signs. The uniform lid moves at U
+    everywhere, so the flow is singular at the corners.
 
-    A lid that starts at once, as there, starts sound too, which lasts for seconds. With a ramp it
-    comes up to speed along half a cosine. Over 1.5 periods of the longest wave, 3 L / c0, that does
-    not excite this wave at all, and shorter ones hardly.
+    A lid that starts impulsively, as in the paper, emits sound that lasts for seconds. With a ramp
+    its speed rises along half a cosine. A ramp over 1.5 periods of the longest wave, 3 L / c0, does
+    not excite this wave at all, and shorter waves hardly.
     """
 
     length: float
     speed: float
     lid: Literal["regularised", "uniform"] = "regularised"
     ramp: float = 0.0
-    """How long the lid takes to come up to speed [s]."""
+    """Time that the lid takes to reach its speed [s]."""
 
     @property
     def domain(self) -> Domain:
-        """The box, walls all around."""
+        """The box, with walls all around."""
         return BoxDomain((0.0, 0.0), (self.length, self.length), (False, False))
 
     def lid_velocity(self, x: Array) -> Array:
@@ -239,16 +239,16 @@ class LidDrivenCavity(Scene):
 
     @property
     def wall_amplitude(self) -> Amplitude | None:
-        """The share of its speed that the lid has reached, or None where it starts at once."""
+        """The share of its speed that the lid has reached, or None if it starts impulsively."""
         return self._speed_share if self.ramp > 0.0 else None
 
     def _speed_share(self, time: float) -> float:
         return 0.5 - 0.5 * math.cos(math.pi * min(max(time / self.ramp, 0.0), 1.0))
 
     def wall_velocity(self, position: Array) -> Array:
-        """Return the velocity (n_ghosts, 2) [m/s] of the walls that ghosts (n_ghosts, 2) are of.
+        """Return the velocity (n_ghosts, 2) [m/s] of the walls of ghosts at (n_ghosts, 2) [m].
 
-        Ghosts above the box are the lid's, those beyond its corners the side walls', at rest.
+        Ghosts above the box belong to the lid, those beyond its corners to the side walls at rest.
         """
         x, y = position.T
         velocity = np.zeros_like(position)
@@ -259,10 +259,10 @@ class LidDrivenCavity(Scene):
 
 @dataclass(frozen=True)
 class LogisticForce:
-    """How strong the body force of Eq. 4.5 is: b0 [1 / (1 + exp(+-k (t - f0))) + k0].
+    """The strength of the body force of Eq. 4.5: b0 [1 / (1 + exp(+-k (t - f0))) + k0].
 
-    A kick has the sign + that the printed f = -t gives: the force starts near b0, drops to b0 / 2
-    at the switch time f0, and b0 k0 is what stays. A ramp-up has the sign -, and rises to b0.
+    A kick has the sign + that follows from the printed f = -t: the force starts near b0, drops to
+    b0 / 2 at the switch time f0, and b0 k0 remains. A ramp-up has the sign -, and rises to b0.
     """
 
     magnitude: float = 100.0
@@ -278,7 +278,7 @@ class LogisticForce:
     def __call__(self, time: float) -> float:
         """Return the acceleration along x [m/s2] at a time [s]."""
         since_switch = self.rate * (time - self.switch_time)
-        # Other scenes don't need it, and loading it takes long.
+        # Other scenes do not need this module, and importing it takes long.
         from scipy.special import expit
 
         logistic = expit(-since_switch if self.form == "kick" else since_switch)
@@ -286,7 +286,7 @@ class LogisticForce:
 
     @property
     def largest(self) -> float:
-        """What the acceleration never exceeds [m/s2]."""
+        """Upper bound of the acceleration [m/s2]."""
         return self.magnitude * (1.0 + self.sustained_share)
 
 
@@ -294,17 +294,17 @@ class LogisticForce:
 class OpenCavity(Scene):
     """A channel, periodic along x, over a cavity midway along it; lengths in [m], fluid at rest.
 
-    The force of Eq. 4.5 acts in the channel above the cavity only.
+    The force of Eq. 4.5 acts only in the channel above the cavity.
 
-    Which flow this is can't be told from the text of Rodriguez et al., so the constants here are a
-    reading of ours. With f = -t, Eq. 4.5 as printed is not "ramped up": it starts at 98 m/s2, is
-    half of that after f0 = 0.01 s and then stays at 0.1 m/s2. That kick brings the channel to about
-    0.35 m/s, and what stays is too weak to hold even that at Re = 2400 or to let the shear layer
-    shed vortices, let alone reach the reference speed of 2 m/s. Ramped up to 100 m/s2, fluid would
-    pass that speed after 0.04 s and the speed of sound after 0.4 s. A sustained 0.58 m/s2 gives
-    what the text describes: the largest speed is 2 m/s, and vortices are shed periodically, some
-    five in the recorded second. So the form is kept, with f0 = 0.03 s and k0 = 0.0058: a longer
-    kick that brings the flow up to speed, and a force that keeps it there.
+    The text of Rodriguez et al. does not determine this flow, so the constants are our reading of
+    it. With f = -t, Eq. 4.5 as printed is not "ramped up": the force starts at 98 m/s2, is half of
+    that after f0 = 0.01 s and then stays at 0.1 m/s2. That kick accelerates the channel to about
+    0.35 m/s. The remaining force is too weak to sustain even that speed at Re = 2400 or to make the
+    shear layer shed vortices, and far from the reference speed of 2 m/s. If the force ramped up to
+    100 m/s2, the fluid would exceed that speed after 0.04 s and the speed of sound after 0.4 s. A
+    sustained 0.58 m/s2 gives the flow that the text describes: the largest speed is 2 m/s, and
+    vortices are shed periodically, about five in the recorded second. So the form is kept, with
+    f0 = 0.03 s and k0 = 0.0058: a longer kick to reach the speed, and a force that sustains it.
     """
 
     channel_length: float = 0.4
@@ -315,26 +315,26 @@ class OpenCavity(Scene):
 
     @property
     def channel(self) -> Rectangle:
-        """Where the channel is."""
+        """The rectangle of the channel."""
         top = self.cavity_height + self.channel_height
         return Rectangle((0.0, self.cavity_height), (self.channel_length, top))
 
     @property
     def cavity(self) -> Rectangle:
-        """Where the cavity is."""
+        """The rectangle of the cavity."""
         middle, half = 0.5 * self.channel_length, 0.5 * self.cavity_length
         return Rectangle((middle - half, 0.0), (middle + half, self.cavity_height))
 
     @property
     def domain(self) -> Domain:
-        """Channel and cavity, in a box that is periodic along x."""
+        """The channel and the cavity, in a box that is periodic along x."""
         parts = self.channel, self.cavity
         return BoxDomain((0.0, 0.0), self.channel.upper, (True, False), parts)
 
     @property
-    def body_force(self) -> Drive:  # type: ignore[override]
+    def body_force(self) -> BodyForce:  # type: ignore[override]
         """The force of Eq. 4.5 above the cavity."""
-        return Drive(self._along_x_above, self.force)
+        return BodyForce(self._along_x_above, self.force)
 
     def _along_x_above(self, position: Array) -> Array:
         """Return (1, 0) [m/s2] at positions (2, n_particles) [m] above the cavity, else zero."""

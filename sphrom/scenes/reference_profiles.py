@@ -1,8 +1,8 @@
 """Profiles of incompressible reference solutions, by scene and Reynolds number.
 
 They are dimensionless: lengths over the scene's reference length, velocities over its reference
-speed U, pressures over rho U^2, times over length / U. Sources and accuracy stand in
-`reference_data/README.md`.
+speed U, pressures over rho U^2, times over length / U. `reference_data/README.md` gives sources and
+accuracy.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ import numpy as np
 from sphrom.arrays import Array
 
 REYNOLDS_TOLERANCE = 1e-6
-"""How far, relatively, a Reynolds number may be from that of a reference."""
+"""Largest relative difference from the Reynolds number of a reference."""
 
 
 OPEN_CAVITY_SPEED = 2.0
-"""The reference speed that the open cavity's reference is for [m/s]."""
+"""The speed [m/s] to which the open cavity's reference profiles are scaled."""
 
 
 @dataclass(frozen=True)
@@ -40,17 +40,18 @@ class ReferenceProfile:
     """(n_points,)"""
     reynolds: float
     time: float | None
-    """Since the start from rest; None for a steady flow, or an average over time."""
+    """Since the start from rest; None for a steady flow or a time average."""
     source: str
     offset: float = 0.5
-    """Where the line crosses the other axis."""
+    """Position of the line along the other axis."""
     averaged: bool = False
-    """Whether it is an average over time."""
+    """Whether it is a time average."""
     datum: str = "centre"
-    """Where the pressure is zero: at the domain's `centre`, or in the `mean` over it."""
+    """Reference of the pressure: zero at the domain's `centre`, or zero `mean`."""
 
     @property
     def name(self) -> str:
+        """The name in tables and plots, such as `u along y`."""
         """How tables and plots call it, such as `u along y`."""
         return f"{self.quantity} along {self.axis}"
 
@@ -70,14 +71,14 @@ FILES: dict[str, tuple[str, str | None, dict[str, Any]]] = {
         {"source": "finite differences", "offset": 1.25, "averaged": True},
     ),
 }
-"""By their names: the kind of scene, that of its lid, and what all profiles of a file share."""
+"""By file name: the kind of scene, the kind of its lid, and properties shared by all profiles."""
 
 
 def profiles_for(kind: str, lid: str | None, reynolds: float) -> tuple[ReferenceProfile, ...]:
-    """Return what is known of a scene at a Reynolds number; nothing where nothing is.
+    """Return the profiles for a scene at a Reynolds number; empty if there are none.
 
-    `kind` is the scene's, `lid` that of a driven cavity. Transient profiles are of the flow that
-    starts impulsively from rest; the open cavity's is of the flow that the scene's defaults drive.
+    `kind` is the kind of scene, `lid` that of a driven cavity's lid. Transient profiles are for an
+    impulsive start from rest; those of the open cavity, for the scene's default force.
     """
     return tuple(
         profile
@@ -97,9 +98,9 @@ def _read(name: str) -> tuple[ReferenceProfile, ...]:
         points = rows.setdefault((row["axis"], float(row["re"]), time), [])
         points.append((float(row["coord"]), float(row["value"])))
     shared = FILES[name][-1]
-    found = []
+    profiles = []
     for (along, reynolds, time), points in rows.items():  # such as `u_along_y`
         coordinate, value = np.array(sorted(points)).T
         line = along[0], along[-1], coordinate, value, reynolds, time
-        found.append(ReferenceProfile(*line, **shared))
-    return tuple(found)
+        profiles.append(ReferenceProfile(*line, **shared))
+    return tuple(profiles)

@@ -158,10 +158,11 @@ def output_times_of(
     return OutputTimes(steps.snapshot_interval, *times, MOST_GROWTH * float(norm), trained)
 
 
-def places_of(case: Case, points: Sequence[ParameterPoint]) -> Array:
-    """Return where points are (n_points, n_parameters): parameters count by their ratios.
+def scaled_parameters(case: Case, points: Sequence[ParameterPoint]) -> Array:
+    """Return the scaled parameters of points (n_points, n_parameters), to measure distances in.
 
-    Those beside the Reynolds number may be negative: they count over the largest that is trained.
+    The Reynolds number counts by its logarithm. The other parameters may be negative, so each is
+    divided by its largest trained value.
     """
     places = np.log([[point.reynolds] for point in points])
     if len(case.plan.parameter_names) == 1:
@@ -179,6 +180,6 @@ def role_of(case: Case, basis: str, point: ParameterPoint) -> str:
     trained = case.plan.bases[basis]
     if point in trained:
         return "trained"
-    places = places_of(case, trained), places_of(case, [point])[0]
+    places = scaled_parameters(case, trained), scaled_parameters(case, [point])[0]
     _, distance = interpolation_weights(*places)
     return "extrapolated" if distance > 0.0 else "predicted"

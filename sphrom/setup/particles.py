@@ -5,6 +5,7 @@ They load the kernels of SPH; `sphrom.setup.assembly` makes everything else, wit
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -15,18 +16,23 @@ from sphrom.case.models import Case
 from sphrom.case.plan import BEYOND
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError, UnstableError
-from sphrom.metrics.measures import FieldMeasure, Quantities
+from sphrom.kernels import SUPPORT_RATIO
+from sphrom.metrics.elevation import HALF, Filling, columns_of, lowest_surface
+from sphrom.metrics.measures import VECTORS, FieldMeasure, Quantities
+from sphrom.metrics.series import kinetic_energy
 from sphrom.reduction.reference_space import ReferenceMap, TooFewParticlesError
 from sphrom.scenes.flows import Scene
 from sphrom.setup.assembly import field_measures
 from sphrom.sph.domain import Walls
 from sphrom.sph.fixed_points import FixedPoints
-from sphrom.sph.fluid import Drive, pressure_of
+from sphrom.sph.fluid import UnitForcing, pressure_of
 from sphrom.sph.functional import Functional
 from sphrom.sph.wall_forces import MeasuredWall, WallForces, measured_wall
 
 SAMPLING_RATIO = 2.0
 """Smoothing length of the moving least squares that sample particles, over the spacing."""
+HEIGHTS = 2
+"""At which an elevation is looked for, for each spacing of the particles."""
 
 
 def functional(case: Case, point: ParameterPoint) -> Functional:
@@ -110,7 +116,7 @@ def _rest_and_units(case: Case) -> tuple[Scene, dict[str, Scene]]:
         raise CaseError(f"parameters: drives at 0 and 1 make the operators: {error}") from error
 
 
-def drives(case: Case, position: Array) -> dict[str, Drive[Array]]:
+def drives(case: Case, position: Array) -> dict[str, UnitForcing[Array]]:
     """Return what each parameter gives walls' ghosts and points (n_points, 2) per unit."""
     at_rest, per_unit = _rest_and_units(case)
     ghosts, found = walls(case, at_rest), {}
@@ -123,7 +129,7 @@ def drives(case: Case, position: Array) -> dict[str, Drive[Array]]:
             force = of_flow(position.T) - of_rest(position.T)
         some = [part if part is not None and part.any() else None for part in (velocity, force)]
         if any(part is not None for part in some):
-            found[name] = Drive(*some)
+            found[name] = UnitForcing(*some)
     return found
 
 
@@ -148,16 +154,17 @@ def fixed_points(case: Case, position: Array) -> FixedPoints:
     )
 
 
-def sampler(case: Case, points: Array) -> ReferenceMap:
+def sampler(case: Case, points: Array, *, partial: bool = False) -> ReferenceMap:
     """Return the interpolation that samples particles at points (n_points, 2) [m].
 
-    It is the accurate one, whatever the case maps with.
+    It is the accurate one, whatever the case maps with; one that is `partial` doesn't raise.
     """
     return ReferenceMap(
         points,
         case.scene.domain,
         particle_spacing=case.plan.particle_spacing,
         smoothing_length=SAMPLING_RATIO * case.plan.particle_spacing,
+        partial=partial,
     )
 
 
@@ -172,7 +179,7 @@ class MeasuredFields:
 
     def __init__(self, case: Case, measures: Mapping[str, FieldMeasure]) -> None:
         self.measures, self._sound_speed = measures, case.plan.sound_speed
-        self._has_surface = case.scene.has_surface
+        self._plan = case.plan
         places = np.concatenate([measure.position for measure in measures.values()])
         distance, normal = case.scene.domain.distance_and_normal(places)
         spacing, (at_rest, per_unit) = case.plan.particle_spacing, _rest_and_units(case)
@@ -184,10 +191,12 @@ class MeasuredFields:
         varies = self._walls.any(axis=1) & (at_rest.wall_amplitude is not None)
         for flow in per_unit.values():
             varies |= (flow.wall_velocity(beyond) != self._walls).any(axis=1)
+        varies |= case.scene.free_slip
         self._share = np.where(varies, 0.0, 1.0 - distance[near] / spacing)[:, None]
         self.position = np.concatenate((places, on_walls))
         """(n_positions, 2) [m] where fields are wanted."""
-        self._sample = sampler(case, self.position)
+        self._sample = sampler(case, self.position, partial=case.scene.has_surface)
+        self._filling = filling(case, places) if case.scene.has_surface else None
 
     @classmethod
     def of(cls, case: Case) -> MeasuredFields | None:
@@ -200,17 +209,32 @@ class MeasuredFields:
     ) -> dict[str, Quantities]:
         """Return by name what is measured of particles (n_particles[, 2]).
 
-        Raises UnstableError where too few particles are near a place, as above a free surface.
+        Above a free surface pressure and velocity are zero.
+
+        Raises UnstableError where too few particles are near a place in fluid without a surface.
         """
+        particles = position, density_fluctuation, velocity
+        if self._filling is not None:
+            return self.of_fields(*self._wet(*particles))
         try:
-            return self.of_fields(*self._sample(position, density_fluctuation, velocity))
+            return self.of_fields(*self._sample(*particles))
         except TooFewParticlesError as error:
             names = np.repeat([*self.measures], [len(m.position) for m in self.measures.values()])
             name = np.concatenate((names, names[self._near]))[error.number]
-            told = f"unstable where fields are measured{f' ({name})' if name else ''}: {error}"
-            if self._has_surface:
-                told += "; the place must stay below the free surface: choose a lower one"
-            raise UnstableError(told) from error
+            told = f"unstable where fields are measured{f' ({name})' if name else ''}"
+            raise UnstableError(f"{told}: {error}") from error
+
+    def _wet(
+        self, position: Array, density_fluctuation: Array, velocity: Array
+    ) -> tuple[Array, Array]:
+        """Return fields at `position` that are zero where it is dry."""
+        assert self._filling is not None
+        dry = self._filling(position, self._plan.volumes(density_fluctuation)) < HALF
+        density, found = self._sample(position, density_fluctuation, velocity)
+        every = np.concatenate((dry, dry[self._near])) | ~np.isfinite(density)
+        density[every] = found[every] = 0.0
+        found[len(dry) :][every[len(dry) :]] = self._walls[every[len(dry) :]]  # not corrected
+        return density, found
 
     def of_fields(self, density_fluctuation: Array, velocity: Array) -> dict[str, Quantities]:
         """Return by name what is measured of fields (n_positions[, 2]) at `position`."""
@@ -223,3 +247,75 @@ class MeasuredFields:
             name: measure.of(*part)
             for (name, measure), part in zip(self.measures.items(), parts, strict=True)
         }
+
+
+def filling(case: Case, points: Array) -> Filling:
+    """Return the share of space that a case's particles fill at points (n_points, 2) [m]."""
+    domain, spacing, solid = case.scene.domain, case.plan.particle_spacing, np.empty((0, 2))
+    if n_solids := len(domain.solid_names):
+        ghosts = domain.ghosts(spacing, case.plan.n_wall_layers)
+        solid = ghosts.position[ghosts.wall >= len(domain.wall_names) - n_solids]
+    box, radius = (domain.lower, domain.upper), SUPPORT_RATIO * case.plan.smoothing_length
+    return Filling(points, radius, *box, domain.periodic, solid, spacing**2)
+
+
+class MeasuredParticles:
+    """All that a case measures of particles but forces: fields, the surface and the whole fluid."""
+
+    def __init__(self, case: Case, point: ParameterPoint) -> None:
+        self._fields, self._plan = MeasuredFields.of(case), case.plan
+        self.measures = {} if self._fields is None else self._fields.measures
+        scene, domain, spacing = case.scene, case.scene.domain, case.plan.particle_spacing
+        self._surface, values = scene.measured_surface, dict(point.others)
+        low, high = self._rest, _ = domain.lower[1], domain.upper[1]
+        if self._surface and math.isfinite(scene.level_at(values)):
+            self._rest = float(scene.fill(spacing, values)[:, 1].mean())
+        self._weight = case.plan.mass * scene.gravity
+        self._heights = np.linspace(low, high, 1 + math.ceil(HEIGHTS * (high - low) / spacing))
+        x = [m.elevation for m in self._surface.values() if m.elevation is not None]
+        columns = columns_of(np.array(x), self._heights)
+        self._filling = filling(case, columns) if x else None
+        self._solid = ~domain.contains(columns)
+
+    @classmethod
+    def of(cls, case: Case, point: ParameterPoint) -> MeasuredParticles | None:
+        """Return what a case measures of particles at a point, None where it is nothing."""
+        scene = case.scene
+        return cls(case, point) if scene.measured_fields or scene.measured_surface else None
+
+    @property
+    def at_rest(self) -> dict[str, Quantities]:
+        """What is measured where all of it is zero, by name: it tells shapes."""
+        found = {
+            name: measure.of(np.zeros_like(measure.position), np.zeros(len(measure.position)))
+            for name, measure in self.measures.items()
+        }
+        for name, section in self._surface.items():
+            found[name] = {q: np.zeros((2,) * (q in VECTORS)) for q in section.quantities}
+        return found
+
+    def __call__(
+        self, position: Array, density_fluctuation: Array, velocity: Array
+    ) -> dict[str, Quantities]:
+        """Return by name what is measured of particles (n_particles[, 2]).
+
+        Raises UnstableError as `MeasuredFields` does.
+        """
+        found, heights = dict[str, Quantities](), np.zeros(0)
+        if self._fields is not None:
+            found |= self._fields(position, density_fluctuation, velocity)
+        if self._filling is not None:
+            share = self._filling(position, self._plan.volumes(density_fluctuation))
+            share[self._solid] = 1.0
+            heights = lowest_surface(share.reshape(-1, len(self._heights)), self._heights)
+        elevations, mass = iter(heights.tolist()), self._plan.mass
+        for name, section in self._surface.items():
+            if section.elevation is not None:
+                found[name] = {"elevation": np.asarray(next(elevations))}
+            elif section.of_fluid == "centre_of_mass":
+                found[name] = {"centre_of_mass": position.mean(axis=0)}
+            else:
+                raised = self._weight * (position[:, 1] - self._rest)
+                energies = kinetic_energy(velocity, mass), raised.sum()
+                found[name] = dict(zip(section.quantities, energies, strict=True))
+        return found

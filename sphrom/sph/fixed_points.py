@@ -50,7 +50,7 @@ import numpy as np
 
 from sphrom.arrays import Array, Mask
 from sphrom.sph.domain import Domain, Walls
-from sphrom.sph.fluid import Discretization, Drive, Fluid
+from sphrom.sph.fluid import Discretization, Fluid, UnitForcing
 from sphrom.sph.point_sums import (
     EVERYWHERE,
     GhostSums,
@@ -125,7 +125,7 @@ class FixedPoints:
         walls: Walls | None = None,
         body_force: Array | None = None,
         walls_driven: bool = False,
-        drives: Mapping[str, Drive[Array]] | None = None,
+        drives: Mapping[str, UnitForcing[Array]] | None = None,
         resistance: Resistance | None = None,
     ) -> None:
         self.position = domain.wrap(position)

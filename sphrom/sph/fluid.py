@@ -22,8 +22,8 @@ NONE: Factors = MappingProxyType({})
 
 
 @dataclass(frozen=True)
-class Drive(Generic[T]):
-    """What walls and the body force give per unit of a parameter; None for nothing."""
+class UnitForcing(Generic[T]):
+    """The contributions of walls and of the body force per unit of a parameter, where any."""
 
     walls: T | None = None
     force: T | None = None

@@ -1,8 +1,8 @@
 """The fields of stored runs, full and reduced: on their own points, and at any places.
 
-This is the one way from the artifact of a run to a field at a place. Particles are sampled by
-moving least squares, coordinates by the splines of their modes. What runs measure at places has the
-same values; within a spacing of walls it takes in their velocity.
+All access from the artifact of a run to a field at a place goes through this module. Particles are
+sampled by moving least squares, coordinates by the splines of their modes. Measurements of runs at
+places have the same values. Within a spacing of walls they include the walls' velocity.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from sphrom.store.workspace import Workspace
 class StoredRun:
     """A run of the full model, or of a reduced `model`, at a parameter point, in an open artifact.
 
-    A model on the reference points stores coordinates, and its fields are rebuilt from them.
+    A model on the reference points stores coordinates, from which fields are reconstructed.
     """
 
     def __init__(
@@ -52,14 +52,14 @@ class StoredRun:
     def opened(
         cls, workspace: Workspace, point: ParameterPoint, model: ReducedModelSection | None = None
     ) -> Iterator[StoredRun]:
-        """Open a run of the case. Raises ArtifactError when it isn't there or valid."""
+        """Open a run of the case. Raises ArtifactError if it is missing or invalid."""
         target = workspace.full_run(point) if model is None else workspace.reduced_run(model, point)
         with workspace.open(target) as run:
             yield cls(workspace, run, point, model)
 
     @property
     def is_complete(self) -> bool:
-        """Whether the run ran to its end."""
+        """Whether the run reached its end."""
         return self._run.text("status") == "complete"
 
     def measured(self, name: str) -> Quantities:
@@ -101,7 +101,7 @@ class StoredRun:
         return np.asarray(self._run.dataset("position")[snapshot])
 
     def rebuilt(self, snapshot: int) -> tuple[Array, Array]:
-        """Return density fluctuations (n,) [kg/m3] and velocity (n, 2) [m/s] from coordinates."""
+        """Return density fluctuation (n,) [kg/m3] and velocity (n, 2) [m/s] from coordinates."""
         if self._has_surface:
             samples = self.sampled(self.position(snapshot), [snapshot])
             sound_speed = self._workspace.case.plan.sound_speed
@@ -126,7 +126,7 @@ class StoredRun:
     ) -> Samples:
         """Return velocity and pressure at points (n_points, 2) [m], at some or all snapshots.
 
-        A run that became unstable is sampled as far as particles are left near all points.
+        A run that became unstable is sampled as long as there are particles near all points.
         """
         case, run = self._workspace.case, self._run
         chosen = range(len(self.time)) if snapshots is None else snapshots

@@ -14,11 +14,12 @@ from sphrom.artifacts.records.surfaces import SurfaceModels
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ALL, AUTO, ReducedModelSection
+from sphrom.metrics.elevation import find_elevation
 from sphrom.metrics.samples import Samples
 from sphrom.reduction.graph_model import GraphModel, GraphRun, SurfaceBasis
 from sphrom.reduction.graph_training import TrainedGraph, chosen_size
 from sphrom.reduction.polynomial_model import OutputTimes
-from sphrom.reduction.stream_functions import StreamSpace, find_elevation
+from sphrom.reduction.stream_functions import StreamSpace
 from sphrom.setup.assembly import surface_columns, uniform_force
 from sphrom.sph.fluid import volume_of
 from sphrom.store.starts import start

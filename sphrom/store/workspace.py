@@ -186,10 +186,10 @@ class Workspace:
         Raises ArtifactError when it is missing, damaged, or no longer valid.
         """
         self.require(target)
-        return self.open_aside(target)
+        return self.open_intermediate(target)
 
-    def open_aside(self, target: Target) -> AbstractContextManager[Artifact]:
-        """Open a file that is no result itself, such as a checkpoint, with the same checks."""
+    def open_intermediate(self, target: Target) -> AbstractContextManager[Artifact]:
+        """Open an intermediate file, such as a checkpoint, and check that file alone."""
         return open_artifact(
             target.path, target.schema, made_by=target.made_by, origin=self._origin(target)
         )
@@ -202,15 +202,15 @@ class Workspace:
         for parent in target.parents.values():
             self.require(parent)
         make_folder(target.path.parent)
-        with self.create_aside(target, attributes, force=self.context.force) as artifact:
+        with self.create_intermediate(target, attributes, force=self.context.force) as artifact:
             yield artifact
         self.context.known.forget(target.path)
         self.context.report.info(f"wrote {target.path}")
 
-    def create_aside(
+    def create_intermediate(
         self, target: Target, attributes: Mapping[str, object] | None = None, *, force: bool = True
     ) -> AbstractContextManager[ArtifactWriter]:
-        """Write a file that may be no result itself; print no message."""
+        """Write an intermediate file, such as a checkpoint, without a message."""
         return create_artifact(
             target.path,
             target.schema,
@@ -311,7 +311,7 @@ class Workspace:
         about = {
             "bases": plan.reference_bases,
             "closures": plan.memory_models,
-            "calibrated": plan.taught_bases,
+            "calibrated": plan.corrected_bases,
             "sized": plan.sized_bases,
             "varied": plan.parameter_names[1:],
         }

@@ -30,7 +30,7 @@ from sphrom.plots.panels import Curve, Panel, draw_grid
 from sphrom.plots.tables import format_figure, rows_of_columns, write_csv
 from sphrom.reduction.correction import interpolation_variance
 from sphrom.reduction.error_calibration import output_errors
-from sphrom.setup.assembly import places_of, sound_averages
+from sphrom.setup.assembly import scaled_parameters, sound_averages
 from sphrom.store.workspace import Workspace
 from sphrom.sweep.batches import ERROR, PLACE, RunRecord, SweptModel
 
@@ -163,7 +163,7 @@ def statistics_of(workspace: Workspace, records: Sequence[RunRecord]) -> Statist
     complete = [record for record in records[:drawn] if record.values]
     if len(complete) < fewest_runs(section.levels):
         return None
-    places = places_of(case, [record.point for record in complete])
+    places = scaled_parameters(case, [record.point for record in complete])
     runs = [{**r.values, PLACE: each} for r, each in zip(complete, places, strict=True)]
     trained = SweptModel(workspace).in_training([r.point for r in records if r.values])
     model, points = sweep_model(case), sweep_points(case)[:drawn]

@@ -103,7 +103,7 @@ def prepared(context: StageContext, models: Sequence[ReducedModelSection]) -> Wo
     if not own.scene.has_surface:
         workspace.require(workspace.splines())
     wider = replace(context, case=own.model_copy(update={"rom": (*own.rom, *models)}))
-    parts = ("reference_bases", "memory_models", "taught_bases", "surface_sizes")
+    parts = ("reference_bases", "memory_models", "corrected_bases", "surface_sizes")
     kinds = "operators", "surface-operators"
     if any(getattr(wider.case.plan, part) != getattr(own.plan, part) for part in parts):
         wider = replace(wider, folders=dict.fromkeys(kinds, context.out / FOLDER))

@@ -221,13 +221,15 @@ class Maps:
             if model.section.projection == "galerkin":
                 continue
             automatic = model.at(self.point).memory_length or 0.0
-            closed = {}
+            with_memory = {}
             for factor in (1.0, 2.0, *self.factors[MEMORY]):
                 length = {"memory_length": factor * automatic}
-                closed[factor] = FastModel(self.workspace, model.section.model_copy(update=length))
-            longest = longest_memory(*(closed[factor].at(self.point) for factor in (1.0, 2.0)))
+                with_memory[factor] = FastModel(
+                    self.workspace, model.section.model_copy(update=length)
+                )
+            longest = longest_memory(*(with_memory[factor].at(self.point) for factor in (1.0, 2.0)))
             for factor in self.factors[MEMORY]:
-                found = self._fast(closed[factor], MEMORY, factor, self.point, truth)
+                found = self._fast(with_memory[factor], MEMORY, factor, self.point, truth)
                 found.predicted = longest
                 yield found
 

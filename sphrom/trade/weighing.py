@@ -25,7 +25,7 @@ from sphrom.metrics.measures import UNITS
 from sphrom.metrics.samples import Samples
 from sphrom.plots.tables import columns, format_figure
 from sphrom.reduction.correction import spline_weights
-from sphrom.setup.assembly import places_of
+from sphrom.setup.assembly import scaled_parameters
 from sphrom.text import counted
 
 SCATTER = 0.1
@@ -193,12 +193,14 @@ def alternatives(
         return Alternative(name, mean_errors([errors(point, taken(point)) for point in full]))
 
     def nearest(point: ParameterPoint) -> Samples:
-        ways = places_of(case, others[point]) - places_of(case, [point])
+        ways = scaled_parameters(case, others[point]) - scaled_parameters(case, [point])
         return run_at(others[point][int(np.linalg.norm(ways, axis=1).argmin())])
 
     def interpolated(point: ParameterPoint) -> Samples:
         known = others[point]
-        weights = spline_weights(places_of(case, known), places_of(case, [point])[0])
+        weights = spline_weights(
+            scaled_parameters(case, known), scaled_parameters(case, [point])[0]
+        )
         runs = [run_at(each) for each in known]
 
         def mixed(values: list[np.ndarray]) -> np.ndarray:

@@ -88,9 +88,9 @@ def test_only_bases_of_models_that_are_taught_keep_their_training_runs(load):
         "- {name: b, evaluation: operators, basis: high}\n"
         f"- {{name: c, {plain}, basis: low}}\n"
     )
-    assert case.plan.taught_bases == ("high",)
-    assert load(TRAINED + basis + f"rom: [{{name: a, {plain}}}]\n").plan.taught_bases == ("all",)
-    assert load("rom: [{name: particles}]\n").plan.taught_bases == ()
+    assert case.plan.corrected_bases == ("high",)
+    assert load(TRAINED + basis + f"rom: [{{name: a, {plain}}}]\n").plan.corrected_bases == ("all",)
+    assert load("rom: [{name: particles}]\n").plan.corrected_bases == ()
 
 
 def test_as_many_modes_as_are_best_are_at_most_those_of_the_basis(load):

@@ -164,7 +164,7 @@ def test_points_off_a_lattice_are_refused() -> None:
     twice = points.copy()
     twice[3] = twice[4]
     for bad in (moved, twice, points + np.array((0.05, 0.0))):
-        with pytest.raises(ValueError, match="points that are a lattice's"):
+        with pytest.raises(ValueError, match="points on a lattice"):
             fit_lattice_splines(bad, values, PERIODIC)
-    with pytest.raises(ValueError, match="points that are a lattice's"):
+    with pytest.raises(ValueError, match="points on a lattice"):
         fit_lattice_splines(points[1:], values[1:], PERIODIC)

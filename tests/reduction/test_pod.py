@@ -152,7 +152,7 @@ def test_more_modes_than_rank_or_snapshots_is_refused() -> None:
 
 
 def test_too_little_memory_is_refused() -> None:
-    with pytest.raises(ResourceError, match="raise it"):
+    with pytest.raises(ResourceError, match="raise the limit"):
         _decompose(*_data(), PRODUCTS["acoustic"], 2, ram_limit=1000)
 
 
