@@ -284,8 +284,8 @@ class Model:
     def measures(self, coordinates: ArrayLike, time: float | None = None) -> xarray.Dataset:
         """Return what the case measures in a state, from its coordinates (n_modes,) alone.
 
-        That costs microseconds; `model.measures(model.steady(a).coordinates)` is what is measured
-        in a steady state. Variables are those of `Result.measures`, at one snapshot.
+        That costs microseconds. `model.measures(model.steady(a).coordinates)` measures a steady
+        state. Variables are those of `Result.measures`, at one snapshot.
 
         Parameters
         ----------

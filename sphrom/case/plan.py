@@ -185,10 +185,6 @@ class Plan:
         """The mass of a particle, per metre of depth [kg/m]."""
         return self._case.fluid.reference_density * self.particle_spacing**2
 
-    def volumes(self, density_fluctuation: Array) -> Array:
-        """Return the volumes of particles (n_particles,) [m2]."""
-        return self.mass / (self._case.fluid.reference_density + density_fluctuation)
-
     @cached_property
     def longest_sound_period(self) -> float:
         """The period of the longest standing wave in the scene's box [s]."""

@@ -42,7 +42,7 @@ class MeasureRow:
 
     measured: str
     quantity: str
-    """`force_x`, `force_y`, `torque`, `flow_rate`, `velocity_x`, `velocity_y` or `pressure`."""
+    """A component of `sphrom.metrics.measures.UNITS`, such as `force_x` or `pressure`."""
     unit: str
     compared: str
     parameters: str

@@ -8,6 +8,7 @@ The surface is where it is one half.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -15,6 +16,9 @@ from scipy.spatial import cKDTree
 from sphrom.arrays import Array
 from sphrom.errors import SphromError
 
+Filled = Callable[[Array, Array], Array]
+"""The share of space that is filled at fixed points (n_points,), from positions of particles
+(n_particles, 2) [m] and their density fluctuations (n_particles,) [kg/m3]."""
 HALF = 0.5
 """The share at the surface."""
 LEAST_LEFT = 0.05

@@ -120,6 +120,19 @@ def test_elevation_is_that_of_the_fluid_on_the_floor() -> None:
     assert [float(found[name]["elevation"]) for name in ("at2", "at4")] == [0.0, 0.0]
 
 
+def test_fields_between_the_surface_and_a_wall_stay_within_those_of_particles() -> None:
+    """Polynomials of particles in no order overshoot there, by more than the values themselves."""
+    case = tank({f"at{i}": {"probe": [0.0, LEVEL - i * SPACING / 8]} for i in range(1, 8)})
+    position, density, velocity = at_rest(case)
+    random = np.random.default_rng(4)
+    noise = random.uniform(-1.0, 1.0, len(density))
+    top = density[position[:, 1] > LEVEL - 3.0 * SPACING].max() * case.plan.sound_speed**2
+    moved = position + random.uniform(-0.3, 0.3, position.shape) * SPACING
+    found = measured(case, moved, density * (1.0 + 0.5 * noise), velocity)
+    values = np.array([each["pressure"] for each in found.values()])
+    assert 0.0 <= values.min() <= values.max() <= 1.5 * top
+
+
 def test_forces_on_the_walls_of_a_tank_at_rest() -> None:
     case = tank({name: {"force_on": name} for name in ("left", "bottom", "top")})
     point, (position, density, velocity) = case.plan.points[0], at_rest(case)

@@ -19,10 +19,6 @@ REFERENCE_POSITION = "m", "points of the reference space", "x_G", "Eq. 3.14"
 FLOW_RATE = "m2/s", "flow through a section, from the left to the right of the way along it"
 VELOCITY_AT_PLACES = "m/s", "velocity at the places", "u", "Eq. 2.7"
 PRESSURE_AT_PLACES = "Pa", "pressure at the places", "p", "Eq. 2.8"
-ELEVATION = "m", "height of the free surface", "eta"
-CENTRE_OF_MASS = "m", "centre of mass of the fluid"
-KINETIC_ENERGY = "J/m", "kinetic energy"
-POTENTIAL_ENERGY = "J/m", "potential energy, zero for fluid at rest"
 VELOCITY_ERROR = "m/s", "estimated root mean square error of the velocity"
 PRESSURE_ERROR = "Pa", "estimated root mean square error of the pressure less its mean"
 PARAMETERS = "", "parameter values of the run"
@@ -99,10 +95,12 @@ class Measured(Record):
     flow_rate: Array | None = dataset("snapshot", *FLOW_RATE, default=None)
     velocity: Array | None = dataset("snapshot place component", *VELOCITY_AT_PLACES, default=None)
     pressure: Array | None = dataset("snapshot place", *PRESSURE_AT_PLACES, default=None)
-    elevation: Array | None = dataset("snapshot", *ELEVATION, default=None)
-    centre_of_mass: Array | None = dataset("snapshot component", *CENTRE_OF_MASS, default=None)
-    kinetic_energy: Array | None = dataset("snapshot", *KINETIC_ENERGY, default=None)
-    potential_energy: Array | None = dataset("snapshot", *POTENTIAL_ENERGY, default=None)
+    elevation: Array | None = dataset("snapshot", "m", "height of the free surface", default=None)
+    centre_of_mass: Array | None = dataset(
+        "snapshot component", "m", "centre of mass of the fluid", default=None
+    )
+    kinetic_energy: Array | None = dataset("snapshot", "J/m", "kinetic energy", default=None)
+    potential_energy: Array | None = dataset("snapshot", "J/m", "potential energy", default=None)
 
 
 class Snapshots(Record):

@@ -5,16 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from sphrom.arrays import Array, Indices
-from sphrom.artifacts.records.runs import (
-    CENTRE_OF_MASS,
-    ELEVATION,
-    FLOW_RATE,
-    KINETIC_ENERGY,
-    POTENTIAL_ENERGY,
-    PRESSURE_ERROR,
-    TIME,
-    VELOCITY_ERROR,
-)
+from sphrom.artifacts.records.runs import FLOW_RATE, PRESSURE_ERROR, TIME, VELOCITY_ERROR
 from sphrom.declaration import Record, attribute, dataset, part
 from sphrom.metrics.draws import OutputIndices, OutputStatistics
 
@@ -61,13 +52,17 @@ class Measured(Record):
     pressure: Array | None = dataset(
         "complete_run snapshot", "Pa", "pressure at a probe", "p", default=None
     )
-    elevation: Array | None = dataset("complete_run snapshot", *ELEVATION, default=None)
-    centre_of_mass: Array | None = dataset(
-        "complete_run snapshot component", *CENTRE_OF_MASS, default=None
+    elevation: Array | None = dataset(
+        "complete_run snapshot", "m", "height of the free surface", default=None
     )
-    kinetic_energy: Array | None = dataset("complete_run snapshot", *KINETIC_ENERGY, default=None)
+    centre_of_mass: Array | None = dataset(
+        "complete_run snapshot component", "m", "centre of mass of the fluid", default=None
+    )
+    kinetic_energy: Array | None = dataset(
+        "complete_run snapshot", "J/m", "kinetic energy", default=None
+    )
     potential_energy: Array | None = dataset(
-        "complete_run snapshot", *POTENTIAL_ENERGY, default=None
+        "complete_run snapshot", "J/m", "potential energy", default=None
     )
     final_velocity: Array | None = dataset(
         "complete_run place component", "m/s", "velocity along a line at the end", "u", default=None
