@@ -15,6 +15,7 @@ import pytest
 from typer.testing import Result
 
 import sphrom as product
+from sphrom.errors import CaseError
 
 RATE = 1.6974449
 """Of the first standing wave [rad/s]."""
@@ -113,7 +114,7 @@ def test_sweeps_and_python_run_it(
     assert float(swept[1]["kinetic_energy [J/m]"]) == pytest.approx(energy)
     fields = result.fields([[0.5, 0.2], [0.5, 0.95]])
     assert not fields["velocity"][:, 1].any()
-    with pytest.raises(product.CaseError, match=r"sensitivities: .* free surface"):
+    with pytest.raises(CaseError, match=r"sensitivities: .* free surface"):
         model.sensitivities("ratio")
 
 
