@@ -64,7 +64,7 @@ class Answer:
     def pays_from(self) -> int | None:
         """How many runs make the model cheaper than full ones; None where never, or unknown."""
         timing = self.timing
-        if timing is None or timing.reduced_seconds is None:
+        if timing is None or timing.speed_up is None or timing.reduced_seconds is None:
             return None
         return break_even(self.offline_seconds, timing.full_seconds, timing.reduced_seconds)
 
@@ -107,15 +107,16 @@ class Answer:
 
     def _cost(self) -> Iterator[str]:
         timing = self.timing
-        if timing is None or timing.speed_up is None:
+        if timing is None or timing.full_seconds is None:
             yield "How long the full run took is unknown, and so is from when on the model pays."
             return
-        imported = timing.full_step is None
-        longest = ", as its import says" if imported else " at its largest stable step"
-        took = (
-            f"Undisturbed, on one thread, it takes {duration(timing.reduced_seconds or 0.0)}, "
-            f"the full run {duration(timing.full_seconds or 0.0)}{longest}."
-        )
+        own = f"Undisturbed, on one thread, it takes {duration(timing.reduced_seconds or 0.0)}"
+        full = duration(timing.full_seconds)
+        if timing.speed_up is None:
+            yield f"{own}. The full run took {full}, as its import says."
+            yield "There is no speed-up: the two times may be of other threads and machines."
+            return
+        took = f"{own}, the full run {full} at its largest stable step."
         if timing.speed_up <= 1.0:
             yield f"{took} It is not faster; a model with evaluation: operators is."
             return

@@ -21,7 +21,6 @@ from sphrom.compare.costs import (
     N_TIMED_STEPS,
     full_run_timer,
     is_imported,
-    known_seconds,
     largest_step,
     offline_seconds,
     taking_turns,
@@ -131,9 +130,9 @@ class _Trade:
         """Run everything, and return the rows of all models, the case's own full run first."""
         first, step = next(iter(self.full)), largest_step(self.case)
         with self.workspace.open(self.workspace.full_run(first)) as artifact:
-            imported, own_seconds = is_imported(artifact), known_seconds(artifact)
-        if not imported:  # Its steps are timed anew, as those of other full runs are.
-            own_seconds = self._full_seconds(self.workspace, step)
+            imported = is_imported(artifact)
+        # Its steps are timed anew, as those of other full runs are: only such times are divided.
+        own_seconds = None if imported else self._full_seconds(self.workspace, step)
         self.full_seconds = own_seconds
         own = ModelRow(
             model="full, as in the case",
