@@ -279,7 +279,7 @@ class Results:
                 summary = read_record(artifact, Statistics, "statistics") if stored else None
             if case.sweep.levels == (() if summary is None else tuple(summary.levels.tolist())):
                 name = self._whole.path.name
-                self._workspace.context.report.info(f"{name}: there, and of this case: kept")
+                self._workspace.context.report.info(f"{name}: up to date, kept")
                 return records, summary
         summary = statistics.statistics_of(self._workspace, records) if complete else None
         write_sweep(self._workspace, self._whole, records, summary)
