@@ -125,7 +125,7 @@ def test_step_beyond_a_limit(refusal, load, text, limit):
     (line,) = refusal(text)
     assert line.startswith("case.yaml:4: time.step: ")
     assert limit in line
-    assert line.endswith("; --force insists on it")
+    assert line.endswith("; --force accepts it")
     assert [w for w in case_warnings(load(text, force=True)) if limit in w]
 
 

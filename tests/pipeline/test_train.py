@@ -204,7 +204,7 @@ def test_two_parameters_and_both_fields(case, sphrom):
         (REGION, ("--budget", "2"), "starts from 2 full runs"),
         (REGION, ("--tolerance", "0"), "--tolerance"),
         (REGION, ("--write-case", "nowhere/a.yaml"), "--write-case"),
-        ({**REGION, "reynolds": [150, 400]}, (), "is trained on; test elsewhere"),
+        ({**REGION, "reynolds": [150, 400]}, (), "is a training value; test other"),
     ],
 )
 def test_what_can_not_be_done_is_told_before_anything_runs(
