@@ -65,7 +65,7 @@ class Field:
     meaning: str = ""
     required: bool = True
     axes: tuple[str, ...] = ()
-    """Axes of a dataset, or of the highest degree of several tensors."""
+    """Axes of a dataset; for several tensors, those of the highest degree."""
     symbol: str = ""
     equation: str = ""
     allowed: tuple[str, ...] = ()

@@ -268,7 +268,7 @@ def fast(study: sphrom.Study) -> sphrom.Model:
         (lambda s: fast(s).rates(np.zeros(3), np.nan), "time: must be finite"),
         (lambda s: fast(s).run(final_time=0.1234), "the nearest is 0.114"),
         (lambda s: fast(s).run_many({"reynolds": [120, -1]}), "reynolds: must be a number above"),
-        (lambda s: fast(s).run_many({"reynolds": []}), "points: there are none"),
+        (lambda s: fast(s).run_many({"reynolds": []}), "points: are empty"),
         (lambda s: fast(s).run_many([{"reynolds": 120}]), "points: must be values by parameter"),
         (lambda s: fast(s).run().fields([0.1, 0.2]), "must have the shape (n_points, 2); got (2,)"),
         (lambda s: sphrom.Study(CASE, threads="2"), "--threads: must be a whole number"),

@@ -341,7 +341,7 @@ def _check_splines(case: Case) -> Found:
     elif not case.plan.reference_lattice:
         yield "psi.kind", "B-splines need points of a lattice; set reference.points: lattice"
     if case.psi.order != type(case.psi).model_fields["order"].default:
-        yield "psi.order", "is only for kind: polyharmonic, which auto is not here"
+        yield "psi.order", "is only for kind: polyharmonic, and auto means b-spline here"
 
 
 def _check_models(case: Case) -> Found:

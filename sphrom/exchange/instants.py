@@ -85,7 +85,7 @@ def _natural(path: Path) -> list[Any]:
 def interval(sources: Sequence[Source]) -> float:
     """Return the mean time between snapshots [s], even if some are missing.
 
-    Of more than two, the last one is ignored, because many programs write it at the final time.
+    If there are more than two, the last one is ignored: many programs write it at the final time.
     """
     apart = np.diff([source.time for source in sources[: max(2, len(sources) - 1)]])
     return float(apart.sum() / np.rint(apart / np.median(apart)).sum())

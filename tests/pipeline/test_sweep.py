@@ -220,7 +220,7 @@ def test_full_runs_are_announced(sphrom, ready, monkeypatch):
         sphrom("sweep", "tiny.yaml", "--workers", "1", *slow)
     log = (ready / "sphrom.log").read_text()
     assert "add {name: fast, evaluation: operators} to rom" in log
-    assert re.search(r"the sweep makes 2 full runs, about [\d.]+ \w+ on one core", log)
+    assert re.search(r"the sweep makes 2 full runs, which take about [\d.]+ \w+ on one core", log)
 
 
 def test_full_runs_are_those_of_the_stage(sphrom, ready, digests, tmp_path):
