@@ -100,13 +100,13 @@ def measured_estimates(case: Case, run: Artifact) -> Measured:
 def measure_rows(
     own: Measured,
     full: Measured,
-    compared: NDArray[np.bool_],
+    selected: NDArray[np.bool_],
     estimates: Mapping[str, Any],
     *,
     with_weight: bool,
     **described: Any,
 ) -> Iterator[MeasureRow]:
-    """Yield the rows of a run beside the full run, over the `compared` snapshots (n_snapshots,).
+    """Yield the rows of a run beside the full run, over the `selected` snapshots (n_snapshots,).
 
     `described` are other fields of the rows. Estimated errors are root mean squares over time
     (...), by measurement and quantity. With `with_weight`, errors of pressures are not relative to
@@ -114,10 +114,10 @@ def measure_rows(
     """
     for measured, quantities in own.items():
         for quantity, values in quantities.items():
-            reference = full[measured][quantity][compared]
+            reference = full[measured][quantity][selected]
             square = variation(quantity, reference, with_weight=with_weight)
             others = components(quantity, reference)
-            for component, part in components(quantity, values[compared]).items():
+            for component, part in components(quantity, values[selected]).items():
                 estimated = None
                 if quantity in estimates.get(measured, {}) and square > 0.0:
                     expected = components(quantity, estimates[measured][quantity])

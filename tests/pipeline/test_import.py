@@ -344,7 +344,7 @@ def test_particles_that_come_and_go_are_refused(case, sphrom) -> None:
     names = write_npz()
     np.savez(names[2], **{name: value[1:] for name, value in fields(0.1).items()}, time=0.1)
     result = sphrom("import", case, *names, code=3)
-    assert "their_10.npz: holds 99 particles, their_0.npz 100: particles that enter or leave" in (
+    assert "their_10.npz: has 99 particles, their_0.npz has 100; particles that enter or leave" in (
         result.stderr
     )
     assert not RUN.exists()
@@ -369,7 +369,7 @@ def test_particles_that_come_and_go_are_refused(case, sphrom) -> None:
         ({}, ("--set", "parameters.train.reynolds=[1,2]"), 2, "--only: name the parameter value"),
         ({"u": np.where(HIGH > 0.5, np.nan, 1.0)}, (), 3, "u of particle 50 is nan"),
         ({"u": HIGH[1:]}, (), 3, "its fields have different lengths"),
-        ({"time": 0.0}, (), 3, "their_5.npz: is of the same time as their_0.npz"),
+        ({"time": 0.0}, (), 3, "their_5.npz: has the same time as their_0.npz"),
         ({"id": np.zeros(N)}, ("--sort-by", "id"), 3, "must be a unique number of each"),
         ({"\x1b[2J\u202e[red]": HIGH}, ("--velocity", "\x9bu,v"), 3, "has no field \\x9bu"),
     ],
@@ -445,7 +445,7 @@ def test_run_that_is_there_is_kept_unless_forced(case, sphrom, refused) -> None:
     names = write_npz()
     sphrom("fom", case, code=0)
     ours = RUN.read_bytes()
-    assert "is there, computed here, and not from ./their_*.npz" in refused("import", case, *names)
+    assert "exists already, computed here, and not from ./their_*.npz" in refused("import", case, *names)
     assert RUN.read_bytes() == ours
     sphrom("import", case, *names, "--force", code=0)
     theirs = RUN.read_bytes()
