@@ -178,6 +178,11 @@ class CustomScene(SceneSection):
         return self.fluid is not None
 
     @property
+    def gravity(self) -> float:
+        """The acceleration along -y of fluid with a free surface [m/s2]."""
+        return 0.0 if self.fluid is None else self.fluid.gravity
+
+    @property
     def free_slip(self) -> bool:
         """Whether fluid slips along walls without friction."""
         return self.slip == "free"

@@ -99,6 +99,16 @@ class SurfaceForce(BodyForce):
         found = cls(lambda at: found(at, 0.0), lambda time: 1.0, None, True, parts, gravity)
         return found
 
+    @property
+    def varies_in_space(self) -> bool:
+        """Whether the body force depends on x or y."""
+        return any(part.depends_on & {"x", "y"} for part in self.parts)
+
+    def uniform(self, times: Array) -> Array:
+        """Return a body force that is the same everywhere (2, n_times) [m/s2], without gravity."""
+        found = [part(x=0.0, y=0.0, t=times) for part in self.parts]
+        return np.stack([np.broadcast_to(one, times.shape) for one in found])
+
     def __call__(self, position: Array, time: float) -> Array:
         """Return the acceleration (2, n_particles) [m/s2]."""
         out = np.empty_like(position)

@@ -6,13 +6,13 @@ import math
 from abc import abstractmethod
 from collections.abc import Collection, Iterator, Mapping
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 
 from sphrom.arrays import Array
-from sphrom.case.fields import Duration, Place, SafeName, Section, Whole, key, only_one
+from sphrom.case.fields import Coordinate, Duration, Place, SafeName, Section, Whole, key, only_one
 from sphrom.metrics.measures import Column, Oscillating, Oscillations
 from sphrom.scenes.flows import Channel, Scales, Scene
 from sphrom.scenes.reference_profiles import ReferenceProfile
@@ -102,6 +102,11 @@ class SceneSection(Section):
         """Whether the fluid has a free surface."""
         return False
 
+    @property
+    def gravity(self) -> float:
+        """The acceleration along -y of fluid with a free surface [m/s2]."""
+        return 0.0
+
     def level_at(self, values: Mapping[str, float] = NONE) -> float:
         """Return the height y of a level free surface at rest [m], else infinity.
 
@@ -140,7 +145,12 @@ class SceneSection(Section):
     @property
     def measured_fields(self) -> Measures:
         """The measurements of velocity and pressure: flow rates, probes and lines, by name."""
-        return {name: m for name, m in self.recorded.items() if m.force_on is None}
+        return {n: m for n, m in self.recorded.items() if m.force_on is None and not m.of_surface}
+
+    @property
+    def measured_surface(self) -> Measures:
+        """The measurements that only scenes with a free surface have, by name."""
+        return {name: m for name, m in self.recorded.items() if m.of_surface}
 
     @property
     def recorded(self) -> Measures:
@@ -219,6 +229,17 @@ class MeasureSection(Section):
     )
     probe: Place | None = key(None, "a place: velocity and pressure there", unit="m")
     line: LineSection | None = key(None, "a segment: velocity and pressure along it")
+    elevation: Coordinate | None = key(
+        None,
+        "x of a vertical line: height y of the free surface there, of the fluid that stands on the "
+        "floor, without drops above it",
+        unit="m",
+    )
+    of_fluid: Literal["centre_of_mass", "energy"] | None = key(
+        None,
+        "fluid with a free surface: its centre of mass, or its kinetic and potential energy, zero "
+        "at rest (in a shape without level: at the floor)",
+    )
     frequency: FrequencySection | None = key(
         None, "what another measurement gives: frequency, amplitude and mean of its oscillation"
     )
@@ -235,7 +256,17 @@ class MeasureSection(Section):
             return ("force", "torque")
         if self.flow_rate is not None:
             return ("flow_rate",)
+        if self.elevation is not None:
+            return ("elevation",)
+        if self.of_fluid is not None:
+            energies = ("kinetic_energy", "potential_energy")
+            return energies if self.of_fluid == "energy" else (self.of_fluid,)
         return ("velocity", "pressure") if self.probe is not None else ()
+
+    @property
+    def of_surface(self) -> bool:
+        """Whether only scenes with a free surface have it."""
+        return self.elevation is not None or self.of_fluid is not None
 
     @property
     def segment(self) -> tuple[Place, Place] | None:

@@ -43,7 +43,7 @@ from sphrom.plots.tables import format_figure
 from sphrom.setup import assembly, particles
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import require_room
-from sphrom.setup.particles import MeasuredFields
+from sphrom.setup.particles import MeasuredParticles
 from sphrom.sph import fluid
 from sphrom.sph.fluid import fluctuation_of
 from sphrom.sph.functional import Functional
@@ -157,7 +157,7 @@ def _write(
             plan.sound_speed,
             walls=particles.walls(case, plan.flow(point)),
             forces=particles.wall_forces(case, point, model),
-            fields=MeasuredFields.of(case),
+            fields=MeasuredParticles.of(case, point),
         )
         read = lru_cache(maxsize=2 * N_NODES)(converter)
         with workspace.context.report.progress(f"import, {point.label}", len(choices)) as advance:

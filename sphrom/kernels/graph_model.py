@@ -52,7 +52,7 @@ class Limits(NamedTuple):
     top: float
     """[m] above the bottom."""
     least_depth: float
-    """[m]"""
+    """Over the mean depth."""
 
 
 @term
@@ -183,7 +183,7 @@ def _ending(tables: Tables, limits: Limits, state: Array, depth: float) -> tuple
         for s in range(tables.slope.shape[1]):
             height += tables.elevation[q, s] * state[n_modes + s]
             slope += tables.slope[q, s] * state[n_modes + s]
-        if height < limits.least_depth:
+        if height < limits.least_depth * depth:
             return DRY, q
         if height > limits.top:
             return ABOVE, q
@@ -200,7 +200,7 @@ def run_all(
     force: Array,
     closure: Array,
     n_substeps: int,
-    time_step: Array,
+    time_step: float,
     states: Array,
     endings: Indices,
 ) -> None:
@@ -210,7 +210,8 @@ def run_all(
     ----------
     given : (n_runs, 3) depth [m], gravity [m/s2] and kinematic viscosity [m2/s].
     force : (n_runs, 2 n_steps + 1, 2) [m/s2] at the steps and between.
-    time_step : (n_runs,) [s].
+    closure : (n_runs, n_modes + n_surface, n_modes + n_surface) [1/s].
+    time_step : [s].
     states : (n_runs, n_steps / n_substeps + 1, n_modes + n_surface).
     endings : (n_runs, 3) how a run ended, the number of finished steps, and the column.
     """
@@ -221,7 +222,7 @@ def run_all(
         state, stage = states[run, 0].copy(), np.empty(n_all)
         rate, total = np.empty(n_all), np.empty(n_all)
         depth, gravity, viscosity = given[run, 0], given[run, 1], given[run, 2]
-        dt = time_step[run]
+        dt = time_step
         for step in range((n_snapshots - 1) * n_substeps):
             total[:] = 0.0
             rate[:] = 0.0
@@ -232,7 +233,7 @@ def run_all(
                     stage[i] = state[i] + ahead * rate[i]
                 weight = gravity - force[run, at, 1]
                 f_x = force[run, at, 0]
-                rates(tables, stage, depth, weight, viscosity, f_x, closure, mass, work, rate)
+                rates(tables, stage, depth, weight, viscosity, f_x, closure[run], mass, work, rate)
                 factor = dt / 3 if part in (1, 2) else dt / 6
                 for i in range(n_all):
                     total[i] += factor * rate[i]

@@ -22,11 +22,16 @@ from sphrom.metrics.series import OSCILLATION, oscillation, oscillation_beside
 Quantities = Mapping[str, Array]
 """By UNITS, what one measurement gives."""
 
-UNITS = {"force": "N/m", "torque": "N", "flow_rate": "m2/s", "velocity": "m/s", "pressure": "Pa"}
-VECTORS = ("force", "velocity")
+UNITS = {
+    "force": "N/m", "torque": "N", "flow_rate": "m2/s", "velocity": "m/s", "pressure": "Pa",
+    "elevation": "m", "centre_of_mass": "m", "kinetic_energy": "J/m", "potential_energy": "J/m",
+}  # fmt: skip
+VECTORS = ("force", "velocity", "centre_of_mass")
 """Quantities with an axis of components, the last."""
 AXES = ("x", "y")
 """Names of components."""
+ABOUT_MEAN = ("elevation", "centre_of_mass")
+"""Quantities whose errors are relative to how they vary over time."""
 PLACED = ("velocity", "pressure")
 """Quantities with an axis of places."""
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(3)
@@ -182,6 +187,17 @@ def mean_square(quantity: str, values: Array) -> float:
     """Return the mean square of values (n_snapshots, ...) over time and places, of vectors too."""
     squares = np.sum(values**2, axis=-1) if quantity in VECTORS else values**2
     return float(squares.mean())
+
+
+def variation(quantity: str, values: Array, *, with_weight: bool = False) -> float:
+    """Return the mean square of values (n_snapshots, ...) that errors are relative to.
+
+    Elevations and centres of mass count about their means over time, and so do pressures of fluid
+    whose weight they hold: where the origin is, and fluid at rest, makes no error smaller.
+    """
+    if quantity in ABOUT_MEAN or (with_weight and quantity == "pressure"):
+        values = values - values.mean(axis=0)
+    return mean_square(quantity, values)
 
 
 def errors_of(

@@ -10,6 +10,7 @@ from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, ArtifactWriter
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
+from sphrom.offline.surfaces import map_point as map_surface
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.setup import particles
 from sphrom.setup.assembly import medium
@@ -28,7 +29,10 @@ def run(context: StageContext) -> None:
         target = workspace.mapped(point)
         if workspace.must_make(target):
             workspace.require(workspace.full_run(point))
-            _map_point(workspace, point, reference_points(workspace))
+            if context.case.scene.has_surface:
+                map_surface(workspace, point)
+            else:
+                _map_point(workspace, point, reference_points(workspace))
 
 
 def reference_points(workspace: Workspace) -> Array:

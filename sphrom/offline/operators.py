@@ -28,6 +28,7 @@ from sphrom.case.sections import AUTO
 from sphrom.errors import CaseError
 from sphrom.machine import computing_seconds
 from sphrom.metrics.series import smoothed
+from sphrom.offline import surfaces
 from sphrom.plots.tables import format_figure
 from sphrom.reduction import reference_model
 from sphrom.reduction.decomposition import N_FIELD_VALUES
@@ -90,6 +91,9 @@ def run(context: StageContext) -> None:
     require_room(context.case, workspace.out, None, "operators")
     target = workspace.operators()
     if not workspace.must_make(target):
+        return
+    if context.case.scene.has_surface:
+        surfaces.train_models(workspace)
         return
     points = particles.fixed_points(context.case, read_points(workspace))
     with workspace.create(target, {"walls_driven": int(points.walls_driven)}) as artifact:

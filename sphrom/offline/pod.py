@@ -12,6 +12,7 @@ from sphrom.artifacts import Artifact, ArtifactWriter, write_record
 from sphrom.case.hints import few_snapshots
 from sphrom.errors import CaseError
 from sphrom.metrics.histories import cumulative_singular_value_share, energy
+from sphrom.offline import surfaces
 from sphrom.reduction.decomposition import decompose
 from sphrom.reduction.trial_basis import JOINT, Modes, TrialBasis, weighted_mean
 from sphrom.setup.assembly import inner_product, medium
@@ -31,6 +32,9 @@ def run(context: StageContext) -> None:
     if not workspace.must_make(target):
         return
     case = context.case
+    if case.scene.has_surface:
+        surfaces.decompose(workspace)
+        return
     attributes = {"inner_product": case.basis.inner_product, **medium(case)}
     with workspace.create(target, attributes) as artifact:
         with ExitStack() as stack:

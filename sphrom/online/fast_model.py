@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,31 +19,33 @@ from sphrom.arrays import Array
 from sphrom.case.hints import beyond_training, extrapolation
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.errors import CaseError, UnstableError
+from sphrom.errors import UnstableError
 from sphrom.metrics.measures import Quantities, items
 from sphrom.metrics.samples import Samples
 from sphrom.online.basis_model import BasisModel, quantities_of
 from sphrom.online.error_estimates import ErrorEstimate, estimate
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.polynomial_model import Run
-from sphrom.reduction.reference_model import Integrator, ReferenceModel
+from sphrom.reduction.reference_model import Integrator, ReferenceModel, automatic
 from sphrom.reduction.trial_basis import ModeVelocities
 from sphrom.setup.assembly import MOST_GROWTH
 from sphrom.sph.fluid import ROUNDING
 from sphrom.store.starts import MappedStarts
 from sphrom.store.workspace import Workspace
 
+if TYPE_CHECKING:
+    from sphrom.online.surface_model import SurfaceModel
+
 DOUBTFUL = 50.0
 """The estimated error from which a run is doubtful [%]: errors are up to twice their estimates."""
 
 
-def fast_model(workspace: Workspace, section: ReducedModelSection) -> FastModel:
-    """Return a model that is run without particles.
-
-    Raises CaseError for a scene with a free surface, where no such model is known.
-    """
+def fast_model(workspace: Workspace, section: ReducedModelSection) -> FastModel | SurfaceModel:
+    """Return a model that is run without particles."""
     if workspace.case.scene.has_surface:
-        raise CaseError(f"rom: {section.name} can't be had with a free surface")
+        from sphrom.online.surface_model import SurfaceModel  # it loads kernels
+
+        return SurfaceModel(workspace, section)
     return FastModel(workspace, section)
 
 
@@ -99,6 +102,12 @@ class FastModel:
     def at(self, point: ParameterPoint) -> ReferenceModel:
         """Return the model at a parameter point."""
         return self.at_point(point).at(point)
+
+    def timed(self, point: ParameterPoint, repeats: int) -> tuple[FastRun, float]:
+        """Return a run in automatic steps, and the least time that some took [s]."""
+        reduced = self.at(point)
+        found, seconds = automatic(reduced).timed(repeats)
+        return FastRun(**vars(found), model=self, point=point, reduced=reduced), seconds
 
     def runner(self, point: ParameterPoint) -> Callable[[], object]:
         """Return what makes one run at a parameter point, to be timed."""

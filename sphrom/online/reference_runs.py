@@ -25,7 +25,7 @@ from sphrom.online.error_estimates import (
     measured_once,
     steady_errors,
 )
-from sphrom.online.fast_model import FastModel, FastRun, fast_model
+from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.online.stable_ranges import against
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.polynomial_model import EXPONENTIAL, steady_state
@@ -137,7 +137,7 @@ def run_point(workspace: Workspace, section: ReducedModelSection, point: Paramet
 @lru_cache(maxsize=1)
 def _fast_model(workspace: Workspace, name: str) -> FastModel:
     """Return the model of runs that differ in their points alone: it learns from training once."""
-    return fast_model(workspace, next(m for m in workspace.case.rom if m.name == name))
+    return FastModel(workspace, next(m for m in workspace.case.rom if m.name == name))
 
 
 def _warn(

@@ -17,10 +17,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
+from numpy.polynomial.legendre import legint, legvander
 
 from sphrom.arrays import Array
 from sphrom.declaration import Record, attribute, dataset, part
@@ -31,8 +32,8 @@ STEPS_A_PERIOD = 40
 """Of the fastest mode of the elevation."""
 SLOPE_BEYOND_TRAINING, LEAST_DEPTH = 1.5, 0.05
 """The largest slope of a run over the largest trained, and the least depth over the mean depth."""
-N_COLUMNS, N_HEIGHTS = 24, 6
-"""Of the points of integration."""
+N_COLUMNS, N_HEIGHTS, N_BELOW = 24, 6, 16
+"""Of the points of integration; N_BELOW of those between a point and the surface."""
 SURFACE_VARIANCE = 1e-6
 """Share of the elevation's variance that its modes leave out."""
 REASONS = {
@@ -79,12 +80,33 @@ class SurfaceBasis(Record):
         elevation : (n_snapshots, n_columns) [m] at the midpoints of equal columns.
         """
         cosines = cosine_coordinates(elevation, self.surface_modes.shape[1])
-        velocities = np.empty((len(coefficients), len(self.stream_modes)))
+        matrices, right_sides, _ = self.products(coefficients, elevation)
+        velocities = np.linalg.solve(matrices, right_sides[..., None])[..., 0]
+        return np.concatenate([velocities, cosines @ self.surface_modes.T], axis=1)
+
+    def products(self, coefficients: Array, elevation: Array) -> tuple[Array, Array, Array]:
+        """Return scalar products of velocities below each snapshot's surface [m4/s2].
+
+        Returns
+        -------
+        (n_snapshots, n_modes, n_modes) of modes, (n_snapshots, n_modes) of modes and the snapshot's
+        velocity, (n_snapshots,) of that with itself.
+        """
+        n_snapshots, n_modes = len(coefficients), len(self.stream_modes)
+        matrices, sides = (
+            np.empty((n_snapshots, n_modes, n_modes)),
+            np.empty((n_snapshots, n_modes)),
+        )
+        squares = np.empty(n_snapshots)
         for number, (own, heights) in enumerate(zip(coefficients, elevation, strict=True)):
             matrix, weights = _weighted_curl(self.space, heights)
-            modes = matrix @ self.stream_modes.T * weights[:, None]
-            velocities[number] = np.linalg.lstsq(modes, weights * (matrix @ own))[0]
-        return np.concatenate([velocities, cosines @ self.surface_modes.T], axis=1)
+            modes, velocity = (
+                weights[:, None] * (matrix @ self.stream_modes.T),
+                weights * (matrix @ own),
+            )
+            matrices[number], sides[number] = modes.T @ modes, velocity @ modes
+            squares[number] = velocity @ velocity
+        return matrices, sides, squares
 
 
 def make_basis(
@@ -96,7 +118,7 @@ def make_basis(
     ----------
     coefficients : (n_runs, n_snapshots, n_coefficients) [m2/s].
     elevation : (n_runs, n_snapshots, n_columns) [m] at the midpoints of equal columns.
-    noise : root mean square of the fits' relative residuals.
+    noise : root of the residuals' share in the energy of all snapshots.
     """
     snapshots = coefficients.reshape(-1, coefficients.shape[-1])
     heights = elevation.reshape(-1, elevation.shape[-1])
@@ -149,40 +171,8 @@ class GraphModel:
     """The body force (2, n_times) [m/s2] at times [s]."""
     closure: Array | None = None
     """(n_modes + n_surface, n_modes + n_surface) [1/s], added to the rates."""
-
-    @cached_property
-    def tables(self) -> kernels.Tables:
-        """The modes at the points of integration."""
-        space = self.basis.space
-        columns, weights = _columns(space)
-        nodes, node_weights = np.polynomial.legendre.leggauss(N_HEIGHTS)
-        row_height = (space.top - space.bottom) / space.n_rows
-        stream = np.empty((len(columns), space.n_rows, 3, DEGREE + 1, len(self.basis.stream_modes)))
-        for row in range(space.n_rows):
-            lower = np.full(len(columns), space.bottom + row * row_height)
-            middle = np.stack([columns, lower + row_height / 2], axis=-1)
-            for along_x in range(3):
-                orders = [(along_x, power) for power in range(DEGREE + 1)]
-                taylor = space.derivatives(middle, *orders)
-                for power in range(DEGREE + 1):
-                    stream[:, row, along_x, power] = sum(
-                        taylor[k]
-                        @ self.basis.stream_modes.T
-                        * ((-row_height / 2) ** (k - power) / math.factorial(k - power))
-                        / math.factorial(power)
-                        for k in range(power, DEGREE + 1)
-                    )
-        return kernels.Tables(
-            stream,
-            _surface(self.basis, columns, 0),
-            _surface(self.basis, columns, 1),
-            weights,
-            (1 + nodes) / 2,
-            node_weights / 2,
-            space.bottom,
-            row_height,
-            space.width / 2,
-        )
+    gravity_factor: float = 1.0
+    """Calibrated; it multiplies gravity in the rates, but neither in pressure nor in energies."""
 
     @property
     def time_step(self) -> float:
@@ -192,47 +182,25 @@ class GraphModel:
         squares = self.gravity * wave_numbers * np.tanh(wave_numbers * self.depth)
         return 2 * math.pi / math.sqrt(float((amplitudes @ squares).max())) / STEPS_A_PERIOD
 
+    @property
+    def closure_matrix(self) -> Array:
+        """The closure, zero where there is none."""
+        size = len(self.basis.stream_modes) + len(self.basis.surface_modes)
+        return np.zeros((size, size)) if self.closure is None else self.closure
+
     def run(self, times: Array, start: Array) -> GraphRun:
         """Return the run from coordinates (n_modes + n_surface,) at equally spaced times [s]."""
-        interval = float(times[1] - times[0])
-        n_substeps = max(1, math.ceil(interval / self.time_step))
-        instants = np.linspace(times[0], times[-1], 2 * n_substeps * (len(times) - 1) + 1)
-        states = np.empty((1, len(times), len(start)))
-        states[0, 0] = start
-        endings = np.zeros((1, 3), dtype=np.int64)
-        basis = self.basis
-        kernels.run_all(
-            self.tables,
-            kernels.Limits(
-                SLOPE_BEYOND_TRAINING * basis.largest_slope,
-                basis.space.top - basis.space.bottom,
-                LEAST_DEPTH * self.depth,
-            ),
-            np.array([[self.depth, self.gravity, self.viscosity]]),
-            np.ascontiguousarray(self.force(instants).T)[None],
-            np.zeros((len(start),) * 2) if self.closure is None else self.closure,
-            n_substeps,
-            np.array([interval / n_substeps]),
-            states,
-            endings,
-        )
-        code, step, column = endings[0]
-        if code == kernels.FINISHED:
-            return GraphRun(times, states[0])
-        kept = 1 + (step - 1) // n_substeps
-        place = float(_columns(basis.space)[0][column])
-        end_time = float(instants[2 * step])
-        return GraphRun(times[:kept], states[0, :kept], REASONS[code], end_time, place)
+        return run_many([self], times, [start])[0]
 
-    def rates(self, state: Array, time: float) -> Array:
-        """Return the rates [1/s] of coordinates (n_modes + n_surface,) at a time [s]."""
+    def rates(self, times: Array, coordinates: Array) -> Array:
+        """Return the rates [1/s] of coordinates (n_times, n_modes + n_surface) at times [s]."""
         n_modes = len(self.basis.stream_modes)
-        f_x, f_y = self.force(np.array([time]))[:, 0]
-        out = np.empty(len(state))
-        closure = np.zeros((len(state),) * 2) if self.closure is None else self.closure
+        tables, gravity = _tables(self.basis), self.gravity_factor * self.gravity
+        out = np.empty(coordinates.shape)
         work = np.empty((n_modes, n_modes)), np.empty((5, n_modes))
-        given = self.depth, self.gravity - f_y, self.viscosity, f_x
-        kernels.rates(self.tables, state, *given, closure, *work, out)
+        for own, state, (f_x, f_y) in zip(out, coordinates, self.force(times).T, strict=True):
+            given = self.depth, gravity - f_y, self.viscosity, f_x, self.closure_matrix
+            kernels.rates(tables, state, *given, *work, own)
         return out
 
     def velocity(self, coordinates: Array, points: Array) -> Array:
@@ -250,22 +218,80 @@ class GraphModel:
         )
         return np.asarray(self.basis.space.bottom + self.depth + fluctuation)
 
+    def pressure(self, times: Array, coordinates: Array, points: Array) -> Array:
+        """Return pressures (n_times, n_points) over the density [m2/s2], zero above the surface.
+
+        The pressure is the integral up to the surface of weight, acceleration and viscosity.
+        """
+        rates, (nodes, weights) = self.rates(times, coordinates), _gauss_points(N_BELOW)
+        degrees = np.arange(N_BELOW)
+        to_series = legvander(2.0 * nodes - 1.0, N_BELOW - 1) * weights[:, None] * (2 * degrees + 1)
+        out, bottom = np.empty((len(times), len(points))), self.basis.space.bottom
+        for x in np.unique(points[:, 0]):
+            (here,) = np.nonzero(points[:, 0] == x)
+            height = self.elevation(coordinates, np.array([x])) - bottom
+            slope = self._slope(times, coordinates, rates, x, bottom + height * nodes)
+            # The slope is a Legendre series over the fluid's height, and its integral another one.
+            integral = legint(slope @ to_series, axis=1)
+            places = np.minimum(2.0 * (points[here, 1] - bottom) / height - 1.0, 1.0)
+            below = np.einsum("tpk,tk->tp", legvander(places, N_BELOW), integral)
+            out[:, here] = 0.5 * height * (integral.sum(axis=1)[:, None] - below)
+        return out
+
+    def wall_force(
+        self, times: Array, coordinates: Array, wall: str, centre: Array
+    ) -> tuple[Array, Array]:
+        """Return the pressure's force and torque on the left, right or bottom wall.
+
+        Parameters
+        ----------
+        centre : (2,) [m], about which the torque is.
+
+        Returns
+        -------
+        forces : (n_times, 2) over the density [m3/s2].
+        torques : (n_times,) over the density [m4/s2].
+        """
+        space, forces = self.basis.space, np.zeros((len(times), 2))
+        if wall == "bottom":
+            columns, widths = _columns(space)
+            points = np.stack([columns, np.full(N_COLUMNS, space.bottom)], axis=-1)
+            pressure = self.pressure(times, coordinates, points)
+            forces[:, 1] = -pressure @ widths
+            return forces, -pressure @ (widths * (columns - centre[0]))
+        x, sign = (space.left, -1.0) if wall == "left" else (space.right, 1.0)
+        nodes, weights = _gauss_points(N_BELOW)
+        height = self.elevation(coordinates, np.array([x])) - space.bottom
+        y = height * nodes
+        rates = self.rates(times, coordinates)
+        # Integrals over the pressure are integrals over its slope, by parts.
+        slope = height * weights * self._slope(times, coordinates, rates, x, space.bottom + y)
+        forces[:, 0] = sign * np.sum(slope * y, axis=-1)
+        arm = y / 2 + space.bottom - centre[1]
+        return forces, -sign * np.sum(slope * y * arm, axis=-1)
+
+    def _slope(self, times: Array, coordinates: Array, rates: Array, x: float, y: Array) -> Array:
+        """Return -p_y (n_times, n_heights) [m/s2] at heights y of x, both [m]."""
+        n_modes, modes = len(self.basis.stream_modes), self.basis.stream_modes
+        along = self.basis.space.along
+        orders = (0, 1), (1, 0), (2, 0), (1, 1), (3, 0), (1, 2)
+        p_y, p_x, p_xx, p_xy, p_xxx, p_xyy = along(coordinates[:, :n_modes] @ modes, x, y, *orders)
+        (rate,) = along(rates[:, :n_modes] @ modes, x, y, (1, 0))
+        weight = (self.gravity - self.force(times)[1])[:, None]
+        viscous = self.viscosity * (p_xxx + p_xyy)
+        return np.asarray(weight - rate - p_y * p_xx + p_x * p_xy + viscous)
+
     def kinetic_energy(self, coordinates: Array) -> Array:
         """Return the kinetic energy (n_times,) over the density [m4/s2]."""
-        columns, weights = _columns(self.basis.space)
-        heights = self.elevation(coordinates, columns) - self.basis.space.bottom
-        out = np.empty(len(coordinates))
-        for number, own in enumerate(heights):
-            points = np.stack(
-                [
-                    np.repeat(columns, N_HEIGHTS),
-                    self.basis.space.bottom + np.outer(own, self.tables.heights).ravel(),
-                ],
-                axis=-1,
-            )
-            velocity = self.velocity(coordinates[number], points)
-            area = np.outer(weights * own, self.tables.height_weights).ravel()
-            out[number] = 0.5 * np.sum(area * np.sum(velocity**2, axis=-1))
+        space, (nodes, weights) = self.basis.space, _gauss_points(N_HEIGHTS)
+        columns, widths = _columns(space)
+        stream = coordinates[:, : len(self.basis.stream_modes)] @ self.basis.stream_modes
+        heights = self.elevation(coordinates, columns) - space.bottom
+        out = np.zeros(len(coordinates))
+        for x, width, own in zip(columns, widths, heights.T, strict=True):
+            y = space.bottom + np.outer(own, nodes)
+            p_x, p_y = space.along(stream, x, y, (1, 0), (0, 1))
+            out += 0.5 * width * own * ((p_x**2 + p_y**2) @ weights)
         return out
 
     def potential_energy(self, coordinates: Array) -> Array:
@@ -273,30 +299,105 @@ class GraphModel:
         surface = coordinates[:, len(self.basis.stream_modes) :]
         return np.asarray(self.gravity * self.basis.space.width / 4 * np.sum(surface**2, axis=-1))
 
+    def centre_of_mass(self, coordinates: Array) -> Array:
+        """Return the centre of mass (n_times, 2) [m]."""
+        space = self.basis.space
+        cosines = coordinates[:, len(self.basis.stream_modes) :] @ self.basis.surface_modes
+        number = np.arange(1, cosines.shape[1] + 1)
+        moments = ((-1.0) ** number - 1) * space.width / (math.pi * number) ** 2
+        x = space.left + space.width / 2 + cosines @ moments / self.depth
+        y = space.bottom + self.depth / 2 + np.sum(cosines**2, axis=-1) / (4 * self.depth)
+        return np.stack([x, y], axis=-1)
 
-def calibrate_gravity(models: Sequence[GraphModel], trained: Sequence[GraphRun]) -> Array:
-    """Return factors of gravity (n_factors,), and errors of repeated training runs with each.
 
-    Sums over particles shift the frequency of waves by as much as a different gravity would. A run
-    that ends early has an infinite error. One of the factors is one: no calibration.
+def run_many(models: Sequence[GraphModel], times: Array, starts: Sequence[Array]) -> list[GraphRun]:
+    """Return runs of models with one basis, at equally spaced times [s], in parallel.
 
-    Returns
-    -------
-    (2, n_factors) factors, and the runs' largest relative errors of the elevation.
+    Parameters
+    ----------
+    times : (n_times,) [s], of all runs; they share the smallest time step of the models.
+    starts : coordinates (n_modes + n_surface,) of each model.
+
+    Raises
+    ------
+    ValueError
+        If the models have several bases.
     """
-    factors = np.arange(-20, 31) / 1000 + 1.0
-    errors = np.zeros(len(factors))
-    for number, factor in enumerate(factors):
-        for model, expected in zip(models, trained, strict=True):
-            own = replace(model, gravity=factor * model.gravity)
-            run = own.run(expected.times, expected.coordinates[0])
-            surface = expected.coordinates[:, len(model.basis.stream_modes) :]
-            error = math.inf
-            if run.ended is None:
-                difference = run.coordinates[:, -surface.shape[1] :] - surface
-                error = float(np.linalg.norm(difference) / np.linalg.norm(surface))
-            errors[number] = max(errors[number], error)
-    return np.stack([factors, errors])
+    basis = models[0].basis
+    if any(model.basis is not basis for model in models):
+        raise ValueError("runs in parallel have one basis")
+    interval = float(times[1] - times[0])
+    n_substeps = max(1, math.ceil(interval / min(model.time_step for model in models)))
+    instants = np.linspace(times[0], times[-1], 2 * n_substeps * (len(times) - 1) + 1)
+    states = np.empty((len(models), len(times), len(starts[0])))
+    states[:, 0] = starts
+    endings = np.zeros((len(models), 3), dtype=np.int64)
+    kernels.run_all(
+        _tables(basis),
+        kernels.Limits(
+            SLOPE_BEYOND_TRAINING * basis.largest_slope,
+            basis.space.top - basis.space.bottom,
+            LEAST_DEPTH,
+        ),
+        np.array([(m.depth, m.gravity_factor * m.gravity, m.viscosity) for m in models]),
+        np.stack([model.force(instants).T for model in models]),
+        np.stack([model.closure_matrix for model in models]),
+        n_substeps,
+        interval / n_substeps,
+        states,
+        endings,
+    )
+    runs = []
+    for own, (code, step, column) in zip(states, endings, strict=True):
+        if code == kernels.FINISHED:
+            runs.append(GraphRun(times, own))
+            continue
+        kept = 1 + (step - 1) // n_substeps
+        place = float(_columns(basis.space)[0][column])
+        end_time = float(instants[2 * step])
+        runs.append(GraphRun(times[:kept], own[:kept], REASONS[code], end_time, place))
+    return runs
+
+
+@lru_cache(maxsize=8)
+def _tables(basis: SurfaceBasis) -> kernels.Tables:
+    """Return the modes at the points of integration."""
+    space = basis.space
+    columns, weights = _columns(space)
+    nodes, node_weights = _gauss_points(N_HEIGHTS)
+    row_height = (space.top - space.bottom) / space.n_rows
+    stream = np.empty((len(columns), space.n_rows, 3, DEGREE + 1, len(basis.stream_modes)))
+    for row in range(space.n_rows):
+        lower = np.full(len(columns), space.bottom + row * row_height)
+        middle = np.stack([columns, lower + row_height / 2], axis=-1)
+        for along_x in range(3):
+            orders = [(along_x, power) for power in range(DEGREE + 1)]
+            taylor = space.derivatives(middle, *orders)
+            for power in range(DEGREE + 1):
+                stream[:, row, along_x, power] = sum(
+                    taylor[k]
+                    @ basis.stream_modes.T
+                    * ((-row_height / 2) ** (k - power) / math.factorial(k - power))
+                    / math.factorial(power)
+                    for k in range(power, DEGREE + 1)
+                )
+    return kernels.Tables(
+        stream,
+        _surface(basis, columns, 0),
+        _surface(basis, columns, 1),
+        weights,
+        nodes,
+        node_weights,
+        space.bottom,
+        row_height,
+        space.width / 2,
+    )
+
+
+def _gauss_points(count: int) -> tuple[Array, Array]:
+    """Return points between 0 and 1, and their weights."""
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    return (1 + nodes) / 2, weights / 2
 
 
 def _columns(space: StreamSpace) -> tuple[Array, Array]:
@@ -319,11 +420,9 @@ def _weighted_curl(space: StreamSpace, elevation: Array) -> tuple[Array, Array]:
     columns, widths = _columns(space)
     midpoints = space.left + space.width * (np.arange(len(elevation)) + 0.5) / len(elevation)
     heights = np.interp(columns, midpoints, elevation) - space.bottom
-    nodes, weights = np.polynomial.legendre.leggauss(N_HEIGHTS)
-    y = space.bottom + np.outer(heights, (1 + nodes) / 2).ravel()
+    nodes, weights = _gauss_points(N_HEIGHTS)
+    y = space.bottom + np.outer(heights, nodes).ravel()
     points = np.stack([np.repeat(columns, N_HEIGHTS), y], axis=-1)
     d_x, d_y = space.derivatives(points, (1, 0), (0, 1))
-    areas = np.outer(widths * heights, weights / 2).ravel()
-    points = np.stack([np.repeat(columns, N_HEIGHTS), y], axis=-1)
-    d_x, d_y = space.derivatives(points, (1, 0), (0, 1))
+    areas = np.outer(widths * heights, weights).ravel()
     return np.concatenate([d_y, -d_x]), np.sqrt(np.tile(areas, 2))

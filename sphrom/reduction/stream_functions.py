@@ -12,6 +12,7 @@ A cosine has no mean, so that the volume is exact.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 import scipy.linalg
@@ -19,7 +20,6 @@ from scipy.interpolate import BSpline
 
 from sphrom.arrays import Array
 from sphrom.declaration import Record, attribute
-from sphrom.errors import SphromError
 
 DEGREE = 4
 """Of the splines."""
@@ -42,6 +42,11 @@ class StreamSpace(Record):
         """Distance between the walls [m]."""
         return self.right - self.left
 
+    @property
+    def n_coefficients(self) -> int:
+        """The number of splines."""
+        return (self.n_columns + DEGREE - 2) * (self.n_rows + DEGREE - 1)
+
     def derivatives(self, points: Array, *orders: tuple[int, int]) -> list[Array]:
         """Return matrices (n_points, n_coefficients) of derivatives along x and y at points."""
         along_x = {k: self._along_x(points[:, 0], k) for k in {k for k, _ in orders}}
@@ -56,30 +61,42 @@ class StreamSpace(Record):
         d_x, d_y = self.derivatives(points, (1, 0), (0, 1))
         return np.stack([coefficients @ d_y.T, -(coefficients @ d_x.T)], axis=-1)
 
+    def along(
+        self, coefficients: Array, x: float, y: Array, *orders: tuple[int, int]
+    ) -> list[Array]:
+        """Return derivatives (n, n_heights) of n stream functions at heights y of x, both [m].
+
+        Parameters
+        ----------
+        coefficients : (n, n_coefficients).
+        y : (n, n_heights), own heights of each stream function.
+        """
+        shape = len(coefficients), self.n_columns + DEGREE - 2, -1
+        of_x = {k for k, _ in orders}
+        rows = {
+            k: np.einsum(
+                "i,nij->nj", self._along_x(np.array([x]), k)[0], coefficients.reshape(shape)
+            )
+            for k in of_x
+        }
+        of_y = {
+            k: self._along_y(y.ravel(), k).reshape(*y.shape, -1) for k in {k for _, k in orders}
+        }
+        return [np.einsum("nhj,nj->nh", of_y[j], rows[i]) for i, j in orders]
+
     def fit(self, position: Array, velocity: Array) -> tuple[Array, float]:
         """Return coefficients of a snapshot (n_particles, 2), and the residual's relative norm.
 
         All particles have the same weight. The residual is the noise floor of the snapshot.
         """
         d_x, d_y = self.derivatives(position, (1, 0), (0, 1))
-        normal = (d_x.T @ d_x + d_y.T @ d_y) / len(position) + self._penalty()
+        normal = (d_x.T @ d_x + d_y.T @ d_y) / len(position) + _penalty(self)
         right_side = (d_y.T @ velocity[:, 0] - d_x.T @ velocity[:, 1]) / len(position)
         coefficients = scipy.linalg.solve(normal, right_side, assume_a="pos")
         difference = velocity - np.stack([d_y @ coefficients, -(d_x @ coefficients)], axis=-1)
         norm = float(np.linalg.norm(velocity))
         residual = float(np.linalg.norm(difference)) / norm if norm > 0.0 else 0.0
         return np.asarray(coefficients), residual
-
-    def _penalty(self) -> Array:
-        """Return the matrix of the integral of |D^3 psi|^2, weighted."""
-        x, x_weights = _gauss(_breaks(self.left, self.right, self.n_columns))
-        y, y_weights = _gauss(_breaks(self.bottom, self.top, self.n_rows))
-        total = np.zeros(())
-        for order in range(4):
-            along_x, along_y = self._along_x(x, order), self._along_y(y, 3 - order)
-            products = [(along_x.T * x_weights) @ along_x, (along_y.T * y_weights) @ along_y]
-            total = total + math.comb(3, order) * np.kron(*products)
-        return SMOOTHING * self.width * (self.top - self.bottom) * np.asarray(total)
 
     def _along_x(self, x: Array, order: int) -> Array:
         return _splines(x, _breaks(self.left, self.right, self.n_columns), order)[:, 1:-1]
@@ -88,44 +105,17 @@ class StreamSpace(Record):
         return _splines(y, _breaks(self.bottom, self.top, self.n_rows), order)[:, 1:]
 
 
-def find_elevation(
-    position: Array, volume: Array, columns: Array, radius: float, walls: tuple[float, float, float]
-) -> Array:
-    """Return the heights (n_columns,) [m] where the particles' kernels sum up to one half.
-
-    Parameters
-    ----------
-    position, volume : (n_particles, 2) [m], (n_particles,) [m2].
-    columns : (n_columns,) [m], along x.
-    radius : of the kernel's support [m].
-    walls : left, right and bottom [m]; images of the particles complete the sums there.
-
-    Raises
-    ------
-    SphromError
-        If a column has no fluid or more than one surface; the message says where.
-    """
-    left, right, bottom = walls
-    mirrored = [position, position * [-1, 1] + [2 * left, 0], position * [-1, 1] + [2 * right, 0]]
-    points = np.concatenate(mirrored)
-    points = np.concatenate([points, points * [1, -1] + [0, 2 * bottom]])
-    volumes = np.tile(volume, 6)
-    heights = np.arange(bottom, position[:, 1].max() + radius, radius / 16)
-    out = np.empty(len(columns))
-    for number, x in enumerate(columns):
-        near = np.abs(points[:, 0] - x) < radius
-        offset = np.hypot(points[near, 0] - x, heights[:, None] - points[near, 1]) / radius
-        within = np.clip(1 - offset, 0, None)
-        kernel = 7 / (math.pi * radius**2) * within**4 * (1 + 4 * offset)
-        excess = kernel @ volumes[near] - 0.5
-        crossings = np.flatnonzero((excess[:-1] > 0) != (excess[1:] > 0))
-        if len(crossings) != 1 or excess[0] <= 0:
-            found = "no fluid" if excess.max() <= 0 else "more than one surface"
-            raise SphromError(f"The column x = {x:.4g} m has {found}.")
-        at = crossings[0]
-        share = excess[at] / (excess[at] - excess[at + 1])
-        out[number] = heights[at] + share * (heights[at + 1] - heights[at])
-    return out
+@lru_cache(maxsize=8)
+def _penalty(space: StreamSpace) -> Array:
+    """Return the matrix of the integral of |D^3 psi|^2, weighted."""
+    x, x_weights = _gauss(_breaks(space.left, space.right, space.n_columns))
+    y, y_weights = _gauss(_breaks(space.bottom, space.top, space.n_rows))
+    total = np.zeros(())
+    for order in range(4):
+        along_x, along_y = space._along_x(x, order), space._along_y(y, 3 - order)
+        products = [(along_x.T * x_weights) @ along_x, (along_y.T * y_weights) @ along_y]
+        total = total + math.comb(3, order) * np.kron(*products)
+    return SMOOTHING * space.width * (space.top - space.bottom) * np.asarray(total)
 
 
 def cosine_coordinates(elevation: Array, n_cosines: int) -> Array:

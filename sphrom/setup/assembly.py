@@ -6,26 +6,37 @@ functional, walls and maps, which load the kernels.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from sphrom.arrays import Array
+from sphrom.case.free_surfaces import SurfaceForce
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.scene_section import MeasureSection
 from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.measures import FieldMeasure
+from sphrom.metrics.samples import midpoints
 from sphrom.metrics.series import hat
 from sphrom.reduction.correction import interpolation_weights
 from sphrom.reduction.polynomial_model import Amplitude, OutputTimes
 from sphrom.reduction.reduced_rates import memory_length
+from sphrom.reduction.stream_functions import StreamSpace
 from sphrom.reduction.trial_basis import InnerProduct
 from sphrom.sph.time_loop import TimeSteps
 
 MOST_GROWTH = 3.0
 """Of a model's coordinates, over training's; flows that start from rest grow to 1.7 times at up to
 ten times the trained Reynolds numbers, and to 5.4 times in five times the trained time."""
+
+N_COLUMNS, ROWS_OF_FLUID, LEAST_CELL = 16, 9, 2
+"""Of a tank's splines: cells along it, along the depth, and the least size over the spacing."""
+COLUMNS_A_CELL = 4
+"""Columns where the surface is looked for, in each cell of the splines."""
+HIGHEST_CREST = 1.6
+"""The height of the splines' box over the depth."""
 
 
 def inner_product(case: Case) -> InnerProduct:
@@ -94,6 +105,37 @@ def memory_length_of(
     if model.memory_length == "auto":
         return memory_length(jacobian(), case.plan.smoothing_length, case.plan.sound_speed)
     return model.memory_length
+
+
+def stream_space(case: Case) -> StreamSpace:
+    """Return the splines of stream functions in a tank, the same for all runs of a case.
+
+    Their rows resolve the shallowest fluid, and their box holds crests above the deepest.
+    """
+    domain, spacing = case.scene.domain, case.plan.particle_spacing
+    left, bottom, right, top = (*domain.lower, *domain.upper)
+    depths = [case.plan.depth(point) for point in case.plan.points]
+    height = min((right - left) / N_COLUMNS, min(depths) / ROWS_OF_FLUID)
+    n_rows = math.ceil(min(top - bottom, HIGHEST_CREST * max(depths)) / height)
+    end = min(top, bottom + n_rows * height)
+    n_columns = min(N_COLUMNS, int((right - left) / (LEAST_CELL * spacing)))
+    return StreamSpace(
+        left=left, right=right, bottom=bottom, top=end, n_columns=n_columns, n_rows=n_rows
+    )
+
+
+def surface_columns(case: Case) -> Array:
+    """Return the midpoints (n_columns,) [m] of the columns where surfaces are looked for."""
+    domain = case.scene.domain
+    cells = stream_space(case).n_columns
+    return midpoints(domain.lower[0], domain.upper[0], COLUMNS_A_CELL * cells)
+
+
+def uniform_force(case: Case, point: ParameterPoint) -> Callable[[Array], Array]:
+    """Return the body force (2, n_times) [m/s2] at times, gravity aside, the same everywhere."""
+    force = case.plan.flow(point).body_force
+    assert isinstance(force, SurfaceForce)
+    return force.uniform
 
 
 def sound_averages(case: Case) -> Array:

@@ -5,6 +5,7 @@ They load the kernels of SPH; `sphrom.setup.assembly` makes everything else, wit
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -15,18 +16,23 @@ from sphrom.case.models import Case
 from sphrom.case.plan import BEYOND
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError, UnstableError
-from sphrom.metrics.measures import FieldMeasure, Quantities
+from sphrom.kernels import SUPPORT_RATIO
+from sphrom.metrics.elevation import Filled, Filling, columns_of, lowest_surface
+from sphrom.metrics.measures import VECTORS, FieldMeasure, Quantities
+from sphrom.metrics.series import kinetic_energy
 from sphrom.reduction.reference_space import ReferenceMap, TooFewParticlesError
 from sphrom.scenes.flows import Scene
 from sphrom.setup.assembly import field_measures
 from sphrom.sph.domain import Walls
 from sphrom.sph.fixed_points import FixedPoints
-from sphrom.sph.fluid import UnitForcing, pressure_of
+from sphrom.sph.fluid import UnitForcing, pressure_of, volume_of
 from sphrom.sph.functional import Functional
 from sphrom.sph.wall_forces import MeasuredWall, WallForces, measured_wall
 
 SAMPLING_RATIO = 2.0
 """Smoothing length of the moving least squares that sample particles, over the spacing."""
+HEIGHTS = 2
+"""At which an elevation is looked for, for each spacing of the particles."""
 
 
 def functional(case: Case, point: ParameterPoint) -> Functional:
@@ -148,16 +154,29 @@ def fixed_points(case: Case, position: Array) -> FixedPoints:
     )
 
 
+def filled(case: Case, points: Array) -> Filled:
+    """Return what tells the share of space that particles fill at points (n_points, 2) [m]."""
+    domain, spacing, solid = case.scene.domain, case.plan.particle_spacing, np.empty((0, 2))
+    if n_solids := len(domain.solid_names):
+        ghosts = domain.ghosts(spacing, case.plan.n_wall_layers)
+        solid = ghosts.position[ghosts.wall >= len(domain.wall_names) - n_solids]
+    box, radius = (domain.lower, domain.upper), SUPPORT_RATIO * case.plan.smoothing_length
+    filling = Filling(points, radius, *box, domain.periodic, solid, spacing**2)
+    density, mass = case.fluid.reference_density, case.plan.mass
+    return lambda position, excess: filling(position, volume_of(excess, density, mass))
+
+
 def sampler(case: Case, points: Array) -> ReferenceMap:
     """Return the interpolation that samples particles at points (n_points, 2) [m].
 
-    It is the accurate one, whatever the case maps with.
+    It is the accurate one, whatever the case maps with. Above a free surface fields are zero.
     """
     return ReferenceMap(
         points,
         case.scene.domain,
         particle_spacing=case.plan.particle_spacing,
         smoothing_length=SAMPLING_RATIO * case.plan.particle_spacing,
+        filled=filled(case, points) if case.scene.has_surface else None,
     )
 
 
@@ -167,12 +186,11 @@ class MeasuredFields:
     On walls fluid has their velocity. By what the interpolation misses it there, places are
     corrected: in full on the wall, and not at all from a spacing away. Flow rates aren't: particles
     conserve them as they are. Nor are places where parameters or time change the wall's velocity,
-    so that all runs are measured alike.
+    so that all runs are measured alike, where fluid slips, or where it has a free surface.
     """
 
     def __init__(self, case: Case, measures: Mapping[str, FieldMeasure]) -> None:
         self.measures, self._sound_speed = measures, case.plan.sound_speed
-        self._has_surface = case.scene.has_surface
         places = np.concatenate([measure.position for measure in measures.values()])
         distance, normal = case.scene.domain.distance_and_normal(places)
         spacing, (at_rest, per_unit) = case.plan.particle_spacing, _rest_and_units(case)
@@ -184,6 +202,7 @@ class MeasuredFields:
         varies = self._walls.any(axis=1) & (at_rest.wall_amplitude is not None)
         for flow in per_unit.values():
             varies |= (flow.wall_velocity(beyond) != self._walls).any(axis=1)
+        varies |= case.scene.free_slip or case.scene.has_surface
         self._share = np.where(varies, 0.0, 1.0 - distance[near] / spacing)[:, None]
         self.position = np.concatenate((places, on_walls))
         """(n_positions, 2) [m] where fields are wanted."""
@@ -200,17 +219,17 @@ class MeasuredFields:
     ) -> dict[str, Quantities]:
         """Return by name what is measured of particles (n_particles[, 2]).
 
-        Raises UnstableError where too few particles are near a place, as above a free surface.
+        Above a free surface pressure and velocity are zero.
+
+        Raises UnstableError where too few particles are near a place in fluid without a surface.
         """
         try:
             return self.of_fields(*self._sample(position, density_fluctuation, velocity))
         except TooFewParticlesError as error:
             names = np.repeat([*self.measures], [len(m.position) for m in self.measures.values()])
             name = np.concatenate((names, names[self._near]))[error.number]
-            told = f"unstable where fields are measured{f' ({name})' if name else ''}: {error}"
-            if self._has_surface:
-                told += "; the place must stay below the free surface: choose a lower one"
-            raise UnstableError(told) from error
+            told = f"unstable where fields are measured{f' ({name})' if name else ''}"
+            raise UnstableError(f"{told}: {error}") from error
 
     def of_fields(self, density_fluctuation: Array, velocity: Array) -> dict[str, Quantities]:
         """Return by name what is measured of fields (n_positions[, 2]) at `position`."""
@@ -223,3 +242,68 @@ class MeasuredFields:
             name: measure.of(*part)
             for (name, measure), part in zip(self.measures.items(), parts, strict=True)
         }
+
+
+class MeasuredParticles:
+    """All that a case measures of particles but forces: fields, the surface and the whole fluid."""
+
+    def __init__(self, case: Case, point: ParameterPoint) -> None:
+        self._fields = MeasuredFields.of(case)
+        self.measures = {} if self._fields is None else self._fields.measures
+        scene, spacing = case.scene, case.plan.particle_spacing
+        self._surface, values = scene.measured_surface, dict(point.others)
+        self._mass, self._weight = case.plan.mass, case.plan.mass * scene.gravity
+        (_, self._rest), (_, top) = scene.domain.lower, scene.domain.upper
+        n_heights = 1 + math.ceil(HEIGHTS * (top - self._rest) / spacing)
+        self._heights = np.linspace(self._rest, top, n_heights)
+        if self._surface and math.isfinite(scene.level_at(values)):
+            self._rest = float(scene.fill(spacing, values)[:, 1].mean())
+        x = [m.elevation for m in self._surface.values() if m.elevation is not None]
+        columns = columns_of(np.array(x), self._heights)
+        self._filled = filled(case, columns) if x else None
+        self._solid = ~scene.domain.contains(columns)
+
+    @classmethod
+    def of(cls, case: Case, point: ParameterPoint) -> MeasuredParticles | None:
+        """Return what a case measures of particles at a point, None where it is nothing."""
+        scene = case.scene
+        return cls(case, point) if scene.measured_fields or scene.measured_surface else None
+
+    @property
+    def at_rest(self) -> dict[str, Quantities]:
+        """What is measured where all of it is zero, by name: it tells shapes."""
+        found = {
+            name: measure.of(np.zeros_like(measure.position), np.zeros(len(measure.position)))
+            for name, measure in self.measures.items()
+        }
+        for name, section in self._surface.items():
+            found[name] = {q: np.zeros((2,) * (q in VECTORS)) for q in section.quantities}
+        return found
+
+    def __call__(
+        self, position: Array, density_fluctuation: Array, velocity: Array
+    ) -> dict[str, Quantities]:
+        """Return by name what is measured of particles (n_particles[, 2]).
+
+        Raises UnstableError as `MeasuredFields` does.
+        """
+        found, elevations = dict[str, Quantities](), iter(list[float]())
+        if self._fields is not None:
+            found |= self._fields(position, density_fluctuation, velocity)
+        if self._filled is not None:
+            share = np.where(self._solid, 1.0, self._filled(position, density_fluctuation))
+            shares = share.reshape(-1, len(self._heights))
+            elevations = iter(lowest_surface(shares, self._heights).tolist())
+        raised = np.sum(position[:, 1] - self._rest)
+        of_fluid: dict[str | None, Quantities] = {
+            "energy": {
+                "kinetic_energy": kinetic_energy(velocity, self._mass),
+                "potential_energy": np.asarray(self._weight * raised),
+            },
+            "centre_of_mass": {"centre_of_mass": position.mean(axis=0)},
+        }
+        for name, section in self._surface.items():
+            found[name] = of_fluid.get(section.of_fluid) or {
+                "elevation": np.asarray(next(elevations))
+            }
+        return found

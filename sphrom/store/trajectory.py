@@ -16,7 +16,7 @@ from sphrom.sph.fluid import pressure_of
 from sphrom.sph.wall_forces import TORQUE, WallForces
 
 if TYPE_CHECKING:  # it loads kernels, which take long, and reduced runs need none of it
-    from sphrom.setup.particles import MeasuredFields
+    from sphrom.setup.particles import MeasuredParticles
     from sphrom.sph.domain import Walls
     from sphrom.sph.time_loop import Item, Snapshot
 
@@ -92,7 +92,7 @@ class TrajectoryWriter:
         separate_mean: bool = False,
         walls: Walls | None = None,
         forces: WallForces | None = None,
-        fields: MeasuredFields | None = None,
+        fields: MeasuredParticles | None = None,
     ) -> None:
         self._artifact = artifact
         self._forces = forces
@@ -115,9 +115,7 @@ class TrajectoryWriter:
             at_rest |= force_datasets(wall, np.zeros((2, 3)))
         if fields is not None:
             write_positions(artifact, fields.measures)
-            for name, measure in fields.measures.items():
-                still = measure.of(np.zeros_like(measure.position), np.zeros(len(measure.position)))
-                at_rest |= field_datasets({name: still})
+            at_rest |= field_datasets(fields.at_rest)
         shapes |= {name: np.shape(values) for name, values in at_rest.items()}
         self._streams = {
             name: artifact.stream(name, shape, n_snapshots) for name, shape in shapes.items()

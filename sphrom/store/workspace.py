@@ -30,6 +30,7 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import fast_section, sweep_model, sweep_name
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.kernels import ask_for_threads
+from sphrom.setup.assembly import stream_space
 from sphrom.setup.context import StageContext
 
 FULL_RUN = ("scene", "fluid", "discretization", "time", "snapshots")
@@ -60,6 +61,10 @@ KINDS: Mapping[str, Kind] = {
     "psi on a lattice": Kind("b-spline", "fit-psi", "psi.h5", ("psi",)),
     "operators": Kind("operators", "operators", "operators.h5", ("operators",), ("rom",)),
     "rom": Kind("coordinates", "rom", "rom-{}.h5", FULL_RUN, ("rom", "compare")),
+    "map of a surface": Kind("surface-snapshots", "map", "map-{}.h5", ("scene",)),
+    "pod of a surface": Kind("surface-basis", "pod", "pod.h5", ("basis",), ("parameters", "rom")),
+    "operators of a surface": Kind("surface-operators", "operators", "operators.h5", (), ("rom",)),
+    "rom of a surface": Kind("surface-run", "rom", "rom-{}.h5", FULL_RUN, ("rom",)),
     "rom on particles": Kind("trajectory", "rom", "rom-{}.h5", FULL_RUN, ("rom",)),
     "compare": Kind("comparison", "compare", "compare.h5", ("compare", "parameters", "rom")),
     "sweep": Kind("sweep", "sweep", "sweep-{}.h5", FULL_RUN, ("rom", "sweep")),
@@ -96,6 +101,7 @@ class Workspace:
         compare = self.case.compare.model_copy(update={"figures": ()})
         self._without_figures = self.case.model_copy(update={"compare": compare, "scene": scene})
         self._inputs: dict[str, dict[str, object]] = {}
+        self._own_kind = " of a surface" if self.case.scene.has_surface else ""
         self._reasons = context.known.reasons
         self._identities = context.known.identities
 
@@ -266,9 +272,12 @@ class Workspace:
     def mapped(self, point: ParameterPoint) -> Target:
         """The reference snapshots at a parameter point."""
         parents = {"trajectory": self.full_run(point)}
-        if self.case.reference.points == "relaxed":
+        about: dict[str, object] = {"point": point.as_dict()}
+        if self.case.scene.has_surface:
+            about["space"] = vars(stream_space(self.case))
+        elif self.case.reference.points == "relaxed":
             parents["points"] = self.full_run(self.case.plan.train_points[0])
-        return self._target("map", point.file_label, {"point": point.as_dict()}, parents)
+        return self._target(f"map{self._own_kind}", point.file_label, about, parents)
 
     def basis(self) -> Target:
         """The trial bases."""
@@ -276,8 +285,9 @@ class Workspace:
         parents = self._mapped(plan.train_points)
         if self.case.basis.lagrangian:
             parents |= self._full_runs(plan.train_points)
-        modes = {f"bases/{n}/modes/density": plan.basis_size(n) for n in plan.bases}
-        return self._target("pod", "", {}, parents, modes)
+        kept = "stream_modes" if self._own_kind else "modes/density"
+        modes = {f"bases/{n}/{kept}": plan.basis_size(n) for n in plan.bases}
+        return self._target(f"pod{self._own_kind}", "", {}, parents, modes)
 
     def splines(self) -> Target:
         """The splines of the modes."""
@@ -286,8 +296,13 @@ class Workspace:
         return self._target(kind, "", {}, {"basis": self.basis()})
 
     def operators(self) -> Target:
-        """The projected operators on the reference points."""
+        """The projected operators on the reference points, or trained models with a surface."""
         plan = self.case.plan
+        if self._own_kind:
+            parents = {"basis": self.basis(), **self._mapped(plan.train_points)}
+            return self._target(
+                "operators of a surface", "", {"sizes": plan.surface_sizes}, parents
+            )
         trained = dict.fromkeys(p for name in plan.reference_bases for p in plan.bases[name])
         parents = {"basis": self.basis(), **self._mapped(trained)}
         if self.case.scene.measure:
@@ -304,7 +319,7 @@ class Workspace:
 
     def reduced_run(self, model: ReducedModelSection, point: ParameterPoint) -> Target:
         """What a reduced model gave at a parameter point."""
-        kind = "rom" if model.from_operators else "rom on particles"
+        kind = f"rom{self._own_kind}" if model.from_operators else "rom on particles"
         parents = self._trained(model) | self._start(self.case.plan.start_point(point))
         about = {"point": point.as_dict(), **_about(model, "parameters")}
         return self._target(kind, f"{model.name}-{point.file_label}", about, parents)
@@ -315,7 +330,8 @@ class Workspace:
         parents = self._full_runs(plan.points)
         if self.case.rom:
             parents |= {**self._mapped(plan.points), "basis": self.basis()}
-            parents["splines"] = self.splines()
+            if not self._own_kind:
+                parents["splines"] = self.splines()
         for model in filter(plan.ends_with_case, self.case.rom):
             for point in filter(plan.points.__contains__, plan.rom_points(model)):
                 parents[f"rom-{model.name}-{point.file_label}"] = self.reduced_run(model, point)

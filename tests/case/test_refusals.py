@@ -64,6 +64,15 @@ scene:
   inflow: {strip: {from: -1, to: 0.5}, velocity: ["6*y*(1 - y)", 0]}
   reference_length: 1.0
 """,
+    "tank": """
+name: x
+discretization: {resolution: 50}
+scene:
+  kind: custom
+  fluid: {level: 0.5}
+  solids: {wall: {rectangle: {lower: [0.6, 0], upper: [0.8, 1]}}}
+rom: []
+""",
 }
 """The cases of the groups of `refusals.txt`."""
 

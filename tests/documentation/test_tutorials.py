@@ -1,4 +1,4 @@
-"""The tutorials do what they say: their files, commands and programs are taken from the pages.
+"""Pages do what they say: files, commands and programs are taken from them.
 
 - A fence after a line that ends with `` `NAME`: `` is the content of that file.
 - In a fence `console` each line that begins with `$ ` is a command. The lines below it are printed
@@ -19,12 +19,22 @@ from pathlib import Path
 
 import pytest
 
+import sphrom
+
 pytestmark = pytest.mark.slow
 ROOT = Path(__file__).parents[2]
-TUTORIALS = ROOT / "docs" / "tutorials"
-FIRST = "first-result"
-GO_ON = ("thousand-questions", "notebook")
-"""Tutorials that go on in the folder of the first one."""
+DOCS = ROOT / "docs"
+
+
+def pages(folder: str) -> set[str]:
+    """Return the pages of a folder, without their ending."""
+    return {f"{folder}/{path.stem}" for path in (DOCS / folder).glob("*.md")}
+
+
+FIRST = "tutorials/first-result"
+GO_ON = ("tutorials/thousand-questions", "tutorials/notebook", *sorted(pages("python")))
+"""Pages that go on in the folder of the first tutorial."""
+BY_THEMSELVES = ["index", *sorted(pages("tutorials") - {FIRST, *GO_ON})]
 
 FENCE = re.compile(r"(?:`(?P<file>[\w.-]+)`:\n\n)?```(?P<kind>\w+)\n(?P<body>.*?)```\n", re.DOTALL)
 NUMBER = re.compile(r"\d[\d,]*(?:\.\d+)?(?:e[-+]?\d+)?")
@@ -71,9 +81,9 @@ def run(command: list[str], folder: Path) -> str:
 
 
 def follow(page: str, folder: Path) -> None:
-    """Do what a tutorial says, in a folder, and compare what it prints."""
+    """Do what a page says, in a folder, and compare what it prints."""
     program, told = "", ""
-    for fence in FENCE.finditer((TUTORIALS / f"{page}.md").read_text(encoding="utf-8")):
+    for fence in FENCE.finditer((DOCS / f"{page}.md").read_text(encoding="utf-8")):
         body = fence["body"]
         if fence["file"]:
             (folder / fence["file"]).write_text(body, encoding="utf-8")
@@ -112,13 +122,16 @@ def test_first_result(after_the_first: Path) -> None:
 
 
 @pytest.mark.parametrize("page", GO_ON)
-def test_tutorials_that_go_on(page: str, after_the_first: Path, tmp_path: Path) -> None:
+def test_pages_that_go_on(page: str, after_the_first: Path, tmp_path: Path) -> None:
     shutil.copytree(after_the_first, tmp_path / "copy", symlinks=True)
     follow(page, tmp_path / "copy")
 
 
-@pytest.mark.parametrize(
-    "page", sorted({path.stem for path in TUTORIALS.glob("*.md")} - {FIRST, *GO_ON})
-)
-def test_tutorials_by_themselves(page: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("page", BY_THEMSELVES)
+def test_pages_by_themselves(page: str, tmp_path: Path) -> None:
     follow(page, make_folder(tmp_path))
+
+
+def test_each_public_name_has_its_page() -> None:
+    shown = "".join((DOCS / f"{page}.md").read_text("utf-8") for page in pages("python"))
+    assert [name for name in sphrom.FROM_API if f":: sphrom.{name}" not in shown] == []

@@ -93,6 +93,9 @@ def test_stages_go_on_from_what_pysph_wrote(case, sphrom) -> None:
         assert run.text("imported/files").startswith(f"{PYSPH[0].parent}/taylor_green_*.hdf5 --")
         assert run.number("timing/integration") == 7.0
         found = run.read("measure/centre/velocity")
+    timings = json.loads((OUT / "compare.json").read_text())["timings"]
+    assert {(each["full_seconds"], each["speed_up"]) for each in timings} == {(7.0, None)}
+    assert "There is no speed-up" in result.stdout
     flow = TaylorGreen(length=1.0, speed=1.0, reference_density=1.0, kinematic_viscosity=0.01)
     assert found.shape == (3, 1, 2)
     np.testing.assert_allclose(found[0], flow.velocity(np.array([[0.3, 0.3]]), 0.0), atol=0.05)

@@ -10,11 +10,14 @@ import pytest
 
 from sphrom.arrays import Array
 from sphrom.errors import SphromError
-from sphrom.reduction.graph_model import GraphModel, SurfaceBasis, calibrate_gravity, make_basis
-from sphrom.reduction.stream_functions import StreamSpace, find_elevation
+from sphrom.metrics.elevation import find_elevation
+from sphrom.reduction.graph_model import GraphModel, SurfaceBasis, make_basis, run_many
+from sphrom.reduction.graph_training import TrainingRun, chosen_size, train
+from sphrom.reduction.stream_functions import StreamSpace
 
 SPACE = StreamSpace(left=1.0, right=3.0, bottom=-1.0, top=0.5, n_columns=10, n_rows=8)
 DEPTH, GRAVITY = 1.0, 2.0
+COLUMNS = SPACE.left + SPACE.width * (np.arange(48) + 0.5) / 48
 
 
 def wave_number(mode: int) -> float:
@@ -46,6 +49,20 @@ def model(basis: SurfaceBasis, viscosity: float = 0.0, force: float = 0.0) -> Gr
         return np.stack([force * np.ones_like(times), 0 * times])
 
     return GraphModel(basis, DEPTH, GRAVITY, viscosity, body_force)
+
+
+def training_run(basis: SurfaceBasis, gravity: float, frequency: float) -> TrainingRun:
+    """A run of the model at another gravity, as if it were a full run's."""
+
+    def force(times: Array) -> Array:
+        return np.stack([0.02 * np.sin(frequency * times), 0 * times])
+
+    times = np.linspace(0, 30, 201)
+    own = GraphModel(basis, DEPTH, gravity, 5e-3, force)
+    run = own.run(times, np.zeros(len(first_wave(basis, 1.0))))
+    coefficients = run.coordinates[:, : len(basis.stream_modes)] @ basis.stream_modes
+    elevation = own.elevation(run.coordinates, COLUMNS)
+    return TrainingRun(times, coefficients, elevation, DEPTH, GRAVITY, 5e-3, force)
 
 
 def first_wave(basis: SurfaceBasis, amplitude: float) -> Array:
@@ -124,15 +141,78 @@ def test_a_run_that_diverges_within_a_step_ends(basis: SurfaceBasis) -> None:
     assert np.isfinite(run.coordinates).all()
 
 
-def test_gravity_is_calibrated_on_training_runs(basis: SurfaceBasis) -> None:
+def test_runs_in_parallel_are_those_made_one_by_one(basis: SurfaceBasis) -> None:
+    models = [model(basis, viscosity, force) for viscosity, force in ((0.0, 0.02), (0.01, 0.8))]
+    times, starts = np.linspace(0, 10, 51), [first_wave(basis, size) for size in (0.1, 0.0)]
+    together = run_many(models, times, starts)
+    for own, start, run in zip(models, starts, together, strict=True):
+        alone = own.run(times, start)
+        assert alone.ended == run.ended
+        assert alone.coordinates == pytest.approx(run.coordinates, rel=1e-12)
+    with pytest.raises(ValueError, match="one basis"):
+        run_many([models[0], model(basis.reduced(3, 3))], times, starts)
+
+
+def test_pressure_of_a_small_wave_is_that_of_potential_flow(basis: SurfaceBasis) -> None:
+    own, k = model(basis), wave_number(1)
+    frequency = math.sqrt(GRAVITY * k * math.tanh(k * DEPTH))
+    times = np.linspace(0, 4, 41)
+    run = own.run(times, first_wave(basis, 1e-3))
+    points = np.array([[1.0, -0.5], [1.4, -0.9], [3.0, -1.0], [2.0, 0.3]])
+    pressure = own.pressure(times, run.coordinates, points)
+    x, y = points[:3, 0] - SPACE.left, points[:3, 1] - SPACE.bottom
+    wave = 1e-3 * np.cos(k * x) * np.cosh(k * y) / math.cosh(k * DEPTH)
+    exact = GRAVITY * (DEPTH - y + np.outer(np.cos(frequency * times), wave))
+    assert pressure[:, :3] == pytest.approx(exact, abs=2e-5)
+    assert (pressure[:, 3] == 0).all()
+
+
+def test_forces_on_walls_balance_weight_and_momentum(basis: SurfaceBasis) -> None:
     own = model(basis)
-    trained = replace(own, gravity=1.012 * GRAVITY).run(
-        np.linspace(0, 8, 81), first_wave(basis, 0.02)
-    )
-    factors, errors = calibrate_gravity([own], [trained])
-    assert factors[errors.argmin()] == pytest.approx(1.012)
-    assert errors.min() < 1e-6
-    assert errors[factors == 1.0] > 0.01
+    times, middle = np.linspace(0, 4, 161), np.array([2.0, -0.5])
+    rest = np.zeros((161, len(first_wave(basis, 1.0))))
+    for wall, force in (("left", (-1.0, 0.0)), ("right", (1.0, 0.0)), ("bottom", (0.0, -4.0))):
+        forces, torques = own.wall_force(times, rest, wall, middle)
+        assert forces == pytest.approx(np.tile(force, (161, 1)), rel=1e-9)
+        arm = -force[0] * (SPACE.bottom + DEPTH / 3 - middle[1])
+        assert torques == pytest.approx(np.full(161, arm), abs=1e-9)
+    coordinates = own.run(times, first_wave(basis, 0.05)).coordinates
+    walls = [own.wall_force(times, coordinates, w, middle)[0] for w in ("left", "right", "bottom")]
+    area = DEPTH * SPACE.width
+    given = area * np.array([0.0, -GRAVITY]) - sum(walls)
+    place = own.centre_of_mass(coordinates)
+    second = np.diff(place, 2, axis=0) / (times[1] - times[0]) ** 2
+    scale = np.abs(area * second[:, 0]).max()
+    assert area * second == pytest.approx(given[1:-1], abs=0.02 * scale)
+
+
+def test_training_finds_gravity_and_the_number_of_elevation_modes(basis: SurfaceBasis) -> None:
+    runs = [training_run(basis, 1.012 * GRAVITY, frequency) for frequency in (1.2, 1.4)]
+    trained = train(basis, runs, [2, 3], lambda done: None)
+    assert chosen_size(trained) == 3
+    best = trained[3]
+    assert best.gravity_factor == pytest.approx(1.012, abs=1e-3)
+    assert best.n_surface == 3
+    assert max(best.elevation_error, best.velocity_error) < 2e-3
+    assert best.best_velocity_error < 1e-6
+    assert best.uncalibrated_elevation_error > 0.05
+    expected = training_run(basis, 1.012 * GRAVITY, 1.3)
+    given = expected.depth, expected.gravity, expected.viscosity, expected.force
+    errors = []
+    for calibrated in (False, True):
+        own = best.model(basis, *given, calibrated)
+        run = own.run(expected.times, np.zeros(6))
+        elevation = own.elevation(run.coordinates, COLUMNS)
+        wave = np.linalg.norm(expected.elevation - SPACE.bottom - DEPTH)
+        errors.append(np.linalg.norm(elevation - expected.elevation) / wave)
+    assert errors[1] < 3e-3 < 0.05 < errors[0]
+
+
+def test_modes_below_the_noise_are_cut_off(basis: SurfaceBasis) -> None:
+    runs = [training_run(basis, GRAVITY, 1.3)]
+    noisy = SurfaceBasis(**vars(basis) | {"energies": np.array([1.0, 0.1, 1e-8])})
+    trained = train(noisy, runs, [3], lambda done: None)
+    assert trained[3].n_modes == 2
 
 
 def test_elevation_of_particles_and_columns_without_one_surface() -> None:

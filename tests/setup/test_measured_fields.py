@@ -8,12 +8,11 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from sphrom.case.custom_scene import CustomScene
 from sphrom.case.loader import load_case
 from sphrom.case.models import Case
-from sphrom.errors import CaseError, UnstableError
+from sphrom.errors import UnstableError
 from sphrom.metrics.measures import FieldMeasure, errors_of, mean_square, of_a_run, statistics
-from sphrom.setup.particles import MeasuredFields
+from sphrom.setup.particles import MeasuredFields, MeasuredParticles
 from sphrom.sph.time_loop import Snapshot
 from sphrom.store.trajectory import TrajectoryWriter
 
@@ -135,12 +134,7 @@ def test_on_walls_fluid_has_their_velocity() -> None:
     assert known.max() < 0.6 * varied.max()
 
 
-def with_surface(monkeypatch: pytest.MonkeyPatch, level: float) -> None:
-    monkeypatch.setattr(CustomScene, "has_surface", True)
-    monkeypatch.setattr(CustomScene, "level_at", lambda *_: level)
-
-
-def test_a_void_at_a_probe_ends_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_void_at_a_probe_ends_a_run() -> None:
     case = case_of(measure={"middle": {"probe": [0.5, 0.5]}})
     place = particles_of(case)
     far = np.hypot(*(place - 0.5).T) > 0.25
@@ -148,20 +142,10 @@ def test_a_void_at_a_probe_ends_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
     told = r"where fields are measured \(middle\): too few .* \(0\.5, 0\.5\) to interpolate there"
     with pytest.raises(UnstableError, match=f"{told}$"):
         fields_of(case)(place[far], *fields)
-    with_surface(monkeypatch, 0.6)
-    with pytest.raises(UnstableError, match=f"{told}; the place must stay below the free surface"):
-        fields_of(case)(place[far], *fields)
-    writer = TrajectoryWriter(Mock(), 1, far.sum(), 10.0, fields=fields_of(case))
-    with pytest.raises(UnstableError, match=r"free surface.*, at t = 0\.25 s$"):
+    measured = MeasuredParticles(case, case.plan.points[0])
+    writer = TrajectoryWriter(Mock(), 1, far.sum(), 10.0, fields=measured)
+    with pytest.raises(UnstableError, match=r"there, at t = 0\.25 s$"):
         writer.append(0.25, 1, Snapshot(place[far].T, fields[0], fields[1].T))
-
-
-def test_places_above_the_surface_at_rest_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    with_surface(monkeypatch, 0.6)
-    for measure in ({"probe": [0.5, 0.7]}, {"flow_rate": {"from": [0.5, 0], "to": [0.5, 0.7]}}):
-        with pytest.raises(CaseError, match=r"measure\.high.* above the free surface at rest"):
-            case_of(measure={"high": measure, "low": {"probe": [0.5, 0.5]}})
-    assert case_of(measure={"low": {"probe": [0.5, 0.5]}})
 
 
 def test_a_section_is_summed_up_within_its_ends() -> None:

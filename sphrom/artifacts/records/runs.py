@@ -87,7 +87,7 @@ class Force(Record):
 
 
 class Measured(Record):
-    """What is measured in the fluid: a flow rate, or the fields at places."""
+    """What is measured in the fluid: a flow rate, fields at places, the surface, the whole."""
 
     position: Array | None = dataset(
         "place component", "m", "where velocity and pressure are measured", "x", default=None
@@ -95,6 +95,12 @@ class Measured(Record):
     flow_rate: Array | None = dataset("snapshot", *FLOW_RATE, default=None)
     velocity: Array | None = dataset("snapshot place component", *VELOCITY_AT_PLACES, default=None)
     pressure: Array | None = dataset("snapshot place", *PRESSURE_AT_PLACES, default=None)
+    elevation: Array | None = dataset("snapshot", "m", "height of the free surface", default=None)
+    centre_of_mass: Array | None = dataset(
+        "snapshot component", "m", "centre of mass of the fluid", default=None
+    )
+    kinetic_energy: Array | None = dataset("snapshot", "J/m", "kinetic energy", default=None)
+    potential_energy: Array | None = dataset("snapshot", "J/m", "potential energy", default=None)
 
 
 class Snapshots(Record):

@@ -52,6 +52,18 @@ class Measured(Record):
     pressure: Array | None = dataset(
         "complete_run snapshot", "Pa", "pressure at a probe", "p", default=None
     )
+    elevation: Array | None = dataset(
+        "complete_run snapshot", "m", "height of the free surface", default=None
+    )
+    centre_of_mass: Array | None = dataset(
+        "complete_run snapshot component", "m", "centre of mass of the fluid", default=None
+    )
+    kinetic_energy: Array | None = dataset(
+        "complete_run snapshot", "J/m", "kinetic energy", default=None
+    )
+    potential_energy: Array | None = dataset(
+        "complete_run snapshot", "J/m", "potential energy", default=None
+    )
     final_velocity: Array | None = dataset(
         "complete_run place component", "m/s", "velocity along a line at the end", "u", default=None
     )
