@@ -8,8 +8,7 @@ with factors theta_k of the parameters: 1 for the inertia (pressure, diffusion, 
 kinematic viscosity nu, nu again for moving walls, and the amplitude beta(t) of the body force. For
 driven walls the factor is nu beta(t). A parameter that drives the flow by walls or force has parts
 of its own; its value multiplies their factors. One set of operators serves all parameters.
-`sphrom.reduction.operator_projection` and `sphrom.reduction.memory_operators` make them; reduced
-runs need only these records.
+`sphrom.reduction.operator_projection` makes them; reduced runs need only these records.
 
 The norm of a model's residual costs no more than the model. A state with coordinates a has the
 rates R(a) at the fixed points. The model follows Phi da/dt, so its residual is R(a) - Phi da/dt.
