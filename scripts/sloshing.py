@@ -54,7 +54,9 @@ def merged(whole: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
-def study_of(folder: Path, name: str, *changes: dict[str, Any], sizes: Iterable[int] = (5,)) -> Study:
+def study_of(
+    folder: Path, name: str, *changes: dict[str, Any], sizes: Iterable[int] = (5,)
+) -> Study:
     """Return a study of a variant of the case, all of whose stages were run."""
     case = yaml.safe_load(CASE.read_text(encoding="utf-8"))
     models = [{"name": f"fast{m}", "evaluation": "operators", "n_modes": m} for m in sizes]
@@ -71,7 +73,9 @@ def table(study: Study, sizes: Iterable[int], point: str) -> None:
         measures = [row for row in csv.DictReader(file) if point in row["parameters"]]
     with (study.folder / "tables" / "errors.csv").open() as file:
         errors = [row for row in csv.DictReader(file) if point in row["parameters"]]
-    print("| modes | kind | elevation | velocity | wall pressure | force |\n|---|---|---|---|---|---|")
+    print(
+        "| modes | kind | elevation | velocity | wall pressure | force |\n|---|---|---|---|---|---|"
+    )
     for size in sizes:
         own = [row for row in measures if row["compared"] == f"fast{size}"]
         kept = own[0]["n_modes"] if own else "-"
@@ -80,11 +84,15 @@ def table(study: Study, sizes: Iterable[int], point: str) -> None:
             for row in measures:
                 if row["compared"] == name and row["relative_l2 [%]"]:
                     found[row["measured"], row["quantity"]] = float(row["relative_l2 [%]"])
-            velocity = [r["velocity_field_relative_l2 [%]"] for r in errors if r["compared"] == name]
+            velocity = [
+                r["velocity_field_relative_l2 [%]"] for r in errors if r["compared"] == name
+            ]
             figures = [found.get(("surface", "elevation")), *map(float, filter(None, velocity[:1]))]
             figures += [found.get(("wall", "pressure")), found.get(("side", "force_x"))]
             shown = " | ".join("-" if f is None else f"{f:.2g}" for f in figures)
-            print(f"| {size} ({kept}) | {name.partition(',')[2].strip() or 'calibrated'} | {shown} |")
+            print(
+                f"| {size} ({kept}) | {name.partition(',')[2].strip() or 'calibrated'} | {shown} |"
+            )
 
 
 def errors(folder: Path) -> None:
@@ -134,7 +142,9 @@ def long(folder: Path) -> None:
                 continue
             tenth = len(heights) // 10
             ranges = [np.ptp(heights[part]) for part in (slice(tenth), slice(-tenth, None))]
-            print(f"M = {size}, ratio {ratio}: range {ranges[0]:.4f} m first, {ranges[1]:.4f} m last")
+            print(
+                f"M = {size}, ratio {ratio}: range {ranges[0]:.4f} m first, {ranges[1]:.4f} m last"
+            )
 
 
 def linear_theory(ratio: np.ndarray, strength: float, viscosity: float) -> np.ndarray:
@@ -150,7 +160,9 @@ def response(folder: Path) -> None:
     """Draw the amplitude at the wall over frequency at two strengths, beside linear theory."""
     study = study_of(folder, "response")
     ratios, strengths = np.linspace(0.7, 1.3, N_RUNS // 2), (0.0004, 0.004)
-    found = amplitudes(study, {"ratio": np.tile(ratios, 2), "strength": np.repeat(strengths, N_RUNS // 2)})
+    found = amplitudes(
+        study, {"ratio": np.tile(ratios, 2), "strength": np.repeat(strengths, N_RUNS // 2)}
+    )
     curves = []
     for strength, own in zip(strengths, np.split(found, 2), strict=True):
         theory = linear_theory(ratios, strength, math.sqrt(0.5) * 0.5 / 250.0)
