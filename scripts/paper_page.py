@@ -44,14 +44,14 @@ HEADINGS = (
     "the paper",
     "as printed",
     "corrected",
-    "corrected, fast road",
+    "corrected, fast model",
     "corrected, best possible",
 )
 CAPTION = (
     "Errors are Eq. 4.1 on the line [%], peak / mean over time: first over the range of the field, "
     "then over the range of the line. The best possible error is that of the full run projected "
-    "onto the modes. APG has the paper's memory length on particles and an automatic one on the "
-    "fast road. Frequencies and phases are those of v at a place in the shear layer; a phase is "
+    "onto the modes. APG has the paper's memory length on particles and an automatic one in "
+    "fast models. Frequencies and phases are those of v at a place in the shear layer; a phase is "
     "the lead over the full run in periods, least to largest. Shares as printed are of stacked "
     "density and velocities; corrected shares are of the acoustic product, which leaves out the "
     "mean density. The compression is N_d / M, with five values for each particle. Words instead "
@@ -129,7 +129,7 @@ def lead_of(runs: Sequence[Any]) -> str:
     ]
     return (
         "The figures and claims of Rodriguez et al. on this flow, each beside our result: "
-        f"{' and '.join(sizes)}. The fast road is that of the corrected case."
+        f"{' and '.join(sizes)}. Fast models are those of the corrected case."
     )
 
 

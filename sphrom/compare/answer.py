@@ -12,7 +12,7 @@ from typing import Literal
 
 from sphrom.compare.comparison_tables import ErrorRow, Tables, best_name
 from sphrom.compare.costs import N_REPEATS, RunTiming, break_even, offline_seconds
-from sphrom.compare.measured import OscillationRow
+from sphrom.compare.measured import SURFACE, OscillationRow
 from sphrom.online.stable_ranges import against
 from sphrom.plots.tables import format_figure
 from sphrom.store.trained_models import basis_used
@@ -55,6 +55,8 @@ class Answer:
     n_training: int
     forces: tuple[Force, ...] = ()
     oscillations: tuple[OscillationRow, ...] = ()
+    surface: tuple[float, float | None] | None = None
+    """Errors of the free surface's elevation and of the nearest state's [%], if there is one."""
     since: str = ""
     """From which instant on errors count, in words, where that isn't the first."""
     doubts: tuple[str, ...] = ()
@@ -90,6 +92,13 @@ class Answer:
         if parts:
             text = "; ".join(parts)
             yield f"{text[0].upper()}{text[1:]}."
+        if self.surface is not None:
+            error, least = self.surface
+            nearest = "" if least is None else f", that of the nearest state by {percent(least)}"
+            yield (
+                f"The surface's elevation differs by {percent(error)}{nearest}, of the root mean "
+                "square of its change."
+            )
         for name, error, best, estimate in self.forces:
             nearest = "" if best is None else f", that of the nearest state by {percent(best)}"
             own = "" if estimate is None else f"; the model estimates {percent(estimate)}"
@@ -185,6 +194,7 @@ def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
             offline_seconds=offline,
             training_seconds=training,
             n_training=len(plan.bases[basis]),
+            surface=_surface_errors(tables, worst, best),
             since=f" from {since:g} s on" if (since := workspace.case.compare.from_time) else "",
             doubts=(
                 *_doubts(workspace),
@@ -220,6 +230,16 @@ def _force_errors(
             key = (row.compared, row.measured)
             found[key] = math.hypot(found.get(key, 0.0), error)
     return found
+
+
+def _surface_errors(tables: Tables, row: ErrorRow, best: str) -> tuple[float, float | None] | None:
+    errors = {
+        each.compared: each.relative_l2
+        for each in tables.measures
+        if (each.measured, each.parameters) == (SURFACE, row.parameters)
+    }
+    own = errors.get(row.compared)
+    return None if own is None else (own, errors.get(best))
 
 
 def tell_answer(workspace: Workspace, tables: Tables) -> None:

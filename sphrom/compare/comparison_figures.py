@@ -87,7 +87,8 @@ def _figures(
     for basis in case.plan.bases if case.rom else ():
         sizes = model_sizes(workspace, basis)
         yield f"singular-values-{basis}", partial(draw_spectrum, workspace, basis, sizes)
-        yield f"modes-{basis}", partial(draw_modes, workspace, basis)
+        if not case.scene.has_surface:
+            yield f"modes-{basis}", partial(draw_modes, workspace, basis)
 
 
 class _PointFigures:
@@ -132,7 +133,9 @@ class _PointFigures:
         for model in (None, *self.complete):
             with StoredRun.opened(self.workspace, self.point, model) as run:
                 samples = run.sampled(self.probes.grid, [self.middle])
-            values = {q: self.probes.picture(getattr(samples, q)[0]) for q in QUANTITIES}
+            wet = (samples.speed[0] != 0.0) | (samples.pressure[0] != 0.0)
+            fields = (np.where(wet, getattr(samples, q)[0], np.nan) for q in QUANTITIES)
+            values = dict(zip(QUANTITIES, map(self.probes.picture, fields), strict=True))
             found[FULL if model is None else model.name] = values
         return found
 

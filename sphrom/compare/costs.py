@@ -216,8 +216,10 @@ def offline_seconds(
         with workspace.open(workspace.packing()) as packing:
             training += _computing_seconds(packing)
     offline = training
-    stages = [workspace.mapped(point) for point in trained]
-    for stage in (*stages, workspace.basis(), workspace.splines()):
+    stages = [*map(workspace.mapped, trained), workspace.basis()]
+    if not workspace.case.scene.has_surface:
+        stages.append(workspace.splines())
+    for stage in stages:
         with workspace.open(stage) as artifact:
             offline += _computing_seconds(artifact)
     if model.from_operators:

@@ -44,5 +44,7 @@ def ensure_run(workspace: Workspace, model: ReducedModelSection, point: Paramete
     target = workspace.reduced_run(model, point)
     if workspace.must_make(target):
         kind = "reference_runs" if model.from_operators else "particle_runs"
+        if workspace.case.scene.has_surface:
+            kind = "surface_model"
         import_module(f"sphrom.online.{kind}").run_point(workspace, model, point)
     return target

@@ -19,8 +19,10 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.measures import Quantities
 from sphrom.reduction.trial_basis import TrialBasis, reconstruct, truncate
-from sphrom.sph.fluid import pressure_of
+from sphrom.setup.assembly import surface_columns
+from sphrom.sph.fluid import fluctuation_of, pressure_of
 from sphrom.store.sampling import Samples, expand, sample_run
+from sphrom.store.surfaces import SurfaceModelAt, surface_of, trained_surface
 from sphrom.store.trained_models import basis_used, read_basis, read_modes, read_points
 from sphrom.store.trajectory import read_quantities
 from sphrom.store.workspace import Workspace
@@ -41,6 +43,7 @@ class StoredRun:
     ) -> None:
         self._workspace, self._run, self._point = workspace, run, point
         self._rebuilt = None if model is None or not model.from_operators else model
+        self._has_surface = workspace.case.scene.has_surface
         self.time = run.read("time")
         self.mass = run.number("mass")
 
@@ -77,14 +80,32 @@ class StoredRun:
     def _coordinates(self) -> Array:
         return self._run.read("generalized_coordinates")
 
+    @cached_property
+    def _graph(self) -> SurfaceModelAt:
+        assert self._rebuilt is not None
+        return trained_surface(self._workspace, self._rebuilt).at(self._point)
+
+    @property
+    def elevation(self) -> Array:
+        """The height y of a reduced model's free surface (n_snapshots, n_columns) [m]."""
+        return self._graph.graph.elevation(self._coordinates, surface_columns(self._workspace.case))
+
     def position(self, snapshot: int) -> Array:
         """Return the run's own points (n, 2) [m]."""
+        if self._rebuilt is not None and self._has_surface:
+            return self._workspace.case.scene.domain.fill(
+                self._workspace.case.plan.particle_spacing
+            )
         if self._rebuilt is not None:
             return read_points(self._workspace)
         return np.asarray(self._run.dataset("position")[snapshot])
 
     def rebuilt(self, snapshot: int) -> tuple[Array, Array]:
         """Return density fluctuation (n,) [kg/m3] and velocity (n, 2) [m/s] from coordinates."""
+        if self._has_surface:
+            samples = self.sampled(self.position(snapshot), [snapshot])
+            sound_speed = self._workspace.case.plan.sound_speed
+            return fluctuation_of(samples.pressure[0], sound_speed), samples.velocity[0]
         mean = self._run.number("mean_density_fluctuation")
         return reconstruct(self._basis, self._coordinates[snapshot], mean)
 
@@ -110,7 +131,12 @@ class StoredRun:
         case, run = self._workspace.case, self._run
         chosen = range(len(self.time)) if snapshots is None else snapshots
         if self._rebuilt is None:
-            return sample_run(case, run, points, advance, chosen)
+            surface = None
+            if self._has_surface:
+                surface = surface_of(self._workspace, self._point, points[:, 0])
+            return sample_run(case, run, points, advance, chosen, surface)
+        if self._has_surface:
+            return self._graph.sampled(points, self.time[chosen], self._coordinates[chosen])
         basis, splines = read_modes(self._workspace, *self._used)
         means = np.full(len(chosen), run.number("mean_density_fluctuation"))
         coordinates = self._coordinates[chosen]
