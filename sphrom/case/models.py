@@ -17,7 +17,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationInfo, model_validator
 
 from sphrom.case.fields import SafeName, Section, key
-from sphrom.case.free_surfaces import OF_SURFACES
+from sphrom.case.free_surfaces import surface_defaults
 from sphrom.case.full_model_sections import (
     DiscretizationSection,
     FluidSection,
@@ -97,7 +97,8 @@ class Case(Section):
         filled = {name: value for name, value in values.items() if value is not None}
         filled.setdefault("scene", {})
         if isinstance(filled["scene"], Mapping) and filled["scene"].get("fluid") is not None:
-            filled = with_defaults(filled, OF_SURFACES)
+            slips = filled["scene"].get("slip") == "free"
+            filled = with_defaults(filled, surface_defaults(slips))
         return with_defaults(filled, DEFAULTS.get(kind_of(values), {}))
 
     @model_validator(mode="after")

@@ -146,7 +146,10 @@ def test_texts_that_are_no_outline(refusal, text: str, words: str) -> None:
     [
         ({"initial": {"v": "log((x-1.5)**2+(y-3)**2)"}}, r"initial\.v: .* at \(1.5, 3\) m"),
         ({"body_force": ["log(y)", 0]}, r"body_force: .* at \(0, 0\) m"),
-        ({"constants": {"pi": 3.0}, "body_force": ["pi", 0]}, r"constants\.pi: the name is reserved"),
+        (
+            {"constants": {"pi": 3.0}, "body_force": ["pi", 0]},
+            r"constants\.pi: the name is reserved",
+        ),
         (
             {"solids": {"a": {"circle": {"centre": [3, 2], "radius": 1e-9}}}},
             "solid a: it is too small",

@@ -445,7 +445,9 @@ def test_run_that_is_there_is_kept_unless_forced(case, sphrom, refused) -> None:
     names = write_npz()
     sphrom("fom", case, code=0)
     ours = RUN.read_bytes()
-    assert "exists already, computed here, and not from ./their_*.npz" in refused("import", case, *names)
+    assert "exists already, computed here, and not from ./their_*.npz" in refused(
+        "import", case, *names
+    )
     assert RUN.read_bytes() == ours
     sphrom("import", case, *names, "--force", code=0)
     theirs = RUN.read_bytes()
@@ -462,7 +464,7 @@ def test_force_replaces_no_imported_run(case, sphrom) -> None:
     names = write_npz(id=np.arange(N))
     sphrom("import", case, *names, "--sort-by", "id", "--units", "time=1.0", code=0)
     theirs, again = RUN.read_bytes(), ("./their_*.npz", "--sort-by=id", "--units=time=1.0")
-    assert "fom-reynolds100.h5: there" in sphrom("fom", case, "--force").stdout
+    assert "fom-reynolds100.h5: up to date" in sphrom("fom", case, "--force").stdout
     other = ("--set", "fluid.mach_number=0.09")
     for words in (("map",), ("run",), ("fom",), ("run", "--force"), ("fom", "--force")):
         refused = sphrom(words[0], case, *words[1:], *other, code=3)
