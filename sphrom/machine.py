@@ -65,7 +65,7 @@ def physical_ram(root: Path = _ROOT) -> int:
 
 
 def available_ram(root: Path = _ROOT) -> int | None:
-    """Return the memory that can be had now without swapping [bytes], None where unknown."""
+    """Return the memory available now without swapping [bytes], None where unknown."""
     lines = (line.split() for line in _lines(root / "proc/meminfo"))
     free = [int(line[1]) * 1024 for line in lines if line[:1] == ["MemAvailable:"]]
     free += [max(0, limit - used) for limit, used in _group_limits(root)]

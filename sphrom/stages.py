@@ -120,6 +120,8 @@ def _needed(case: Case, until: str | None) -> list[str]:
     if until is not None and until not in PIPELINE:
         raise CaseError(f"no stage is called {quoted(until)}; {nearest(str(until), PIPELINE)}")
     spared = set() if case.rom else {"map", "pod", "fit-psi"}
+    if case.scene.has_surface:
+        spared.add("fit-psi")
     if not case.plan.reference_bases:
         spared.add("operators")
     last = PIPELINE.index(until or PIPELINE[-1])

@@ -11,15 +11,16 @@ from sphinx.application import Sphinx
 SECTION = re.compile(r"(?:^|\n)(Parameters|Returns|Raises)\n-{3,}\n")
 PARAMETER = re.compile(r"^(\S+(?:, \S+)*) : ", re.MULTILINE)
 ERROR = re.compile(r"^(\w+)\n(?=    )", re.MULTILINE)
+NAMED_ERROR = re.compile(r"(?<!:raises )\b(?:Case|Artifact|Unstable|Resource)Error\b")
 
 
 def restructured(text: str) -> str:
-    """Return a docstring whose sections are lists of fields."""
+    """Return a docstring whose sections are lists of fields, and whose errors are links."""
     before, *sections = SECTION.split(text)
     for name, content in zip(sections[::2], sections[1::2], strict=True):
         entries, rest = (*content.split("\n\n", 1), "")[:2]
         before += f"\n\n{_fields(name, entries.rstrip())}\n\n{rest}"
-    return before
+    return NAMED_ERROR.sub(r":exc:`~sphrom.errors.\g<0>`", before)
 
 
 def _fields(section: str, entries: str) -> str:

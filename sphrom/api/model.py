@@ -8,7 +8,7 @@ from copy import copy
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,17 +30,22 @@ from sphrom.online import rom
 from sphrom.online.basis_model import quantities_of
 from sphrom.online.fast_model import FastModel, fast_model
 from sphrom.online.sensitivities import tangents
+from sphrom.online.surface_model import SurfaceModel
 from sphrom.reduction.polynomial_model import SteadyState, steady_state
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup.context import StageContext
 from sphrom.signals import guarded
 from sphrom.store.sampling import Samples, sample_run
+from sphrom.store.surfaces import SurfaceModelAt
 from sphrom.store.trajectory import measured_of
 from sphrom.store.workspace import Workspace
 from sphrom.text import nearest, quoted
 
 if TYPE_CHECKING:
     import xarray
+
+AnyModel = TypeVar("AnyModel", bound=ReferenceModel | SurfaceModelAt)
+"""A model at a parameter point."""
 
 
 class Model:
@@ -56,13 +61,13 @@ class Model:
     """
 
     _point: ParameterPoint
-    _reduced: ReferenceModel | None = None
+    _reduced: ReferenceModel | SurfaceModelAt | None = None
 
     def __init__(self, context: StageContext, section: ReducedModelSection) -> None:
         self._workspace, self._section = Workspace(context), section
         self._labels = Labels(context.case)
         self._errors: TrainingDifferences = {}
-        self._fast: FastModel | None = None
+        self._fast: FastModel | SurfaceModel | None = None
         if section.from_operators:
             self._workspace.require(self._workspace.operators())
             self._fast = fast_model(self._workspace, section)
@@ -96,7 +101,7 @@ class Model:
     @property
     def start(self) -> Array:
         """The coordinates (n_modes,) that a run starts from."""
-        return self._by_operators("start")[1].start.copy()
+        return self._without_particles("start")[1].start.copy()
 
     @guarded()
     def at(self, **parameters: float) -> Model:
@@ -122,8 +127,9 @@ class Model:
             if final_time is not None:
                 raise CaseError("final_time: is for models on the reference points")
             return self._run_on_particles()
-        fast, reduced = self._by_operators("run")
-        run = fast.run(self._point, self._lengthened(reduced, final_time))
+        fast, reduced = self._without_particles("run")
+        longer = self._lengthened(reduced, final_time)
+        run = fast.run(self._point, longer)  # type: ignore[arg-type]  # both of one kind
         if run.failure is not None:
             raise UnstableError(f"{run.name}: {run.failure}")
         return Result(
@@ -157,7 +163,7 @@ class Model:
         the model was trained on, else zero; and `status` (run). A run that became `unstable` has
         NaN for its values.
         """
-        fast, _ = self._by_operators("run_many")
+        fast, _ = self._without_particles("run_many")
         at = self._points(rows_of(points))
         return self._labels.runs(map(fast.run, at), [p.as_dict() for p in at], self.name)
 
@@ -223,7 +229,8 @@ class Model:
         Estimates with 95 % intervals, in which the model's own errors count beside the noise:
         `found["reynolds"].value`, `.low`, `.high`, and `found.problems` to read first.
         """
-        case, section, (fast, _) = self._workspace.case, self._section, self._by_operators("fit")
+        case, section = self._workspace.case, self._section
+        fast, _ = self._without_particles("fit")
         self._require_names(names)
         share = case.fit.noise if noise is None else percent(noise, "noise")
         source = Path(measurements) if isinstance(measurements, str | os.PathLike) else measurements
@@ -277,8 +284,8 @@ class Model:
     def measures(self, coordinates: ArrayLike, time: float | None = None) -> xarray.Dataset:
         """Return what the case measures in a state, from its coordinates (n_modes,) alone.
 
-        That costs microseconds; `model.measures(model.steady(a).coordinates)` is what is measured
-        in a steady state. Variables are those of `Result.measures`, at one snapshot.
+        That costs microseconds. `model.measures(model.steady(a).coordinates)` measures a steady
+        state. Variables are those of `Result.measures`, at one snapshot.
 
         Parameters
         ----------
@@ -291,6 +298,14 @@ class Model:
         return self._labels.dataset(found, times, about)
 
     def _by_operators(self, what: str) -> tuple[FastModel, ReferenceModel]:
+        fast, reduced = self._without_particles(what)
+        if isinstance(fast, SurfaceModel) or isinstance(reduced, SurfaceModelAt):
+            raise CaseError(f"{what}: is not for models of a free surface")
+        return fast, reduced
+
+    def _without_particles(
+        self, what: str
+    ) -> tuple[FastModel | SurfaceModel, ReferenceModel | SurfaceModelAt]:
         if self._fast is None or self._reduced is None:
             raise CaseError(
                 f"{what}: {self.name} is evaluated on particles, and has no equations in its "
@@ -298,7 +313,7 @@ class Model:
             )
         return self._fast, self._reduced
 
-    def _lengthened(self, reduced: ReferenceModel, final_time: float | None) -> ReferenceModel:
+    def _lengthened(self, reduced: AnyModel, final_time: float | None) -> AnyModel:
         """Return the model with the snapshots of a run that ends at another time [s]."""
         if final_time is None:
             return reduced

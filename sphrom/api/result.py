@@ -16,6 +16,7 @@ from sphrom.metrics.measures import AXES, PLACED, UNITS, VECTORS, Quantities
 from sphrom.online.error_estimates import ErrorEstimate, measured_errors
 from sphrom.online.fast_model import FastRun
 from sphrom.online.sensitivities import Tangents
+from sphrom.online.surface_model import SurfaceRun
 from sphrom.setup.assembly import field_measures
 from sphrom.signals import guarded
 from sphrom.store.sampling import Samples
@@ -103,7 +104,10 @@ class Labels:
         return xarray.Dataset(variables, known, dict(about)).set_xindex("time")
 
     def runs(
-        self, runs: Iterable[FastRun], points: Sequence[Mapping[str, float]], model: str
+        self,
+        runs: Iterable[FastRun | SurfaceRun],
+        points: Sequence[Mapping[str, float]],
+        model: str,
     ) -> xarray.Dataset:
         """Return what runs at points measured, with estimated errors: NaN where one is unstable."""
         n_runs, measured, time = len(points), dict[str, dict[str, Array]](), np.zeros(0)
@@ -115,7 +119,8 @@ class Labels:
             status[k] = "complete"
             if (own := run.estimate) is not None:
                 errors[:, k] = own.velocity_percent, own.pressure_percent, own.extrapolated
-            estimates = {f"{ERROR}{name}": each for name, each in measured_errors(run).items()}
+            own_errors = measured_errors(run) if isinstance(run, FastRun) else {}
+            estimates = {f"{ERROR}{name}": each for name, each in own_errors.items()}
             found = run.measured | self.case.scene.oscillations.of(time, run.measured)
             for name, quantities in (found | estimates).items():
                 known = measured.setdefault(name, {})

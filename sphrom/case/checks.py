@@ -7,13 +7,14 @@ what is wrong with it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.case.fields import only_one
+from sphrom.case.free_surfaces import SurfaceForce
 from sphrom.case.models import Case
 from sphrom.case.plan import MAX_STEPS, WHOLE_STEPS_TOLERANCE
 from sphrom.case.points import REYNOLDS, ParameterPoint, nearest_point
@@ -43,6 +44,17 @@ WITHIN_WALL = 0.1
 PER_SPACING = 4
 """Places along a segment that are looked at, for each spacing of the particles."""
 MOST_LOOKED_AT = 100_000
+SURFACE_KEYS: Mapping[str, tuple[object, ...]] = {
+    "evaluation": ("operators",),
+    "projection": ("galerkin",),
+    "time_step": (AUTO,),
+    "calibrated": (AUTO, True, False),
+    "corrected": (AUTO, False),
+    "integrated_modes": (AUTO,),
+    "output": ("none",),
+    "steady": (False,),
+}
+"""The values that keys of a reduced model may have where the fluid has a free surface."""
 COARSEST = 8
 """The least resolution."""
 
@@ -148,6 +160,8 @@ def _check_geometry(case: Case) -> Found:
             yield "scene.fluid.level", f"{reason}; they do at {nearest_level:g} m"
     if case.scene.has_surface and not plan.n_particles:
         yield "scene.fluid", "no particle is in it; raise discretization.resolution"
+    if case.scene.has_surface and section.shifting.enabled:
+        yield "discretization.shifting.enabled", "moves fluid out of a free surface; leave it out"
     if case.scene.has_surface and section.initial_particles == "packed":
         reason = "fluid with a free surface starts on a lattice; leave initial_particles out"
         yield "discretization.initial_particles", reason
@@ -382,7 +396,8 @@ def steady_problem(case: Case) -> str | None:
 def _check_fixed_points(case: Case) -> Found:
     """Refuse readings of the paper that models on the reference points don't have."""
     section = case.discretization
-    name = next((model.name for model in case.rom if model.from_operators), None)
+    fast = (model.name for model in case.rom if model.from_operators)
+    name = None if case.scene.has_surface else next(fast, None)
     for key, given, needed in (
         ("viscosity", section.viscosity, "laplacian"),
         ("walls.continuity", section.walls.continuity, "adjoint"),
@@ -391,6 +406,38 @@ def _check_fixed_points(case: Case) -> Found:
         if name is not None and given != needed:
             reason = f"must be {needed} for models with evaluation: operators, such as {name}"
             yield f"discretization.{key}", f"{reason}; got {given}"
+
+
+def _check_surface(case: Case) -> Found:
+    """Refuse scenes and keys that reduced models of a free surface don't have."""
+    scene, domain = case.scene, case.scene.domain
+    if not (scene.has_surface and case.rom):
+        return
+    reason = "reduced models of a free surface"
+    whole, plain = "are for a tank without solids, whose sides are walls", "is not for"
+    if not domain.fills_box or any(domain.periodic):
+        yield "scene", f"{reason} {whole}; set rom: []"
+    if scene.largest_resistance(1.0):
+        yield "scene.resistance", f"{plain} {reason}; leave it out"
+    for point in case.plan.points[:1]:
+        force = case.plan.flow(point).body_force
+        if isinstance(force, SurfaceForce) and force.varies_in_space:
+            yield "scene.body_force", f"must not depend on x and y for {reason}"
+    if case.basis.subsets:
+        yield "basis.subsets", f"{plain} {reason}, which have one basis; leave it out"
+    if case.training.ranges:
+        yield "training", f"needs estimates of errors, which {reason} don't have; leave it out"
+    if case.sweep.sensitivities:
+        yield "sweep.sensitivities", f"{plain} {reason}; set false"
+    for i, model in enumerate(case.rom):
+        for key, usual in SURFACE_KEYS.items():
+            if (value := getattr(model, key)) not in usual:
+                needed = " or ".join(map(_yaml, usual))
+                yield f"rom.{i}.{key}", f"must be {needed} for {reason}; got {_yaml(value)}"
+
+
+def _yaml(value: object) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def _check_modes(case: Case) -> Found:
@@ -406,7 +453,7 @@ def _check_modes(case: Case) -> Found:
         smallest = min(bases, key=plan.n_basis_snapshots)
         most = plan.n_basis_snapshots(smallest)
         if n_modes == AUTO:
-            if not all(map(plan.has_error_estimate, bases)):
+            if not case.scene.has_surface and not all(map(plan.has_error_estimate, bases)):
                 remedy = "set operators.error_estimate: true, or a smaller basis.n_modes"
                 yield key, f"auto needs the errors of training runs: {remedy}"
         elif (n_modes or 0) > most:
@@ -526,6 +573,7 @@ _CHECKS: tuple[Callable[[Case], Found], ...] = (
     _check_bases,
     _check_models,
     _check_fixed_points,
+    _check_surface,
     _check_compare,
 )
 _SNAPSHOT_CHECKS: tuple[Callable[[Case], Found], ...] = (

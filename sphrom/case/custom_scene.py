@@ -179,7 +179,7 @@ class CustomScene(SceneSection):
 
     @property
     def gravity(self) -> float:
-        """Gravity along -y, of a scene with a free surface [m/s2]."""
+        """The acceleration along -y of fluid with a free surface [m/s2]."""
         return 0.0 if self.fluid is None else self.fluid.gravity
 
     @property

@@ -32,6 +32,8 @@ from sphrom.sph.time_loop import TimeSteps
 if TYPE_CHECKING:
     from sphrom.case.models import Case
 
+MOST_TRIED = 12
+"""The largest number of modes that `n_modes: auto` tries where the fluid has a free surface."""
 SURFACE_CHANGE = 0.01
 """Largest change of the density by its own weight, where the fluid has a free surface."""
 DENSITY_CHANGE = 0.03
@@ -183,10 +185,6 @@ class Plan:
         """The mass of a particle, per metre of depth [kg/m]."""
         return self._case.fluid.reference_density * self.particle_spacing**2
 
-    def volumes(self, density_fluctuation: Array) -> Array:
-        """Return the volumes of particles (n_particles,) [m2]."""
-        return self.mass / (self._case.fluid.reference_density + density_fluctuation)
-
     @cached_property
     def longest_sound_period(self) -> float:
         """The period of the longest standing wave in the scene's box [s]."""
@@ -231,6 +229,22 @@ class Plan:
             wall_continuity=section.walls.continuity,
             free_surface=self._case.scene.has_surface,
         )
+
+    def depth(self, point: ParameterPoint) -> float:
+        """Return the mean depth of fluid with a free surface at a parameter point [m]."""
+        scene, values = self._case.scene, point.factors
+        if math.isfinite(level := scene.level_at(values)):
+            return level - scene.domain.lower[1]
+        area = len(scene.fill(self.particle_spacing, values)) * self.particle_spacing**2
+        return area / scene.domain.lengths[0]
+
+    def weight_at(self, point: ParameterPoint, position: Array) -> Array | None:
+        """Return the pressure at rest (n_positions,) [Pa] below a level; None without a surface."""
+        scene = self._case.scene
+        if not scene.has_surface:
+            return None
+        level = scene.domain.lower[1] + self.depth(point)
+        return self._case.fluid.reference_density * scene.gravity * (level - position[:, 1])
 
     def flow(self, point: ParameterPoint) -> Scene:
         """Return the flow at a parameter point."""
@@ -446,6 +460,8 @@ class Plan:
 
     def has_error_estimate(self, name: str) -> bool:
         """Return whether errors of a basis's models on the reference points are estimated."""
+        if self._case.scene.has_surface:
+            return False
         wanted = self._case.operators.error_estimate
         if wanted == "auto":
             return self.basis_size(name) <= MOST_ESTIMATED_MODES
@@ -523,6 +539,14 @@ class Plan:
             for model, basis in self._used
             if model.is_calibrated or self.is_corrected(model, basis)
         )
+
+    @cached_property
+    def surface_sizes(self) -> tuple[int, ...]:
+        """The numbers of modes of models with a free surface, which are trained."""
+        models = [m for m in self._case.rom if m.from_operators] * self._case.scene.has_surface
+        auto = range(2, min(self.basis_size(ALL), MOST_TRIED) + 1)
+        asked = (auto if model.n_modes == AUTO else (model.size,) for model in models)
+        return tuple(sorted({size for sizes in asked for size in sizes}))
 
     @cached_property
     def sized_bases(self) -> tuple[str, ...]:

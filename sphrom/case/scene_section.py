@@ -102,17 +102,17 @@ class SceneSection(Section):
         """Whether the fluid has a free surface."""
         return False
 
+    @property
+    def gravity(self) -> float:
+        """The acceleration along -y of fluid with a free surface [m/s2]."""
+        return 0.0
+
     def level_at(self, values: Mapping[str, float] = NONE) -> float:
         """Return the height y of a level free surface at rest [m], else infinity.
 
         `values` are those of the parameters; without any they are the scene's own.
         """
         return math.inf
-
-    @property
-    def gravity(self) -> float:
-        """Gravity along -y, of scenes with a free surface [m/s2]."""
-        return 0.0
 
     @property
     def free_slip(self) -> bool:

@@ -12,7 +12,7 @@ from typing import Literal
 
 from sphrom.compare.comparison_tables import ErrorRow, Tables, best_name
 from sphrom.compare.costs import N_REPEATS, RunTiming, break_even, offline_seconds
-from sphrom.compare.measured import OscillationRow
+from sphrom.compare.measured import SURFACE, OscillationRow
 from sphrom.online.stable_ranges import against
 from sphrom.plots.tables import format_figure
 from sphrom.store.trained_models import basis_used
@@ -55,6 +55,8 @@ class Answer:
     n_training: int
     forces: tuple[Force, ...] = ()
     oscillations: tuple[OscillationRow, ...] = ()
+    surface: tuple[float, float | None] | None = None
+    """Errors of the free surface's elevation and of the nearest state's [%], if there is one."""
     since: str = ""
     """From which instant on errors count, in words, where that isn't the first."""
     doubts: tuple[str, ...] = ()
@@ -64,7 +66,7 @@ class Answer:
     def pays_from(self) -> int | None:
         """How many runs make the model cheaper than full ones; None where never, or unknown."""
         timing = self.timing
-        if timing is None or timing.reduced_seconds is None:
+        if timing is None or timing.speed_up is None or timing.reduced_seconds is None:
             return None
         return break_even(self.offline_seconds, timing.full_seconds, timing.reduced_seconds)
 
@@ -76,7 +78,8 @@ class Answer:
             f"({counted(self.row.n_modes or 0, 'mode')}) differs from the full run by "
             f"{percent(self.error[0])} in velocity and {percent(self.error[1])} in pressure: "
             f"the root mean square of the difference, over the whole field and all instants"
-            f"{self.since}, in percent of the full run's own; a pressure is less its mean."
+            f"{self.since}, in percent of the full run's own; a pressure is less its mean"
+            f"{'' if self.surface is None else ' and its part at rest'}."
         )
         yield from self._compared()
         yield from self._cost()
@@ -90,6 +93,13 @@ class Answer:
         if parts:
             text = "; ".join(parts)
             yield f"{text[0].upper()}{text[1:]}."
+        if self.surface is not None:
+            error, least = self.surface
+            nearest = "" if least is None else f", that of the nearest state by {percent(least)}"
+            yield (
+                f"The surface's elevation differs by {percent(error)}{nearest}, of the root mean "
+                "square of its change."
+            )
         for name, error, best, estimate in self.forces:
             nearest = "" if best is None else f", that of the nearest state by {percent(best)}"
             own = "" if estimate is None else f"; the model estimates {percent(estimate)}"
@@ -107,15 +117,16 @@ class Answer:
 
     def _cost(self) -> Iterator[str]:
         timing = self.timing
-        if timing is None or timing.speed_up is None:
+        if timing is None or timing.full_seconds is None:
             yield "How long the full run took is unknown, and so is from when on the model pays."
             return
-        imported = timing.full_step is None
-        longest = ", as its import says" if imported else " at its largest stable step"
-        took = (
-            f"Undisturbed, on one thread, it takes {duration(timing.reduced_seconds or 0.0)}, "
-            f"the full run {duration(timing.full_seconds or 0.0)}{longest}."
-        )
+        own = f"Undisturbed, on one thread, it takes {duration(timing.reduced_seconds or 0.0)}"
+        full = duration(timing.full_seconds)
+        if timing.speed_up is None:
+            yield f"{own}. The full run took {full}, as its import says."
+            yield "There is no speed-up: the two times may be of other threads and machines."
+            return
+        took = f"{own}, the full run {full} at its largest stable step."
         if timing.speed_up <= 1.0:
             yield f"{took} It is not faster; a model with evaluation: operators is."
             return
@@ -184,6 +195,7 @@ def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
             offline_seconds=offline,
             training_seconds=training,
             n_training=len(plan.bases[basis]),
+            surface=_surface_errors(tables, worst, best),
             since=f" from {since:g} s on" if (since := workspace.case.compare.from_time) else "",
             doubts=(
                 *_doubts(workspace),
@@ -219,6 +231,16 @@ def _force_errors(
             key = (row.compared, row.measured)
             found[key] = math.hypot(found.get(key, 0.0), error)
     return found
+
+
+def _surface_errors(tables: Tables, row: ErrorRow, best: str) -> tuple[float, float | None] | None:
+    errors = {
+        each.compared: each.relative_l2
+        for each in tables.measures
+        if (each.measured, each.parameters) == (SURFACE, row.parameters)
+    }
+    own = errors.get(row.compared)
+    return None if own is None else (own, errors.get(best))
 
 
 def tell_answer(workspace: Workspace, tables: Tables) -> None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Callable
 from itertools import chain
 
 import numpy as np
 
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
+from sphrom.case.sections import ALL, ReducedModelSection
 from sphrom.case.study_sections import FULL
 from sphrom.compare.answer import tell_answer
 from sphrom.compare.comparison_figures import draw_comparison, exact_samples
@@ -24,6 +25,7 @@ from sphrom.compare.comparison_tables import (
 )
 from sphrom.compare.costs import run_timings, stage_timings
 from sphrom.compare.measured import (
+    SURFACE,
     Measured,
     MeasureRow,
     flow_row,
@@ -38,8 +40,9 @@ from sphrom.compare.references import compare_with_references
 from sphrom.compare.stored_comparison import ComparisonWriter
 from sphrom.errors import CaseError
 from sphrom.metrics.histories import compare
-from sphrom.metrics.samples import Samples
+from sphrom.metrics.samples import Samples, without_weight
 from sphrom.metrics.series import exponential_rate, kinetic_energy
+from sphrom.online.surface_model import SurfaceModel, SurfaceRun
 from sphrom.scenes.flows import TaylorGreen
 from sphrom.setup.assembly import role_of
 from sphrom.setup.context import StageContext
@@ -124,6 +127,9 @@ class _PointComparison:
                 writer.profile(row, profile)
             self._describe_flow(FULL, run, self.full)
             self.measured = measured_of(self.case, trajectory)
+        if self.case.scene.has_surface:
+            with workspace.open(workspace.mapped(point)) as mapped:
+                self.measured |= {SURFACE: {"elevation": mapped.read("elevation")}}
         self.references = {FULL: self.full}
         if (flow := plan.flow(point).exact) is not None and self.case.compare.exact:
             self.references["exact"] = exact_samples(flow, probes.all, self.full.time)
@@ -134,7 +140,9 @@ class _PointComparison:
         self._measure(FULL, self.measured)
         if "exact" in self.references:
             self._add(self.full, FULL, against="exact")
-        if self.models:
+        if self.models and self.case.scene.has_surface:
+            self._compare_surface_limits()
+        elif self.models:
             self._compare_limits()
         for model in self.models:
             self._compare_model(model)
@@ -158,6 +166,25 @@ class _PointComparison:
                     found = measured_of_best(workspace, model, self.point, mapped)
                     self._measure(best, found, name, size)
 
+    def _compare_surface_limits(self) -> None:
+        """Compare the nearest states of each basis, and models that are not calibrated."""
+        runs: dict[str, tuple[int, Callable[[ParameterPoint], SurfaceRun]]] = {}
+        for model in self.models:
+            fast = SurfaceModel(self.workspace, model)
+            size = fast.section.size
+            runs[best_name(ALL, size)] = size, fast.nearest
+            if model.is_calibrated:
+                plain = model.model_copy(update={"calibrated": False})
+                own = SurfaceModel(self.workspace, plain)
+                runs[f"{model.name}, not calibrated"] = size, own.run
+        for name, (size, run_at) in runs.items():
+            run = run_at(self.point)
+            status = "complete" if run.failure is None else "unstable"
+            if run.failure is None:
+                measured = {**run.measured, SURFACE: {"elevation": run.elevation}}
+                self._measure(name, measured, ALL, size)
+            self._add(run.sampled(self.probes.all), name, FULL, ALL, size, status)
+
     def _compare_model(self, model: ReducedModelSection) -> None:
         workspace, case, point = self.workspace, self.case, self.point
         target = workspace.reduced_run(model, point)
@@ -172,8 +199,13 @@ class _PointComparison:
                 estimate = estimate_row(trajectory, reduced, self.full, self.probes, begin, **about)
                 if estimate is not None:
                     self.tables.estimates.append(estimate)
-                estimates = measured_estimates(case, trajectory)
-                self._measure(model.name, measured_of(case, trajectory), basis, size, estimates)
+                estimates, measured = (
+                    measured_estimates(case, trajectory),
+                    measured_of(case, trajectory),
+                )
+                if case.scene.has_surface:
+                    measured |= {SURFACE: {"elevation": run.elevation}}
+                self._measure(model.name, measured, basis, size, estimates)
         for against in self.references:
             self._add(reduced, model.name, against, basis, size, status)
 
@@ -198,7 +230,13 @@ class _PointComparison:
     ) -> None:
         counted, about = self.full.time >= self.case.compare.from_time, self._described(name, basis)
         rows = measure_rows(
-            measured, self.measured, counted, estimates or {}, n_modes=n_modes, **about
+            measured,
+            self.measured,
+            counted,
+            estimates or {},
+            with_weight=self.case.scene.has_surface,
+            n_modes=n_modes,
+            **about,
         )
         runs = self.full.time, measured, self.measured
         self.tables.oscillations.extend(oscillation_rows(self.case, *runs, name, self.point.label))
@@ -219,7 +257,10 @@ class _PointComparison:
         status: str = "complete",
     ) -> None:
         begin, period = self.case.compare.from_time, self.case.plan.longest_sound_period
-        history = compare(samples, self.references[against], self.probes, begin, period)
+        both = samples, self.references[against]
+        if (weight := self.case.plan.weight_at(self.point, self.probes.all)) is not None:
+            both = without_weight(*both, weight)
+        history = compare(*both, self.probes, begin, period)
         if status == "complete" and len(history.time) == 0:
             raise CaseError(
                 "compare.line_points, compare.grid, compare.from_time: there is no snapshot in "

@@ -7,8 +7,8 @@ basis singular values and modes. Figures that a case asks for by name share thei
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import cached_property, partial
+from string import ascii_lowercase
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -87,7 +87,8 @@ def _figures(
     for basis in case.plan.bases if case.rom else ():
         sizes = model_sizes(workspace, basis)
         yield f"singular-values-{basis}", partial(draw_spectrum, workspace, basis, sizes)
-        yield f"modes-{basis}", partial(draw_modes, workspace, basis)
+        if not case.scene.has_surface:
+            yield f"modes-{basis}", partial(draw_modes, workspace, basis)
 
 
 class _PointFigures:
@@ -132,7 +133,9 @@ class _PointFigures:
         for model in (None, *self.complete):
             with StoredRun.opened(self.workspace, self.point, model) as run:
                 samples = run.sampled(self.probes.grid, [self.middle])
-            values = {q: self.probes.picture(getattr(samples, q)[0]) for q in QUANTITIES}
+            wet = (samples.speed[0] != 0.0) | (samples.pressure[0] != 0.0)
+            fields = (np.where(wet, getattr(samples, q)[0], np.nan) for q in QUANTITIES)
+            values = dict(zip(QUANTITIES, map(self.probes.picture, fields), strict=True))
             found[FULL if model is None else model.name] = values
         return found
 
@@ -270,6 +273,12 @@ def _error_panel(
     return Panel("", "time [s]", label, curves, "logarithmic")
 
 
+def lettered(quantities: Sequence[str], quantity: str, title: str) -> str:
+    """Return the title of a panel, with the letter of its quantity where there are several."""
+    letter = ascii_lowercase[quantities.index(quantity)]
+    return f"({letter}) {title}" if len(quantities) > 1 else title
+
+
 def draw_lines(
     case: Case,
     comparison: StoredComparison,
@@ -279,7 +288,8 @@ def draw_lines(
 ) -> Figure:
     """Return profiles on the line at the snapshot nearest to an instant [s]: a row for each point.
 
-    Full, exact and reduced runs are drawn together; `quantities` are keys of LABELS.
+    Full, exact and reduced runs are drawn together; `quantities` are keys of LABELS. The title of
+    a panel names the models that were unstable before.
     """
     panels, where = [], np.empty((0, 2))
     for models, points in rows:
@@ -289,7 +299,7 @@ def draw_lines(
             time, y, row = float(full.time[index]), where[:, 1], []
             lines = {m.name: comparison.samples(m.name, point)[1] for m in models if m is not None}
             for quantity in quantities:
-                curves = []
+                curves, told = [], lettered(quantities, quantity, point.label)
                 if (flow := case.plan.flow(point).exact) is not None:
                     exact = exact_samples(flow, where, full.time[index : index + 1])
                     curves.append(Curve("exact", y, _along(exact, quantity)[0], "exact"))
@@ -298,9 +308,8 @@ def draw_lines(
                         curves.append(_curve(case, name, y, _along(line, quantity)[index]))
                         continue
                     before = f"after {line.time[-1]:.3g} s" if len(line.time) else "at the start"
-                    ended = _curve(case, name, y[:0], y[:0])
-                    curves.append(replace(ended, label=f"{name} (unstable {before})"))
-                row.append(Panel(point.label, "y [m]", LABELS[quantity], curves))
+                    told += f"\nnot shown: {name}, unstable {before}"
+                row.append(Panel(told, "y [m]", LABELS[quantity], curves))
             panels.append(row)
     return draw_grid(panels, title=f"x = {where[0, 0]:.4g} m, t = {time:.4g} s")
 

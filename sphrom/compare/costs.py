@@ -25,7 +25,7 @@ from sphrom.online.fast_model import fast_model
 from sphrom.online.particle_runs import build_model, close
 from sphrom.setup import particles
 from sphrom.sph.time_loop import Model, runge_kutta_step
-from sphrom.store.trained_models import memory_timing
+from sphrom.store.trained_models import basis_used, memory_timing
 from sphrom.store.trajectory import snapshot_fields
 from sphrom.store.workspace import Target, Workspace
 
@@ -40,8 +40,9 @@ N_TIMED_STEPS = 10
 class RunTiming:
     """One reduced run against the full one at its largest stable step, without their spin-up.
 
-    Seconds are processor time on one thread, of the steps alone, the least of some repeats in which
-    all runs took turns. None where an imported run doesn't tell.
+    Seconds are processor time on one thread, of the steps alone, the least of several repeats in
+    which all runs took turns. Only such times are divided: an imported run has at most the seconds
+    that its import states, of unknown threads and machine, and so no speed-up.
     """
 
     model: str
@@ -127,17 +128,17 @@ def run_timings(workspace: Workspace) -> Iterator[RunTiming]:
     fast = {m.name: fast_model(workspace, m) for m in case.rom if m.from_operators}
     for point, model in ((p, m) for p in plan.points for m in plan.compared_at(p)):
         with workspace.open(workspace.full_run(point)) as run:
-            imported, known = is_imported(run), known_seconds(run)
+            known = known_seconds(run) if (imported := is_imported(run)) else None
         with workspace.open(workspace.reduced_run(model, point)) as run:
             if run.text("status") != "complete":
                 continue
             step, memory_length = run.number("time_step"), _number(run, "memory_length")
             n_modes = int(run.dataset("generalized_coordinates").shape[1])
-        full, own = (FULL, imported and point), (model.name, model.from_operators and point)
-        if imported and known is not None:
-            timers[full] = partial(float, known)
-        elif not imported and full not in timers:
-            timers[full] = full_run_timer(workspace, point, largest_step(case))
+        if case.scene.has_surface:  # the surface has coordinates, too
+            n_modes = basis_used(workspace, model, point)[1]
+        own = (model.name, model.from_operators and point)
+        if not imported and FULL not in timers:
+            timers[FULL] = full_run_timer(workspace, point, largest_step(case))
         if (quick := fast.get(model.name)) is not None:
             timers[own] = partial(seconds_of, quick.runner(point))
         elif own not in timers:
@@ -147,12 +148,12 @@ def run_timings(workspace: Workspace) -> Iterator[RunTiming]:
         factors = compression_factors(plan.n_particles, n_modes)
         longest = None if imported else largest_step(case)
         about = model.name, point.label, n_modes, longest, step, memory_length
-        found.append((about, factors, full, own))
+        found.append((about, known, factors, None if imported else FULL, own))
     seconds = taking_turns(timers, N_REPEATS) if found else {}
-    for about, factors, full, own in found:
+    for about, known, factors, full, own in found:
         least = float(seconds[own].min())
-        if full not in seconds:
-            yield RunTiming(*about, None, least, None, *factors)
+        if full is None:
+            yield RunTiming(*about, known, least, None, *factors)
             continue
         whole, gains = float(seconds[full].min()), (seconds[full] / seconds[own]).tolist()
         yield RunTiming(*about, whole, least, whole / least, *factors, min(gains), max(gains))
@@ -217,8 +218,10 @@ def offline_seconds(
         with workspace.open(workspace.packing()) as packing:
             training += _computing_seconds(packing)
     offline = training
-    stages = [workspace.mapped(point) for point in trained]
-    for stage in (*stages, workspace.basis(), workspace.splines()):
+    stages = [*map(workspace.mapped, trained), workspace.basis()]
+    if not workspace.case.scene.has_surface:
+        stages.append(workspace.splines())
+    for stage in stages:
         with workspace.open(stage) as artifact:
             offline += _computing_seconds(artifact)
     if model.from_operators:

@@ -25,7 +25,7 @@ from sphrom.case.study_sections import (
     ModeFigure,
     SpectrumFigure,
 )
-from sphrom.compare.comparison_figures import LABELS, draw_lines
+from sphrom.compare.comparison_figures import LABELS, draw_lines, lettered
 from sphrom.compare.mode_figures import draw_spectrum, frame_of, mode_fields
 from sphrom.compare.stored_comparison import StoredComparison
 from sphrom.plots.canvas import COLOURS, save
@@ -112,7 +112,8 @@ def _draw_fields(workspace: Workspace, figure: FieldFigure) -> Figure:
             picture = np.full((1, 1), np.nan)
             if fields:
                 picture = frame.raster(position)(fields[quantity])
-            row.append(Field(told, LABELS[quantity], picture))
+            told = lettered(figure.quantities, quantity, told)
+            row.append(Field(told, LABELS[quantity], picture, complete=not unstable))
         panels.append(row)
     scales = {}
     for quantity in figure.quantities:
@@ -127,6 +128,7 @@ def _draw_errors(case: Case, comparison: StoredComparison, figure: ErrorFigure) 
     """Return errors over time by Eq. 4.1: a row of panels for each row of runs, all values in it.
 
     Errors begin where the recorded time does, whatever `compare.from_time` leaves out of means.
+    Axes are logarithmic, as models of different sizes differ by orders of magnitude.
     """
     panels = []
     for models, points in rows_of(case, figure):
@@ -137,14 +139,14 @@ def _draw_errors(case: Case, comparison: StoredComparison, figure: ErrorFigure) 
                 if model is not None:
                     time, error = comparison.discrepancy(model.name, point, quantity, figure.range)
                     found = comparison.errors(model.name, point)
-                    complete = found is not None and found.status == "complete"
                     label = f"{model.name}, {point.label}" if len(points) > 1 else model.name
-                    if not complete:
+                    if found is None or found.status != "complete":
                         after = f" after {time[-1]:.3g} s" if len(time) else ""
                         label += f" (unstable{after})"
                     look = place_of(case, model.name) + k * len(COLOURS)  # other dashes
-                    runs.append(Curve(label, time, error, complete=complete, place=look))
+                    runs.append(Curve(label, time, error, place=look))
             label = f"mean error over the {figure.range}'s range (Eq. 4.1) [%]"
-            row.append(Panel(quantity, "time [s]", label, runs, "from zero"))
+            told = lettered(figure.quantities, quantity, quantity)
+            row.append(Panel(told, "time [s]", label, runs, "logarithmic"))
         panels.append(row)
     return draw_grid(panels)

@@ -20,16 +20,18 @@ from sphrom.artifacts.records.coordinates import MeasuredOnce
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.metrics.measures import UNITS, Quantities, components, errors_of, mean_square
+from sphrom.metrics.measures import UNITS, Quantities, components, errors_of, variation
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.metrics.series import dominant_frequency, kinetic_energy
 from sphrom.online.basis_model import quantities_of
-from sphrom.online.fast_model import fast_model
+from sphrom.online.fast_model import FastModel
 from sphrom.reduction.trial_basis import mean_density_fluctuation, project
 from sphrom.setup.particles import MeasuredFields
 from sphrom.store.stored_run import StoredRun
 from sphrom.store.workspace import Workspace
 
+SURFACE = "surface"
+"""What tables call the elevation of the whole surface."""
 Measured = Mapping[str, Quantities]
 """Quantities of each measurement by its name (n_snapshots, ...)."""
 
@@ -40,7 +42,7 @@ class MeasureRow:
 
     measured: str
     quantity: str
-    """`force_x`, `force_y`, `torque`, `flow_rate`, `velocity_x`, `velocity_y` or `pressure`."""
+    """A component of `sphrom.metrics.measures.UNITS`, such as `force_x` or `pressure`."""
     unit: str
     compared: str
     parameters: str
@@ -78,7 +80,7 @@ def measured_of_best(
     workspace: Workspace, model: ReducedModelSection, point: ParameterPoint, mapped: Artifact
 ) -> Measured:
     """Measure the nearest states in the basis of a model, as the model does."""
-    fast, time = fast_model(workspace, model), mapped.read("time")
+    fast, time = FastModel(workspace, model), mapped.read("time")
     reduced = fast.at(point)
     state = mapped.read("density_fluctuation"), mapped.read("velocity")
     coordinates = project(reduced.basis, *state)
@@ -100,9 +102,13 @@ def measure_rows(
     full: Measured,
     counted: NDArray[np.bool_],
     estimates: Mapping[str, Any],
+    *,
+    with_weight: bool,
     **described: Any,
 ) -> Iterator[MeasureRow]:
     """Yield the rows of a run beside the full one, over the snapshots (n_snapshots,) that count.
+
+    `with_weight` says that pressures have a hydrostatic part, which errors are not relative to.
 
     Compared run, parameters, number of modes and role are `described` as in the rows. Estimated
     errors are root mean squares over time (...), by measurement and quantity.
@@ -110,7 +116,7 @@ def measure_rows(
     for measured, quantities in own.items():
         for quantity, values in quantities.items():
             reference = full[measured][quantity][counted]
-            square = mean_square(quantity, reference)
+            square = variation(quantity, reference, with_weight=with_weight)
             others = components(quantity, reference)
             for component, found in components(quantity, values[counted]).items():
                 estimated = None

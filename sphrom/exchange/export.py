@@ -33,7 +33,6 @@ from sphrom.setup.context import StageContext
 from sphrom.sph.fluid import pressure_of
 from sphrom.store.sampling import probes_of
 from sphrom.store.stored_run import StoredRun
-from sphrom.store.trained_models import read_points
 from sphrom.store.workspace import Target, Workspace, make_folder
 from sphrom.whole_files import replacement
 
@@ -141,8 +140,11 @@ def _opened(workspace: Workspace, item: Item) -> Iterator[Source]:
         shapes = {name: artifact.dataset(name).shape for name in artifact.datasets}
         computed: dict[str, Callable[[Any], Array]] = {}
         if model and point and model.from_operators and POINTS not in artifact:
-            points, sound_speed = read_points(workspace), workspace.case.plan.sound_speed
-            state = lru_cache(maxsize=1)(StoredRun(workspace, artifact, point, model).rebuilt)
+            run, sound_speed = (
+                StoredRun(workspace, artifact, point, model),
+                workspace.case.plan.sound_speed,
+            )
+            points, state = run.position(0), lru_cache(maxsize=1)(run.rebuilt)
             computed = {
                 POINTS: points.__getitem__,
                 "density_fluctuation": lambda index: state(index)[0],

@@ -58,7 +58,7 @@ class ImportOptions:
         float, _option("TIME", "When the case begins; earlier files are left out.")
     ] = 0.0
     seconds: Annotated[
-        float | None, _option("SECONDS", "Time that the run took; without it no speed-up is known.")
+        float | None, _option("SECONDS", "Time that the run took, stated beside the model's time.")
     ] = None
 
     def __post_init__(self) -> None:

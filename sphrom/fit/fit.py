@@ -29,7 +29,13 @@ from sphrom.case.studies import (
 )
 from sphrom.console import Reporter
 from sphrom.errors import CaseError, UnstableError
-from sphrom.fit.forward_model import FittedModel, TrainingDifferences, box_of, error_samples
+from sphrom.fit.forward_model import (
+    FittedModel,
+    TrainingDifferences,
+    box_of,
+    error_samples,
+    fitted_model,
+)
 from sphrom.fit.measurements import Measurements, read_measurements
 from sphrom.metrics.draws import Z
 from sphrom.metrics.estimation import (
@@ -43,6 +49,7 @@ from sphrom.metrics.estimation import (
     undetermined_shares,
 )
 from sphrom.online.fast_model import FastModel, fast_model
+from sphrom.online.surface_model import SurfaceModel
 from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Panel, draw_grid
 from sphrom.plots.tables import format_figure, write_csv
@@ -243,7 +250,9 @@ def _shown(estimate: Estimate) -> tuple[str, ...]:
     return name, *shown, estimate.remark
 
 
-def fit(fast: FastModel, box: Box, measurements: Measurements, known: TrainingDifferences) -> Fit:
+def fit(
+    fast: FastModel | SurfaceModel, box: Box, measurements: Measurements, known: TrainingDifferences
+) -> Fit:
     """Estimate parameters of a model from measured histories.
 
     Parameters
@@ -260,7 +269,7 @@ def fit(fast: FastModel, box: Box, measurements: Measurements, known: TrainingDi
             f"{measurements.source}: {len(values)} values can't tell {len(box.names)} parameters "
             f"({', '.join(box.names)}); give fit.parameters some of them"
         )
-    model = FittedModel(fast, box, measurements.histories)
+    model = fitted_model(fast, box, measurements.histories)
     from scipy.stats import chi2, qmc
 
     exponent = int(np.ceil(np.log2(case.fit.starts)))

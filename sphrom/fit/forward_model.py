@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -25,12 +26,14 @@ from sphrom.metrics.measures import PLACED, FieldMeasure, Quantities, combined, 
 from sphrom.online.basis_model import quantities_of
 from sphrom.online.fast_model import FastModel
 from sphrom.online.sensitivities import STEP, tangents
+from sphrom.online.surface_model import SurfaceModel
 from sphrom.reduction import reference_model
 from sphrom.reduction.error_calibration import compared_snapshots
 from sphrom.reduction.exponential_steps import ExponentialModel
 from sphrom.reduction.reduced_measures import ReducedMeasure, project_measures
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
 from sphrom.setup.particles import MeasuredFields
+from sphrom.store.surfaces import SurfaceModelAt
 from sphrom.store.trajectory import snapshot_fields
 from sphrom.text import exact
 
@@ -38,6 +41,8 @@ TrainingDifferences = dict[Hashable, tuple[Array, Array]]
 """Of histories in training runs, by basis and histories, with the sizes of errors over the fluid.
 Fits of one model share them."""
 
+DIFFERENCE = 1e-3
+"""Of the place, from which derivatives of models of a free surface follow."""
 FINER = 2
 """Steps over those that runs take: they are the same for all parameters, and have room for all."""
 
@@ -61,8 +66,11 @@ def box_of(ranges: Ranges, values: Mapping[str, float]) -> Box:
 class FittedModel:
     """A model's values where histories were measured, over the unit box of free parameters."""
 
-    def __init__(self, fast: FastModel, box: Box, histories: Sequence[History]) -> None:
-        self.fast, self.box = fast, box
+    def __init__(
+        self, fast: FastModel | SurfaceModel, box: Box, histories: Sequence[History]
+    ) -> None:
+        self.fast: Any = fast  # its kind is that of the class
+        self.box = box
         self.histories = tuple(histories)
         self._case = fast.workspace.case
         unnamed = dict.fromkeys(h.place for h in histories if h.place is not None)
@@ -182,6 +190,51 @@ class FittedModel:
             spline = make_interp_spline(time, histories, k=min(3, len(time) - 1))
             histories = np.asarray(spline(np.clip(instants, time[0], time[-1])))
         return histories[self._at, self._which]
+
+
+class FittedSurface(FittedModel):
+    """The same of a model of a free surface, whose derivatives are differences of runs."""
+
+    def prepare(self, starts: Sequence[Array]) -> None:
+        """Do nothing: steps follow from the basis and the depth."""
+
+    def reduced(  # type: ignore[override]
+        self, point: ParameterPoint, basis: str | None = None
+    ) -> SurfaceModelAt:
+        """Return the model at a point."""
+        return self.fast.at(point)
+
+    def whole(self, place: Array) -> tuple[Array, Array, Array] | None:
+        """Return the histories at all snapshots, and their derivatives by the place."""
+        found, slopes = self._histories_at(place), []
+        for k in range(len(place)):
+            ends = np.clip(place[k] + DIFFERENCE * np.array([-1.0, 1.0]), 0.0, 1.0)
+            moved = (np.where(np.arange(len(place)) == k, end, place) for end in ends)
+            low, high = map(self._histories_at, moved)
+            if low is None or high is None:
+                return None
+            slopes.append((high[1] - low[1]) / np.ptp(ends))
+        return None if found is None else (*found, np.stack(slopes, axis=-1))
+
+    def _histories_at(self, place: Array) -> tuple[Array, Array] | None:
+        run = self.fast.run(self.point(place))
+        if run.failure is not None:
+            return None
+        measured = run.measured | self._case.scene.oscillations.of(run.time, run.measured)
+        if self._places:
+            samples = run.sampled(np.array(list(self._places)))
+            measured[UNNAMED] = {"velocity": samples.velocity, "pressure": samples.pressure}
+        found = self.stacked(measured)
+        return (run.time, found) if np.isfinite(found).all() else None
+
+
+def fitted_model(
+    fast: FastModel | SurfaceModel, box: Box, histories: Sequence[History]
+) -> FittedModel:
+    """Return a model to fit."""
+    if isinstance(fast, SurfaceModel):
+        return FittedSurface(fast, box, histories)
+    return FittedModel(fast, box, histories)
 
 
 def error_samples(model: FittedModel, place: Array, known: TrainingDifferences) -> Array | None:

@@ -1,36 +1,36 @@
-"""Draws of independent parameters: their distributions, and statistics of outputs of many runs.
+"""Random draws of independent parameters, and statistics of the outputs of many runs.
 
 A distribution is a name in scipy.stats with its arguments: its shape parameters, `loc` and `scale`.
 Draws are its quantile function at points of a unit cube.
 
-The truth y* of a run is known up to the model's error: |y* - y| <= e. With y_(k) the k-th of n
-sorted values, the p-quantile of the truth lies with a confidence of 95 % in
+The true value y* of a run is known up to the model's error: |y* - y| <= e. With y_(k) the k-th of n
+sorted values, the p-quantile of the true values lies with a confidence of 95 % in
 
     [ (y - e)_(l), (y + e)_(u) ],
 
 where l and u - 1 are the 2.5 % and 97.5 % quantiles of the binomial distribution of n draws with
-probability p, whatever the distribution of y is. Without e it is that of sampling alone. The mean
-and the standard deviation s lie by the central limit theorem in
+probability p, for any distribution of y. Without e it is the interval due to sampling alone. By the
+central limit theorem, the mean and the standard deviation s lie in
 
     mean(y) +- (z s / sqrt(n) + mean(e)),    s +- (z sqrt((m4 - s^4) / n) / 2 s + sqrt(mean(e^2))),
 
-z = 1.96 and m4 the fourth moment about the mean. Intervals are for independent draws: of draws
-that fill a box, as Sobol's, they are too wide.
+with z = 1.96 and m4 the fourth central moment. The intervals are for independent draws; for
+space-filling draws, such as Sobol's, they are too wide.
 
-Full runs hold sound and noise of particles that the model doesn't have. Where its errors don't
-depend on the parameters, full runs have the variance s^2 + mean(e^2). The errors' share in it is
-about what an index of the model may be off by.
+Full runs contain sound and particle noise that the model lacks. If its errors are independent of
+the parameters, full runs have the variance s^2 + mean(e^2). The share of the errors in it is about
+the error of a Sobol index of the model.
 
-A Sobol index is the share of an output's variance that a parameter causes alone (first order), or
-has any part in (total). In Saltelli's design (2010) two samples A and B of n points are mixed: in
-AB_i, column i of A is that of B. Then
+The Sobol index of a parameter is its share in the variance of an output: the share that it causes
+alone (first order), or that it contributes to (total). In Saltelli's design (2010), two samples A
+and B of n points are mixed: AB_i is A with column i of B. Then
 
     V = var(y_A, y_B),  S_i = mean(y_B (y_ABi - y_A)) / V,  T_i = mean((y_A - y_ABi)^2) / 2 V,
 
-with the mean of y_A and y_B taken out of all, from n (d + 2) runs for d parameters, computed by
-`scipy.stats.sobol_indices`. Intervals are those of a bootstrap: percentiles of the same sums over n
-points that are drawn anew from the n. Scipy's own takes memory that grows with the square of n; a
-resample here is a row of counts.
+after subtracting the mean of y_A and y_B from all, with n (d + 2) runs for d parameters, computed
+by `scipy.stats.sobol_indices`. Intervals are percentiles of a bootstrap, which resamples the n
+points. Scipy's bootstrap takes memory that grows with the square of n; here a resample is a row of
+counts.
 """
 
 from __future__ import annotations
@@ -46,40 +46,38 @@ from sphrom.arrays import Array
 from sphrom.declaration import Record, attribute, dataset
 
 CONFIDENCE = 0.95
-"""Of intervals."""
+"""Confidence level of intervals."""
 Z = 1.959963984540054
-"""Quantile of the normal distribution for it."""
+"""The corresponding quantile of the normal distribution."""
 NEAREST_SHARE = 2.0**-33
-"""How near to zero and one shares come: quantiles there may be infinite."""
+"""Least distance of shares from zero and one, where quantiles may be infinite."""
 USUAL = "uniform, norm, truncnorm, lognorm, triang, beta, gamma, loguniform"
-"""Names for messages."""
+"""Distributions that messages suggest."""
 COMMON = ("loc", "scale")
-"""Arguments of every distribution, 0 and 1 where they are not given."""
+"""Arguments of every distribution, 0 and 1 by default."""
 N_RESAMPLES = 500
-"""Of the bootstrap."""
+"""Number of resamples of the bootstrap."""
 LEAST_SPREAD = 1e-9
-"""Standard deviation over the largest value below which an output doesn't vary but by rounding."""
-
-
+"""Standard deviation, over the largest value, below which an output varies by rounding only."""
 Along = Literal["time", "mean", "line"]
-"""What the instants of an output are."""
+"""The meaning of an output's instants."""
 
 
 @cache
 def _known(name: str) -> Any:
-    """Return scipy's distribution of a name, None where it has none with a quantile function."""
-    from scipy import stats  # it takes long to load
+    """Return scipy's distribution of a name, or None if it has no quantile function of its own."""
+    from scipy import stats  # importing it takes long
 
-    found = getattr(stats, name, None)
-    if not isinstance(found, stats.rv_continuous):
+    distribution = getattr(stats, name, None)
+    if not isinstance(distribution, stats.rv_continuous):
         return None
-    # Without one of its own scipy inverts numerically, which takes minutes for many draws.
-    own = type(found)._ppf is not stats.rv_continuous._ppf
-    return found if own else None
+    # Without one scipy inverts numerically, which takes minutes for many draws.
+    own = type(distribution)._ppf is not stats.rv_continuous._ppf
+    return distribution if own else None
 
 
 def problem(name: str, arguments: Mapping[str, float]) -> str | None:
-    """Return what is wrong with a distribution, None where nothing is."""
+    """Return a message if a distribution or its arguments are invalid, else None."""
     if (known := _known(name)) is None:
         reason = f"scipy.stats has no continuous distribution {name} with a quantile function"
         return f"{reason}; it has {USUAL} and others"
@@ -96,7 +94,7 @@ def problem(name: str, arguments: Mapping[str, float]) -> str | None:
 
 
 def quantiles(name: str, arguments: Mapping[str, float], shares: Array) -> Array:
-    """Return the values of a distribution below which some shares (...) of all lie."""
+    """Return the quantiles (...) of a distribution at probabilities `shares` (...)."""
     inside = np.clip(shares, NEAREST_SHARE, 1.0 - NEAREST_SHARE)
     return np.asarray(_known(name).ppf(inside, **arguments), dtype=np.float64)
 
@@ -109,7 +107,7 @@ def share_outside(name: str, arguments: Mapping[str, float], low: float, high: f
 
 
 class OutputStatistics(Record):
-    """Statistics of an output over time, of its mean, or along a line at the end of runs."""
+    """Statistics of an output over time, of its mean over time, or along a line at the end."""
 
     mean: Array = dataset("instant", "of the output", "mean of the runs")
     mean_interval: Array = dataset(
@@ -121,12 +119,12 @@ class OutputStatistics(Record):
     )
     quantiles: Array = dataset("level instant", "of the output", "quantiles of the runs")
     sampling_interval: Array = dataset(
-        "end level instant", "of the output", "where quantiles lie by sampling alone, with 95 %"
+        "end level instant", "of the output", "95 % intervals of the quantiles, by sampling alone"
     )
     interval: Array = dataset(
         "end level instant",
         "of the output",
-        "where quantiles lie by sampling and the model's estimated error",
+        "intervals of the quantiles, by sampling and the model's estimated error",
     )
     error_share: Array | None = dataset(
         "instant",
@@ -135,39 +133,39 @@ class OutputStatistics(Record):
         default=None,
     )
     unit: str = attribute("", "unit of the output")
-    along: Along = attribute("", "what its instants are: snapshots, places, or one mean over time")
+    along: Along = attribute("", "meaning of the instants: snapshots, places, or one time average")
     model_error: Literal["estimated", "unknown"] = attribute(
-        "", "whether intervals hold the model's error, or none is known of this output"
+        "", "whether intervals include the model's error, or none is known for this output"
     )
 
 
 class OutputIndices(Record):
-    """Sobol indices of an output, by parameter: zero where the output doesn't vary."""
+    """Sobol indices of an output, by parameter; zero if the output does not vary."""
 
     first: Array = dataset("parameter instant", "1", "share of the variance by it alone", "S")
     first_interval: Array = dataset(
         "end parameter instant", "1", "low and high end by a bootstrap, with 95 %"
     )
-    total: Array = dataset("parameter instant", "1", "share that it has any part in", "T")
+    total: Array = dataset("parameter instant", "1", "share that it contributes to", "T")
     total_interval: Array = dataset(
         "end parameter instant", "1", "low and high end by a bootstrap, with 95 %"
     )
 
 
 def fewest_runs(levels: tuple[float, ...]) -> int:
-    """Return how many runs it takes that all quantiles have intervals."""
+    """Return the smallest number of runs for which all quantiles have intervals."""
     nearest = min(min(level, 1.0 - level) for level in levels)
     return int(np.ceil(np.log(0.5 * (1.0 - CONFIDENCE)) / np.log1p(-nearest)))
 
 
 def ranks(n_runs: int, level: float) -> tuple[int, int]:
-    """Return the places, from zero, of the sorted values that enclose a quantile.
+    """Return the indices of the sorted values that enclose a quantile.
 
-    Raises ValueError where there are too few runs for that.
+    Raises ValueError if there are too few runs.
     """
     from scipy.special import bdtr
 
-    # The binomial distribution's quantiles, without loading scipy.stats.
+    # The quantiles of the binomial distribution, without importing scipy.stats.
     cumulative = bdtr(np.arange(n_runs + 1.0), n_runs, level)
     tail = 0.5 * (1.0 - CONFIDENCE)
     low, high = (int(np.searchsorted(cumulative, share)) for share in (tail, 1.0 - tail))
@@ -187,9 +185,9 @@ def spread(
 
     Parameters
     ----------
-    errors : (n_runs, n_instants) of the model, not negative; None where none are known.
+    errors : (n_runs, n_instants) of the model, not negative; None if they are unknown.
 
-    Raises ValueError where there are too few runs for intervals.
+    Raises ValueError if there are too few runs for intervals.
     """
     places = [ranks(len(values), level) for level in levels]
     low, high = (list(each) for each in zip(*places, strict=True))
@@ -228,9 +226,9 @@ def spread(
 
 
 def saltelli_design(unit: Array) -> Array:
-    """Return A, B and AB_1 to AB_d one after the other ((d + 2) n, d).
+    """Return A, B and AB_1 to AB_d, concatenated ((d + 2) n, d).
 
-    `unit` (n, 2 d) are points of a unit cube: columns of A, then those of B.
+    `unit` (n, 2 d) are points of a unit cube: the columns of A, then those of B.
     """
     first, second = np.hsplit(unit, 2)
     mixed = []
@@ -241,11 +239,11 @@ def saltelli_design(unit: Array) -> Array:
 
 
 def sobol_indices(values: Array, n_parameters: int, seed: int = 0) -> OutputIndices:
-    """Return the indices of values ((d + 2) n, n_outputs) of a design, n a power of two.
+    """Return the indices of values ((d + 2) n, n_outputs) of a design, with n a power of two.
 
-    Outputs that don't vary have indices of zero.
+    Outputs that do not vary have indices of zero.
     """
-    from scipy import stats  # it takes long to load
+    from scipy import stats  # importing it takes long
 
     blocks = values.reshape(n_parameters + 2, -1, *values.shape[1:])
     own, other, mixed = blocks[0], blocks[1], blocks[2:]
@@ -253,7 +251,7 @@ def sobol_indices(values: Array, n_parameters: int, seed: int = 0) -> OutputIndi
     found = stats.sobol_indices(
         func={"f_A": own.T, "f_B": other.T, "f_AB": mixed.transpose(0, 2, 1)}, n=n_points
     )
-    # Scipy has outputs first, and no axis of one output.
+    # Scipy puts outputs first, and has no axis for a single output.
     orders = found.first_order, found.total_order
     first, total = (order.reshape(n_outputs, n_parameters).T for order in orders)
     both = np.concatenate((own, other))
@@ -269,14 +267,14 @@ def sobol_indices(values: Array, n_parameters: int, seed: int = 0) -> OutputIndi
 
 @lru_cache(maxsize=2)
 def _drawn(n_points: int, seed: int) -> Array:
-    """Return how often each resample draws each point (n_resamples, n_points)."""
+    """Return how many times each resample draws each point (n_resamples, n_points)."""
     share = np.full(n_points, 1.0 / n_points)
     counts = np.random.default_rng(seed).multinomial(n_points, share, N_RESAMPLES)
     return counts.astype(np.float64)
 
 
 def _resampled(own: Array, other: Array, mixed: Array, counts: Array) -> tuple[Array, Array]:
-    """Return both orders (n_resamples, n_parameters, n_outputs) of points that count some times."""
+    """Return both orders (n_resamples, n_parameters, n_outputs) with points weighted by counts."""
     n_points = len(own)
     mean = 0.5 * (own.mean(axis=0) + other.mean(axis=0))
     own, other, mixed = own - mean, other - mean, mixed - mean

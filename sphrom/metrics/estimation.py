@@ -1,30 +1,29 @@
-"""Parameters of a model from measured values: least squares, and what is known of the estimate.
+"""Parameter estimation by least squares from measured values, and the uncertainty of estimates.
 
-Values y_i with independent noise of standard deviation sigma_i are measured where a model with
-parameters x, a place in the unit box, has g_i(x). The model's own errors d are known by samples
-d_k, k = 1 to K. They are correlated over time and from place to place, so that more data don't
-average them out as they do noise. They count as normally distributed with mean zero and with the
-covariance of the samples (the approximation errors of Kaipio and Somersalo 2007, J. Comput. Appl.
-Math. 198, 493-504), so that the estimate minimises
+The measured values y_i have independent noise of standard deviation sigma_i. At parameters x, a
+place in the unit box, the model gives g_i(x). The model's own errors d are known by samples d_k,
+k = 1 to K. They are correlated in time and space, so unlike noise they do not average out with more
+data. They are treated as normally distributed with mean zero and the covariance of the samples (the
+approximation errors of Kaipio and Somersalo 2007, J. Comput. Appl. Math. 198, 493-504), so that the
+estimate minimises
 
     chi^2(x) = (y - g)^T S^-1 (y - g),    S = diag(sigma^2) + 1/K sum_k d_k d_k^T,
 
-by a trust-region method of Levenberg and Marquardt's kind within the box, from several starts. With
-J = dg/dx at the minimum, the Fisher matrix is F = J^T S^-1 J, and to first order the estimate
-differs from the truth by G (noise + d) with the gain G = F^-1 J^T S^-1. Its covariance is
+by a trust-region Levenberg-Marquardt method within the box, from several starts. With J = dg/dx at
+the minimum, the Fisher matrix is F = J^T S^-1 J. To first order the estimate differs from the truth
+by G (noise + d) with the gain G = F^-1 J^T S^-1. Its covariance is
 
-    C = G diag(sigma^2) G^T + 1/K sum_k b_k b_k^T,    b_k = G_k d_k:
+    C = G diag(sigma^2) G^T + 1/K sum_k b_k b_k^T,    b_k = G_k d_k.
 
-G_k is the gain without sample k, so that b_k is by how much an estimate would be wrong that has not
-seen what the model is wrong by. K is small. So the half-widths of intervals are those of Student's
-distribution with K (variance / variance of the samples)^2 degrees of freedom (Welch and
-Satterthwaite), and no chi^2 is expected below that of noise plus the mean over k of d_k's own, in
-weights that don't know it.
+G_k is the gain without sample k, so b_k is the error of an estimate that did not know this model
+error. K is small. The half-widths of intervals are therefore those of Student's distribution with
+K (variance / variance of the samples)^2 degrees of freedom (Welch and Satterthwaite). The expected
+chi^2 is that of the noise plus the mean over k of the chi^2 of d_k, in weights without sample k.
 
-Along an eigenvector of F whose eigenvalue is too small the data determine nothing; there the
-standard deviation is at most the width of the box. Such minima form a valley, and where in it a
-search ends depends on its start. Equally good minima are therefore ordered by their starts, not by
-a chi^2 that differs by rounding, and all of them tell which parameters are not determined.
+Along an eigenvector of F with too small an eigenvalue the data determine nothing; the standard
+deviation there is at most the width of the box. Such minima form a valley, and the end of a search
+depends on its start. Equally good minima are therefore ordered by their starts rather than by
+rounding differences of chi^2, and all of them show which parameters are not determined.
 """
 
 from __future__ import annotations
@@ -40,17 +39,17 @@ from sphrom.arrays import Array
 from sphrom.metrics.draws import CONFIDENCE
 
 Model = Callable[[Array], tuple[Array, Array] | None]
-"""From a place in the unit box (n_parameters,), values (n_values,) and their derivatives
-(n_values, n_parameters); None where the model has no values."""
+"""Returns values (n_values,) and derivatives (n_values, n_parameters) at a place in the unit box
+(n_parameters,), or None if the model has no values there."""
 
 UNDETERMINED = 0.5
-"""Standard deviation along a direction, over the box's width, from which on it is undetermined."""
+"""Standard deviation along a direction, over the box's width, that counts as undetermined."""
 AT_BOUND = 1e-4
-"""Distance from a bound of the box, over its width, at which an estimate is on it."""
+"""Largest distance of an estimate on a bound of the box, over the box's width."""
 SAME = 1e-3
-"""Distance of minima, over the box's width, up to which they are one."""
+"""Largest distance of equal minima, over the box's width."""
 EQUAL = 1e-3
-"""Increase of chi^2 up to which fits are equally good; the one of the first start then counts."""
+"""Increase of chi^2 up to which fits are equally good; that of the earliest start is preferred."""
 NEARLY = 9.0
 """Increase of chi^2, three standard deviations, up to which noise may explain a worse fit."""
 MARGIN = 0.01
@@ -60,53 +59,53 @@ TOLERANCE = 1e-9
 NOWHERE = 1e8
 """Weighted residual where the model has no values."""
 MOST_EVALUATIONS = 100
-"""Of the model, from one start."""
+"""Largest number of evaluations of the model from one start."""
 
 
 @dataclass(frozen=True)
 class Weights:
-    """The inverse root of the covariance S of noise and of the model's errors."""
+    """The inverse square root of the covariance S of noise and model errors."""
 
     deviation: Array
     """(n_values,) of the noise."""
     samples: Array
-    """(n_samples, n_values) of the model's errors; none where nothing is known of them."""
+    """(n_samples, n_values) of the model's errors; empty if they are unknown."""
 
     def __call__(self, values: Array) -> Array:
-        """Return values (n_values, ...) times the inverse root: their covariance is then one."""
+        """Return values (n_values, ...) times the inverse root, which have unit covariance."""
         shape = (-1,) + (1,) * (values.ndim - 1)
         scaled = values / self.deviation.reshape(shape)
         if not len(self.samples):
             return scaled
         errors = self.samples / self.deviation / np.sqrt(len(self.samples))
-        # Their principal axes, and what these are lowered by.
+        # The principal axes of the samples, and the factors that reduce values along them.
         _, sizes, modes = np.linalg.svd(errors, full_matrices=False)
         shares = 1.0 - 1.0 / np.sqrt(1.0 + sizes**2)
         along = np.tensordot(modes, scaled, 1)
         return np.asarray(scaled - np.tensordot(modes.T, shares.reshape(shape) * along, 1))
 
     def without(self, k: int) -> Weights:
-        """Return the weights that don't know a sample."""
+        """Return the weights without sample k."""
         return replace(self, samples=np.delete(self.samples, k, axis=0))
 
     def gain(self, derivatives: Array) -> Array:
         """Return G (n_parameters, n_values) for derivatives (n_values, n_parameters)."""
         weighted = self(derivatives)
         inverse, _, _ = _inverse(weighted.T @ weighted)
-        # The inverse root is symmetric but for the deviations that come first.
+        # The inverse root is symmetric except for the deviations that are applied first.
         twice = Weights(np.ones(len(self.deviation)), self.samples / self.deviation)(weighted)
         return inverse @ (twice / self.deviation[:, None]).T
 
     @property
     def expected(self) -> float:
-        """The chi^2 that the model's errors cause, by samples that the weights don't know."""
+        """The expected chi^2 due to the model's errors, by leaving out one sample at a time."""
         n = len(self.samples)
         each = [np.sum(self.without(k)(self.samples[k]) ** 2) for k in range(n)]
         return float(np.mean(each)) if n else 0.0
 
 
 def _inverse(fisher: Array) -> tuple[Array, Array, Array]:
-    """Return the inverse of a Fisher matrix within the box, its eigenvalues and vectors (rows)."""
+    """Return a Fisher matrix's inverse, bounded by the box, its eigenvalues and vectors (rows)."""
     eigenvalues, vectors = np.linalg.eigh(fisher)
     inverse = (vectors / np.maximum(eigenvalues, 1.0)) @ vectors.T
     return inverse, np.maximum(eigenvalues, 0.0), vectors.T
@@ -114,7 +113,7 @@ def _inverse(fisher: Array) -> tuple[Array, Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Minimum:
-    """Where the search from one or several starts ended."""
+    """The end point of searches from one or several starts."""
 
     place: Array
     """(n_parameters,) in the unit box."""
@@ -125,23 +124,23 @@ class Minimum:
     """(n_values, n_parameters)."""
     converged: bool
     n_starts: int = 1
-    """How many starts led here."""
+    """Number of starts that led here."""
 
     @property
     def at_bound(self) -> NDArray[np.bool_]:
-        """(n_parameters,) which parameters are on a bound of the box."""
+        """(n_parameters,) whether each parameter is on a bound of the box."""
         return np.asarray(np.minimum(self.place, 1.0 - self.place) < AT_BOUND)
 
 
 def minima(model: Model, values: Array, weights: Weights, starts: Sequence[Array]) -> list[Minimum]:
-    """Return the minima of chi^2 that starts in the unit box lead to, the least first.
+    """Return the minima of chi^2 found from starts in the unit box, the least first.
 
-    Equally good ones are in the order of their starts.
+    Equally good minima are in the order of their starts.
 
     Parameters
     ----------
     values : (n_values,) the data.
-    starts : (n_parameters,) each; those at which the model has no values are left out.
+    starts : (n_parameters,) each; starts at which the model has no values are left out.
     """
     found: list[Minimum] = []
     for start in starts:
@@ -156,7 +155,7 @@ def minima(model: Model, values: Array, weights: Weights, starts: Sequence[Array
 
 
 def _with(known: Sequence[Minimum], new: Minimum) -> list[Minimum]:
-    """Return minima with another one, which may be one of them."""
+    """Return minima with a new one added, or merged with the one that it equals."""
     for k, each in enumerate(known):
         if np.abs(each.place - new.place).max() < SAME:
             better = new if new.chi_square < each.chi_square - EQUAL else each
@@ -166,7 +165,7 @@ def _with(known: Sequence[Minimum], new: Minimum) -> list[Minimum]:
 
 
 def _minimum(model: Model, values: Array, weights: Weights, start: Array) -> Minimum | None:
-    from scipy.optimize import least_squares  # it takes long to load
+    from scipy.optimize import least_squares  # importing it takes long
 
     @lru_cache(maxsize=1)
     def at(place: bytes) -> tuple[Array, Array] | None:
@@ -195,16 +194,16 @@ def _minimum(model: Model, values: Array, weights: Weights, start: Array) -> Min
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """What is known of an estimate, in the unit box."""
+    """The uncertainty of an estimate, in the unit box."""
 
     noise: Array
-    """(n_parameters, n_parameters) covariance by the noise."""
+    """(n_parameters, n_parameters) covariance due to the noise."""
     model: Array
-    """The same by the model's errors."""
+    """(n_parameters, n_parameters) covariance due to the model's errors."""
     half_width: Array
     """(n_parameters,) of the 95 % intervals."""
     eigenvalues: Array
-    """(n_parameters,) of the Fisher matrix, rising."""
+    """(n_parameters,) of the Fisher matrix, ascending."""
     directions: Array
     """(n_parameters, n_parameters) its eigenvectors, in rows."""
     biases: Array
@@ -223,18 +222,18 @@ class Uncertainty:
 
     @property
     def undetermined(self) -> Array:
-        """(n_parameters, n_parameters) projection onto directions that data don't determine."""
+        """(n_parameters, n_parameters) projection onto directions the data do not determine."""
         directions = self.directions[self.eigenvalues * UNDETERMINED**2 < 1.0]
         return np.asarray(directions.T @ directions)
 
 
 def uncertainty(derivatives: Array, weights: Weights) -> Uncertainty:
-    """Return what is known of an estimate with some derivatives (n_values, n_parameters)."""
+    """Return the uncertainty of an estimate with derivatives (n_values, n_parameters)."""
     weighted, n_samples = weights(derivatives), len(weights.samples)
     _, eigenvalues, directions = _inverse(weighted.T @ weighted)
     gain = weights.gain(derivatives)
     noise = (gain * weights.deviation**2) @ gain.T
-    # A combination that the data do not determine stays as uncertain as the box is wide.
+    # A direction that the data do not determine has the uncertainty of the box's width.
     noise += (directions.T * np.maximum(0.0, 1.0 - eigenvalues)) @ directions
     biases = np.array(
         [weights.without(k).gain(derivatives) @ weights.samples[k] for k in range(n_samples)]
@@ -245,15 +244,15 @@ def uncertainty(derivatives: Array, weights: Weights) -> Uncertainty:
 
 
 def nearly_as_good(found: Sequence[Minimum]) -> list[Minimum]:
-    """Return those minima, the first one included, that noise can't tell from the first."""
+    """Return the minima, including the first, whose difference from the first may be noise."""
     return [each for each in found if each.chi_square <= found[0].chi_square + NEARLY]
 
 
 def undetermined_shares(found: Sequence[Minimum], weights: Weights) -> Array:
-    """Return how far the directions that data don't determine are those of each parameter.
+    """Return the shares (n_parameters,) of parameters in the undetermined directions.
 
-    The shares (n_parameters,) are squared cosines, one for a parameter that nothing determines.
-    They are means over the minima `found`, weighted by their likelihood.
+    They are squared cosines: one for a parameter that is not determined at all. They are averaged
+    over the minima `found`, weighted by their likelihood.
     """
     likelihood = np.exp([0.5 * (found[0].chi_square - each.chi_square) for each in found])
     shares = [np.diag(uncertainty(each.derivatives, weights).undetermined) for each in found]
@@ -261,7 +260,7 @@ def undetermined_shares(found: Sequence[Minimum], weights: Weights) -> Array:
 
 
 def _half_width(known: Array, sampled: Array, n_samples: int) -> Array:
-    """Return half-widths of intervals by known variances, and by those of some samples."""
+    """Return half-widths of intervals from known variances and those of some samples."""
     from scipy.stats import t
 
     whole = known + sampled
@@ -271,7 +270,7 @@ def _half_width(known: Array, sampled: Array, n_samples: int) -> Array:
 
 
 def history_variance(derivatives: Array, found: Uncertainty, samples: Array) -> Array:
-    """Return the variance (n_values,) of what true values differ from the fitted model's by.
+    """Return the variance (n_values,) of the difference of true values from the fitted model's.
 
     Parameters
     ----------

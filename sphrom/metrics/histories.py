@@ -1,17 +1,18 @@
-"""Figures of merit: errors of fields and of whole runs (Eq. 4.1, L2 norms), compression (4.2, 4.3).
+"""Error measures of fields and whole runs (Eq. 4.1, L2 norms), and compression (Eq. 4.2, 4.3).
 
-Eq. 4.1 divides by a range, max - min of the reference. Over which points it is taken matters more
-than the error: a few points with large values, such as the corners under a lid, make any error
-small. A comparison of part of a field therefore names its range: that of the part or the whole.
+Eq. 4.1 divides by a range, max - min of the reference. The choice of points for the range matters
+more than the error: a few points with large values, such as the corners under a lid, make any error
+small. A comparison of part of a field therefore states whether its range is that of the part or of
+the whole field.
 
 Fields are (n_snapshots, n_points) or (n_points,): the last axis, or the last two of a vector field,
-is one instant, and each function returns one figure per instant. A figure that isn't finite, as of
-fields that aren't or relative to nothing, is refused with ValueError.
+is one instant, and each function returns one number per instant. Results that are not finite raise
+ValueError; they arise from fields that are not finite, or a reference of zero.
 
-Quantities of runs and where they are compared have one name, such as `velocity_field` or
-`pressure_line`. In the L2 norm a velocity is a vector, and a pressure is less its mean over the
-points; in Eq. 4.1 the speed and the pressure as it is are compared. Estimated errors are root mean
-squares over the grid, and so are the true ones that they are compared with, of velocities and of
+Quantities and the points of their comparison have one name, such as `velocity_field` or
+`pressure_line`. In the L2 norm, velocities are compared as vectors, and pressures less their mean
+over the points; in Eq. 4.1, speeds and the pressures themselves are. Estimated errors, and the true
+ones that they are compared with, are root mean squares over the grid, of velocities and of
 pressures less their mean.
 """
 
@@ -29,17 +30,17 @@ from sphrom.metrics.series import hat, moving_average
 
 QUANTITIES = ("velocity", "pressure")
 PLACES = ("velocity_field", "velocity_line", "pressure_field", "pressure_line")
-"""Quantities, and where they are compared."""
+"""Quantities with the points of their comparison."""
 EQ41 = ("eq41_by_line_range", "eq41_by_field_range")
-"""Eq. 4.1 by the range that it divides by."""
+"""Eq. 4.1 by its range."""
 TIME_TOLERANCE = 1e-9
-"""Times that differ by less are one [s]."""
+"""Times that differ by less than this are equal [s]."""
 RANGE_TOLERANCE = 8.0 * float(np.finfo(np.float64).eps)
-"""A range below this part of the largest value is rounding, hence zero."""
+"""A range below this share of the largest value is rounding and counts as zero."""
 
 
 def instantaneous_range(reference: Array) -> Array:
-    """Return max - min over the points of every instant, 0 where it is only rounding."""
+    """Return max - min over the points of every instant, 0 if it is only rounding."""
     extent = np.asarray(reference.max(axis=-1) - reference.min(axis=-1))
     return np.where(extent > RANGE_TOLERANCE * np.abs(reference).max(axis=-1), extent, 0.0)
 
@@ -47,9 +48,9 @@ def instantaneous_range(reference: Array) -> Array:
 def relative_discrepancy(approximation: Array, reference: Array, extent: Array) -> Array:
     """Return 100 mean|error| / (max - min) of the reference at that instant [%] (Eq. 4.1).
 
-    `extent` (...) is that range, such as of the whole of a field of which `reference` is a line.
+    `extent` (...) is the range: that of `reference`, or of a whole field of which it is a line.
 
-    Raises ValueError for a field that isn't finite, or a range of zero at some instant.
+    Raises ValueError for a field that is not finite, or a range of zero at some instant.
     """
     return _percent(np.abs(approximation - reference).mean(axis=-1), extent)
 
@@ -57,8 +58,8 @@ def relative_discrepancy(approximation: Array, reference: Array, extent: Array) 
 def relative_l2(approximation: Array, reference: Array, *, field_axes: int = 1) -> Array:
     """Return 100 |error| / |reference| in the L2 norm of every instant [%].
 
-    `field_axes` is 1 for scalars (..., n_points), 2 for vectors (..., n_points, n_dim); one more
-    makes it the norm over points and time. Raises ValueError for a field that isn't finite, or a
+    `field_axes` is 1 for scalars (..., n_points), 2 for vectors (..., n_points, n_dim); with one
+    more, the norm is over points and time. Raises ValueError for a field that is not finite, or a
     reference of zero.
     """
     axes = tuple(range(-field_axes, 0))
@@ -67,22 +68,22 @@ def relative_l2(approximation: Array, reference: Array, *, field_axes: int = 1) 
 
 
 def without_mean(field: Array) -> Array:
-    """Return a field less its spatial mean: in a closed box the mean pressure is a gauge."""
+    """Return a field less its spatial mean; in a closed box the mean pressure is arbitrary."""
     return field - field.mean(axis=-1, keepdims=True)
 
 
 def _percent(errors: Array, scale: Array) -> Array:
     with np.errstate(divide="ignore", invalid="ignore"):
-        found = 100.0 * errors / scale
-    if not np.all(np.isfinite(found)):
+        percents = 100.0 * errors / scale
+    if not np.all(np.isfinite(percents)):
         raise ValueError("no error: a field is not finite, or the reference is constant or zero")
-    return np.asarray(found)
+    return np.asarray(percents)
 
 
 def compression_factors(n_particles: int, n_modes: int, n_dim: int = 2) -> tuple[float, float]:
     """Return N_d / M with the (2n + 1) N values of the full state (Eq. 4.2 inverted, as used).
 
-    The second counts the reduced fields alone, density and velocity: (n + 1) N / M.
+    The second result counts only the reduced fields, density and velocity: (n + 1) N / M.
     """
     return (2 * n_dim + 1) * n_particles / n_modes, (n_dim + 1) * n_particles / n_modes
 
@@ -99,15 +100,14 @@ def energy(singular_values: Array) -> Array:
 
 @dataclass(frozen=True)
 class Series:
-    """Errors of one quantity at some points, [%]."""
+    """Errors of one quantity at some points [%]."""
 
     relative_l2_overall: float
-    """Over points and time: the root of the sum of all squared errors over that of the values'."""
+    """Over points and time: root of the sum of squared errors over that of squared values."""
     relative_l2: Array
     """(n_snapshots,) of each instant."""
     eq41: Mapping[str, Array]
-    """(n_snapshots,) Eq. 4.1 by EQ41, with the reference's range on the line, or there and on the
-    grid."""
+    """(n_snapshots,) Eq. 4.1 by EQ41: with the range on the line, or on the line and the grid."""
 
 
 @dataclass(frozen=True)
@@ -119,11 +119,11 @@ class History:
     places: Mapping[str, Series]
     """By PLACES."""
     without_sound: Mapping[str, Series] = field(default_factory=dict)
-    """Errors of pressures that are averaged over time, by `pressure_field` and `pressure_line`.
+    """Errors of pressures averaged over time, by `pressure_field` and `pressure_line`.
 
     The averages are weighted by a hat whose half-width is the period of the longest sound wave, at
-    the instants that have all of it: the sound of a weakly compressible model is not the flow's,
-    and no small space holds it. Empty unless asked for, and for runs that are too short.
+    the instants with a complete window. The sound of a weakly compressible model is not part of the
+    flow, and no small basis represents it. Empty unless requested, and for runs that are too short.
     """
 
 
@@ -134,10 +134,10 @@ def compare(
     from_time: float,
     sound_period: float | None = None,
 ) -> History:
-    """Compare two runs, at the instants that both have and where the errors have a meaning.
+    """Compare two runs at their common instants for which the errors are defined.
 
-    Eq. 4.1 needs fields of the reference that vary over the probes. With the period of the longest
-    sound wave [s] pressures are also compared without sound.
+    Eq. 4.1 needs a reference that varies over the probes. If the period of the longest sound wave
+    [s] is given, pressures are also compared without sound.
     """
     common = slice(min(len(run.time), len(reference.time)))
     run, reference = run.at(common), reference.at(common)
@@ -167,7 +167,7 @@ def _parts(probes: Probes) -> tuple[tuple[str, slice], ...]:
 
 
 def _varies(values: Array, probes: Probes) -> NDArray[np.bool_]:
-    """Return at which instants values (n_snapshots, n_probes) vary on the line and the grid."""
+    """Return whether values (n_snapshots, n_probes) vary on line and grid, by instant."""
     ranges = [instantaneous_range(values[:, where]) for _, where in _parts(probes)]
     return np.all(np.array(ranges) > 0.0, axis=0)
 
@@ -205,7 +205,7 @@ def _series(
 def _without_sound(
     run: Samples, reference: Samples, probes: Probes, kept: NDArray[np.int64], sound_period: float
 ) -> dict[str, Series]:
-    """Return the errors without sound, at the kept instants that have the whole window."""
+    """Return the errors without sound, at the kept instants with a complete window."""
     n_half = len(reference.time) + 1
     if len(reference.time) > 1:
         n_half = max(1, round(sound_period / float(np.diff(reference.time).mean())))
@@ -222,9 +222,9 @@ def _without_sound(
 Errors = Mapping[str, float | None]
 """Errors [%] of one run over time, or of a model over its runs, by ERRORS; None without a result.
 
-`pressure_line_relative_l2` is the relative L2 norm over the line's points and time, with `_peak`
-that of the worst instant; `pressure_line_eq41_by_field_range_mean` is Eq. 4.1 on the line over the
-range of the whole field, averaged over time.
+`pressure_line_relative_l2` is the relative L2 norm over the line's points and time, and with
+`_peak` that of the worst instant. `pressure_line_eq41_by_field_range_mean` is Eq. 4.1 on the line
+over the range of the whole field, averaged over time.
 """
 ERRORS = (
     *(f"{place}_relative_l2{peak}" for place in PLACES for peak in ("", "_peak")),
@@ -232,9 +232,9 @@ ERRORS = (
       ("mean", "peak")),
 )  # fmt: skip
 NO_ERRORS: Errors = dict.fromkeys(ERRORS)
-"""Those of a run that became unstable."""
+"""Errors of a run that became unstable."""
 EXACT: Errors = dict.fromkeys(ERRORS, 0.0)
-"""Those of a run that others are compared with."""
+"""Errors of the reference run."""
 
 
 def errors_of(history: History) -> Errors:
@@ -249,7 +249,7 @@ def errors_of(history: History) -> Errors:
 
 
 def norms_of(name: str, series: Series) -> dict[str, float | None]:
-    """Return the relative L2 norms of a series, over all and at worst, by their names."""
+    """Return the overall and the largest relative L2 norm of a series, by name."""
     return {
         f"{name}_relative_l2": series.relative_l2_overall,
         f"{name}_relative_l2_peak": float(series.relative_l2.max()),
@@ -257,13 +257,13 @@ def norms_of(name: str, series: Series) -> dict[str, float | None]:
 
 
 def mean_errors(each: Sequence[Errors]) -> Errors:
-    """Return means over runs, and the largest of peaks; None where a run has none."""
-    found: dict[str, float | None] = {}
+    """Return means over runs, and the largest of peaks; None if a run has no value."""
+    means: dict[str, float | None] = {}
     for name in each[0]:
         values = [value for errors in each if (value := errors[name]) is not None]
         whole = max if name.endswith("peak") else lambda some: sum(some) / len(some)
-        found[name] = float(whole(values)) if len(values) == len(each) else None
-    return found
+        means[name] = float(whole(values)) if len(values) == len(each) else None
+    return means
 
 
 EFFECTIVITY = {
@@ -277,16 +277,16 @@ EFFECTIVITY = {
         "effectivity_max": None,
     }.items()
 }
-"""Figures and their units: estimate and error over time, relative to the field; their ratio."""
+"""Names and units: estimate and error over time, relative to the field, and their ratio."""
 
 
 def effectivity(
     estimates: Array, run: Samples, reference: Samples, probes: Probes, start: float, late: float
 ) -> dict[str, float] | None:
-    """Return how good estimates (n_snapshots, 2) are, by EFFECTIVITY.
+    """Return the quality of estimates (n_snapshots, 2), by EFFECTIVITY.
 
     Estimates are root mean squares of velocity [m/s] and pressure [Pa]. Instants before `start` [s]
-    don't count, nor in ratios those before `late` [s]. None without an error to compare with.
+    are left out, and for ratios those before `late` [s]. Return None if all errors are zero.
     """
     fields = [
         [each.velocity[:, probes.on_grid] for each in (run, reference)],

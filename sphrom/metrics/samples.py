@@ -1,8 +1,7 @@
-"""Where runs are compared, and the velocity and pressure that they have there.
+"""The probes at which runs are compared, and the velocity and pressure there.
 
-They are compared along a straight line and on a regular grid over the box. Points stand in the
-middle of equal intervals, so that none falls on the edges of a box, or twice onto the two sides of
-a periodic one.
+Probes are on a straight line and on a regular grid over the box. They are the midpoints of equal
+intervals, so none is on the edges of a box, or twice on the two sides of a periodic one.
 """
 
 from __future__ import annotations
@@ -18,18 +17,18 @@ from sphrom.arrays import Array, Mask
 
 @dataclass(frozen=True)
 class Probes:
-    """Where runs are compared [m]: all of it in the fluid."""
+    """Points in the fluid at which runs are compared [m]."""
 
     line: Array
-    """(n_line, 2), a vertical line, the centreline unless the case chooses another."""
+    """(n_line, 2), on a vertical line: the centreline unless the case chooses another."""
     grid: Array
-    """(n_grid, 2), those points of a regular grid that are in the fluid, row by row."""
+    """(n_grid, 2), the points of a regular grid that are in the fluid, row by row."""
     grid_shape: tuple[int, int]
     """Rows and columns of the whole grid."""
     in_fluid: Mask
-    """(n_rows n_columns,) which points of the whole grid are in the fluid."""
+    """(n_rows n_columns,) whether points of the whole grid are in the fluid."""
     stations: Array
-    """(n_stations, 2), where histories are kept; none in most scenes."""
+    """(n_stations, 2), points with recorded histories; none in most scenes."""
 
     @property
     def all(self) -> Array:
@@ -38,21 +37,21 @@ class Probes:
 
     @property
     def on_line(self) -> slice:
-        """Where the line's points are among all."""
+        """The indices of the line's points among all."""
         return slice(0, len(self.line))
 
     @property
     def on_grid(self) -> slice:
-        """Where the grid's points are among all."""
+        """The indices of the grid's points among all."""
         return slice(len(self.line), len(self.line) + len(self.grid))
 
     @property
     def at_stations(self) -> slice:
-        """Where the stations are among all."""
+        """The indices of the stations among all."""
         return slice(len(self.line) + len(self.grid), None)
 
     def picture(self, values: Array) -> Array:
-        """Return values (n_grid,) as a picture (n_rows, n_columns), NaN outside of the fluid."""
+        """Return values (n_grid,) as a picture (n_rows, n_columns), NaN outside the fluid."""
         whole = np.full(self.in_fluid.size, np.nan)
         whole[self.in_fluid] = values
         return whole.reshape(self.grid_shape)
@@ -69,7 +68,7 @@ class Samples:
     pressure: Array
     """(n_snapshots, n_probes) [Pa]."""
     measured: Mapping[str, Array] = field(default_factory=dict)
-    """What else is compared over time, by quantity (n_snapshots, ...)."""
+    """Other quantities compared over time (n_snapshots, ...), by name."""
 
     @property
     def speed(self) -> Array:
@@ -77,19 +76,36 @@ class Samples:
         return np.asarray(np.linalg.norm(self.velocity, axis=2))
 
     def at(self, snapshots: slice | NDArray[np.int64]) -> Samples:
-        """Return some snapshots, at the times of as many first ones."""
+        """Return some snapshots, at the times of the first snapshots, as many as there are."""
         measured = {name: values[snapshots] for name, values in self.measured.items()}
         velocity, pressure = self.velocity[snapshots], self.pressure[snapshots]
         return Samples(self.time[: len(velocity)], velocity, pressure, measured)
 
 
+def without_weight(run: Samples, reference: Samples, weight: Array) -> tuple[Samples, Samples]:
+    """Return two runs with a free surface as they are compared: zero where one has no fluid.
+
+    Pressures are less those of fluid at rest, `weight` (n_probes,) [Pa].
+    """
+    common = slice(min(len(run.time), len(reference.time)))
+    run, reference = run.at(common), reference.at(common)
+    wet_in_run, wet_in_reference = (r.speed + np.abs(r.pressure) > 0.0 for r in (run, reference))
+    wet = wet_in_run & wet_in_reference
+
+    def compared(one: Samples) -> Samples:
+        velocity = np.where(wet[..., None], one.velocity, 0.0)
+        return Samples(one.time, velocity, np.where(wet, one.pressure - weight, 0.0))
+
+    return compared(run), compared(reference)
+
+
 def midpoints(lower: float, upper: float, n_points: int) -> Array:
-    """Return the middles (n_points,) [m] of equal intervals between two bounds."""
+    """Return the midpoints (n_points,) [m] of equal intervals between two bounds."""
     return lower + (np.arange(n_points) + 0.5) * (upper - lower) / n_points
 
 
 def spread(spans: Sequence[tuple[float, float]], n_points: int) -> Array:
-    """Return points (n_points,) [m], evenly spread over intervals that follow one another."""
+    """Return points (n_points,) [m], evenly spread over consecutive intervals."""
     starts = np.array([low for low, _ in spans])
     lengths = np.array([high - low for low, high in spans])
     ends = np.cumsum(lengths)
@@ -103,7 +119,7 @@ def grid_points(
 ) -> Array:
     """Return the points (ny nx, 2) [m] of a grid over a box, row by row from below.
 
-    A field there takes its picture's form by `reshape(shape)`, with shape (ny, nx).
+    `reshape(shape)` turns a field there into a picture, with shape (ny, nx).
     """
     x, y = (midpoints(lower[i], upper[i], shape[1 - i]) for i in (0, 1))
     columns, rows = np.meshgrid(x, y)

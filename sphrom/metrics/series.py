@@ -1,4 +1,4 @@
-"""Series over time: averages, fits of a rate or a frequency."""
+"""Time series: averages, growth rates and frequencies."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from numpy.typing import NDArray
 from sphrom.arrays import Array
 
 ZERO_PADDING = 8
-"""How much finer than the record's own resolution a spectrum is searched."""
+"""Refinement of the spectrum beyond the resolution of the record."""
 FEWEST_PERIODS = 2.0
-"""Periods that a record must hold: slower changes look like a trend."""
+"""Fewest periods in a record: slower changes look like a trend."""
 FEWEST_SAMPLES = 8
-"""Samples of the shortest record that has a spectrum worth searching."""
+"""Fewest samples in a record with a spectrum."""
 OSCILLATION = ("frequency", "amplitude", "mean", "frequency_scatter", "amplitude_scatter")
-"""Figures of an oscillation [Hz for frequencies, else as the signal]."""
+"""Figures of an oscillation [Hz for frequencies, else the unit of the signal]."""
 PER_PERIOD = 64
-"""Samples of a period of an oscillation that is demodulated."""
+"""Samples per period of a demodulated oscillation."""
 MOST_CORRECTIONS, CONVERGED = 30, 1e-13
-"""Of a frequency, and how small the last one is, relatively."""
+"""Largest number of corrections of a frequency, and relative size of the last one."""
 UNIFORM_TOLERANCE = 1e-3
-"""How far, relatively, the intervals of a record may differ."""
+"""Largest relative difference between the intervals of a record."""
 
 
 def hat(n_half: int) -> Array:
-    """Return weights (2 n_half - 1,) that rise and fall linearly, and sum up to one.
+    """Return weights (2 n_half - 1,) that rise and fall linearly, with sum one.
 
-    Averages with them lose oscillations whose period is a part of n_half intervals, and nearly
-    lose faster ones.
+    Averages with them cancel oscillations whose period is n_half intervals or an integer fraction
+    of it, and nearly cancel other fast ones.
     """
     box = np.full(n_half, 1.0 / n_half)
     return np.convolve(box, box)
@@ -39,13 +39,13 @@ def hat(n_half: int) -> Array:
 def moving_average(values: Array, weights: Array) -> Array:
     """Return averages (n - n_weights + 1, ...) along the first axis of values (n, ...).
 
-    Raises ValueError when there are fewer values than weights.
+    Raises ValueError if there are fewer values than weights.
     """
     return np.asarray(sliding_window_view(values, len(weights), axis=0) @ weights)
 
 
 def smoothed(values: Array, weights: Array) -> Array:
-    """Return averages (n, ...) around all values (n, ...), of those that there are near the ends.
+    """Return averages (n, ...) around all values (n, ...); near the ends, of the existing values.
 
     The number of weights is odd.
     """
@@ -74,12 +74,12 @@ def exponential_rate(time: Array, value: Array) -> float:
 def dominant_frequency(time: Array, signal: Array) -> float:
     """Return the frequency [Hz] of the strongest oscillation of a signal (n_samples,).
 
-    A record of some periods resolves one part in so many. So the trend is taken out, a Hann window
-    laid over the rest, and the peak found by a parabola through the logarithm of the three
-    amplitudes around it.
+    A plain spectrum of a record of n periods has a resolution of 1/n. Therefore the trend is
+    removed, a Hann window applied, and the peak found by a parabola through the logarithm of the
+    three amplitudes around it.
 
-    Raises ValueError for times that aren't evenly spaced, values that aren't finite, and a record
-    too short to hold two periods of its strongest oscillation.
+    Raises ValueError for times that are not evenly spaced, values that are not finite, and a record
+    shorter than two periods of its strongest oscillation.
     """
     interval = _interval(time, signal)
     window = np.hanning(len(signal) + 2)[1:-1]
@@ -101,16 +101,17 @@ def dominant_frequency(time: Array, signal: Array) -> float:
 def oscillation(time: Array, signal: Array) -> dict[str, float]:
     """Return the strongest oscillation of a signal (n_samples,), by OSCILLATION.
 
-    At its frequency the phase of the demodulated signal has no trend. The amplitude is half of the
-    fundamental's peak to peak, and the mean is over whole periods. Scatters are standard deviations
-    over the record, of frequencies those of single periods. A signal without three periods of an
-    oscillation has the amplitude zero, a mean, and nothing else; one without samples has nothing.
+    The frequency is the one at which the phase of the demodulated signal has no trend. The
+    amplitude is half the peak to peak of the fundamental, and the mean is over whole periods.
+    Scatters are standard deviations over the record, with frequencies of single periods. A signal
+    without three periods of an oscillation has only an amplitude of zero and a mean; one without
+    samples has no figures.
     """
     with suppress(ValueError):
         most, frequency = 0.5 / _interval(time, signal), 0.0
         with suppress(ValueError):
             frequency = dominant_frequency(time, signal)
-        if not frequency:  # a mean that changes by more may hide it
+        if not frequency:  # a mean with larger changes may hide it
             frequency = dominant_frequency(time, np.gradient(signal))
         for _ in range(MOST_CORRECTIONS):
             instants, wave, mean = demodulated(time, signal, frequency)
@@ -131,9 +132,9 @@ def demodulated(
 ) -> tuple[Array, NDArray[np.complex128], Array]:
     """Return instants (n_instants,) [s], complex amplitudes of a signal there, and its means.
 
-    That of a cos(2 pi f (t - t_0) + b) is a exp(i b), t_0 being the first time. Averages by a hat
-    over two periods lose means, trends and harmonics; instants are a period or more from the ends.
-    Raises ValueError for a record of less than two periods.
+    The amplitude of a cos(2 pi f (t - t_0) + b) is a exp(i b), where t_0 is the first time.
+    Averages by a hat over two periods cancel means, trends and harmonics; instants are at least a
+    period from the ends. Raises ValueError for a record of less than two periods.
     """
     from scipy.interpolate import make_interp_spline
 
@@ -149,20 +150,20 @@ def demodulated(
 
 
 def oscillation_beside(time: Array, signal: Array, reference: Array) -> dict[str, float]:
-    """Return the oscillation of a signal with its errors, those that there are.
+    """Return the oscillation of a signal with its errors, if they exist.
 
-    `frequency_error` and `amplitude_error` are relative [%]. `phase_error` is by how much the
-    signal is ahead of the reference at the end of the record [deg]: it grows over whole turns.
+    `frequency_error` and `amplitude_error` are relative [%]. `phase_error` is the phase by which
+    the signal leads the reference at the end of the record [deg]; it accumulates over whole turns.
     """
-    found, expected = oscillation(time, signal), oscillation(time, reference)
+    figures, expected = oscillation(time, signal), oscillation(time, reference)
     for figure in OSCILLATION[:2]:
-        if figure in found and expected.get(figure):
-            found[f"{figure}_error"] = 100.0 * abs(found[figure] / expected[figure] - 1.0)
-    if "frequency_error" in found:
+        if figure in figures and expected.get(figure):
+            figures[f"{figure}_error"] = 100.0 * abs(figures[figure] / expected[figure] - 1.0)
+    if "frequency_error" in figures:
         waves = [demodulated(time, each, expected["frequency"])[1] for each in (signal, reference)]
         angles = np.unwrap(np.angle(waves[0] * waves[1].conj()))
-        found["phase_error"] = float(np.rad2deg(angles[-1]))
-    return found
+        figures["phase_error"] = float(np.rad2deg(angles[-1]))
+    return figures
 
 
 def _interval(time: Array, signal: Array) -> float:

@@ -23,6 +23,9 @@ from sphrom.store.workspace import Workspace
 def run(context: StageContext) -> None:
     """Fit splines to the modes of every basis."""
     workspace = Workspace(context)
+    if context.case.scene.has_surface:
+        context.report.info("models of a free surface need no splines of modes")
+        return
     target = workspace.splines()
     if not workspace.must_make(target):
         return

@@ -1,4 +1,4 @@
-"""Stage `fom`: full-order runs, one trajectory for each parameter point (Eq. 2.17-2.18).
+"""Stage `fom`: full-order runs, one trajectory per parameter point (Eq. 2.17-2.18).
 
 A run may have a spin-up, in which the flow develops and nothing is recorded. Its last state is an
 artifact of its own, from which the recorded part can be run again.
@@ -26,7 +26,7 @@ from sphrom.store.workspace import Target, Workspace
 def run(context: StageContext) -> None:
     """Run the full model at the chosen parameter points.
 
-    Raises UnstableError when a run leaves the range of its model; what came before is kept.
+    Raises UnstableError if a run becomes unstable; its earlier snapshots are kept.
     """
     workspace = Workspace(context)
     require_room(context.case, workspace.out, context.only)
@@ -38,7 +38,7 @@ def run(context: StageContext) -> None:
     if theirs and ours:
         context.report.warn(
             f"runs at {'; '.join(theirs)} were imported, those at {'; '.join(ours)} are simulated "
-            "here: models learn from both, and are compared with both"
+            "here: models are trained on both, and compared with both"
         )
     for point in points:
         target = ensure_run(workspace, point)
@@ -51,9 +51,9 @@ def run(context: StageContext) -> None:
 
 
 def ensure_run(workspace: Workspace, point: ParameterPoint) -> Target:
-    """Run the full model at a parameter point if that is yet to be done.
+    """Run the full model at a parameter point unless its run is up to date.
 
-    Raises UnstableError when its spin-up is unstable.
+    Raises UnstableError if its spin-up is unstable.
     """
     _ensure_spun_up(workspace, point)
     target = workspace.full_run(point)
@@ -64,7 +64,7 @@ def ensure_run(workspace: Workspace, point: ParameterPoint) -> Target:
 
 
 def ensure_packed(workspace: Workspace) -> None:
-    """Pack the starting positions if that is yet to be done."""
+    """Pack the starting positions unless they are up to date."""
     case, target = workspace.case, workspace.packing()
     if not case.plan.packed or workspace.reason_to_make(target) is None:
         return
@@ -103,23 +103,23 @@ def ensure_packed(workspace: Workspace) -> None:
 
 
 def _ensure_spun_up(workspace: Workspace, point: ParameterPoint) -> None:
-    """Run the spin-up if there is to be one and it is yet to be done.
+    """Run the spin-up, if the case has one, unless it is up to date.
 
-    A reduced run needs its end too, so it is made though the full run may be there. With `force` a
-    valid one is kept: the recorded part alone is then run again.
+    Reduced runs need its last state too, so it is made even if the full run exists. A valid one is
+    kept even with `force`, so that only the recorded part is run again.
     """
     if workspace.case.time.spin_up == 0.0:
         return
     target = workspace.spin_up(point)
     if workspace.reason_to_make(target) is None:
-        workspace.context.report.info(f"{target.path.name}: there, and of this case: kept")
+        workspace.context.report.info(f"{target.path.name}: up to date, kept")
     elif workspace.must_make(target):
         _spin_up(workspace, point)
     remove_checkpoints(target)
 
 
 def _spin_up(workspace: Workspace, point: ParameterPoint) -> None:
-    """Run until the flow is developed, and keep the last state alone."""
+    """Run until the flow is developed, and store only the last state."""
     case = workspace.case
     plan = case.plan.steps
     n_steps = plan.n_spin_up_steps

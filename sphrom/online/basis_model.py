@@ -1,6 +1,6 @@
-"""A model from operators with one basis: its equations and starts, and what training runs teach it.
+"""A model from operators with one basis: equations, starts, and corrections by training runs.
 
-Whatever doesn't depend on the parameter point is read and computed once, for all points.
+Everything that is independent of the parameter point is read and computed once, for all points.
 """
 
 from __future__ import annotations
@@ -72,10 +72,10 @@ class BasisModel:
     ----------
     section : the model in the case, with its number of modes.
     basis : the model's modes.
-    places : (n_points, n_parameters) of the training points, as `scaled_parameters` has them.
-    modes : (n_modes,) their places among all modes of the basis.
-    states : (n_states, n_modes) training states, around which steps have to be stable.
-    n_integrated : modes that are integrated as long as training runs are.
+    places : (n_points, n_parameters) of the training points, as `scaled_parameters` gives them.
+    modes : (n_modes,) indices of the model's modes among all modes of the basis.
+    states : (n_states, n_modes) training states, around which steps must be stable.
+    n_integrated : number of modes that are integrated within the trained time.
     """
 
     def __init__(
@@ -118,13 +118,13 @@ class BasisModel:
             }
 
     def _calibrated_with(self, runs: Array) -> Calibration | CycleClosure | None:
-        """Return what is added to the rates; None where training runs have too few snapshots.
+        """Return the terms added to the rates; None if training runs have too few snapshots.
 
-        Raises CaseError where the case insists on it.
+        Raises CaseError if the case requires a calibration that is impossible.
         """
-        learnt = cycle_closure if self.section.settles_on_cycles else calibrated
+        fit = cycle_closure if self.section.settles_on_cycles else calibrated
         try:
-            return learnt(self.workspace.case, self.points, self.operators, runs)
+            return fit(self.workspace.case, self.points, self.operators, runs)
         except ValueError as error:
             if self.section.calibrated == AUTO:
                 return None
@@ -132,12 +132,12 @@ class BasisModel:
 
     @property
     def leaves_cycles(self) -> bool:
-        """Whether states leave the trained limit cycles that the model should settle on."""
+        """Whether states leave the trained limit cycles, on which the model should settle."""
         closure = self._calibration
         return isinstance(closure, CycleClosure) and closure.slowest() >= 1.0
 
     def _read_integrated(self, artifact: Artifact) -> int:
-        """Return how many modes a corrected model integrates: as asked, or as training chose."""
+        """Return the number of modes that a corrected model integrates, given or chosen."""
         if self.section.integrated_modes != AUTO:
             return self.section.integrated_modes
         chosen = f"bases/{self.name}/held_out/integrated"
@@ -147,7 +147,7 @@ class BasisModel:
 
     @cached_property
     def leading(self) -> BasisModel | None:
-        """The model of the modes that are integrated; None where all are."""
+        """The model of the modes that are integrated; None if all are."""
         if self.n_integrated == self.basis.n_modes:
             return None
         change = {"n_modes": self.n_integrated, "corrected": False}
@@ -157,14 +157,14 @@ class BasisModel:
     @cached_property
     def splines(self) -> ModeSplines:
         """The splines of the model's modes."""
-        from sphrom.store.trained_models import read_modes  # they load their kernels
+        from sphrom.store.trained_models import read_modes  # it imports kernels of splines
 
         return read_modes(self.workspace, self.name, self.section.size)[1]
 
     def sampled(self, points: Array, time: Array, coordinates: Array, mean: float) -> Samples:
-        """Return velocity and pressure at points (n_points, 2) of coordinates (n_times, n_modes).
+        """Return velocity and pressure at points (n_points, 2) for coordinates (n_times, n_modes).
 
-        `mean` is the density fluctuation that is carried apart [kg/m3].
+        `mean` is the separate density fluctuation [kg/m3].
         """
         from sphrom.store.sampling import expand
 
@@ -173,51 +173,51 @@ class BasisModel:
 
     @cached_property
     def trained_errors(self) -> TrainedErrors | None:
-        """The fit of error estimates to training runs; None where the case wants no estimates."""
+        """The fit of error estimates to training runs; None if the case has no estimates."""
         wanted = self.workspace.case.plan.has_error_estimate(self.name)
         return TrainedErrors(self) if wanted else None
 
     @cached_property
     def products(self) -> FieldProducts:
-        """Products of training snapshots with the model's modes."""
+        """Products of training snapshots with the modes of the model."""
         with self.workspace.open(self.workspace.operators()) as artifact:
             stored = read_record(artifact, FieldProducts, f"bases/{self.name}/estimate")
         return stored.only(self.modes, self._n_all_modes)
 
     def integrator(self, reduced: ReferenceModel) -> Integrator:
-        """Return the steps of the model as the case asks for them: exponential ones by default.
+        """Return the time steps of the model as the case sets them; exponential ones by default.
 
-        Raises CaseError where they are too many for any run to end.
+        Raises CaseError if there are too many for any run to finish.
         """
         every = self.workspace.case.snapshots.every
         return reference_model.choose(reduced, lambda part: steps_of(self.section, part, every))
 
     def at(self, point: ParameterPoint) -> ReferenceModel:
-        """Return the model at a point, with what training runs tell of it."""
-        found, step = self.projected(point), self._first_step(point)
-        leading = found.leading and replace(found.leading, first_step=step)
-        return self.taught(replace(found, first_step=step, leading=leading), point)
+        """Return the model at a point, with its corrections by training runs."""
+        model, step = self.projected(point), self._first_step(point)
+        leading = model.leading and replace(model.leading, first_step=step)
+        return self._corrected(replace(model, first_step=step, leading=leading), point)
 
     def projected(self, point: ParameterPoint, *, in_training: bool = False) -> ReferenceModel:
         """Return the model at a point, without its correction and forces.
 
-        Its steps carry the linear part of the nearest training point. Runs `in_training` have the
+        Its steps use the linear part of the nearest training point. Runs `in_training` have the
         times of training runs.
         """
         linear = self._linear_parts[self._nearest(point)]
-        found = self._equations(point, in_training)
-        found = replace(found, states=self.states, linear=linear)
+        model = self._equations(point, in_training)
+        model = replace(model, states=self.states, linear=linear)
         if self.leading is None:
-            return found
+            return model
         leading = self.leading.projected(point, in_training=in_training)
-        # Its steps are as fine as the basis of all modes calls for.
-        return replace(found, leading=replace(leading, basis=self.basis))
+        # Its steps are as accurate as the basis of all modes requires.
+        return replace(model, leading=replace(leading, basis=self.basis))
 
     def _nearest(self, point: ParameterPoint) -> int:
         distances = np.linalg.norm(
             self.places - scaled_parameters(self.workspace.case, [point]), axis=1
         )
-        # Rounded: of points as near as each other, the first on any machine.
+        # Rounded, so that of equally near points every machine takes the first.
         return int(np.round(distances, 9).argmin())
 
     @cached_property
@@ -226,17 +226,17 @@ class BasisModel:
         return [model.around(self.states).linear for model in models]
 
     def _equations(self, point: ParameterPoint, in_training: bool = False) -> ReferenceModel:
-        """Return the model's equations and start alone."""
+        """Return only the equations and the start of the model."""
         case = self.workspace.case
         viscosity = case.plan.kinematic_viscosity(point)
         fields = self._start(point)
-        # The same for all points where they start alike.
+        # Points with the same start share its projection.
         if self._last is None or self._last[0] is not fields:
             left_out = float(mean_density_fluctuation(self.basis, fields[0]))
             self._last = fields, (project(self.basis, *fields), left_out)
         coordinates, mean = self._last[1]
         rates = self.operators.at(viscosity, point.factors)
-        found = ReferenceModel(
+        model = ReferenceModel(
             polynomial=rates,
             basis=self.basis,
             start=coordinates,
@@ -248,53 +248,53 @@ class BasisModel:
         length = closure = None
         if self._memory is not None:
             length = memory_length_of(
-                case, self.section, lambda: rates.jacobian(coordinates, found.strongest)
+                case, self.section, lambda: rates.jacobian(coordinates, model.strongest)
             )
             closure = self._memory.at(viscosity).scaled(length)
         if self._calibration is not None:
-            learnt = self._calibration.at(viscosity, point.factors)
-            closure = learnt if closure is None else closure.plus(learnt)
+            calibration = self._calibration.at(viscosity, point.factors)
+            closure = calibration if closure is None else closure.plus(calibration)
         if closure is not None:
             rates = rates.plus(closure)
-        return replace(found, polynomial=rates, closure=closure, memory_length=length)
+        return replace(model, polynomial=rates, closure=closure, memory_length=length)
 
-    def taught(
-        self, found: ReferenceModel, point: ParameterPoint, *, held_out: bool = False
+    def _corrected(
+        self, model: ReferenceModel, point: ParameterPoint, *, held_out: bool = False
     ) -> ReferenceModel:
-        """Return a model with what training runs tell of its coordinates and forces.
+        """Return a model with the corrections of its coordinates and forces by training runs.
 
-        Of a training run that is `held_out`, the corrections are what the others give.
+        A training run that is `held_out` is corrected by the others only.
         """
         case = self.workspace.case
         place, times = scaled_parameters(case, [point])[0], snapshot_times(case)
         added = {
-            name: TimedLoads.of(times, learnt.held_out(place) if held_out else learnt.at(place))
-            for name, learnt in self.force_corrections.items()
-            if learnt is not None
+            name: TimedLoads.of(times, each.held_out(place) if held_out else each.at(place))
+            for name, each in self.force_corrections.items()
+            if each is not None
         }
         forces = self._forces_at(point, added)
-        return replace(found, correction=self._added(point, held_out), forces=forces)
+        return replace(model, correction=self._added(point, held_out), forces=forces)
 
     def _forces_at(
         self, point: ParameterPoint, added: Mapping[str, TimedLoads]
     ) -> dict[str, PointForce]:
         viscosity = self.workspace.case.plan.kinematic_viscosity(point)
         around = viscosity, self.operators.walls_driven, point.factors
-        found = {
+        forces = {
             name: force.at(*around, added.get(name)) for name, (force, _) in self._forces.items()
         }
         closure = self._calibration
         if not isinstance(closure, CycleClosure):
-            return found
+            return forces
         return {
             name: closure.force_at(force, *self._trained_forces[name], viscosity, point.factors)
-            for name, force in found.items()
+            for name, force in forces.items()
         }
 
     @cached_property
     def _trained_forces(self) -> dict[str, tuple[list[PointForce], list[Harmonics]]]:
-        """Forces at training points, and the harmonics of what runs on limit cycles recorded."""
-        case, closure, found = self.workspace.case, self._calibration, {}
+        """Forces at training points, and the harmonics of the recorded ones, on limit cycles."""
+        case, closure, forces = self.workspace.case, self._calibration, {}
         assert isinstance(closure, CycleClosure)
         times, driven = snapshot_times(case), self.operators.walls_driven
         for name, (force, recorded) in self._forces.items():
@@ -307,12 +307,12 @@ class BasisModel:
                 harmonics_of(times, each.reshape(len(times), -1), cycle.frequency)
                 for each, cycle in zip(recorded, closure.cycles, strict=True)
             ]
-            found[name] = own, loads
-        return found
+            forces[name] = own, loads
+        return forces
 
     @cached_property
     def correction(self) -> Correction | None:
-        """The correction of the model, None where it has none."""
+        """The correction of the model, or None if it has none."""
         if self._projected is None:
             return None
         coordinates = np.stack([coordinates for _, coordinates in self.trained])
@@ -320,7 +320,7 @@ class BasisModel:
         return learn_correction(self.places, self._projected - coordinates, (leading, others))
 
     def _added(self, point: ParameterPoint, held_out: bool = False) -> Array | None:
-        """Return what is added to coordinates (n_trained_snapshots, n_modes), if anything is."""
+        """Return the correction (n_trained_snapshots, n_modes) of coordinates, if there is one."""
         if self.correction is not None:
             place = scaled_parameters(self.workspace.case, [point])[0]
             return self.correction.held_out(place) if held_out else self.correction.at(place)
@@ -330,7 +330,7 @@ class BasisModel:
 
     @cached_property
     def trained(self) -> list[tuple[ReferenceModel, Array]]:
-        """The model at the training points, and what it integrates to there.
+        """The model at the training points, and its integrated coordinates there.
 
         Coordinates that are not integrated are zero.
         """
@@ -339,13 +339,13 @@ class BasisModel:
 
     @cached_property
     def _trained_runs(self) -> list[tuple[ReferenceModel, Run]]:
-        found = [self.projected(point, in_training=True) for point in self.points]
-        return [(each, self.integrator(each.leading or each).run()) for each in found]
+        models = [self.projected(point, in_training=True) for point in self.points]
+        return [(each, self.integrator(each.leading or each).run()) for each in models]
 
     def _first_step(self, point: ParameterPoint) -> float | None:
-        """Return the automatic step [s] of the nearest training run, where that is stable.
+        """Return the automatic step [s] of the nearest training run, if that run is stable.
 
-        At a training point it is exactly the step that the correction was learnt with.
+        At a training point it is exactly the step for which the correction was fitted.
         """
         with suppress(CaseError):
             _, run = self._trained_runs[self._nearest(point)]
@@ -355,22 +355,22 @@ class BasisModel:
 
     @cached_property
     def held_out(self) -> list[tuple[ReferenceModel, Array]]:
-        """The model and its runs at the training points, without their own corrections.
+        """The model and its runs at the training points, corrected by the other runs only.
 
-        With its own correction a training run is the full run: its error tells nothing.
+        With its own correction a training run equals the full run, so it would show no error.
         """
-        found = []
+        runs = []
         for point, (reduced, run) in zip(self.points, self.trained, strict=True):
-            taught = self.taught(reduced, point, held_out=True)
-            found.append((taught, run if taught.correction is None else run + taught.correction))
-        return found
+            model = self._corrected(reduced, point, held_out=True)
+            runs.append((model, run if model.correction is None else run + model.correction))
+        return runs
 
     @cached_property
     def measured_differences(self) -> dict[str, Quantities]:
-        """What full training runs measured, less what those of `held_out` do.
+        """Measurements of the full training runs less those of the `held_out` ones.
 
         By measurement and quantity (n_runs, n_snapshots, ...); not finite where a run diverged.
-        They hold the sound and the noise of particles that the model doesn't have.
+        They include sound and particle noise, which the model lacks.
         """
         case = self.workspace.case
         with self.workspace.open(self.workspace.operators()) as artifact:
@@ -395,14 +395,14 @@ class BasisModel:
 
     @cached_property
     def force_corrections(self) -> dict[str, Correction | None]:
-        """What training runs add to forces; nothing where the model takes endless steps there."""
-        case, found, own = self.workspace.case, dict[str, Correction | None](), []
+        """The corrections of forces by training runs; none if there are too many steps there."""
+        case, corrections, own = self.workspace.case, dict[str, Correction | None](), []
         if self.section.settles_on_cycles:
-            return found
+            return corrections
         try:
             runs = self.trained if self._forces else []
         except CaseError:
-            return found
+            return corrections
         for point, (reduced, run) in zip(self.points, runs, strict=False):
             added = self._added(point)
             bare = replace(reduced, forces=self._forces_at(point, {}))
@@ -413,21 +413,21 @@ class BasisModel:
             defects = recorded - np.stack([each[name] for each in own])
             defects = defects.reshape(*defects.shape[:2], -1)
             slow = np.stack([smoothed(each, weights) for each in defects])
-            # Sound and the particles' noise may be of each run alone.
+            # Sound and particle noise may differ from run to run.
             parts = np.concatenate((slow, defects - slow), axis=2)
             each_load = list(np.arange(parts.shape[2])[:, None])
-            found[name] = learn_correction(places, parts, each_load, worthwhile=math.inf)
+            corrections[name] = learn_correction(places, parts, each_load, worthwhile=math.inf)
             if len(places) == 1 and np.isfinite(defects).all():
-                # Nothing tells how far the only one reaches.
-                found[name] = Correction(places, parts, np.full(parts.shape[2], np.inf))
-        return found
+                # A single run does not determine the correlation length.
+                corrections[name] = Correction(places, parts, np.full(parts.shape[2], np.inf))
+        return corrections
 
 
 def steps_of(section: ReducedModelSection, reduced: ReferenceModel, full_steps: int) -> Steps:
-    """Return the steps of all modes of a model, as its section asks for them.
+    """Return the time steps of all modes of a model, as its section sets them.
 
-    `full_steps` are those of the full model from one snapshot to the next. Raises CaseError where
-    there are too many for any run to end.
+    `full_steps` is the number of the full model's steps between snapshots. Raises CaseError if
+    there are too many steps for any run to finish.
     """
     output_times, n_intervals = reduced.output_times, reduced.output_times.n_snapshots - 1
     if section.time_step == "fom":
@@ -437,8 +437,8 @@ def steps_of(section: ReducedModelSection, reduced: ReferenceModel, full_steps: 
         return reference_model.runge_kutta(reduced, n_steps)
     if reduced.first_step is None and output_times.duration > MAX_STEPS * reduced.step_limit:
         raise CaseError(
-            f"rom: {section.name} is stable with steps of {reduced.step_limit:.3g} s only, which "
-            f"are more than {MAX_STEPS:g}; choose fewer modes, a memory_length or a time_step"
+            f"rom: {section.name} is stable with steps of {reduced.step_limit:.3g} s only, more "
+            f"than {MAX_STEPS:g} in a run; choose fewer modes, a memory_length or a time_step"
         )
     return reference_model.automatic_whole(reduced)
 
@@ -446,22 +446,22 @@ def steps_of(section: ReducedModelSection, reduced: ReferenceModel, full_steps: 
 def forces_of(
     reduced: ReferenceModel, time: Array, coordinates: Array, mean: Array | float | None = None
 ) -> dict[str, Array]:
-    """Return by measurement the forces and torques (n_states, 2, 3) of states [N/m, N].
+    """Return the forces and torques (n_states, 2, 3) of states [N/m, N], by measurement.
 
     Parameters
     ----------
     time : (n_states,) [s].
     coordinates : (n_states, n_modes).
-    mean : density fluctuation that is carried apart [kg/m3], (n_states,) or one for all; by default
-        the model's own.
+    mean : separate density fluctuation [kg/m3], (n_states,) or one for all; by default the model's
+        own.
     """
     mean = reduced.mean_density_fluctuation if mean is None else mean
     amplitude = np.zeros(len(time)) if reduced.amplitude is None else reduced.amplitude(time)
     if not reduced.forces:
         return {}
     rates = reduced.polynomial.along(coordinates, amplitude)
-    about = time, coordinates, rates, amplitude, mean
-    return {name: force.at(*about) for name, force in reduced.forces.items()}
+    states = time, coordinates, rates, amplitude, mean
+    return {name: force.at(*states) for name, force in reduced.forces.items()}
 
 
 def fields_of(
@@ -469,7 +469,7 @@ def fields_of(
     mean_density_fluctuation: Array | float,
     coordinates: Array,
 ) -> dict[str, Quantities]:
-    """Return by measurement what is measured in the fluid, in states as `forces_of` has them."""
+    """Return measurements in the fluid by name, for states as in `forces_of`."""
     return {name: m.at(coordinates, mean_density_fluctuation) for name, m in measures.items()}
 
 
@@ -480,9 +480,9 @@ def quantities_of(
     coordinates: Array,
     mean: Array | float | None = None,
 ) -> dict[str, Quantities]:
-    """Return all that a case or a model measures (n_states, ...), as `forces_of` does."""
+    """Return all measurements (n_states, ...) of a case or model, for states as in `forces_of`."""
     mean = reduced.mean_density_fluctuation if mean is None else mean
     forces = forces_of(reduced, time, coordinates, mean)
-    found = {name: totals(loads) for name, loads in forces.items()}
-    found |= fields_of(reduced.measures, mean, coordinates)
-    return {name: found[name] for name in (*case.scene.recorded, *found)}
+    measured = {name: totals(loads) for name, loads in forces.items()}
+    measured |= fields_of(reduced.measures, mean, coordinates)
+    return {name: measured[name] for name in (*case.scene.recorded, *measured)}

@@ -1,8 +1,8 @@
-"""Estimates of the errors of runs on the reference points, without a full run to compare with.
+"""Estimates of the errors of runs on the reference points, without full runs for comparison.
 
 The model's training runs are repeated, the estimate is fitted to their errors (see
-`sphrom.reduction.error_calibration`), and then applied to any run. All of it takes about as long as
-the runs do, whatever the number of points is, and the fit is the same for all parameters.
+`sphrom.reduction.error_calibration`) and then applied to any run. This takes about as long as the
+runs, independently of the number of points, and the fit is the same for all parameters.
 """
 
 from __future__ import annotations
@@ -42,22 +42,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ErrorEstimate:
-    """Estimated errors of a run, without a full run to compare with."""
+    """Estimated errors of a run."""
 
     velocity: Array = field(repr=False)
-    """(n_snapshots,) root mean square of the velocity's error over the fluid [m/s]."""
+    """(n_snapshots,) root mean square error of the velocity over the fluid [m/s]."""
     pressure: Array = field(repr=False)
-    """(n_snapshots,) the same of the pressure less its mean [Pa]."""
+    """(n_snapshots,) root mean square error of the pressure less its mean [Pa]."""
     velocity_percent: float
-    """Of the run, over the root mean square of its velocity [%]."""
+    """Over the whole run, relative to the root mean square of its velocity [%]."""
     pressure_percent: float
-    """Of the run, over the root mean square of its pressure less its mean [%]."""
+    """Over the whole run, relative to the root mean square of its pressure less its mean [%]."""
     extrapolated: bool
-    """Whether the run is outside of the trained parameters and times."""
+    """Whether the run is outside the trained parameters or times."""
     residual: Array = field(repr=False)
-    """(n_snapshots,) norm of the part of the rates that the basis leaves out [/s]."""
+    """(n_snapshots,) norm of the residual of the rates [/s]."""
     errors: Array = field(repr=False)
-    """(n_snapshots, 2) root mean squares of the errors of velocity and c0 rho'/rho0 [m/s]."""
+    """(n_snapshots, 2) root mean square errors of velocity and c0 rho'/rho0 [m/s]."""
     sizes: Array = field(repr=False)
     """(n_snapshots, 2) root mean squares of the fields themselves [m/s]."""
 
@@ -67,42 +67,39 @@ class SteadyErrors:
     """The estimated errors of a steady state."""
 
     residual: float
-    """Norm of the part of the rates that the basis leaves out [/s]."""
+    """Norm of the residual of the rates [/s]."""
     errors: Array
-    """(2,) root mean squares of the velocity's [m/s] and the pressure's [Pa]."""
+    """(2,) root mean square errors of the velocity [m/s] and the pressure [Pa]."""
     relative: Array
-    """(2,) the same over the fields' own root mean squares."""
+    """(2,) the same, over the root mean squares of the fields."""
     distance: float
-    """From the nearest state between training runs, as `distance_from` measures it."""
+    """Distance from the nearest state between training runs, as `distance_from` measures it."""
 
 
 def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
-    """Estimate the errors of a run, write and report them.
-
-    It does nothing where the case asks for no estimates.
-    """
+    """Estimate the errors of a run, write and report them, if the case has estimates."""
     report, started = run.model.workspace.context.report, time.perf_counter()
     trained, fitted = _fitted(run)
     if trained is None:
         return
-    found = run.estimate
-    if fitted is None or found is None:
+    estimated = run.estimate
+    if fitted is None or estimated is None:
         artifact.write(
             "residual", trained.residual(run.point, run.reduced, run.time, run.coordinates)
         )
         return
-    artifact.write("residual", found.residual)
+    artifact.write("residual", estimated.residual)
     factors = [None, None]
-    if fitted.factors is not None and not found.extrapolated:
+    if fitted.factors is not None and not estimated.extrapolated:
         factors = fitted.factors.tolist()
     errors = measured_errors(run)
     constants = (fitted.constants * trained.units).tolist()
     stored = StoredEstimate(
-        velocity=found.velocity,
-        pressure=found.pressure,
+        velocity=estimated.velocity,
+        pressure=estimated.pressure,
         change=fitted.changes(run.coordinates),
         decay_rate=fitted.decay_rate,
-        training="outside" if found.extrapolated else "inside",
+        training="outside" if estimated.extrapolated else "inside",
         velocity_constant=constants[0],
         pressure_constant=constants[1],
         velocity_factor=factors[0],
@@ -114,14 +111,14 @@ def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
     )
     write_record(artifact, stored, "error_estimate")
     artifact.annotate("timing/error_estimate", time.perf_counter() - started)
-    report.info(_told(run, found, factors))
+    report.info(_described(run, estimated, factors))
     if shares := measured_shares(run, errors):
         listed = ", ".join(f"{name} {format_figure(share)} %" for name, share in shares.items())
         report.info(f"{run.name}: estimated errors of measurements: {listed}")
 
 
 def estimate(run: FastRun) -> ErrorEstimate | None:
-    """Estimate the errors of a run; None where the case wants no estimates or can't have them.
+    """Estimate the errors of a run; None if the case has no estimates or none can be fitted.
 
     Runs of one model share the fits to its training runs.
     """
@@ -144,33 +141,33 @@ def measured_shares(run: FastRun, errors: Mapping[str, Quantities]) -> dict[str,
 
     They are root mean squares over those of the run.
     """
-    found, measured = {}, run.measured
+    shares, measured = {}, run.measured
     for name, each in errors.items():
         quantity = next(iter(each))
         size = mean_square(quantity, measured[name][quantity])
         if size > 0.0:
-            found[name] = 100.0 * math.sqrt(mean_square(quantity, each[quantity]) / size)
-    return found
+            shares[name] = 100.0 * math.sqrt(mean_square(quantity, each[quantity]) / size)
+    return shares
 
 
 def measured_once(quantities: Quantities) -> MeasuredOnce:
-    """Return what is measured at one instant (1, ...) as artifacts have it."""
-    given: dict[str, Any] = {q: v[0] if v.ndim > 1 else float(v[0]) for q, v in quantities.items()}
-    return MeasuredOnce(**given)
+    """Return measurements at one instant (1, ...) in the form of artifacts."""
+    values: dict[str, Any] = {q: v[0] if v.ndim > 1 else float(v[0]) for q, v in quantities.items()}
+    return MeasuredOnce(**values)
 
 
 def measured_errors(run: FastRun) -> dict[str, Quantities]:
-    """Estimate the errors of all that a case measures over a run (n_snapshots, ...).
+    """Estimate the errors of all measurements of a run (n_snapshots, ...).
 
-    Nothing where the run has no estimates.
+    Empty if the run has no estimates.
     """
-    model, found = run.model.at_point(run.point), run.estimate
-    if model.trained_errors is None or found is None:
+    model, estimated = run.model.at_point(run.point), run.estimate
+    if model.trained_errors is None or estimated is None:
         return {}
     place = scaled_parameters(model.workspace.case, [run.point])[0]
     variance = np.array(interpolation_variance(model.places, place))
     return {
-        name: {q: known.at(variance, found.errors) for q, known in quantities.items()}
+        name: {q: each.at(variance, estimated.errors) for q, each in quantities.items()}
         for name, quantities in model.output_errors.items()
     }
 
@@ -181,9 +178,9 @@ def _fitted(run: FastRun) -> tuple[TrainedErrors | None, LocalErrorCalibration |
 
 
 def steady_errors(run: FastRun, state: Array) -> SteadyErrors | None:
-    """Estimate the errors of a steady state (n_modes,) that was found from where a run ended.
+    """Estimate the errors of a steady state (n_modes,) that was found from the end of a run.
 
-    None where the run has no estimates.
+    None if the run has no estimates.
     """
     trained, fitted = _fitted(run)
     if trained is None or fitted is None:
@@ -198,17 +195,17 @@ def steady_errors(run: FastRun, state: Array) -> SteadyErrors | None:
 
 
 def distance_from(states: Array, state: Array) -> float:
-    """Return the distance of a state (n_modes,) from the nearest of some, over its norm."""
+    """Return the distance of a state (n_modes,) from the nearest of `states`, over its norm."""
     nearest = float(np.linalg.norm(states - state, axis=1).min())
     size = float(np.linalg.norm(state))
     return nearest / size if size > 0.0 else float(nearest > 0.0)
 
 
 class TrainedErrors:
-    """The errors of a model with one basis in training, and the fit of estimates to them.
+    """The training errors of a model with one basis, and the fit of estimates to them.
 
     `known` (n_runs, n_compared, 2) are root mean squares over the fluid, as `ErrorEstimate.errors`.
-    `fitted` is None where the training runs have no errors, or all of them diverge.
+    `fitted` is None if the training runs have no errors, or all of them diverge.
     """
 
     def __init__(self, model: BasisModel) -> None:
@@ -227,9 +224,9 @@ class TrainedErrors:
         self.products = model.products
         correction, places = model.correction, model.places
         coordinates, residuals, errors = [], [], []
-        for k, (reduced, found) in enumerate(model.trained):
+        for k, (reduced, run) in enumerate(model.trained):
             held_out = model.held_out[k][1]
-            own = found if correction is None else found + correction.at(places[k])
+            own = run if correction is None else run + correction.at(places[k])
             coordinates.append(own)
             times = reduced.output_times.time
             residuals.append(self.residual(points[k], reduced, times, held_out))
@@ -253,20 +250,20 @@ class TrainedErrors:
     def residual(
         self, point: ParameterPoint, reduced: ReferenceModel, times: Array, coordinates: Array
     ) -> Array:
-        """Return the residual's norm (n_states,) [/s] at coordinates of a model at a point."""
+        """Return the norm (n_states,) [/s] of a model's residual at coordinates."""
         viscosity = self._case.plan.kinematic_viscosity(point)
         amplitude = None if reduced.amplitude is None else reduced.amplitude(times)
         around = amplitude, point.factors, reduced.closure
         return residual_norm(self._factor, viscosity, coordinates, *around)
 
 
-def _told(run: FastRun, found: ErrorEstimate, factors: Sequence[float | None]) -> str:
-    """Return an estimate in words: in % of the fields' root mean squares over the run."""
-    at_end = 100.0 * found.errors[-1] / found.sizes[-1]
+def _described(run: FastRun, estimated: ErrorEstimate, factors: Sequence[float | None]) -> str:
+    """Return an estimate in words, in % of the fields' root mean squares over the run."""
+    at_end = 100.0 * estimated.errors[-1] / estimated.sizes[-1]
     parts = []
-    means = found.velocity_percent, found.pressure_percent
+    means = estimated.velocity_percent, estimated.pressure_percent
     for name, mean, end, factor in zip(QUANTITIES, means, at_end, factors, strict=True):
-        trust = "" if factor is None else f", right to a factor of {factor:.2g} in training"
+        trust = "" if factor is None else f", within a factor of {factor:.2g} in training"
         parts.append(f"{name} {format_figure(mean)} % ({format_figure(end)} % at the end{trust})")
-    outside = ("extrapolated", *run.outside) if found.extrapolated else ()
+    outside = ("extrapolated", *run.outside) if estimated.extrapolated else ()
     return "; ".join((f"{run.name}: estimated errors: {', '.join(parts)}", *outside))

@@ -1,4 +1,4 @@
-"""Reduced runs on moving particles (Alg. 3.4-3.5), whose trajectories have the full runs' form."""
+"""Reduced runs on moving particles (Alg. 3.4-3.5), with trajectories like those of full runs."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Workspace
 
 LONGEST_STEP = 4.0
-"""Of models on particles, over the full model's: longer ones were right in no flow
+"""Largest step of models on particles over the full model's: no longer one was accurate
 (`docs/stability.md`)."""
 
 
 def build_model(
     workspace: Workspace, model: ReducedModelSection, point: ParameterPoint
 ) -> tuple[ParticleModel, Array]:
-    """Return a reduced model at a parameter point, without its closure, and its state at the start.
+    """Return a reduced model at a parameter point, without its closure, and its initial state.
 
-    The initial condition is the full run's, the scene's or the end of the spin-up, mapped onto the
-    reference space and projected.
+    The initial condition is that of the full run (the scene's, or the end of the spin-up), mapped
+    onto the reference space and projected.
     """
     case = workspace.case
     name = case.plan.basis_for(model, point)
@@ -61,7 +61,7 @@ def build_model(
 def close(
     case: Case, model: ReducedModelSection, reduced: ParticleModel, state: Array, time: float
 ) -> None:
-    """Give a model the closure that the case asks for, set up at a state and time [s]."""
+    """Set up the closure of a model, if the case has one, at a state and time [s]."""
     if model.projection != "galerkin":
         reduced.memory_length = memory_length_of(
             case, model, lambda: reduced_jacobian(reduced, state, time)
@@ -69,7 +69,7 @@ def close(
 
 
 def doubts_of_step(factor: float) -> list[str]:
-    """Return what speaks against steps that are a factor as long as the full model's."""
+    """Return objections to steps that are `factor` times as long as the full model's."""
     if factor <= LONGEST_STEP:
         return []
     return [

@@ -1,6 +1,6 @@
 """Stage `rom`: reduced runs, on moving particles (Alg. 3.4-3.5) or on the reference points.
 
-A run loads the modules of its own kind alone: one from operators no kernel of SPH.
+A run imports only the modules of its own kind; one from operators imports no kernels of SPH.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from sphrom.store.workspace import Target, Workspace
 def run(context: StageContext) -> None:
     """Run every reduced model of the case at the chosen parameter points.
 
-    Raises UnstableError after all of them have run, when one diverged; its trajectory says so.
+    Raises UnstableError after all runs if one diverged; its artifact records the divergence.
     """
     workspace = Workspace(context)
     require_room(context.case, workspace.out, context.only, "rom")
@@ -31,7 +31,7 @@ def run(context: StageContext) -> None:
     for model, point in runs:
         target = ensure_run(workspace, model, point)
         remove_checkpoints(target)
-        with workspace.open_intermediate(target) as trajectory:  # looked through once, not twice
+        with workspace.open_intermediate(target) as trajectory:  # checked once, not twice
             if trajectory.text("status") != "complete":
                 detail = trajectory.text("status_detail")
                 unstable.append(f"{model.name}, {point.label}: {detail}")
@@ -40,9 +40,11 @@ def run(context: StageContext) -> None:
 
 
 def ensure_run(workspace: Workspace, model: ReducedModelSection, point: ParameterPoint) -> Target:
-    """Run a reduced model at a parameter point if that is yet to be done."""
+    """Run a reduced model at a parameter point unless its run is up to date."""
     target = workspace.reduced_run(model, point)
     if workspace.must_make(target):
         kind = "reference_runs" if model.from_operators else "particle_runs"
+        if workspace.case.scene.has_surface:
+            kind = "surface_model"
         import_module(f"sphrom.online.{kind}").run_point(workspace, model, point)
     return target

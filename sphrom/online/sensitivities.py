@@ -1,17 +1,17 @@
 """Derivatives of reduced runs by the parameters, from the model's own equations.
 
-The coordinates a of a model follow da/dt = f(a, t; p), and their derivatives s = da/dp follow the
-tangent equations ds/dt = J(a) s + df/dp, from the derivative of the start. Both are integrated in
-one loop (`sphrom.kernels.tangent`). The coefficients of f are polynomials of the viscosity and of
-what drives the flow, so that a central difference of them is exact but for rounding; so are those
-of the start and of the amplitude as far as they are linear. The end of a spin-up is a start that
-counts as fixed: only training runs know how it changes.
+The coordinates a of a model follow da/dt = f(a, t; p). Their derivatives s = da/dp follow the
+tangent equations ds/dt = J(a) s + df/dp, starting from the derivative of the start. Both are
+integrated in one loop (`sphrom.kernels.tangent`). The coefficients of f are polynomials of the
+viscosity and of the driving parameters, so their central difference is exact up to rounding; so are
+those of the start and of the amplitude, as far as they are linear. The end of a spin-up is treated
+as a fixed start, because only the training runs show how it changes.
 
-What training runs add to the coordinates changes with the parameters too, at trained values with a
-kink: there the derivative is the mean of both sides'.
+The correction of the coordinates changes with the parameters too. It has a kink at the training
+points, where the derivative is the mean of both sides.
 
-A force is a polynomial of the coordinates whose coefficients change with the parameters too: it is
-differentiated by a central difference. The kinetic energy is a square of the velocity.
+A force is a polynomial of the coordinates with coefficients that depend on the parameters; it is
+differentiated by a central difference. The kinetic energy is quadratic in the velocity.
 """
 
 from __future__ import annotations
@@ -34,23 +34,23 @@ from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
 from sphrom.store.trajectory import totals
 
 STEP = 1e-5
-"""Of central differences of coefficients, over the size of a parameter."""
+"""Step of central differences of coefficients, over the size of a parameter."""
 
 
 @dataclass(frozen=True)
 class Tangents:
-    """A run and its derivatives, each per unit of a parameter."""
+    """A run and its derivatives by each parameter."""
 
     parameters: tuple[str, ...]
-    """The parameters that the run is differentiated by, along the first axis of what follows."""
+    """The parameters of the derivatives, along the first axis of the following arrays."""
     time: Array
     """(n_snapshots,) [s]."""
     run: Array
     """(n_snapshots, n_modes) generalized coordinates of the run itself."""
     coordinates: Array
-    """(n_parameters, n_snapshots, n_modes) of the generalized coordinates."""
+    """(n_parameters, n_snapshots, n_modes) derivatives of the generalized coordinates."""
     mean_changes: Array
-    """(n_parameters,) of the mean density fluctuation that is carried apart [kg/m3]."""
+    """(n_parameters,) of the separate mean density fluctuation [kg/m3]."""
     kinetic_energy: Array
     """(n_parameters, n_snapshots) [J/m]."""
     measured: Mapping[str, Quantities]
@@ -59,27 +59,27 @@ class Tangents:
 
 @dataclass(frozen=True)
 class _Sides:
-    """A model a little below and above a value of one parameter."""
+    """A model slightly below and slightly above a value of one parameter."""
 
     below: ReferenceModel
     above: ReferenceModel
     width: float
-    """From one to the other."""
+    """Difference of the parameter between both."""
 
     def mapped(self, change: Callable[[ReferenceModel], ReferenceModel | None]) -> _Sides:
-        """Return the same of models that are made of these."""
+        """Return the pair of models derived from these."""
         below, above = change(self.below), change(self.above)
         assert below is not None
         assert above is not None
         return replace(self, below=below, above=above)
 
     def slope(self, of: Callable[[ReferenceModel], Any]) -> Any:
-        """Return how a number or array of the model changes, per unit of the parameter."""
+        """Return the derivative of a number or array of the model by the parameter."""
         return (of(self.above) - of(self.below)) / self.width
 
     @property
     def change(self) -> Change:
-        """The change of the equations, per unit of the parameter."""
+        """The derivative of the equations by the parameter."""
         low, high, width = self.below.amplitude, self.above.amplitude, self.width
         polynomial = self.above.polynomial.plus(self.below.polynomial, -1.0).scaled(1.0 / width)
         start = self.slope(lambda model: model.start)
@@ -104,15 +104,15 @@ def tangents(
     step_factor: float = 1.0,
     integrator: Integrator | None = None,
 ) -> Tangents:
-    """Return the derivatives of a run by some parameters; of its forces and energy too.
+    """Return the derivatives of a run, its forces and its energy by some parameters.
 
     Parameters
     ----------
     reduced : the model at the point, with the output times of the run.
-    step_factor : length of the steps over that of automatic ones, of which they take as many.
-    integrator : of the model, with steps of one's own; None is automatic ones.
+    step_factor : length of the steps over that of the integrator's.
+    integrator : of the model; by default with automatic steps.
 
-    Raises UnstableError when the run diverges.
+    Raises UnstableError if the run diverges.
     """
     case, basis = model.workspace.case, model.basis_at(point)
     sides = [_sides(model, point, name, basis) for name in names]
@@ -136,7 +136,7 @@ def tangents(
 def _completed(
     reduced: ReferenceModel, sides: Sequence[_Sides], integrator: Integrator
 ) -> tuple[Array, Array]:
-    """Return a run and its derivatives, with what training runs add to the coordinates."""
+    """Return a run and its derivatives, with the corrections of the coordinates."""
     leading = whole = correction = None
     if integrator.leading is not None:
         first = [side.mapped(lambda model: model.leading) for side in sides]
@@ -195,11 +195,11 @@ def _forces(
 ) -> dict[str, Quantities]:
     """Return the derivatives of the forces and torques."""
     times, mean = reduced.output_times.time, reduced.mean_density_fluctuation
-    found = []
+    differences = []
     for side, change, of_mean in zip(sides, changes, means, strict=True):
         low, high = (
             forces_of(model, times, run + step * change, mean + step * of_mean)
             for model, step in ((side.below, -0.5 * side.width), (side.above, 0.5 * side.width))
         )
-        found.append({name: (high[name] - low[name]) / side.width for name in low})
-    return {name: totals(np.stack([each[name] for each in found])) for name in reduced.forces}
+        differences.append({name: (high[name] - low[name]) / side.width for name in low})
+    return {name: totals(np.stack([each[name] for each in differences])) for name in reduced.forces}

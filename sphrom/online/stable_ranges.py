@@ -1,4 +1,4 @@
-"""What maps of the extremes say of a model: where it is stable, and where it is right.
+"""Maps of the extremes of a model: where it is stable, and where it is accurate.
 
 `sphrom trade --extremes` writes the ranges; runs, comparisons and trades read them.
 """
@@ -18,15 +18,15 @@ from sphrom.store.workspace import Workspace
 
 FILE = "trade/extremes.json"
 STEP, TIME, MEMORY = "time step", "time", "memory length"
-"""What is varied, beside parameters and properties of the full model."""
+"""Varied quantities in addition to the parameters and properties of the full model."""
 UNITS = {STEP: " s", TIME: " s", MEMORY: " s"}
 MOST_ERROR = 2.0
-"""A run is right where its errors are at most so many times those of the default."""
+"""Largest error of an accurate run, over that of the default."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class StableRange:
-    """Where a model is stable, and where it is right, while one quantity is varied."""
+    """The ranges of one varied quantity in which a model is stable, and in which it is accurate."""
 
     varied: str
     kind: str
@@ -34,19 +34,19 @@ class StableRange:
     n_modes: int | None
     steps: str
     right_from: float | None
-    """None where it is right nowhere; steps, times and memory lengths are in seconds."""
+    """None if it is accurate nowhere; steps, times and memory lengths are in seconds."""
     right_to: float | None
     stable_from: float | None
-    """None where the default is unstable."""
+    """None if the default is unstable."""
     stable_to: float | None
     least: float
     """The least value that was tried."""
     greatest: float
     below: str
-    """What makes runs wrong or unstable below the range; empty where none was."""
+    """The cause of errors or instability below the range; empty if there was none."""
     above: str
     predicted: float | None
-    """The greatest stable or right value by formula, eigenvalue or estimate; None without any."""
+    """The largest stable or accurate value by formula, eigenvalue or estimate, if there is one."""
     predicted_by: str
 
     @property
@@ -56,7 +56,7 @@ class StableRange:
 
     @property
     def words(self) -> str:
-        """Where it is right, as a sentence has it."""
+        """The range of accuracy as part of a sentence."""
         return f"right {self._span(self.right_from, self.right_to)}"
 
     def _span(self, low: float | None, high: float | None) -> str:
@@ -66,7 +66,7 @@ class StableRange:
         return f"for a {self.varied} from {ends}{UNITS.get(self.varied, '')}"
 
     def says(self, value: float) -> str:
-        """Return in words why a run at a value may be unstable or not right; empty if it is."""
+        """Return, in words, why a run at a value may be unstable or inaccurate; else empty."""
         stable, right = (self.stable_from, self.stable_to), (self.right_from, self.right_to)
         for verb, (low, high) in {"stable": stable, "right": right}.items():
             if low is None or high is None:
@@ -79,9 +79,9 @@ class StableRange:
 
 
 def stable_ranges(workspace: Workspace) -> list[StableRange]:
-    """Return the ranges of the case's maps; none without maps, or where they are of another basis.
+    """Return the ranges of the case's maps; empty without maps, or if they are of another basis.
 
-    Raises ArtifactError where the file is damaged.
+    Raises ArtifactError if the file is damaged.
     """
     path, made_by = workspace.out / FILE, f"sphrom trade {workspace.context.words} --extremes"
     if not path.is_file():
@@ -94,7 +94,7 @@ def stable_ranges(workspace: Workspace) -> list[StableRange]:
 def against(
     workspace: Workspace, section: ReducedModelSection, point: ParameterPoint
 ) -> Iterator[str]:
-    """Yield what maps of the extremes say against a run of a model at a parameter point."""
+    """Yield the objections of maps to a run of a model at a parameter point."""
     plan, n_modes = workspace.case.plan, section.n_modes
     if not (ranges := stable_ranges(workspace)):
         return

@@ -62,11 +62,9 @@ BEYOND = 2.0
 """How far a shared scale follows runs beyond the given range, over that range."""
 SHOWN = (0.5, 99.5)
 """Percentiles that a scale holds: a few points in corners would leave the rest no colour."""
-HEADROOM = 1.15
-"""Of an axis of errors over the largest one of a run that ran to the end."""
 N_MARKERS, MOST_MARKERS = 12, 26
 """Markers along a run's curve, and along a reference that is known at many points, about."""
-LEAST_GAP = 0.09
+LEAST_GAP = 0.05
 """Between the labels of two marked numbers, over the width of the axis."""
 PIXELS_PER_SPACING = 3.0
 MAX_PIXELS = 400
@@ -123,6 +121,8 @@ class Field:
     """(ny, nx), from below; NaN where there is no fluid."""
     difference: bool = False
     """Whether it is one of two fields: zero is in the middle of its scale."""
+    complete: bool = True
+    """Whether its run reached this instant; a scale shared with others leaves it out if not."""
 
 
 @dataclass(frozen=True)
@@ -133,8 +133,6 @@ class Curve:
     x: Array
     y: Array
     role: Role = "run"
-    complete: bool = True
-    """Whether the run ran to the end."""
     interval: Array | None = None
     """(2, n) low and high ends of a band around it."""
     place: int | None = None
@@ -149,8 +147,7 @@ class Panel:
     x_label: str
     y_label: str
     curves: Sequence[Curve]
-    axes: Literal["linear", "from zero", "logarithmic", "both logarithmic"] = "linear"
-    """Axes from zero follow unstable runs no farther than `HEADROOM` above the others."""
+    axes: Literal["linear", "logarithmic", "both logarithmic"] = "linear"
     marked: Sequence[int] = ()
     """Numbers of modes with a vertical line, on logarithmic axes."""
 
@@ -231,6 +228,8 @@ def _draw_pictures(
     for group in groups.values():
         fields, label = [field for _, field in group], group[0][1].label
         colours, scale = colour_scale(fields, scales or {})
+        if scales is None and any(f.label == label and _is_signed(f) for _, f in pictures):
+            colours = SIGNED_MAP  # one map for a quantity, also where a field has one sign
         for axes, field in group:
             image = _show(axes, frame, field.values, colours, scale)
             if axes is not first:
@@ -251,9 +250,14 @@ def _draw_pictures(
         image.colorbar.ax.tick_params(labelsize=min(rcParams["xtick.labelsize"], LETTERS * width))
 
 
+def _is_signed(field: Field) -> bool:
+    return colour_scale([field])[0] == SIGNED_MAP
+
+
 def colour_scale(fields: Sequence[Field], scales: Mapping[str, Range] = {}) -> tuple[str, Range]:
     """Return the colours of fields of one label, as matplotlib calls them, and their ends."""
-    known = [field.values[np.isfinite(field.values)] for field in fields]
+    deciding = [field for field in fields if field.complete] or fields
+    known = [field.values[np.isfinite(field.values)] for field in deciding]
     ranges = np.array([np.percentile(v, SHOWN) if len(v) else (0.0, 1.0) for v in known])
     low, high = float(ranges[:, 0].min()), float(ranges[:, 1].max())
     if fields[0].label in scales:
@@ -339,8 +343,6 @@ def _draw_curves(axes: Axes, panel: Panel) -> None:
     axes.margins(x=0.01)
     if all(np.issubdtype(curve.x.dtype, np.integer) for curve in panel.curves):
         axes.locator_params(axis="x", integer=True)
-    if panel.axes == "from zero":
-        axes.set_ylim(0.0, _highest(panel))
     if "log" in panel.axes:
         axes.set_yscale("log")
         plain_logarithmic(axes.yaxis, *axes.get_ylim())
@@ -348,14 +350,6 @@ def _draw_curves(axes: Axes, panel: Panel) -> None:
         axes.set_xscale("log")
         plain_logarithmic(axes.xaxis, *axes.get_xlim())
         _mark(axes, panel.marked)
-
-
-def _highest(panel: Panel) -> float | None:
-    """Return where an axis of errors ends: above runs that ran to the end, or above all."""
-    known = [c for c in panel.curves if len(c.y)]
-    some = [c for c in known if c.complete] or known
-    highest = max((float(c.y.max()) for c in some), default=0.0)
-    return HEADROOM * highest if highest > 0.0 else None
 
 
 def _mark(axes: Axes, numbers: Sequence[int]) -> None:
@@ -367,7 +361,10 @@ def _mark(axes: Axes, numbers: Sequence[int]) -> None:
         place = (np.log(number) - low) / (high - low)
         if place - last < LEAST_GAP:
             continue
-        told = f"{number}" if np.isfinite(last) else f"M = {number}"
+        first = not np.isfinite(last)
         above: Any = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points"}
-        axes.annotate(told, (number, 1.0), xytext=(0, 2), ha="center", fontsize=8.0, **above)
+        # The first label ends over its line, so that it is as far from the second as numbers are.
+        above |= {"xytext": (6 * first, 2), "ha": "right" if first else "center"}
+        told = f"M = {number}" if first else f"{number}"
+        axes.annotate(told, (number, 1.0), fontsize=8.0, **above)
         last = place

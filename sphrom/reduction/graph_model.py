@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.polynomial.legendre import legint, legvander
 
 from sphrom.arrays import Array
 from sphrom.declaration import Record, attribute, dataset, part
@@ -228,11 +229,18 @@ class GraphModel:
         The pressure is the integral up to the surface of weight, acceleration and viscosity.
         """
         rates, (nodes, weights) = self.rates(times, coordinates), _gauss_points(N_BELOW)
-        out = np.empty((len(times), len(points)))
-        for number, (x, y) in enumerate(points):
-            above = np.clip(self.elevation(coordinates, np.array([x]))[:, 0] - y, 0.0, None)
-            places = y + np.outer(above, nodes)
-            out[:, number] = above * (self._slope(times, coordinates, rates, x, places) @ weights)
+        degrees = np.arange(N_BELOW)
+        to_series = legvander(2.0 * nodes - 1.0, N_BELOW - 1) * weights[:, None] * (2 * degrees + 1)
+        out, bottom = np.empty((len(times), len(points))), self.basis.space.bottom
+        for x in np.unique(points[:, 0]):
+            (here,) = np.nonzero(points[:, 0] == x)
+            height = self.elevation(coordinates, np.array([x])) - bottom
+            slope = self._slope(times, coordinates, rates, x, bottom + height * nodes)
+            # The slope is a Legendre series over the fluid's height, and its integral another one.
+            integral = legint(slope @ to_series, axis=1)
+            places = np.minimum(2.0 * (points[here, 1] - bottom) / height - 1.0, 1.0)
+            below = np.einsum("tpk,tk->tp", legvander(places, N_BELOW), integral)
+            out[:, here] = 0.5 * height * (integral.sum(axis=1)[:, None] - below)
         return out
 
     def wall_force(

@@ -15,11 +15,17 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from sphrom.arrays import Array
 from sphrom.kernels import SUPPORT_RATIO, interpolation
+from sphrom.metrics.elevation import HALF, Filled
 from sphrom.sph.domain import Domain
 from sphrom.sph.neighbourhood import sort_sources
+
+FULL, N_NEAR = 0.95, 6
+"""Where a smaller share is filled, which is within 1.7 spacings of a free surface, values stay
+within those of so many particles and of no pressure: polynomials overshoot between it and walls."""
 
 
 class TooFewParticlesError(ValueError):
@@ -42,7 +48,8 @@ class ReferenceMap:
     points : (n_points, 2), the points to interpolate to [m].
     smoothing_length : of the kernel that weights particles [m].
     method : "shepard" or "mls" (moving least squares of second order).
-    partial : leaves what isn't finite where particles are too few.
+    filled : the share of space that fluid with a free surface fills at the points; fields are zero
+        where it is below one half. Where it is not whole, values are within those of particles.
     """
 
     def __init__(
@@ -53,12 +60,12 @@ class ReferenceMap:
         particle_spacing: float,
         smoothing_length: float,
         method: Literal["shepard", "mls"] = "mls",
-        partial: bool = False,
+        filled: Filled | None = None,
     ) -> None:
         self.domain = domain
         self.particle_spacing = particle_spacing
         self.smoothing_length = smoothing_length
-        self.method, self._partial = method, partial
+        self.method, self._filled = method, filled
         self._points = np.ascontiguousarray(domain.wrap(points).T)
         self._scratch = np.zeros((interpolation.N_CHUNKS, 90))
 
@@ -82,7 +89,17 @@ class ReferenceMap:
             interpolation.moving_least_squares(*search, self._scratch, out)
         else:
             interpolation.shepard(*search, out)
-        if not self._partial and not np.isfinite(out).all():
+        if self._filled is not None:
+            share = self._filled(position, density_fluctuation)
+            edge = np.flatnonzero((share >= HALF) & (share < FULL))
+            n_near = min(N_NEAR, len(position))
+            near = cKDTree(position).query(self._points.T[edge], np.arange(1, n_near + 1))[1]
+            own = np.stack((density_fluctuation, *velocity.T))[:, near]
+            low, high = own.min(axis=2), own.max(axis=2)
+            low[0], high[0] = np.minimum(low[0], 0.0), np.maximum(high[0], 0.0)
+            out[:, edge] = np.clip(out[:, edge], low, high)
+            out[:, (share < HALF) | ~np.isfinite(out).all(axis=0)] = 0.0
+        if not np.isfinite(out).all():
             number = int(np.flatnonzero(~np.isfinite(out).all(axis=0))[0])
             raise TooFewParticlesError(number, self._points[:, number], reach)
         return out[0], np.ascontiguousarray(out[1:].T)

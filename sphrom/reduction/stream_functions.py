@@ -20,9 +20,6 @@ from scipy.interpolate import BSpline
 
 from sphrom.arrays import Array
 from sphrom.declaration import Record, attribute
-from sphrom.metrics.elevation import find_elevation
-
-__all__ = ["StreamSpace", "cosine_coordinates", "find_elevation"]
 
 DEGREE = 4
 """Of the splines."""
@@ -44,6 +41,11 @@ class StreamSpace(Record):
     def width(self) -> float:
         """Distance between the walls [m]."""
         return self.right - self.left
+
+    @property
+    def n_coefficients(self) -> int:
+        """The number of splines."""
+        return (self.n_columns + DEGREE - 2) * (self.n_rows + DEGREE - 1)
 
     def derivatives(self, points: Array, *orders: tuple[int, int]) -> list[Array]:
         """Return matrices (n_points, n_coefficients) of derivatives along x and y at points."""

@@ -1,4 +1,4 @@
-"""What a stage is given: the case, where its artifacts are, and whom to report to."""
+"""The context of a stage: the case, the folder of its artifacts, options, and the reporter."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class KnownArtifacts:
-    """What is known of artifacts, by path, so that stages of one command need not look again."""
+    """The known state of artifacts, by path, so that stages of one command check them once."""
 
     reasons: dict[Path, str | None] = field(default_factory=dict)
-    """Why an artifact has to be made; None where it is valid."""
+    """Why an artifact has to be made; None if it is valid."""
     identities: dict[Path, Identity] = field(default_factory=dict)
     written: list[Path] = field(default_factory=list)
-    """What has been written, in order."""
+    """The artifacts that were written, in order."""
 
     def forget(self, path: Path) -> None:
-        """Forget what the writing of an artifact can have changed: what was not valid, and it."""
+        """Forget what writing an artifact may have changed: its own state, and all invalid ones."""
         for known, reason in list(self.reasons.items()):
             if reason is not None or known == path:
                 del self.reasons[known]
@@ -37,42 +37,42 @@ class KnownArtifacts:
 
 @dataclass(frozen=True)
 class StageContext:
-    """All that a stage needs to know."""
+    """The case, the options and the reporter that a stage receives."""
 
     case: Case
     out: Path
     """The folder of the case's artifacts."""
     force: bool
-    """Whether to write over artifacts, and to insist where a check can be overruled."""
+    """Whether to overwrite artifacts, and to override checks that allow it."""
     threads: int | None
-    """Threads to compute on; None is all cores."""
+    """Number of threads; None for all cores."""
     report: Reporter
     only: tuple[ParameterPoint, ...] | None = None
-    """The parameter points to run; None is all."""
+    """The parameter points to run; None for all."""
     models: tuple[str, ...] | None = None
-    """The reduced models to run, by name; None is all."""
+    """The reduced models to run, by name; None for all."""
     keep_valid: bool = False
-    """With `force`, whether artifacts that are still valid are kept all the same."""
+    """With `force`, whether to keep artifacts that are still valid."""
     resume: bool = False
-    """Whether runs that were stopped go on from their checkpoints."""
+    """Whether runs that were stopped continue from their checkpoints."""
     checkpoint_every: float = 60.0
-    """Seconds from one checkpoint of a run to the next, or more where writing takes long.
+    """Seconds between checkpoints of a run, or more if writing them is slow.
 
-    Zero is after every step, whatever that takes.
+    Zero writes one after every step, however slow.
     """
     bitwise: bool = False
-    """With `resume`, whether runs start anew that would not go on to the same bits."""
+    """With `resume`, whether to restart runs that would not continue with the same bits."""
     known: KnownArtifacts = field(default_factory=KnownArtifacts)
     words: str = "CASE"
-    """The arguments by which another command finds the same artifacts."""
+    """The command-line arguments with which another command finds the same artifacts."""
     folders: Mapping[str, Path] = field(default_factory=dict)
-    """Of the kinds of artifacts, such as `operators`, that are not in `out`."""
+    """Folders of the kinds of artifacts, such as `operators`, that are not in `out`."""
 
     def chosen(self, points: Sequence[ParameterPoint]) -> tuple[ParameterPoint, ...]:
-        """Return the points that `only` leaves."""
+        """Return the points that are also in `only`, if it is set."""
         return tuple(point for point in points if self.only is None or point in self.only)
 
     @property
     def chosen_models(self) -> tuple[ReducedModelSection, ...]:
-        """The reduced models that `models` leaves."""
+        """The reduced models that are also in `models`, if it is set."""
         return tuple(m for m in self.case.rom if self.models is None or m.name in self.models)

@@ -1,7 +1,7 @@
-"""The memory, disk and time that a case needs, told before anything runs (`sphrom case check`).
+"""The memory, disk and time that a case needs, estimated before a run (`sphrom case check`).
 
-Memory is of the stages that hold most: fom, pod and operators, within a factor of two or so. Disk
-is of the files that grow with particles and snapshots, known to some per cent.
+Memory is that of the most demanding stages, fom, pod and operators, within a factor of about two.
+Disk is that of the files that grow with particles and snapshots, within a few per cent.
 """
 
 from __future__ import annotations
@@ -32,48 +32,48 @@ from sphrom.setup.context import StageContext
 from sphrom.text import counted, data_size, duration
 
 BASELINE = 250_000_000
-"""Memory of Python and the libraries, and of arrays that don't grow with the case [bytes]."""
+"""Memory of Python, the libraries, and arrays that do not grow with the case [bytes]."""
 RAM_SHARE = 0.4
-"""Share of the memory that the decomposition may use before it goes block by block."""
+"""Share of the memory that the decomposition may use before it works block by block."""
 MOST_PENDING = 2**26
-"""Snapshots that wait for the next checkpoint; more of them bring it forward [bytes]."""
+"""Size of the pending snapshots at which the next checkpoint is written early [bytes]."""
 BLOCK = 2**24
-"""Numbers in the blocks of points that operators are projected by."""
+"""Numbers in a block of points in the projection of operators."""
 STATE_ARRAYS = 60
-"""Numbers a particle that a run holds at once, sources and images included."""
+"""Numbers per particle that a run holds at once, sources and images included."""
 MODE_COPIES, SPLINE_COPIES = 3, 10
 """Copies of the modes while operators are made, and the size of polyharmonic splines over theirs.
 
 B-splines take one copy.
 """
 SPARSE_NUMBERS = 6
-"""Numbers a neighbour in the sums that operators hold: four matrices, with half an index each."""
+"""Numbers per neighbour in the sums that operators hold: four matrices, each with half an index."""
 TENSOR_COPIES = 14
 """Copies of a closure's largest tensor, or of an estimate's factor, while they are made."""
 SECONDS_PER_NEIGHBOUR = 5e-8
-"""Time of a step over the particles' neighbours on one core, measured on the three demo cases."""
+"""Time per step and neighbour of a particle on one core, measured on the three demo cases."""
 
 
 @dataclass(frozen=True)
 class Need:
-    """The memory of one stage, and the disk that its files fill [bytes]."""
+    """The memory and the disk space of one stage [bytes]."""
 
     ram: int
     disk: int = 0
     files: tuple[str, ...] = ()
-    """Patterns of the names of its files."""
+    """File name patterns of its artifacts."""
     passing: int = 0
-    """Disk for the checkpoints of one run, which are deleted when it ends."""
+    """Disk space for the checkpoints of one run, which are deleted when it ends."""
 
 
 def needs(case: Case, points: Sequence[ParameterPoint] | None = None) -> dict[str, Need]:
-    """Return the needs of the stages that need much; `points` limits runs to these."""
+    """Return the needs of the demanding stages; `points` limits the runs to these."""
     plan, at = case.plan, case.plan.points if points is None else points
     number, n_snapshots = plan.n_particles, plan.steps.n_snapshots
     run = STATE_ARRAYS * (number + plan.n_ghosts)
     trajectory = n_snapshots * (6 * number + 3) + 4 * plan.n_ghosts
     spin_up = 5 * number if plan.steps.n_spin_up_steps else 0
-    # Snapshots wait for a checkpoint, which holds them once more, with two states.
+    # Snapshots wait for a checkpoint, which stores them once more, with two states.
     passing = BYTES * (trajectory + 14 * number)
     waiting = min(MOST_PENDING / BYTES, trajectory)
     written = BYTES * (2 * number + (trajectory + spin_up) * len(at))
@@ -86,7 +86,7 @@ def needs(case: Case, points: Sequence[ParameterPoint] | None = None) -> dict[st
     kept = modes * (1 + case.basis.lagrangian)
     n_learnt = len(plan.train_points) * n_snapshots
     least = decomposition_bytes(n_learnt, smallest_block(n_learnt))
-    # All points are one block if the limit allows it.
+    # If the limit allows it, all points form one block.
     whole = min(decomposition_bytes(n_learnt, number), decomposition_ram_limit())
     copies = max(least, whole) / BYTES + (MODE_COPIES - 1) * modes + kept
     found["pod"] = Need(_ram(copies), BYTES * (kept + 6 * number), ("pod.h5",))
@@ -107,7 +107,7 @@ def _ram(numbers: float) -> int:
 
 
 def _operators(case: Case) -> float:
-    """Return the numbers of a basis with its copies and splines, sparse sums, and tensors."""
+    """Return the size of a basis with copies and splines, sparse sums and tensors, in numbers."""
     plan = case.plan
     most = max(plan.basis_size(name) for name in plan.reference_bases)
     copies = MODE_COPIES + (1 if plan.lattice_splines else SPLINE_COPIES)
@@ -123,18 +123,18 @@ def _operators(case: Case) -> float:
 
 
 def decomposition_ram_limit() -> int:
-    """Return the memory [bytes] that a decomposition may use, beyond the modes themselves."""
+    """Return the memory [bytes] that a decomposition may use in addition to the modes."""
     return int(RAM_SHARE * physical_ram())
 
 
 def runs_that_fit(case: Case, stage: str) -> int:
-    """Return how many runs of a stage, at a point each, this machine has cores and memory for."""
+    """Return how many runs of a stage fit this machine's cores and memory at the same time."""
     cores, ram = len(os.sched_getaffinity(0)), available_ram()
     return cores if ram is None else max(1, min(cores, ram // needs(case)[stage].ram))
 
 
 def full_seconds(case: Case, n_runs: int) -> float:
-    """Return about how long full runs take on one core [s]."""
+    """Return the approximate time of full runs on one core [s]."""
     steps = case.plan.steps
     neighbours = case.plan.n_particles * case.plan.discretization.n_neighbours
     return SECONDS_PER_NEIGHBOUR * neighbours * (steps.n_steps + steps.n_spin_up_steps) * n_runs
@@ -143,10 +143,10 @@ def full_seconds(case: Case, n_runs: int) -> float:
 def require_room(
     case: Case, out: Path, points: Sequence[ParameterPoint] | None = None, stage: str | None = None
 ) -> None:
-    """Raise ResourceError when a case would not fit this machine's memory or disk.
+    """Raise ResourceError if a case does not fit this machine's memory or disk.
 
-    All stages are judged, or `stage` alone; at some parameter `points`, it is the full runs there
-    unless another stage is named. What is there already needs no room on the disk again.
+    All stages are checked, or only `stage`. With `points`, it is the full runs there, unless
+    another stage is named. Existing files need no additional space.
     """
     if points is not None and set(points) >= set(case.plan.points):
         points = None
@@ -163,10 +163,10 @@ def require_room(
             )
     missing = {name: need.disk - _written(out, need, points) for name, need in judged.items()}
     needed = sum(max(0, size) for size in missing.values())
-    # Checkpoints come on top while a run lasts; of a run that goes on some are there already.
+    # During a run checkpoints come on top; a run that is continued already has some.
     passing = max((judged[name].passing for name in missing if missing[name] > 0), default=0)
     needed += max(0, passing - _size_of(out.glob("*.h5.*")))
-    # The folder may not be there yet.
+    # The folder may not exist yet.
     free = shutil.disk_usage(next(f for f in (out, *out.parents) if f.exists())).free
     if needed > free:
         raise ResourceError(
@@ -186,9 +186,9 @@ def _size_of(paths: Iterable[Path]) -> int:
 
 
 def run(context: StageContext) -> None:
-    """Print what a case costs, and its margins (`sphrom case check`).
+    """Print the cost of a case and its margins (`sphrom case check`).
 
-    Raises ResourceError when it would not fit this machine.
+    Raises ResourceError if it does not fit this machine.
     """
     case = context.case
     for point in case.plan.points:
@@ -207,13 +207,13 @@ def run(context: StageContext) -> None:
 
 
 def described_run(case: Case, point: ParameterPoint) -> str:
-    """Return the numbers of one full run in words."""
+    """Return the sizes of one full run in words."""
     plan, fluid, limits = case.plan, case.plan.fluid(point), case.plan.step_limits(point)
     ghosts = f" and {plan.n_ghosts} ghosts" if plan.n_ghosts else ""
     spin_up, step = plan.steps.n_spin_up_steps, plan.steps.time_step
     before = f" after {counted(spin_up, 'step')} to spin up" if spin_up else ""
     shares = {"acoustic": limits.acoustic, "viscous": limits.viscous}
-    told = ", ".join(f"{step / limit:.2g} of the {name} limit" for name, limit in shares.items())
+    of_limits = ", ".join(f"{step / each:.2g} of the {name} limit" for name, each in shares.items())
     layer, thin = case.scene.length_scale / math.sqrt(point.reynolds), ""
     if case.scene.domain.has_walls and layer < plan.particle_spacing:
         thin = f"; no particles resolve layers of L / sqrt(Re) = {layer:.2g} m at walls"
@@ -221,44 +221,44 @@ def described_run(case: Case, point: ParameterPoint) -> str:
         f"{point.label}: {plan.n_particles} particles{ghosts}, "
         f"{plan.discretization.n_neighbours:.0f} neighbours each, c0 = {fluid.sound_speed:g} m/s, "
         f"nu = {fluid.kinematic_viscosity:.4g} m2/s; {counted(plan.steps.n_steps, 'step')} of "
-        f"{step:.4g} s{before}, {told}; {counted(plan.steps.n_snapshots, 'snapshot')}{thin}"
+        f"{step:.4g} s{before}, {of_limits}; {counted(plan.steps.n_snapshots, 'snapshot')}{thin}"
     )
 
 
 def _describe_shape(case: Case, report: Reporter) -> None:
-    """Print the area of the fluid, and how many supports its narrowest places are wide."""
+    """Print the area of the fluid, and the width of its narrowest places in support radii."""
     domain, support = case.scene.domain, SUPPORT_RATIO * case.plan.smoothing_length
     widths = {
         "narrowest gap" if domain.has_walls else "shortest period": domain.narrowest_gap,
         "thinnest solid": domain.thinnest_solid,
     }
-    told = [
+    described = [
         f"{name} {width:.3g} m, {width / support:.3g} times the support's radius"
         for name, width in widths.items()
         if math.isfinite(width)
     ]
-    report.info("; ".join((f"the fluid's area is {domain.area:.4g} m2", *told)))
+    report.info("; ".join((f"the fluid's area is {domain.area:.4g} m2", *described)))
 
 
 def describe_cost(case: Case, report: Reporter) -> None:
-    """Print how many runs there are, the memory and disk of all stages, and the time of fom."""
+    """Print the number of runs, the memory and disk of all stages, and the time of fom."""
     stages, n_runs = needs(case), len(case.plan.points)
     largest = max(stages, key=lambda name: stages[name].ram)
     reduced = sum(len(case.plan.rom_points(model)) for model in case.rom)
     report.info(
         f"{counted(n_runs, 'full run')} and {counted(reduced, 'reduced run')}: about "
-        f"{data_size(stages[largest].ram)} of memory, which {largest} needs most of, "
+        f"{data_size(stages[largest].ram)} of memory at most (in {largest}), "
         f"{data_size(sum(need.disk for need in stages.values()))} on disk; the full "
         f"run{'s' * (n_runs > 1)} about {duration(full_seconds(case, n_runs))} on one core"
     )
 
 
 def _describe_sweep(case: Case, report: Reporter) -> None:
-    """Print what `sphrom sweep` would run, if the case says so."""
+    """Print the size of the sweep, if the case has one, with advice."""
     if points := sweep_points(case):
         model = sweep_model(case)
-        what = "the full model" if model is None else model.name
-        report.info(f"a sweep of {what}: {counted(len(points), 'run')}")
+        swept = "the full model" if model is None else model.name
+        report.info(f"a sweep of {swept}: {counted(len(points), 'run')}")
         if (advice := slow_sweep(case)) is not None:
             report.info(advice)
         if (warning := sweep_beyond_training(case)) is not None:

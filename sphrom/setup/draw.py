@@ -22,47 +22,46 @@ if TYPE_CHECKING:
 
 
 PIXELS = 500
-"""Along the longer side of the picture, at which distances from walls are looked up."""
+"""Resolution along the longer side of the picture, for distances from walls."""
 MOST_PARTICLES = 200_000
-"""More would be no picture that shows particles."""
+"""Largest number of particles in a picture."""
 VECTORS_BELOW = 5_000
-"""More particles are drawn as pixels, even in a file of vectors."""
+"""Largest number of particles that are drawn as vector graphics."""
 WIDTH, HEIGHT = 9.0, 7.5
-"""Of the frame, at most [inch]."""
+"""Largest size of the frame [inch]."""
 LONGEST_ARROW, MOST_ARROWS = 0.08, 12
-"""Length for the fastest wall, over the frame's diagonal, and number along one wall."""
+"""Length for the fastest wall, over the frame's diagonal, and number per wall."""
 FLUID, GHOST, MOVING, MEASURED = COLOURS[5], "#8a8a8a", COLOURS[1], COLOURS[3]
 NAME: Any = {
     "fontsize": 8.5,
     "bbox": {"facecolor": "white", "alpha": 0.85, "edgecolor": "none", "pad": 1.2},
     "zorder": 7,
 }
-"""The look of a name in the picture."""
+"""The style of names in the picture."""
 
 
 def run(context: StageContext, output: Path | None = None, folder: Path | None = None) -> None:
     """Draw a case's geometry into a file, by default `<name of the case>.png` in a folder or here.
 
-    Raises CaseError when the file's name ends in no known format, or the file is there already and
-    may not be written over; ArtifactError when it can't be written.
+    Raises CaseError if the file's suffix is unknown, or the file exists and must not be
+    overwritten; ArtifactError if it cannot be written.
     """
     case = context.case
     path = output or (folder or Path()) / f"{case.name}.png"
     if path.suffix.lower() not in FORMATS:
         raise CaseError(f"--output: must end in {' or '.join(FORMATS)}; got {path}")
     if path.is_dir() or (path.exists() and not context.force):
-        what = "is a folder" if path.is_dir() else "is there already; --force writes over it"
-        raise CaseError(f"{path}: {what}")
+        reason = "is a folder" if path.is_dir() else "is there already; --force writes over it"
+        raise CaseError(f"{path}: {reason}")
     (folder or Path()).mkdir(parents=True, exist_ok=True)
     save(draw(case), path)
     context.report.info(f"wrote {path}")
 
 
 def draw(case: Case) -> Figure:
-    """Return the picture of a case: particles, ghosts, walls by name, and places of measurements.
+    """Return the picture of a case: particles, ghosts, walls by name, and measurements.
 
-    Particles are where they start, or where packing starts from. Raises CaseError where there are
-    too many of them.
+    Particles are shown at their start, before packing. Raises CaseError if there are too many.
     """
     spacing, domain = case.plan.particle_spacing, case.scene.domain
     if (number := domain.n_particles(spacing)) > MOST_PARTICLES:
@@ -81,7 +80,7 @@ def draw(case: Case) -> Figure:
         figure = new_figure(max(5.0, width + 0.9), height + 1.8)
         axes = figure.subplots()
         dot = max(0.4, 36.0 * width * spacing / size[0]) ** 2
-        _draw_points(axes, domain.fill(spacing), dot, FLUID, "fluid particles")
+        _draw_points(axes, case.scene.fill(spacing), dot, FLUID, "fluid particles")
         if walls is not None:
             ghosts = walls.position
             inside = np.all((ghosts >= lower) & (ghosts <= upper), axis=1)
@@ -99,7 +98,7 @@ def draw(case: Case) -> Figure:
 
 
 def solids_within(domain: Domain, frame: Extent) -> Solids:
-    """Return where in a frame (left, right, lower, upper edge, [m]) there is no fluid."""
+    """Return signed distances from walls on a grid over a frame (left, right, lower, upper) [m]."""
     left, right, lower, upper = frame
     width = max(right - left, upper - lower) / PIXELS
     nx, ny = (max(2, round(length / width)) for length in (right - left, upper - lower))
@@ -110,12 +109,12 @@ def solids_within(domain: Domain, frame: Extent) -> Solids:
 
 def _draw_points(axes: Axes, position: Array, size: float, colour: str, label: str) -> None:
     """Draw points (n_points, 2) as dots of a size [points squared]."""
-    (x, y), told, many = position.T, f"{label}, {len(position)}", len(position) > VECTORS_BELOW
-    axes.scatter(x, y, s=size, color=colour, linewidths=0.0, label=told, rasterized=many)
+    (x, y), many, label = position.T, len(position) > VECTORS_BELOW, f"{label}, {len(position)}"
+    axes.scatter(x, y, s=size, color=colour, linewidths=0.0, label=label, rasterized=many)
 
 
 def _draw_walls(axes: Axes, case: Case, walls: Walls, solids: Solids, arrow: float) -> None:
-    """Draw walls with their names, and velocities at most as long as an arrow [m]."""
+    """Draw walls with their names; the fastest velocity is as long as an arrow [m]."""
     domain, spacing = case.scene.domain, case.plan.particle_spacing
     cover(axes, solids)
     axes.contour(*solids, levels=(0.0,), colors=[INK], linewidths=1.6)
@@ -126,16 +125,16 @@ def _draw_walls(axes: Axes, case: Case, walls: Walls, solids: Solids, arrow: flo
         mine = np.flatnonzero(walls.wall == index)
         if not len(mine):
             continue
-        # The name stands in the middle of the wall's ghosts, or at the ghost that is nearest to it.
+        # The name is in the middle of the wall's ghosts, or at the ghost nearest to it.
         middle = walls.position[mine].mean(axis=0)
         if domain.contains(middle[None])[0] or domain.nearest_wall(middle[None])[0] != index:
             away = np.sum((walls.position[mine] - middle) ** 2, axis=1)
             middle = walls.position[mine[np.argmin(away)]]
         first = mine[surface[mine]]
         own = float(speed[first].max(initial=0.0))
-        told, colour = (f"{name}, {own:.3g} m/s", MOVING) if own else (name, INK)
+        text, colour = (f"{name}, {own:.3g} m/s", MOVING) if own else (name, INK)
         (x, y), turned = middle, 90.0 if name in SIDES[0] else 0.0
-        axes.text(x, y, told, color=colour, rotation=turned, ha="center", va="center", **NAME)
+        axes.text(x, y, text, color=colour, rotation=turned, ha="center", va="center", **NAME)
         if own:
             some = first[:: -(-len(first) // MOST_ARROWS)]
             place, way = domain.on_wall(walls.position[some]), walls.velocity[some]
@@ -152,7 +151,7 @@ def _draw_arrows(axes: Axes, place: Array, way: Array, colour: str, label: str =
 
 
 def _draw_compared(axes: Axes, case: Case) -> None:
-    """Draw the line that runs are compared along, stations, and edges where the flow repeats."""
+    """Draw the line of comparisons, stations, and periodic edges."""
     domain, x = case.scene.domain, case.plan.probe_line
     for interval in domain.sections(x):
         axes.plot([x, x], interval, color=COLOURS[0], ls="--", label="compared line", zorder=4)
@@ -167,7 +166,7 @@ def _draw_compared(axes: Axes, case: Case) -> None:
 
 
 def _draw_measured(axes: Axes, case: Case, arrow: float) -> None:
-    """Draw probes, lines and sections; an arrow [m] says which flow counts as positive."""
+    """Draw probes, lines and sections; an arrow [m] shows the positive direction of flow."""
     for name, measure in case.scene.measured_fields.items():
         ends = np.array(measure.segment or (measure.probe,) * 2)
         middle, (dx, dy) = ends.mean(axis=0), ends[1] - ends[0]

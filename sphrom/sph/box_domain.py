@@ -17,17 +17,17 @@ from sphrom.sph.domain import ROUNDING, SIDES, Domain, Walls, WallSearch
 from sphrom.sph.polygons import periodic_shifts
 
 WHOLE_TOLERANCE = 1e-6
-"""How far a wall may be from the lattice, over the particle spacing."""
+"""Largest distance of a wall from the lattice, over the particle spacing."""
 INNER = "solid"
 """Name of the solid within the box."""
 
 
 @dataclass(frozen=True)
 class BoxDomain(Domain):
-    """An axis-parallel box, periodic along the axes that say so; lengths in [m].
+    """An axis-parallel box, periodic along some axes; lengths in [m].
 
-    Fluid fills the box, or the rectangles in it, which may share edges but not overlap. Where an
-    axis isn't periodic, and where rectangles end, there are walls.
+    Fluid fills the box, or the rectangles in it, which may share edges but not overlap. There are
+    walls at the ends of axes that are not periodic, and at the edges of rectangles.
     """
 
     lower: tuple[float, float]
@@ -37,17 +37,17 @@ class BoxDomain(Domain):
 
     @property
     def parts(self) -> tuple[Rectangle, ...]:
-        """The rectangles that fluid fills."""
+        """The rectangles filled with fluid."""
         return self.rectangles or (Rectangle(self.lower, self.upper),)
 
     @property
     def area(self) -> float:
-        """The area that fluid fills [m2]."""
+        """The area of the fluid [m2]."""
         return sum(part.area for part in self.parts)
 
     @cached_property
     def fluid(self) -> BaseGeometry:
-        """What fluid fills of the box."""
+        """The region of the fluid in the box."""
         return shapely.union_all([part.polygon for part in self.parts])
 
     @property
@@ -57,11 +57,11 @@ class BoxDomain(Domain):
 
     @property
     def solid_names(self) -> tuple[str, ...]:
-        """What is solid within the box has one name."""
+        """The solid inside the box has one name."""
         return (INNER,) if self.rectangles else ()
 
     def contains(self, position: Array) -> Mask:
-        """Return which positions (n_points, 2) [m] lie in the fluid, once wrapped."""
+        """Return whether positions (n_points, 2) [m] are in the fluid, after wrapping."""
         wrapped = self.wrap(position)
         inside = np.zeros(len(wrapped), dtype=np.bool_)
         for part in self.parts:
@@ -74,7 +74,7 @@ class BoxDomain(Domain):
         fluid, from_wall = nearest(wrapped, self.solids)
         solid, to_fluid = nearest(wrapped, self._fluid_images())
         distance = np.where(solid > 0.0, -solid, fluid)
-        # From the wall into the fluid, on either side of it.
+        # From the wall into the fluid, on both sides of the wall.
         way = np.where((solid > 0.0)[:, None], to_fluid, -from_wall)
         length = np.hypot(*way.T)
         normal = np.divide(way, length[:, None], out=np.zeros_like(way), where=length[:, None] > 0)
@@ -83,7 +83,7 @@ class BoxDomain(Domain):
         return distance, normal
 
     def _normals_on_walls(self, place: Array) -> Array:
-        """Return the normals (n_points, 2) at points of walls: the mean one at a corner."""
+        """Return the normals (n_points, 2) at points of walls; at a corner, the mean normal."""
         step = math.sqrt(ROUNDING) * min(self.lengths)
         turns = np.linspace(0.0, 2.0 * math.pi, 32, endpoint=False) + math.pi / 32
         around = np.stack((np.cos(turns), np.sin(turns)), axis=1)
@@ -92,38 +92,38 @@ class BoxDomain(Domain):
         return np.asarray(way / np.linalg.norm(way, axis=1, keepdims=True))
 
     def _fluid_images(self) -> list[Rectangle]:
-        """Return the rectangles that fluid fills, with their images on either side of the box."""
+        """Return the rectangles of the fluid, with their images on either side of the box."""
         shifts = periodic_shifts(self.lengths, self.periodic)
         return [part.shifted(*shift) for part, shift in itertools.product(self.parts, shifts)]
 
     @property
     def solids(self) -> list[Rectangle]:
-        """Rectangles that cover the solid: all around the box, where an axis isn't periodic.
+        """Rectangles that cover the solid, also around the box where an axis is not periodic.
 
-        Each is as long along x as it may be: where two met within a floor or a ceiling, or behind
-        the corner of a box, the further one would look like a corner that juts into the fluid.
+        Each is as long as possible along x. If two met within a floor or a ceiling, or behind the
+        corner of a box, the farther one would look like a corner that juts into the fluid.
         """
         x = self._cuts(0)
         middles = 0.5 * np.add(x[1:], x[:-1])
-        found = []
+        solids = []
         for low, high in itertools.pairwise(self._cuts(1)):
             centres = np.stack((middles, np.full_like(middles, 0.5 * (low + high))), axis=1)
             ends = np.flatnonzero(np.diff(np.pad(~self.contains(centres), 1))).reshape(-1, 2)
-            found += [Rectangle((x[first], low), (x[last], high)) for first, last in ends]
-        return found
+            solids += [Rectangle((x[first], low), (x[last], high)) for first, last in ends]
+        return solids
 
     def _cuts(self, axis: int) -> list[float]:
-        """Return where the fluid may end along an axis, images beside the box among them."""
+        """Return the coordinates at which fluid may end along an axis, including images."""
         low, high, length = self.lower[axis], self.upper[axis], self.lengths[axis]
         edges = (edge[axis] for part in self.parts for edge in (part.lower, part.upper))
-        # Along a periodic axis the nearest wall may be an image; else the box's edge is one.
+        # Along a periodic axis the nearest wall may be an image; else the box's edge is a wall.
         images = (-length, 0.0, length) if self.periodic[axis] else (0.0,)
         cuts = {bound + image for bound in (low, high, *edges) for image in images}
         return sorted(cuts | {low - length, high + length})
 
     def wall_search(self, particle_spacing: float) -> WallSearch:
-        """Return what finds particles' distances from walls at every substep."""
-        # Domains are known without compiled code.
+        """Return the search for particles' distances from walls, for use at every substep."""
+        # Domains work without compiled code otherwise.
         from sphrom.kernels import rectangles
 
         return WallSearch(rectangles, (np.array([(*s.lower, *s.upper) for s in self.solids]),))
@@ -137,19 +137,19 @@ class BoxDomain(Domain):
         return all(abs(place - round(place)) < WHOLE_TOLERANCE for place in places)
 
     def fill(self, particle_spacing: float) -> Array:
-        """Return the cell centres (n_particles, 2) [m] of a square lattice, those in the fluid."""
+        """Return the cell centres (n_particles, 2) [m] of a square lattice in the fluid."""
         x, y = self._lattice(particle_spacing, 0)
         points = np.stack((x.ravel(), y.ravel()), axis=1)
         return points[self.contains(points)] if self.has_walls else points
 
     def ghosts(self, particle_spacing: float, n_layers: int) -> Walls:
-        """Return the lattice points (n_ghosts, 2) [m] within some layers of the fluid."""
+        """Return the lattice points (n_ghosts, 2) [m] within some layers outside the fluid."""
         x, y = self._lattice(particle_spacing, n_layers)
         position = np.stack((x.ravel(), y.ravel()), axis=1)
         fluid = self.contains(position).reshape(x.shape)
         beside, above = (self._dilated(fluid, axis, n_layers) for axis in range(2))
         ghost = (self._dilated(beside, 1, n_layers) & ~fluid).ravel()
-        # A ghost behind a corner that faces no wall belongs to both walls that meet there.
+        # A ghost diagonally behind a corner belongs to both walls that meet there.
         corner = ~(beside | above)
         axes_behind = np.stack(((beside | corner).ravel(), (above | corner).ravel()), axis=1)
         place = position[ghost]
@@ -157,7 +157,7 @@ class BoxDomain(Domain):
         return Walls(place, np.zeros_like(place), self.nearest_wall(place), normal)
 
     def n_ghosts(self, particle_spacing: float, n_layers: int) -> int:
-        """Return how many lattice points lie within some layers of the fluid."""
+        """Return the number of lattice points outside the fluid, within some layers of it."""
         depth = n_layers * particle_spacing
         beyond = np.where(self.periodic, 0.0, depth)
         frame = shapely.box(*np.subtract(self.lower, beyond), *np.add(self.upper, beyond))
@@ -166,7 +166,7 @@ class BoxDomain(Domain):
         return round(float(area) / particle_spacing**2)
 
     def nearest_wall(self, position: Array) -> Indices:
-        """Return the wall (n_points,) nearest to positions in the solid; corners are the sides'."""
+        """Return the wall (n_points,) nearest to positions in the solid; sides own the corners."""
         names, place = self.wall_names, self.wrap(position)
         wall = np.full(len(place), len(names) - 1, dtype=np.int64)
         for axis in (1, 0):
@@ -177,7 +177,7 @@ class BoxDomain(Domain):
         return wall
 
     def _lattice(self, spacing: float, n_layers: int) -> tuple[Array, ...]:
-        """Return x and y (ny, nx) [m] of a lattice that goes some layers beyond walls."""
+        """Return x and y (ny, nx) [m] of a lattice that extends some layers beyond walls."""
         axes = []
         for axis in range(2):
             extra = 0 if self.periodic[axis] else n_layers
@@ -186,8 +186,8 @@ class BoxDomain(Domain):
         return np.meshgrid(*axes)
 
     def _dilated(self, mask: Mask, axis: int, n_layers: int) -> Mask:
-        """Return where a mask (ny, nx) holds within some layers along an axis (0 is x)."""
-        # Ghosts are counted before particles run, and seldom: loading it takes longer.
+        """Return a mask (ny, nx) dilated by some layers along an axis (0 is x)."""
+        # Ghosts are counted rarely, and importing this module takes longer than the count.
         from scipy import ndimage
 
         mode = "wrap" if self.periodic[axis] else "constant"
@@ -219,13 +219,13 @@ class Rectangle:
         return Rectangle((left + x, low + y), (right + x, high + y))
 
     def contains(self, position: Array) -> Mask:
-        """Return which positions (n_points, 2) [m] lie in it, its edges among them."""
+        """Return whether positions (n_points, 2) [m] are in it or on its edges."""
         inside = (position >= self.lower) & (position <= self.upper)
         return np.asarray(inside.all(axis=1))
 
 
 def nearest(position: Array, rectangles: Iterable[Rectangle]) -> tuple[Array, Array]:
-    """Return distances (n_points,) to the nearest of some rectangles, and ways there (n, 2) [m]."""
+    """Return distances (n_points,) and vectors (n_points, 2) to the nearest rectangle [m]."""
     least = np.full(len(position), np.inf)
     way = np.zeros_like(position)
     for rectangle in rectangles:

@@ -1,7 +1,7 @@
-"""What every domain offers: where the fluid is, how far walls are, and points to fill it with.
+"""The interface of all domains: the fluid's region, distances from walls, and initial points.
 
-A domain lies in an axis-parallel box, periodic along some axes. Walls stand where fluid ends. All
-lengths are in [m], and positions are (n_points, 2).
+A domain lies in an axis-parallel box that is periodic along some axes. Walls are where fluid ends.
+All lengths are in [m], and positions are (n_points, 2).
 """
 
 from __future__ import annotations
@@ -21,38 +21,38 @@ from sphrom.arrays import Array, Indices, Mask
 from sphrom.sph.polygons import ROUNDING, least_widths
 
 FINEST = 5e-5
-"""Finer features aren't looked at when widths are measured, over the size of the box."""
+"""Size of the finest features that count in the measurement of widths, over that of the box."""
 SIDES = (("left", "right"), ("bottom", "top"))
 """Names of the walls at the lower and upper ends of each axis."""
 
 
 @dataclass(frozen=True)
 class Walls:
-    """Ghost particles, fixed in the solid as deep as some layers of particles."""
+    """Ghost particles, fixed in the solid to a depth of some layers of particles."""
 
     position: Array
     """(n_ghosts, 2) [m]."""
     velocity: Array
-    """(n_ghosts, 2) that of the wall each belongs to [m/s]."""
+    """(n_ghosts, 2), that of each ghost's wall [m/s]."""
     wall: Indices
-    """(n_ghosts,) the wall that each belongs to, an index of `Domain.wall_names`."""
+    """(n_ghosts,), the wall of each ghost, an index of `Domain.wall_names`."""
     normal: Array | None
-    """(n_ghosts, 2) 1 along the axes of the normals of the walls that a ghost is behind, else 0;
-    None where walls follow no axis."""
+    """(n_ghosts, 2), 1 along the axes of the normals of the walls in front of a ghost, else 0; None
+    if walls are not parallel to the axes."""
 
     def moving(self, wall_velocity: Callable[[Array], Array]) -> Walls:
-        """Return them with the velocity (n_ghosts, 2) [m/s] of walls, from ghosts' positions."""
+        """Return them with wall velocities (n_ghosts, 2) [m/s] evaluated at the ghosts."""
         return replace(self, velocity=wall_velocity(self.position))
 
 
 @dataclass(frozen=True)
 class WallSearch:
-    """Distances from walls at every substep, of sources as `sphrom.kernels.sweeps` has them."""
+    """Distances from walls at every substep; sources are laid out as in `sphrom.kernels.sweeps`."""
 
     kernels: Any
-    """The compiled module that knows walls of this kind."""
+    """The compiled module for walls of this kind."""
     lists: tuple[Any, ...]
-    """The walls, as its kernels take them."""
+    """The walls in the form that these kernels take."""
 
     def distances(self, targets: Indices, source: Array) -> Array:
         """Return the distance (n_targets,) [m] of some sources from the nearest wall."""
@@ -62,14 +62,14 @@ class WallSearch:
 
 
 def first_of(particles: Indices, position: Array) -> str:
-    """Return the first of some particles at positions (2, n_particles) [m], in words."""
+    """Describe the first of some particles at positions (2, n_particles) [m], in words."""
     x, y = position[:, particles[0]]
     more = f" (one of {particles.size})" if particles.size > 1 else ""
     return f"particle {particles[0]} at ({x:.6g}, {y:.6g}) m{more}"
 
 
 class Domain(ABC):
-    """The part of a box that fluid fills."""
+    """The part of a box that is filled with fluid."""
 
     lower: tuple[float, float]
     """The box's lower corner [m]."""
@@ -86,7 +86,7 @@ class Domain(ABC):
     @property
     @abstractmethod
     def fluid(self) -> BaseGeometry:
-        """What fluid fills of the box."""
+        """The region of the fluid in the box."""
 
     @property
     @abstractmethod
@@ -95,22 +95,22 @@ class Domain(ABC):
 
     @property
     def area(self) -> float:
-        """The area that fluid fills [m2]."""
+        """The area of the fluid [m2]."""
         return float(shapely.area(self.fluid))
 
     @property
     def separate_areas(self) -> list[float]:
-        """The areas [m2] of parts of the fluid without a way between them, the largest first."""
+        """The areas [m2] of disconnected parts of the fluid, the largest first."""
         return [self.area]
 
     @property
     @abstractmethod
     def solid_names(self) -> tuple[str, ...]:
-        """What each solid in the box is called."""
+        """The name of each solid in the box."""
 
     @property
     def wall_names(self) -> tuple[str, ...]:
-        """What each wall is called: sides of the box that aren't periodic, then solids."""
+        """The name of each wall: sides of the box that are not periodic, then solids."""
         sides = (names for names, p in zip(SIDES, self.periodic, strict=True) if not p)
         return (*(name for names in sides for name in names), *self.solid_names)
 
@@ -121,43 +121,43 @@ class Domain(ABC):
 
     @property
     def has_walls(self) -> bool:
-        """Whether anything bounds the fluid."""
+        """Whether there are any walls."""
         return bool(self.wall_names)
 
     @property
     def narrowest_gap(self) -> float:
-        """The least width of the fluid between walls, or length of a period [m].
+        """The least width of the fluid between walls, or the length of a period [m].
 
-        `sphrom.sph.polygons` says which walls it is between.
+        `sphrom.sph.polygons` defines which pairs of walls count.
         """
         periods = (n for n, p in zip(self.lengths, self.periodic, strict=True) if p)
         return min((self._least_widths[0], *periods))
 
     @property
     def thinnest_solid(self) -> float:
-        """The least width of a solid between fluid and fluid, infinite where none is [m]."""
+        """The least width of a solid between fluid and fluid [m]; infinite if there is none."""
         return self._least_widths[1]
 
     @cached_property
     def _least_widths(self) -> tuple[float, float]:
         if self.fills_box:
             return min(self.lengths), math.inf
-        # Of finer corners there may be thousands.
+        # There may be thousands of finer corners.
         fluid = shapely.simplify(self.fluid_with_images, FINEST * max(self.lengths))
         return least_widths(fluid, self._is_wall, np.array(self.lower), np.array(self.upper))
 
     def _is_wall(self, place: Array) -> Mask:
-        """Whether the outline (n_points, 2) is a wall, and not where the images end."""
+        """Whether points (n_points, 2) of the outline are on a wall, not where the images end."""
         slack, lengths = ROUNDING * max(self.lengths), np.array(self.lengths)
         within = (place > self.lower - lengths + slack) & (place < self.upper + lengths - slack)
         return np.asarray((within | ~np.array(self.periodic)).all(axis=1))
 
     @abstractmethod
     def contains(self, position: Array) -> Mask:
-        """Return which positions lie in the fluid or on its edge, once wrapped."""
+        """Return whether positions are in the fluid or on its edge, after wrapping."""
 
     def wall_distance(self, position: Array) -> Array:
-        """Return the distance (n_points,) [m] to the nearest wall, zero within one."""
+        """Return the distance (n_points,) [m] to the nearest wall, zero inside one."""
         return np.maximum(self.distance_and_normal(position)[0], 0.0)
 
     @abstractmethod
@@ -179,26 +179,26 @@ class Domain(ABC):
         return position - distance[:, None] * normal
 
     def arms(self, name: str, place: Array) -> Array:
-        """Return how far places on a wall (n_points, 2) are from what it may turn about [m].
+        """Return the vectors (n_points, 2) [m] to places on a wall from its centre of rotation.
 
-        That is the centroid of a solid, and the centre of the box for its sides.
+        This is the centroid of a solid, and the centre of the box for its sides.
         """
         return place - 0.5 * np.add(self.lower, self.upper)
 
     def circulation(self, name: str, velocity: Callable[[Array], Array]) -> float:
         """Return the integral of a wall's velocity along it, anticlockwise [m2/s].
 
-        That of a straight side of the box is zero: it surrounds nothing.
+        For a straight side of the box it is zero, because the side encloses nothing.
 
         Parameters
         ----------
-        velocity : (n_points, 2) [m/s] at places on walls (n_points, 2) [m].
+        velocity : returns (n_points, 2) [m/s] at places on walls (n_points, 2) [m].
         """
         return 0.0
 
     @abstractmethod
     def wall_search(self, particle_spacing: float) -> WallSearch:
-        """Return what finds particles' distances from walls at every substep."""
+        """Return the search for particles' distances from walls, for use at every substep."""
 
     def sections(self, x: float) -> list[tuple[float, float]]:
         """Return the intervals [m] of the vertical line at x that are in the fluid, from below."""
@@ -217,9 +217,9 @@ class Domain(ABC):
         return spans
 
     def fluid_share(self, edges: Sequence[Array]) -> Array:
-        """Return the share of fluid in the cells between edges along each axis, x first [m].
+        """Return the share of fluid (n_rows, n_columns) in cells between edges, x first [m].
 
-        Returns (n_rows, n_columns); zero where it is rounding.
+        Shares that are only rounding are zero.
         """
         x, y = edges
         cells = shapely.box(x[None, :-1], y[:-1, None], x[None, 1:], y[1:, None])
@@ -229,23 +229,23 @@ class Domain(ABC):
         return np.asarray(share)
 
     def fits_lattice(self, particle_spacing: float) -> bool:
-        """Whether particles of a spacing [m] fill the domain without a rest, as packed ones do."""
+        """Whether particles of a spacing [m] fill the domain exactly, as packed ones do."""
         return True
 
     @abstractmethod
     def fill(self, particle_spacing: float) -> Array:
-        """Return the points (n_particles, 2) [m] of a lattice that lie in the fluid."""
+        """Return the points (n_particles, 2) [m] of a lattice that are in the fluid."""
 
     def n_particles(self, particle_spacing: float) -> int:
-        """Return how many particles have the fluid's area."""
+        """Return the number of particles with the area of the fluid."""
         return round(self.area / particle_spacing**2)
 
     @abstractmethod
     def ghosts(self, particle_spacing: float, n_layers: int) -> Walls:
-        """Return the points beyond the fluid's edge, within some layers of it, of walls at rest."""
+        """Return the ghosts of walls at rest: points within some layers of the fluid's edge."""
 
     def n_ghosts(self, particle_spacing: float, n_layers: int) -> int:
-        """Return how many ghosts there are."""
+        """Return the number of ghosts."""
         return len(self.ghosts(particle_spacing, n_layers).position)
 
     def wrap(self, position: Array) -> Array:

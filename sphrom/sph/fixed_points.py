@@ -1,18 +1,18 @@
 """The right-hand side on points that never move, as sparse operators (Eq. 2.6-2.12, 2.15-2.16).
 
 Reduced states belong to fixed modes, so their rates can be evaluated at the reference points. There
-neighbours, kernels and volumes (V = dx^2, the same for all) are constants, nothing has to be
-shifted, and every sum of the functional is a matrix. With q = c0 rho'/rho0 [m/s] for the density,
+neighbours, kernels and volumes (V = dx^2, the same for all) are constant, no shifting is needed,
+and every sum of the functional is a matrix. With q = c0 rho'/rho0 [m/s] for the density,
 
     dq/dt = -(c0 + q) D u + delta h c0 L q - u . grad q
     du/dt = (rho0/rho) (-c0 G (q - alpha h D u) + nu (V u + s w) + beta K (1 + q/c0) b) + beta b
             - u . grad u
 
-where the advective terms are what fixed points see of motion (Eq. 3.1-3.6), and alpha h D u is the
-acoustic damper. Ghosts are linear in the fluid: S is Shepard's interpolation to them (Eq. 2.15).
-Their q is S q, with a head where there is a body force beta b. Their velocity is extrapolated from
-each point through walls that move with s U, at distances d_i and d_g from the wall. So, with sums
-over the fluid's points j and ghosts g, and with weights F of the Laplacian that c normalises,
+where the advective terms arise because the points are fixed (Eq. 3.1-3.6), and alpha h D u is the
+acoustic damper. Ghosts depend linearly on the fluid: S is Shepard interpolation to them (Eq. 2.15).
+Their q is S q, plus a head if there is a body force beta b. Their velocity is extrapolated from
+each point through walls that move with s U, at distances d_i and d_g from the wall. With sums over
+the fluid's points j and ghosts g, and with Laplacian weights F normalised by c,
 
     G q = sum_j (q_j + q_i) grad W V + sum_g ((S q)_g + q_i) grad W V
     D u = -G^T u
@@ -20,23 +20,23 @@ over the fluid's points j and ghosts g, and with weights F of the Laplacian that
     w   = -2 c_i sum_g (1 + d_g/d_i) F V U_g
     K b = -sum_g grad W V (S (x_g - x_j) . b)_g
 
-D is continuity with walls that return the flux into them: sound neither gains nor loses energy,
-however the points lie, and the damper -G D only takes some. rho0/rho = 1 / (1 + q/c0) is all that
-is not a polynomial. To first order it is 1 - q/c0, and products of three fields are left out; to
-zeroth order K (1 + q/c0) b is K b too.
+D is the continuity equation with walls that return the flux into them. Sound neither gains nor
+loses energy for any arrangement of points, and the damper -G D only removes some. The only factor
+that is not a polynomial is rho0/rho = 1 / (1 + q/c0). To first order it is 1 - q/c0, and products
+of three fields are neglected; to zeroth order K (1 + q/c0) b is K b too.
 
-What slows the fluid adds -lambda u and its head, -K lambda u, to du/dt, and in porous bodies to
-nu V u; heads are at the density rho0. A strip (`sphrom.sph.resistance`) takes the mean e (e . a)
-out of G q, V u and w: as D = -G^T and V = V^T, by products of q with -D e and of u with V e.
+Resistance adds -lambda u and its head, -K lambda u, to du/dt, and in porous bodies to nu V u; heads
+are computed with the density rho0. A strip (`sphrom.sph.resistance`) subtracts the mean e (e . a)
+from G q, V u and w: as D = -G^T and V = V^T, by products of q with -D e and of u with V e.
 
-Ghosts take as much momentum as they give. Per unit of time and depth, with m = rho0 V, a ghost g of
-a wall takes the force
+Ghosts take as much momentum as they give. Per unit of time and depth, with m = rho0 V, the force
+on a ghost g of a wall is
 
     m c0 sum_i ((S q)_g + q_i - alpha h ((S D u)_g + (D u)_i)) grad W V
     + m beta (S (x_g - x_j) . (1 + q/c0) b)_g sum_i grad W V
     + 2 m nu sum_i c_i (1 + d_g/d_i) F V (s U_g - u_i),
 
-which is linear in the state at constant volumes: rho0/rho cancels.
+which is linear in the state at constant volumes, as rho0/rho cancels.
 
 Scalars are (n_points, n_fields), vectors (2, n_points, n_fields): columns are states or modes.
 """
@@ -64,12 +64,12 @@ from sphrom.sph.point_sums import (
 from sphrom.sph.resistance import Resistance
 
 N_BLOCK_FIELDS = 8
-"""Fields whose diffusion is computed at once."""
+"""Number of fields whose diffusion is computed at once."""
 
 
 @dataclass(frozen=True)
 class Terms:
-    """What is linear in some fields, at some points."""
+    """The terms of the rates that are linear in some fields, at some points."""
 
     divergence: Array
     """D u (n, n_fields) [1/s]."""
@@ -80,12 +80,12 @@ class Terms:
     damping: Array | None = None
     """-alpha h G D u, the damper's part of the pressure gradient; None without a damper."""
     slowing: Array | None = None
-    """-(1 + K) lambda u (2, n, n_fields) [1/s]; None where nothing slows the fluid."""
+    """-(1 + K) lambda u (2, n, n_fields) [1/s]; None without resistance."""
 
 
 @dataclass(frozen=True)
 class _Held:
-    """The strip that holds the flow rate: e, and what e . G q and e . V u are products with."""
+    """The strip that holds the flow rate: e, and the vectors that give e . G q and e . V u."""
 
     axis: int
     unit: Array
@@ -94,26 +94,26 @@ class _Held:
 
 
 class FixedPoints:
-    """The operators of one scene at points that stand for equal areas.
+    """The operators of one scene at points that represent equal areas.
 
     Parameters
     ----------
     position : (n_points, 2), in the fluid [m].
     walls : the ghosts of the scene's walls, if it has any.
     body_force : (2, n_points) the acceleration b at the points [m/s2] per unit amplitude, if any.
-    walls_driven : whether walls move with the amplitude, and not steadily.
+    walls_driven : whether walls move with the amplitude, rather than steadily.
     drives : by parameter, per unit of its value, the velocity of ghosts' walls (n_ghosts, 2) [m/s]
-        and the body force (2, n_points) [m/s2], which come on top of those that are given.
-    resistance : what slows the fluid, if anything.
+        and the body force (2, n_points) [m/s2], in addition to those above.
+    resistance : the resistance that slows the fluid, if any.
 
     Attributes
     ----------
-    particle_mass : of the fluid that a point stands for [kg/m].
+    particle_mass : of the fluid that a point represents [kg/m].
     density_scale : c0/rho0, q over the density fluctuation [m4/(kg s)].
-    fixed_volume : whether the mean of continuity is taken out.
+    fixed_volume : whether the mean of the continuity equation is subtracted.
 
-    Other readings of the paper than the default are for the caller to refuse: pair viscosity, and
-    at walls ghosts whose velocities count in continuity, or aren't extrapolated.
+    Callers must refuse other readings of the paper than the default: pair viscosity, and ghosts at
+    walls whose velocities enter the continuity equation, or are not extrapolated.
     """
 
     def __init__(
@@ -151,7 +151,7 @@ class FixedPoints:
         self._slow_down(resistance)
 
     def _slow_down(self, resistance: Resistance | None) -> None:
-        """Keep what slows the fluid: rates at the points, and products of the strip's vector."""
+        """Store the resistance at the points, and products of the strip's vector."""
         self.slowing_rate = self.inverse_permeability = None
         self._held: _Held | None = None
         if resistance is None:
@@ -171,7 +171,7 @@ class FixedPoints:
             self._held = _Held(strip.axis, unit, of_density, of_velocity)
 
     def slowed_over(self, viscosity: float) -> tuple[Array | None, Mask | None]:
-        """Return what slows the fluid over a viscosity [1/m2], and what is in the strip, if any."""
+        """Return resistance over viscosity [1/m2], and whether points are in the strip, if any."""
         inverse, rate = self.inverse_permeability, self.slowing_rate
         if rate is not None:
             inverse = rate / viscosity + (0.0 if inverse is None else inverse)
@@ -186,22 +186,22 @@ class FixedPoints:
 
     @property
     def n_points(self) -> int:
-        """How many points there are."""
+        """Number of points."""
         return len(self.position)
 
     @property
     def wall_friction(self) -> Array | None:
-        """w (2, n_points) [1/(m s)], what walls at their given velocity add to the Laplacian."""
+        """w (2, n_points) [1/(m s)], the contribution of moving walls to the Laplacian."""
         return None if self._ghosts is None else self.friction_of(self._ghosts.velocity)
 
     def friction_of(self, wall_velocity: Array) -> Array:
-        """Return w (2, n_points) [1/(m s)] of walls' velocities (2, n_ghosts) [m/s]."""
+        """Return w (2, n_points) [1/(m s)] for walls' velocities (2, n_ghosts) [m/s]."""
         drag, friction = -2.0 * self._viscous, self._beside_walls.friction
-        found = np.stack([drag * (friction @ u) for u in wall_velocity])
+        out = np.stack([drag * (friction @ u) for u in wall_velocity])
         if self._held is not None:
-            along, unit = found[self._held.axis], self._held.unit
+            along, unit = out[self._held.axis], self._held.unit
             along -= unit * (unit @ along)
-        return found
+        return out
 
     def terms(
         self,
@@ -210,10 +210,10 @@ class FixedPoints:
         rows: Rows = EVERYWHERE,
         divergence: Array | None = None,
     ) -> Terms:
-        """Return the linear terms at some points, of fields at all of them.
+        """Return the linear terms at some points, of fields at all points.
 
         `scaled_density` is q (n_points, n_fields), `velocity` (2, n_points, n_fields), both [m/s].
-        `divergence` is D u (n_points, n_fields), for a caller who has it already.
+        `divergence` is D u (n_points, n_fields), if the caller has computed it already.
         """
         if divergence is None:
             divergence = self.divergence(velocity)
@@ -232,18 +232,18 @@ class FixedPoints:
         """Return D u (n_points, n_fields) [1/s] of velocities (2, n_points, n_fields) [m/s]."""
         fluid, ghosts = self._fluid, self._ghosts
         support = fluid.support if ghosts is None else fluid.support + ghosts.support
-        found = sum(
+        out = sum(
             fluid.gradient[d] @ velocity[d] - scaled(support[d], velocity[d]) for d in range(2)
         )
         if ghosts is not None:
             flux = sum(ghosts.gradient_back[d] @ velocity[d] for d in range(2))
-            found -= ghosts.mean_back @ flux
-        return np.asarray(found)
+            out -= ghosts.mean_back @ flux
+        return np.asarray(out)
 
     def _pushed(self, scaled_density: Array, rows: Rows) -> Array:
         """Return G q (2, n, n_fields) [1/s] at some points."""
         fluid, ghosts, q = self._fluid, self._ghosts, scaled_density[rows]
-        found = np.stack(
+        out = np.stack(
             [
                 some_rows(fluid.gradient[d], rows) @ scaled_density
                 + scaled(fluid.support[d, rows], q)
@@ -253,12 +253,12 @@ class FixedPoints:
         if ghosts is not None:
             mean = ghosts.mean @ scaled_density
             for d in range(2):
-                found[d] += some_rows(ghosts.gradient[d], rows) @ mean
-                found[d] += scaled(ghosts.support[d, rows], q)
+                out[d] += some_rows(ghosts.gradient[d], rows) @ mean
+                out[d] += scaled(ghosts.support[d, rows], q)
         if self._held is not None:
             mean = self._held.of_density @ scaled_density
-            found[self._held.axis] -= np.multiply.outer(self._held.unit[rows], mean)
-        return found
+            out[self._held.axis] -= np.multiply.outer(self._held.unit[rows], mean)
+        return out
 
     def _laplacian(self, velocity: Array, rows: Rows) -> Array:
         """Return V u (2, n, n_fields) [1/(m s)] at some points."""
@@ -266,7 +266,7 @@ class FixedPoints:
         own = c[rows] * self._friction_sum[rows] + self._friction_of_factors[rows]
         if self._ghosts is not None:
             own = own + 2.0 * c[rows] * self._ghosts.friction_sum[rows]
-        found = np.stack(
+        out = np.stack(
             [
                 scaled(own, u[rows]) - scaled(c[rows], friction @ u) - friction @ scaled(c, u)
                 for u in velocity
@@ -274,13 +274,13 @@ class FixedPoints:
         )
         if self._held is not None:
             mean = self._held.of_velocity @ velocity[self._held.axis]
-            found[self._held.axis] -= np.multiply.outer(self._held.unit[rows], mean)
-        return found
+            out[self._held.axis] -= np.multiply.outer(self._held.unit[rows], mean)
+        return out
 
     def gradients(self, fields: Array, rows: Rows = EVERYWHERE) -> Array:
         """Return the renormalised gradients (2, n, n_fields) of fields at some points (Eq. 2.11).
 
-        They see the fluid alone, and are exact for linear fields.
+        They are sums over the fluid only, and exact for linear fields.
         """
         fluid = self._fluid
         plain = [
@@ -305,23 +305,23 @@ class FixedPoints:
         return out
 
     def head_push(self, body_force: Array, rows: Rows = EVERYWHERE) -> Array:
-        """Return K b (2, n, ...) [m/s2] at some points, of a force (2, n_points, ...) (Eq. 2.15).
+        """Return K b (2, n, ...) [m/s2] at some points, for a force (2, n_points, ...) (Eq. 2.15).
 
-        It comes from the heads of ghosts, and is zero where there are none.
+        It is due to the heads of ghosts, and zero if there are none.
         """
         ghosts = self._ghosts
         if ghosts is None:
             return np.zeros_like(body_force[:, rows])
         head = ghosts.heads(body_force)
-        found = np.stack([-(some_rows(ghosts.gradient[d], rows) @ head) for d in range(2)])
+        push = np.stack([-(some_rows(ghosts.gradient[d], rows) @ head) for d in range(2)])
         if self._held is not None:
             strip = self._held
             mean = (ghosts.gradient[strip.axis].T @ strip.unit) @ head
-            found[strip.axis] += np.multiply.outer(strip.unit[rows], mean)
-        return found
+            push[strip.axis] += np.multiply.outer(strip.unit[rows], mean)
+        return push
 
     def ghost_pressures(self, scaled_density: Array, velocity: Array) -> Array:
-        """Return the pressure's force on ghosts (2, n_ghosts, n_fields) [N/m], without heads.
+        """Return the pressure force on ghosts (2, n_ghosts, n_fields) [N/m], without heads.
 
         `scaled_density` is q (n_points, n_fields), `velocity` (2, n_points, n_fields), both [m/s].
         """
@@ -335,7 +335,7 @@ class FixedPoints:
         return push
 
     def ghost_heads(self, body_force: Array) -> Array:
-        """Return the force of heads on ghosts (2, n_ghosts, ...) [N/m], of (2, n_points, ...)."""
+        """Return the force of heads on ghosts (2, n_ghosts, ...) [N/m], for (2, n_points, ...)."""
         ghosts = self._beside_walls
         head = ghosts.heads(body_force)
         push = np.stack([scaled(row_sums(g), head) for g in ghosts.gradient_back])
@@ -355,14 +355,14 @@ class FixedPoints:
 
     @property
     def ghost_drag(self) -> Array:
-        """The viscous force on ghosts (2, n_ghosts) [N/m] of walls that move in fluid at rest.
+        """The viscous force on ghosts (2, n_ghosts) [N/m] of moving walls in fluid at rest.
 
-        It is per viscosity, at the velocity that walls were given.
+        It is per viscosity, at the walls' velocity.
         """
         return self.drag_of(self._beside_walls.velocity)
 
     def drag_of(self, wall_velocity: Array) -> Array:
-        """Return `ghost_drag` of walls' velocities (2, n_ghosts) [m/s]."""
+        """Return `ghost_drag` for walls' velocities (2, n_ghosts) [m/s]."""
         back = self._beside_walls.friction.T
         return 2.0 * self.particle_mass * (back @ self._viscous) * wall_velocity
 

@@ -1,6 +1,6 @@
 """A fluid with its linear state equation (Eq. 2.8), its discretization, and stable time steps.
 
-The state equation is for density fluctuations rho - rho_0.
+The state equation relates pressure to density fluctuations rho - rho_0.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ T = TypeVar("T")
 Factors = Mapping[str, float]
 """The values of the parameters by name."""
 NONE: Factors = MappingProxyType({})
-"""Each parameter has the value that the scene has."""
+"""No parameter differs from the scene's value."""
 
 
 @dataclass(frozen=True)
@@ -30,19 +30,19 @@ class UnitForcing(Generic[T]):
 
 
 ROUNDING = 1e-9
-"""Slack for what is equal but for rounding."""
+"""Relative tolerance for equality up to rounding."""
 COURANT_LIMIT = 1.5
 """Largest c0 dt / h (Eq. 2.19)."""
 VISCOUS_LIMIT = 0.125
 """Largest nu dt / h^2 (Morris, Fox and Zhu 1997)."""
 WALL_VISCOUS_LIMIT = 0.22
-"""Largest nu dt / (h dx) beside walls, through which velocities are extrapolated from close by."""
+"""Largest nu dt / (h dx) beside walls, where velocities are extrapolated from close by."""
 STIFFER_AT_CORNERS = 0.2
-"""What a corner adds to the largest rate of friction beside walls, over its sharpness."""
+"""Increase of the largest friction rate beside walls at a corner, over its sharpness."""
 LARGEST_WAVE_NUMBER = 1.4
-"""Of sound that the kernel's sums resolve, times h: sqrt of the largest eigenvalue of -D G."""
+"""Largest resolved wave number of sound, times h: sqrt of the largest eigenvalue of -D G."""
 REAL_AXIS_LIMIT = 2.78
-"""How far Eq. 2.18 is stable along the negative real axis."""
+"""Stability limit of Eq. 2.18 on the negative real axis."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Fluid:
     sound_speed: float
     kinematic_viscosity: float
     max_speed: float
-    """U_max [m/s], the largest speed expected."""
+    """U_max [m/s], the largest expected speed."""
 
 
 def pressure_of(density_fluctuation: Array, sound_speed: float) -> Array:
@@ -62,18 +62,18 @@ def pressure_of(density_fluctuation: Array, sound_speed: float) -> Array:
 
 
 def fluctuation_of(pressure: Array, sound_speed: float) -> Array:
-    """Return the density fluctuation [kg/m3] that has a pressure [Pa]."""
+    """Return the density fluctuation [kg/m3] for a pressure [Pa]."""
     return pressure / sound_speed**2
 
 
 def volume_of(density_fluctuation: Array, reference_density: float, mass: float) -> Array:
-    """Return the volume [m2] of particles of one mass [kg/m]."""
+    """Return the volume [m2] of particles with one mass [kg/m]."""
     return mass / (reference_density + density_fluctuation)
 
 
 @dataclass(frozen=True)
 class Discretization:
-    """How the fluid is cut into particles, and the terms that keep them regular."""
+    """The discretization into particles, and the terms that keep them regular."""
 
     particle_spacing: float
     smoothing_length: float
@@ -82,24 +82,24 @@ class Discretization:
     acoustic_damping: float = 0.0
     """alpha of the acoustic damper, a bulk viscosity of alpha h c0."""
     viscosity: Literal["laplacian", "pair"] = "laplacian"
-    """The viscous operator: the velocity's Laplacian, or Eq. 2.12 as printed."""
+    """The viscous operator: the Laplacian of the velocity, or Eq. 2.12 as printed."""
     shifting: bool = True
     shifting_amplitude: float = 1.0
     """chi of Eq. 2.14."""
     shifting_as_printed: bool = False
-    """Read Eq. 2.14 as printed, with the exponent outside of the bracket."""
+    """Whether to use Eq. 2.14 as printed, with the exponent outside the bracket."""
     shifting_transport: Literal["advective", "paper"] = "advective"
-    """What shifting carries: differences, by a particle's own velocity, or as printed."""
+    """Transport by shifting: of differences, by a particle's own shift; or as printed."""
     no_slip: Literal["linear", "whole", "paper", "free"] = "linear"
-    """Ghosts' velocity: extrapolated from each particle, twice the wall's less the fluid's, or its
-    tangential part turned round; free slip turns its normal part round."""
+    """The ghosts' velocity: extrapolated from each particle; twice the wall's less the fluid's; or
+    the fluid's with the tangential part reversed. Free slip reverses the normal part."""
     wall_continuity: Literal["adjoint", "normal", "paper"] = "adjoint"
-    """Walls in continuity: the transpose of their pressure force, or the ghosts' velocities, along
-    the wall's normal only, or as those of fluid."""
+    """Walls in the continuity equation: the transpose of their pressure force; or the velocities of
+    ghosts, along the wall's normal only, or like those of fluid."""
     free_surface: bool = False
-    """Whether ghosts beside the surface, or above it, count as far as fluid is beside them."""
+    """Whether ghosts near or above the surface are weighted by the share of fluid beside them."""
     fixed_volume: bool = False
-    """Whether the mean of continuity is taken out, so that volumes keep filling the domain."""
+    """Whether to subtract the mean of the continuity equation, so that volumes fill the domain."""
 
     @property
     def support_radius(self) -> float:
@@ -108,12 +108,12 @@ class Discretization:
 
     @property
     def n_layers(self) -> int:
-        """Layers of ghosts that the kernel's support needs."""
+        """Number of ghost layers that the kernel's support needs."""
         return math.ceil(self.support_radius / self.particle_spacing * (1.0 - ROUNDING))
 
     @property
     def n_neighbours(self) -> float:
-        """Particles in a kernel's support, on average."""
+        """Average number of particles in a kernel's support."""
         return math.pi * (self.support_radius / self.particle_spacing) ** 2
 
 
@@ -126,7 +126,7 @@ class StepLimits:
 
     @property
     def least(self) -> float:
-        """The limit that binds."""
+        """The smaller limit."""
         return min(self.acoustic, self.viscous)
 
 
@@ -139,11 +139,11 @@ def step_limits(
 ) -> StepLimits:
     """Return the limits of the time step.
 
-    Sound limits it by Eq. 2.19. Beyond a damper's alpha of 2 over the largest wave number the
-    shortest waves don't oscillate any more, and what the damper takes of them limits the step.
-    What slows the fluid, at a largest rate `resistance` [1/s], adds to that, and to viscosity.
-    Beside walls the spacing counts for viscosity too, and how sharp the sharpest corner is that
-    juts into the fluid (`sphrom.sph.polygons.jutting_corners`).
+    Sound limits it by Eq. 2.19. If the damper's alpha is larger than 2 over the largest wave
+    number, the shortest waves are overdamped, and their damping rate limits the step. Resistance,
+    with the largest rate `resistance` [1/s], adds to this rate and to that of viscosity. Beside
+    walls, the viscous limit also depends on the spacing, and on the sharpness of the sharpest
+    corner that juts into the fluid (`sphrom.sph.polygons.jutting_corners`).
     """
     length, courant = discretization.smoothing_length, COURANT_LIMIT
     half = 0.5 * discretization.acoustic_damping * LARGEST_WAVE_NUMBER

@@ -1,8 +1,8 @@
 """The delta-plus-SPH functional f (Eq. 2.6-2.14): rates of the state of moving particles.
 
 The full state is an array (5, n_particles) with rows x, y [m], density fluctuation rho - rho_0
-[kg/m3], and velocity u, v [m/s]: the fluctuation, because pressure is its difference from rho_0
-and would lose digits in the sum.
+[kg/m3], and velocity u, v [m/s]. The fluctuation is stored because pressure depends on the
+difference from rho_0, which would lose digits in the full density.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from sphrom.sph.walls import GhostParticles, WallTerms
 BodyForce = Callable[[Array, float], Array]
 """The acceleration (2, n_particles) [m/s2] at positions (2, n_particles) [m] and a time [s]."""
 WallSpeed = Callable[[float], float]
-"""The speed of walls over the velocity that they were given, at a time [s]."""
+"""The factor of the walls' velocity at a time [s]."""
 
 LARGEST_MACH_NUMBER = 0.3
-"""Up to which a flow is weakly compressible."""
+"""Largest Mach number of a weakly compressible flow."""
 PAIR_FACTOR = 8.0
 """2 (n + 2) of Eq. 2.12, in two dimensions."""
 
@@ -40,14 +40,14 @@ class Rates:
     density: Array
     velocity: Array
     shifting_velocity: Array
-    """(2, n_particles) [m/s] that particles move with, besides their own velocity."""
+    """(2, n_particles) [m/s], the velocity of particles in addition to that of the fluid."""
     slopes: Array | None = None
-    """(n_particles, 3, 2) renormalised gradients (Eq. 2.11) of three fields, if asked for."""
+    """(n_particles, 3, 2) renormalised gradients (Eq. 2.11) of three fields, if requested."""
 
 
 @dataclass(eq=False)
 class Functional:
-    """Eq. 2.6-2.8 for one fluid in one domain, with walls and a body force where there are any."""
+    """Eq. 2.6-2.8 for one fluid in one domain, with walls and a body force if there are any."""
 
     fluid: Fluid
     discretization: Discretization
@@ -109,7 +109,7 @@ class Functional:
 
         Parameters
         ----------
-        along : (3, n_particles) fields whose gradients are summed up in passing.
+        along : (3, n_particles) fields whose gradients are computed in the same sweep.
         """
         fields = position, density_fluctuation, velocity
         source, walls, force, regular, moving, slopes = self._first_sums(*fields, time, along)
@@ -122,8 +122,8 @@ class Functional:
         if force is not None:
             out[1:] += force
         if self.discretization.fixed_volume:
-            # A domain that fluid fills has one volume; the sums of continuity don't know it. The
-            # mean pressure would follow how particles are arranged, and drift.
+            # The volume of a domain filled with fluid is constant, which the sums of the continuity
+            # equation do not ensure: the mean pressure would drift with the particles' arrangement.
             density = self.fluid.reference_density + density_fluctuation
             compressibility = self.mass / density**2
             out[0] -= np.sum(compressibility * out[0]) / np.sum(compressibility)
@@ -137,11 +137,11 @@ class Functional:
         time: float,
         along: Array | None = None,
     ) -> tuple[Array, WallTerms | None, Array | None, Array, Array, Array | None]:
-        """Return sources with pressures, and what follows of their places.
+        """Return the sources with pressures, and the terms that follow from their positions.
 
-        That is: what walls add; the body force; rows of `sweeps.regularity`; shifting; and slopes.
-        Shifting is the velocity (2, n_particles) that particles move with; rows have the one that
-        carries fields.
+        They are the wall terms, the body force, rows of `sweeps.regularity`, shifting, and slopes.
+        Shifting is the velocity (2, n_particles) with which particles move; the rows contain the
+        one that transports fields.
         """
         source = self._sources(position, density_fluctuation, velocity)
         near = self.neighbourhood.sources
@@ -159,7 +159,7 @@ class Functional:
         if self.discretization.free_surface:
             self._settle_spray(regular)
         moving = regular[sweeps.OWN_SHIFT_U : sweeps.OWN_SHIFT_V + 1]
-        if walls is not None and self.discretization.shifting:
+        if walls is not None and (self.discretization.shifting or self.discretization.free_surface):
             moving = self._held_back(moving, walls)
         shared = regular[: self._n_fields - sweeps.PRESSURE]
         sweeps.gather(near.particle, near.image, shared, sweeps.PRESSURE, source)
@@ -168,18 +168,18 @@ class Functional:
         return source, walls, force, regular, moving, slopes
 
     def _settle_spray(self, regular: Array) -> None:
-        """Set to zero, in place, what no neighbours or those on one line leave undetermined."""
+        """Set to zero, in place, the values that no neighbours, or those on one line, determine."""
         regular[~np.isfinite(regular)] = 0.0
         steepest = DENSITY_LIMIT * self.fluid.reference_density
         slope = regular[sweeps.OWN_GRADIENT_X : sweeps.OWN_GRADIENT_Y + 1]
         slope[:, np.hypot(*slope) * self.discretization.smoothing_length > steepest] = 0.0
 
     def _held_back(self, shifting: Array, walls: WallTerms) -> Array:
-        """Limit what carries fields beside walls, in place, and return what particles move with.
+        """Limit the transport of fields beside walls, in place; return the limited shifting.
 
-        Advective terms carry fields with the particles. Of the printed ones, which know nothing of
-        holding back, a particle that is held at a corner would gain the momentum of the flow
-        through it, without limit.
+        Advective terms transport fields with the particles. The printed terms do not include the
+        limit: a particle that is held at a corner would gain the momentum of the flow through it
+        indefinitely.
         """
         if self.discretization.shifting_transport == "advective":
             walls.hold_back(shifting)
@@ -190,12 +190,12 @@ class Functional:
         return moving
 
     def ghost_forces(self, state: Array, time: float = 0.0) -> Array:
-        """Return the pressure's and the viscous force on each ghost (2, 2, n_ghosts) [N/m].
+        """Return the pressure and the viscous force on each ghost (2, 2, n_ghosts) [N/m].
 
-        They are per metre of depth, and minus what ghosts add to the momentum of a full state. The
-        force on a wall is the sum over its ghosts. The viscous part has the stress mu du/dn: along
-        a wall at rest it is the whole, and along one that turns the torque lacks -2 mu times its
-        angular velocity and the area that it encloses.
+        They are per metre of depth, and the negative of the ghosts' contribution to the momentum of
+        a full state. The force on a wall is the sum over its ghosts. The viscous part has the
+        stress mu du/dn. Along a wall at rest this is the whole stress; along a rotating wall the
+        torque lacks -2 mu times the angular velocity and the enclosed area.
         """
         _, walls, *_ = self._first_sums(state[:2], state[2], state[3:], time)
         assert walls is not None
@@ -204,9 +204,9 @@ class Functional:
     def _around(
         self, source: Array, position: Array, velocity: Array, time: float
     ) -> tuple[WallTerms | None, Array | None]:
-        """Return what walls add, and the body force less resistance (2, n_particles) [m/s2].
+        """Return the wall terms, and the body force less resistance (2, n_particles) [m/s2].
 
-        None where there is none.
+        Each is None if there is none.
         """
         force = None if self.body_force is None else self.body_force(position, time)
         if self.resistance is not None:
@@ -221,7 +221,7 @@ class Functional:
     def advection(
         self, position: Array, density_fluctuation: Array, velocity: Array, time: float = 0.0
     ) -> Array:
-        """Return u . grad rho and u . grad u (3, N) as Eq. 3.5-3.6 sum them, over ghosts too."""
+        """Return u . grad rho and u . grad u (3, N) as in Eq. 3.5-3.6, including ghosts."""
         source = self._sources(position, density_fluctuation, velocity)
         near = self.neighbourhood.sources
         out = np.empty((3, density_fluctuation.size))
@@ -235,14 +235,14 @@ class Functional:
         return out
 
     def volume(self, density_fluctuation: Array) -> Array:
-        """Return the particles' volumes (N,) [m2]."""
+        """Return the particle volumes (N,) [m2]."""
         return volume_of(density_fluctuation, self.fluid.reference_density, self.mass)
 
     def _sources(self, position: Array, density_fluctuation: Array, velocity: Array) -> Array:
         self.neighbourhood.update(position)
         near = self.neighbourhood.sources
         shape = (self._n_fields, near.particle.size)
-        # Kept, because getting so much memory anew takes as long as filling it.
+        # Kept, because allocating so much memory takes as long as filling it.
         if self._source.shape != shape:
             self._source = np.empty(shape)
         volume = self.volume(density_fluctuation)
@@ -250,7 +250,7 @@ class Functional:
         sweeps.gather(near.particle, near.image, fields, sweeps.X, self._source)
         return self._source
 
-    # As the time loop sees it
+    # The interface of the time loop
 
     rates = __call__
 
@@ -259,7 +259,7 @@ class Functional:
         return state[:2]
 
     def wrapped(self, state: Array) -> Array:
-        """Return the state with its particles in the box, and forget their neighbours."""
+        """Return the state with its particles wrapped into the box; reset the neighbour list."""
         self.neighbourhood.rebuild_at(None)
         return np.vstack((self.domain.wrap(state[:2].T).T, state[2:]))
 
@@ -268,7 +268,7 @@ class Functional:
         return Snapshot(state[:2], state[2], state[3:])
 
     def remedy(self, state: Array, time_step: float) -> str:
-        """Return what may help a run that left the model's range near a state."""
+        """Return a suggestion for a run that became unstable near a state."""
         sound = self.fluid.sound_speed
         limit = step_limits(self.fluid, self.discretization, self.ghosts is not None).least
         if time_step > limit * (1.0 + ROUNDING):

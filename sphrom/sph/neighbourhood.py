@@ -1,8 +1,8 @@
-"""Which sources each particle may see: the cell-linked list, kept until particles have moved far.
+"""Neighbour search: a cell-linked list that is kept until particles have moved too far.
 
 Sources are the particles and their periodic images, sorted by cell. The list is rebuilt when some
-particle has moved by more than a fraction of the spacing since it was built. Until then every
-search reaches further by the largest displacement, so that no pair is ever missed.
+particle has moved by more than a fraction of the spacing. Until then the search radius is increased
+by the largest displacement, so that no pair is missed.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from sphrom.sph.domain import Domain, first_of
 from sphrom.sph.fluid import Discretization
 
 Search = tuple[Grid, Indices, float, float]
-"""What sweeps search sources with: their cells, how far [m], and 1/h [1/m]."""
+"""The arguments of searches in sweeps: cells, search radius [m], and 1/h [1/m]."""
 
 CELL_SIZE_RATIO = (0.5, 4.0)
-"""Cell width and height over the particle spacing: the fastest of those tried."""
+"""Cell width and height over the particle spacing; these are the fastest of several tried."""
 MOVE_RATIO = 0.3
-"""How far a particle may move, over the spacing, before the list is built again."""
+"""Displacement of a particle, over the spacing, after which the list is rebuilt."""
 SLACK = 1.01
-"""On how far particles move, for the length of lists of candidates: rounding may not exceed it."""
+"""Safety factor on displacements for the length of candidate lists, against rounding."""
 
 
 @dataclass(frozen=True)
@@ -35,11 +35,11 @@ class Sources:
     """Particles and their periodic images, sorted by cell."""
 
     particle: Indices
-    """(n_sources,) the particle that each source is, or is an image of."""
+    """(n_sources,) the particle of each source; several sources may be its images."""
     image: Array
-    """(2, n_sources) what to add to the particle's position to have the source's [m]."""
+    """(2, n_sources) translation from the particle to the source [m]."""
     place: Array
-    """(2, n_sources) where they were sorted [m]."""
+    """(2, n_sources) positions when sorted [m]."""
     targets: Indices
     """(n_particles,) the sources that are the particles themselves, in sorted order."""
     grid: Grid
@@ -68,15 +68,15 @@ def sort_sources(
 
 
 class Neighbourhood:
-    """The sources of a set of moving particles, and how far to search among them.
+    """The sources of a set of moving particles, and the search radius.
 
     Attributes
     ----------
     sources : the sorted sources.
-    block_start : (n_blocks + 1,) where blocks begin among the targets.
-    reach : how far to search [m].
-    built_at : (2, n_particles) where the list was built [m]; None once forgotten.
-    scratch : memory for the lists of candidates of the blocks that threads work on.
+    block_start : (n_blocks + 1,) the first target of each block.
+    reach : search radius [m].
+    built_at : (2, n_particles) positions at which the list was built [m]; None after a reset.
+    scratch : memory for the candidate lists of the blocks, by thread.
     """
 
     sources: Sources
@@ -93,29 +93,29 @@ class Neighbourhood:
 
     @property
     def search(self) -> Search:
-        """What sweeps search the sources with."""
+        """The arguments with which sweeps search the sources."""
         return self.sources.grid, self.sources.cell_start, self.reach, self._inverse_length
 
     def blocks(self, source: Array) -> tuple[Indices, Indices, Indices, Array, *Search, Array]:
-        """Return what sweeps over blocks take first, from the fields of the sources."""
+        """Return the first arguments of sweeps over blocks, for fields of the sources."""
         near = self.sources
         return near.particle, near.targets, self.block_start, source, *self.search, self.scratch
 
     def rebuild_at(self, position: Array | None) -> None:
-        """Build the list as it was built at positions (2, n_particles) [m]; None forgets it.
+        """Build the list for positions (2, n_particles) [m]; None resets it.
 
-        Sums over neighbours are taken in the list's order: a run that goes on from a state has to
-        go on with the list that it had.
+        Sums over neighbours are in the order of the list, so a run that continues from a state must
+        continue with the same list.
         """
         self.built_at = None
         if position is not None:
             self.update(position)
 
     def update(self, position: Array) -> None:
-        """Make the list right for positions (2, n_particles) [m].
+        """Update the list for positions (2, n_particles) [m].
 
-        Raises UnstableError when a position is not finite, or beyond all walls by more than the
-        list could cover.
+        Raises UnstableError if a position is not finite, or so far beyond all walls that the list
+        does not cover it.
         """
         if self.built_at is not None and self.built_at.shape == position.shape:
             offset = position - self.built_at
@@ -129,7 +129,7 @@ class Neighbourhood:
         self.sources = sort_sources(position, self._domain, margin, self._spacing)
         self.reach = self._support_radius
         self.built_at = position.copy()
-        # Targets are shared out in blocks, and their lists need memory.
+        # Targets are divided into blocks, whose candidate lists need memory.
         near = self.sources
         cells, limit = (near.grid, near.cell_start), SLACK * self._move_limit
         self.block_start = split_targets(near.targets, *cells)
@@ -140,9 +140,9 @@ class Neighbourhood:
 
 
 def _require_near(position: Array, domain: Domain, margin: float) -> None:
-    """Refuse particles that are lost, or farther beyond walls than images reach.
+    """Refuse particles that are lost, or farther beyond walls than images extend.
 
-    Cells could not cover them.
+    The cells would not cover them.
     """
     bad = ~np.isfinite(position).all(0)
     for axis in (axis for axis in range(2) if not domain.periodic[axis]):
@@ -156,7 +156,7 @@ def _require_near(position: Array, domain: Domain, margin: float) -> None:
 def periodic_images(position: Array, domain: Domain, margin: float) -> tuple[Indices, Array]:
     """Return the particle (n_sources,) and the translation (2, n_sources) [m] of each source.
 
-    The first sources are the particles themselves, moved into the box; then come their images
+    The first sources are the particles themselves, moved into the box; then follow their images
     within the margin [m] around it.
     """
     particle = np.arange(position.shape[1])

@@ -1,13 +1,13 @@
-"""Packed starting positions: a damped motion down the gradient of the summed kernel.
+"""Packed starting positions, by damped motion down the gradient of the summed kernel.
 
 After Colagrossi, Bouscasse, Antuono and Marrone (Comput. Phys. Commun. 183, 2012): particles start
-near a lattice, are pushed along minus the sum of the kernel's gradients, which vanishes where they
-are evenly spread, and are damped until it is small. A lattice would do that too, but breaks up at
-stagnation points and launches sound waves as it does.
+near a lattice, are pushed along minus the sum of the kernel's gradients, and are damped until this
+sum is small; it vanishes for evenly spread particles. It vanishes on a lattice too, but a lattice
+breaks up at stagnation points and emits sound waves as it does.
 
-Beside walls ghosts take part in the sums, and no particle comes nearer to a wall than half a
-spacing, so that particles line up along it (compare the packing against a signed distance of Zhu et
-al., Comput. Methods Appl. Mech. Eng. 383, 2021).
+Beside walls the sums include ghosts, and particles keep a distance of half a spacing from walls, so
+that they line up along them (compare the packing against a signed distance of Zhu et al., Comput.
+Methods Appl. Mech. Eng. 383, 2021).
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ from sphrom.sph.fluid import Discretization
 from sphrom.sph.neighbourhood import Neighbourhood
 
 MAX_ITERATIONS = 2000
-"""Iterations after which packing stops."""
+"""Number of iterations after which packing stops."""
 STEP_RATIO = 0.5
 """Pseudo-time step over the time that a push takes to cross a smoothing length."""
 DAMPING = 0.1
-"""Share of the pseudo-velocity lost a step."""
+"""Share of the pseudo-velocity lost per step."""
 NEAREST = 0.5
 """Least distance of particles from walls, over the spacing."""
 N_PASSES = 3
-"""How often points are moved off the nearest wall: in a corner another one is nearest next."""
+"""Number of moves away from the nearest wall; in a corner the nearest wall changes between them."""
 
 
 @dataclass(frozen=True)
 class Packing:
-    """Packed positions, and how even they are."""
+    """Packed positions, and a measure of their regularity."""
 
     position: Array
     """(n_particles, 2) [m]."""
     residual: Array
-    """(n_iterations + 1,) the mean length of the kernel gradient's sum times the spacing."""
+    """(n_iterations + 1,) mean length of the kernel gradient's sum, times the spacing."""
 
 
 def pack(
@@ -61,8 +61,8 @@ def pack(
 
     Parameters
     ----------
-    ghosts : (n_ghosts, 2) of the domain's walls, which stay where they are [m].
-    perturbation : how far the start leaves a lattice, over the spacing.
+    ghosts : (n_ghosts, 2) of the domain's walls; they do not move [m].
+    perturbation : displacement of the start from a lattice, over the spacing.
     tolerance : the residual at which to stop.
     advance : called with 1 after each iteration.
     """
@@ -90,9 +90,9 @@ def pack(
 
 
 def off_walls(position: Array, domain: Domain, least: float) -> Array:
-    """Return positions (n_points, 2) [m] moved away from walls that are nearer than a distance [m].
+    """Return positions (n_points, 2) [m], moved to at least a distance [m] from walls.
 
-    Those in the solid are moved into the fluid.
+    Positions in the solid are moved into the fluid.
     """
     out = position.copy()
     for _ in range(N_PASSES):
@@ -112,7 +112,7 @@ def _off_walls(position: Array, domain: Domain, spacing: float) -> Array:
 
 
 def _box_around(position: Array, domain: Domain) -> BoxDomain:
-    """Return a box with the domain's periods, and with all points (2, n_points) [m] in it."""
+    """Return a box with the domain's periods that contains all points (2, n_points) [m]."""
     every = np.column_stack((domain.lower, domain.upper, position))
     lower = np.where(domain.periodic, domain.lower, every.min(axis=1))
     upper = np.where(domain.periodic, domain.upper, every.max(axis=1))
@@ -129,7 +129,7 @@ class KernelGradientSum:
 
     Parameters
     ----------
-    others : (2, n_others) positions of further points that the sum includes, such as ghosts [m].
+    others : (2, n_others) positions of additional points in the sum, such as ghosts [m].
     """
 
     def __init__(

@@ -1,7 +1,7 @@
-"""Kernel sums between points that never move, and between them and ghosts, as sparse matrices.
+"""Kernel sums between fixed points, and between them and ghosts, as sparse matrices.
 
-Volumes are all the same (V = dx^2). Matrices have a row for each point and a column for each source
-unless they say otherwise; a source's periodic images are added up.
+Volumes are all the same (V = dx^2). Matrices have a row per point and a column per source unless
+stated otherwise; the contributions of a source's periodic images are added.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Rows = slice | NDArray[np.int64]
 EVERYWHERE = slice(None)
 
 N_BLOCK_POINTS = 4096
-"""Points whose pairs are found at once."""
+"""Number of points whose pairs are found at once."""
 
 
 @dataclass(frozen=True)
@@ -44,11 +44,11 @@ class FluidSums:
     friction: Matrix
     """The factor times the weight of the Laplacian [1/m2]."""
     support: Array
-    """(2, n_points) the gradient's sums [1/m]."""
+    """(2, n_points), the sums of the gradient [1/m]."""
     factor_sum: Array
     """(n_points,) [1/m2]."""
     moment: Array
-    """(n_points,) the second moment of the friction, over all directions."""
+    """(n_points,) trace of the second moment of the friction."""
     renormalization: Array
     """(2, 2, n_points) L of Eq. 2.11."""
 
@@ -63,17 +63,17 @@ class GhostSums:
     support: Array
     """(2, n_points)."""
     friction: Matrix
-    """The factor times the weight of the Laplacian, and how far velocities are extrapolated."""
+    """The factor times the weight of the Laplacian and the stretch of extrapolated velocities."""
     friction_sum: Array
     """(n_points,) [1/m2]."""
     moment: Array
-    """(n_points,) the second moment of the friction, not extrapolated."""
+    """(n_points,) the second moment of the friction, without extrapolation."""
     mean: Matrix
     """S (n_ghosts, n_points)."""
     mean_back: Matrix
     """Transposed."""
     head: tuple[Matrix, Matrix]
-    """(n_ghosts, n_points) S, times what a ghost is apart from a point, by component [m]."""
+    """(n_ghosts, n_points) S times the offset of a ghost from a point, by component [m]."""
     velocity: Array
     """(2, n_ghosts) of the walls [m/s]."""
 
@@ -105,7 +105,7 @@ class _PairBlock:
         return np.asarray(np.bincount(self.row, values, self.n_rows), dtype=np.float64)
 
     def matrix(self, values: Array, n_columns: int) -> Matrix:
-        """Return the matrix of values (n_pairs,), those of images added up."""
+        """Return the matrix of values (n_pairs,); those of images are added."""
         return sparse.csr_matrix((values, (self.row, self.column)), (self.n_rows, n_columns))
 
 
@@ -178,7 +178,7 @@ def ghost_sums(
         sparse.vstack(block, "csr") for block in zip(*blocks, strict=True)
     )
     total = row_sums(kernel.T)
-    # Ghosts out of the fluid's reach take nothing.
+    # Ghosts beyond the fluid's reach get zero.
     share = sparse.diags(np.divide(1.0, total, out=np.zeros_like(total), where=total > 0.0))
     mean, mean_x, mean_y = ((share @ m.T).tocsr() for m in (kernel, head_x, head_y))
     return GhostSums(
@@ -201,10 +201,10 @@ def row_sums(matrix: Matrix) -> Array:
 
 
 def some_rows(matrix: Matrix, rows: Rows) -> Matrix:
-    """Return some rows of a matrix; slicing all would copy."""
+    """Return some rows of a matrix, without a copy if it is all of them."""
     return matrix if rows is EVERYWHERE else matrix[rows]
 
 
 def scaled(values: Array, fields: Array) -> Array:
-    """Multiply fields (n, ...) with one value (n,) a point."""
+    """Multiply fields (n, ...) by one value (n,) per point."""
     return values.reshape(-1, *(1,) * (fields.ndim - 1)) * fields

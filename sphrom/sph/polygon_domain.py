@@ -1,8 +1,8 @@
-"""Domains with walls of any shape: a box, periodic along some axes, less solids with names.
+"""Domains with walls of any shape: a box, periodic along some axes, minus named solids.
 
-Solids are polygons; what is round is a polygon of many corners. Fluid is what they leave of the
-box, and its outline is kept as straight segments, with those of the solids' periodic images, so
-that no polygon is asked in the time loop (`sphrom.kernels.segments`).
+Solids are polygons; round shapes are polygons with many corners. Fluid is the rest of the box. Its
+outline is stored as straight segments, together with those of the solids' periodic images, so that
+the time loop evaluates no polygons (`sphrom.kernels.segments`).
 """
 
 from __future__ import annotations
@@ -33,35 +33,35 @@ from sphrom.sph.polygons import (
 )
 
 PRECISION = 1e-10
-"""To which corners are known, over the size of the box; finer differences are rounding."""
+"""Accuracy of corners, over the size of the box; finer differences are rounding."""
 LEAST = 1e-7
 """The least size of a solid, over that of the box."""
 N_CELLS = 128
-"""Cells of the lists of segments along the box's longer edge, at most."""
+"""Largest number of cells along the box's longer edge, for the lists of segments."""
 MARGIN = 8.0
-"""How far cells reach beyond the box, in cells."""
+"""Distance that cells extend beyond the box, in cells."""
 LISTED = 2.0
-"""Within so many spacings of a particle all walls are listed: shifting feels those within 1.5."""
+"""Distance, in spacings, within which all walls are listed; shifting needs those within 1.5."""
 MOST_JOINED = 500
-"""Solids, with their periodic images, that are joined to one outline at once."""
+"""Largest number of solids, with periodic images, that are joined into one outline at once."""
 LONGEST = 100.0
-"""Length of all walls, at most, over the box's longer edge: the time of checks goes with it."""
+"""Largest length of all walls, over the box's longer edge; it determines the time of checks."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PolygonDomain(Domain):
-    """A box, periodic along some axes, less solids.
+    """A box, periodic along some axes, minus solids.
 
-    Along periodic axes solids repeat, and may cross the edge. Sides of the box that aren't periodic
-    are walls too.
+    Along periodic axes solids repeat, and may cross the edge. Sides of the box that are not
+    periodic are walls too.
 
     Parameters
     ----------
-    solids : names, and the polygons that each names, which may touch but not overlap [m].
+    solids : names with their polygons, which may touch but not overlap [m].
 
-    Raises ValueError when a name is that of a side or given twice, a solid is empty, not a valid
-    polygon or outside of the box, two overlap, outlines cross too often to tell, nothing is left
-    for the fluid, or walls are too long.
+    Raises ValueError if a name is that of a side or used twice; if a solid is empty, an invalid
+    polygon or outside the box; if two overlap, outlines cross too often, no fluid is left, or walls
+    are too long.
     """
 
     lower: tuple[float, float]
@@ -80,9 +80,9 @@ class PolygonDomain(Domain):
             if name in sides or name in seen:
                 raise ValueError(f"solid {name}: the name is taken")
             if shape.is_empty:
-                raise ValueError(f"solid {name}: nothing of it is in the box")
+                raise ValueError(f"solid {name}: no part of it is in the box")
             if max(np.ptp(np.reshape(shape.bounds, (2, 2)), axis=0)) < LEAST * max(self.lengths):
-                raise ValueError(f"solid {name}: it is so small that it gets lost in the box")
+                raise ValueError(f"solid {name}: it is too small for the size of the box")
             for other, theirs in seen.items():
                 shared = shapely.area(shapely.intersection(shape, theirs))
                 if shared > ROUNDING * math.prod(self.lengths):
@@ -102,23 +102,23 @@ class PolygonDomain(Domain):
 
     @cached_property
     def fluid(self) -> BaseGeometry:
-        """What fluid fills of the box."""
+        """The region of the fluid in the box."""
         return shapely.intersection(self.fluid_with_images, shapely.box(*self.lower, *self.upper))
 
     @cached_property
     def separate_areas(self) -> list[float]:
-        """The areas [m2] of the parts that solids cut the fluid into, the largest first."""
+        """The areas [m2] of the parts into which solids divide the fluid, the largest first."""
         areas = joined_areas(self.fluid, self.lengths, self.periodic)
         kept = areas[areas > ROUNDING * math.prod(self.lengths)]
         return sorted(kept.tolist(), reverse=True)
 
     @property
     def solid_names(self) -> tuple[str, ...]:
-        """What each solid is called."""
+        """The name of each solid."""
         return tuple(name for name, _ in self.solids)
 
     def _with_images(self, shape: BaseGeometry, number: int = 1) -> BaseGeometry:
-        """Return a shape with its periodic images, some boxes away on either side."""
+        """Return a shape with its periodic images, up to `number` boxes away on either side."""
         shifts = periodic_shifts(self.lengths, self.periodic, number)
         return shapely.union_all([translate(shape, *shift) for shift in shifts])
 
@@ -127,13 +127,13 @@ class PolygonDomain(Domain):
         """The fluid in the box and, along periodic axes, in its images on either side."""
         reach = np.where(self.periodic, self.lengths, 0.0)
         around = shapely.box(*np.subtract(self.lower, reach), *np.add(self.upper, reach))
-        # Where images overlap or solids touch, rounding would leave slivers and tiny edges, whose
-        # directions mean nothing.
+        # Where images overlap or solids touch, rounding would leave slivers and tiny edges with
+        # arbitrary directions.
         step = 10.0 ** math.floor(math.log10(PRECISION * max(self.lengths)))
         parts = shapely.get_parts(self._images)
         apart = parts[:0]
         if len(parts) > MOST_JOINED:
-            # To join many takes long: those that touch no other are left as they are.
+            # Joining many takes long, so solids that touch no other are not joined.
             parts = parts[shapely.intersects(shapely.box(*shapely.bounds(parts).T), around)]
             one, other = shapely.STRtree(parts).query(parts, "dwithin", distance=4.0 * step)
             touches = np.isin(np.arange(len(parts)), one[one != other])
@@ -153,20 +153,20 @@ class PolygonDomain(Domain):
         return self.wall_search(0.0)
 
     def wall_search(self, particle_spacing: float) -> WallSearch:
-        """Return what finds particles' distances from walls at every substep."""
+        """Return the search for particles' distances from walls, for use at every substep."""
         width = max(particle_spacing, max(self.lengths) / N_CELLS)
         lower, upper = np.subtract(self.lower, MARGIN * width), np.add(self.upper, MARGIN * width)
         return list_by_cell(self._segments[0], lower, upper, width, LISTED * particle_spacing)
 
     @cached_property
     def _segments(self) -> tuple[Array, Indices]:
-        """The segments (n_segments, 6) of all walls, and which wall each is of."""
+        """The segments (n_segments, 6) of all walls, and the wall of each."""
         before, start, end, _ = outline_of(self.fluid_with_images)
         segments, wall = np.hstack((start, end, before)), self._walls_of(0.5 * (start + end))
         return np.ascontiguousarray(segments[wall >= 0]), wall[wall >= 0]
 
     def _walls_of(self, place: Array) -> Indices:
-        """Return the wall that each point of the outline is of; -1 where the images end."""
+        """Return the wall of each point of the outline; -1 where the images end."""
         points = shapely.points(place)
         axes = (axis for axis in range(2) if not self.periodic[axis])
         limits = [(axis, end[axis]) for axis in axes for end in (self.lower, self.upper)]
@@ -174,7 +174,7 @@ class PolygonDomain(Domain):
         distances = np.array([*sides, np.full(len(place), np.inf)])
         least, wall = distances.min(axis=0), distances.argmin(axis=0)
         if self.solids:
-            # Of walls that are equally near, sides come first, then solids in their order.
+            # Of equally near walls, sides come first, then solids in their order.
             edges = [edges_of([images]) for images in self._images]
             owner = np.repeat(np.arange(len(edges)), [len(start) for start, _ in edges])
             ends = np.concatenate([np.stack(each, axis=1) for each in edges])
@@ -189,7 +189,7 @@ class PolygonDomain(Domain):
         return wall
 
     def contains(self, position: Array) -> Mask:
-        """Return which positions (n_points, 2) [m] lie in the fluid, its edge included."""
+        """Return whether positions (n_points, 2) [m] are in the fluid or on its edge."""
         return self.distance_and_normal(position)[0] >= -ROUNDING * max(self.lengths)
 
     def distance_and_normal(self, position: Array) -> tuple[Array, Array]:
@@ -197,13 +197,13 @@ class PolygonDomain(Domain):
         return self._nearest(position)[:2]
 
     def nearest_wall(self, position: Array) -> Indices:
-        """Return the wall (n_points,) that is nearest to positions (n_points, 2) [m]."""
+        """Return the wall (n_points,) nearest to positions (n_points, 2) [m]."""
         return self._segments[1][self._nearest(position)[2]]
 
     def arms(self, name: str, place: Array) -> Array:
-        """Return how far places (n_points, 2) are from the centroid of a solid [m].
+        """Return the vectors (n_points, 2) [m] to places from the centroid of a solid.
 
-        Places are taken in the periodic image that is the solid's own.
+        The periodic image of a place nearest to the solid is used.
         """
         shape = dict(self.solids).get(name)
         if shape is None:
@@ -221,7 +221,7 @@ class PolygonDomain(Domain):
         middle = 0.5 * (segments[:, :2] + segments[:, 2:4])
         inside = np.all((middle >= self.lower) & (middle < self.upper), axis=1)
         own = inside & (wall == self.wall_names.index(name))
-        # Segments have the fluid on their left, and what they surround on their right.
+        # Segments have the fluid on their left, and the enclosed solid on their right.
         steps = segments[own, 2:4] - segments[own, :2]
         return -float(np.sum(velocity(middle[own]) * steps))
 
@@ -232,13 +232,13 @@ class PolygonDomain(Domain):
         return nearest_segments(self.wrap(position), self.outline)
 
     def fill(self, particle_spacing: float) -> Array:
-        """Return as many points (n_particles, 2) [m] as fill the fluid, near a lattice's.
+        """Return the right number of points (n_particles, 2) [m] to fill the fluid.
 
         They are the points of a lattice that are deepest in the fluid, moved away from walls.
         """
         number = self.n_particles(particle_spacing)
         points, distance = fitted_lattice(self, particle_spacing, number)
-        # Equally deep points are chosen in their order, whatever rounding makes of them.
+        # Points of equal depth, up to rounding, are chosen in their order.
         depth = np.rint(distance / (math.sqrt(ROUNDING) * particle_spacing))
         deepest = np.argsort(-depth, kind="stable")[:number]
         return off_walls(points[np.sort(deepest)], self, NEAREST * particle_spacing)
@@ -254,15 +254,15 @@ class PolygonDomain(Domain):
 def list_by_cell(
     segments: Array, lower: Array, upper: Array, cell_width: float, reach: float
 ) -> WallSearch:
-    """Return walls with lists of those that matter in each cell of a grid over a box.
+    """Return walls with lists of the relevant segments in each cell of a grid over a box.
 
-    A cell's list holds the segment nearest to any point in it, and those within a reach.
+    A cell's list contains the segments that are nearest to any point in it, and all within a reach.
 
     Parameters
     ----------
-    segments : (n_segments, 6), as `sphrom.kernels.segments` has them [m].
+    segments : (n_segments, 6), laid out as in `sphrom.kernels.segments` [m].
     lower, upper : the box's corners (2,) [m].
-    cell_width, reach : of the cells, and from within which all segments are listed [m].
+    cell_width, reach : width of cells, and distance within which all segments are listed [m].
     """
     n_columns, n_rows = np.ceil((upper - lower) / cell_width).astype(int).tolist()
     grid = Grid(float(lower[0]), float(lower[1]), cell_width, cell_width, n_columns, n_rows)

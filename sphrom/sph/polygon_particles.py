@@ -1,11 +1,11 @@
-"""Where particles start beside walls of any shape, and rows of ghosts behind these walls.
+"""Start positions of particles beside walls of any shape, and rows of ghosts behind these walls.
 
-Particles start on the lattice, of several shifted ones, that fits the walls best. Ghosts lie as far
-behind a wall as fluid lies before it. Each row follows the fluid's outline at half a spacing, one
-and a half, and so on. It has a ghost in each of its corners, and is divided evenly between them:
-fluid that slides along a wall finds the same ghosts everywhere. Ghosts that are packed without such
-order are rough. Fluid beside a wall that turns then has an error of 1.4 % of the wall's speed (50
-particles across, most of it across the wall), and 0.2 % beside rows.
+Particles start on a lattice, chosen from several shifted ones to fit the walls best. Ghosts are
+arranged in rows that follow the fluid's outline at depths of 0.5, 1.5, ... spacings. Each row has a
+ghost in each of its corners and is divided evenly between them, so that fluid that slides along a
+wall sees the same ghosts everywhere. Ghosts packed without such order make a rough wall: fluid
+beside a rotating wall then has an error of 1.4 % of the wall's speed (50 particles across, mostly
+in the normal component), compared with 0.2 % beside rows.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from sphrom.sph.domain import Domain
 from sphrom.sph.polygons import CORNER
 
 TINY = 1e-6
-"""Bends of a row that are smaller, over the spacing, are rounding."""
+"""Bends of a row that are smaller than this share of the spacing are rounding."""
 MITRE_LIMIT = 1.5
-"""Rows around corners of the fluid are as sharp as these, up to about a right angle."""
+"""Limit of mitres: rows around corners are sharp up to about a right angle."""
 
 
 def ghost_rows(fluid: BaseGeometry, frame: BaseGeometry, spacing: float, n_layers: int) -> Array:
@@ -34,8 +34,8 @@ def ghost_rows(fluid: BaseGeometry, frame: BaseGeometry, spacing: float, n_layer
 
     Parameters
     ----------
-    fluid : with its images, as far as rows reach beyond the frame.
-    frame : the part of the plane that ghosts are wanted in: one period of the fluid.
+    fluid : with its images, as far as rows extend beyond the frame.
+    frame : the part of the plane in which ghosts are needed: one period of the fluid.
     """
     found, (lower, upper) = [np.empty((0, 2))], np.reshape(shapely.bounds(frame), (2, 2))
     for layer in range(n_layers):
@@ -48,7 +48,7 @@ def ghost_rows(fluid: BaseGeometry, frame: BaseGeometry, spacing: float, n_layer
             heading = np.arctan2(along[:, 1], along[:, 0])
             turn = np.abs(np.angle(np.exp(1j * (heading - np.roll(heading, 1)))))
             corners = np.flatnonzero(turn > CORNER)
-            # The frame's lower edges are part of it.
+            # The frame's lower edges belong to it.
             inside = np.all((place >= lower) & (place < upper), axis=1)
             found.append(place[corners][inside[corners]])
             for stretch in _stretches(place, corners):
@@ -57,7 +57,7 @@ def ghost_rows(fluid: BaseGeometry, frame: BaseGeometry, spacing: float, n_layer
 
 
 def _stretches(place: Array, corners: NDArray[np.int64]) -> Iterator[BaseGeometry]:
-    """Yield what lies between the corners of a closed line through points (n_points, 2)."""
+    """Yield the lines between the corners of a closed line through points (n_points, 2)."""
     if not corners.size:
         yield shapely.linestrings(np.concatenate((place, place[:1])))
     for first, last in zip(corners, np.roll(corners, -1), strict=True):
@@ -77,8 +77,8 @@ def _cut(line: BaseGeometry, frame: BaseGeometry) -> NDArray[np.object_]:
 def _divided(line: BaseGeometry, corners: Array, spacing: float) -> Array:
     """Return points (n_points, 2) that divide a line evenly, about a spacing apart.
 
-    They are a whole step from an end that is a corner, where another point stands, and half a step
-    from an end where the frame has cut the line, or where a closed line begins.
+    They are a whole step from an end that is a corner, because there is another point, and half a
+    step from an end where the frame cuts the line, or where a closed line begins.
     """
     ends = shapely.get_coordinates(line)[[0, -1]]
     gaps = np.where((ends[:, None] == corners).all(axis=2).any(axis=1), 1.0, 0.5)
@@ -91,16 +91,16 @@ def _divided(line: BaseGeometry, corners: Array, spacing: float) -> Array:
 
 
 N_SHIFTS = 64
-"""Shifts that are tried."""
+"""Number of candidate shifts."""
 SHIFT = np.array((0.7548776662466927, 0.5698402909980532))
-"""From one shift to the next, over the pitch: multiples of it fill a square evenly."""
+"""Difference of successive shifts, over the pitch; its multiples fill a square evenly."""
 
 
 def pitches(domain: Domain, particle_spacing: float) -> tuple[float, float]:
     """Return the distances of points along x and y [m], whose product is the spacing's square.
 
-    Along periodic axes they divide the period; where both axes are periodic, the product is off by
-    what is left.
+    Along periodic axes they divide the period; if both axes are periodic, the product is only
+    approximately the square.
     """
     counts = [
         _divisors(length, particle_spacing) if periodic else [None]
@@ -112,12 +112,12 @@ def pitches(domain: Domain, particle_spacing: float) -> tuple[float, float]:
         x = (particle_spacing if y is None else square / y) if x is None else x
         return x, square / x if y is None else y
 
-    found = [completed(x, y) for x, y in itertools.product(*counts)]
-    return min(found, key=lambda p: abs(p[0] * p[1] / square - 1.0) + (p[0] / p[1] - 1.0) ** 2)
+    pairs = [completed(x, y) for x, y in itertools.product(*counts)]
+    return min(pairs, key=lambda p: abs(p[0] * p[1] / square - 1.0) + (p[0] / p[1] - 1.0) ** 2)
 
 
 def _divisors(length: float, spacing: float) -> list[float]:
-    """Return parts of a period near the spacing [m], the nearest one first."""
+    """Return fractions of a period near the spacing [m], the nearest one first."""
     nearest = max(1, round(length / spacing))
     return [length / n for n in (nearest, nearest - 1, nearest + 1) if n > 0]
 
@@ -127,8 +127,8 @@ def fitted_lattice(
 ) -> tuple[Array, Array]:
     """Return points (n_points, 2) [m], and their signed distances from walls (n_points,) [m].
 
-    They cover the box. The first shift is taken of which exactly so many points lie in the fluid,
-    else the one that comes nearest.
+    They cover the box. The shift is the first with exactly `n_particles` points in the fluid, or
+    else the one with the nearest number.
     """
     best, least = (np.empty((0, 2)), np.empty(0)), math.inf
     for turn in range(N_SHIFTS):

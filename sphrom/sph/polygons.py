@@ -1,10 +1,10 @@
-"""Polygons in a box that is periodic along some axes: what they join, and how wide they are.
+"""Polygons in a box that is periodic along some axes: their connections and least widths.
 
-Walls are across from each other where a circle touches them at two opposite points and holds no
-other wall: in a channel, on either side of a plate, or between a corner and a wall. Its diameter is
-the width. At a corner the width between its two sides vanishes, however fine the particles are, and
-doesn't count. Three more widths do: the end of a slot or plate whose sides hardly narrow, the mouth
-between straight sides that meet at a sharp corner, and the largest circle within a solid.
+Two walls face each other if a circle touches them at two opposite points and contains no other
+wall: in a channel, on either side of a plate, or between a corner and a wall. The diameter is the
+width. At a corner the width between its two sides vanishes for any resolution, and does not count.
+Three more widths count: the end of a slot or plate with nearly parallel sides, the mouth between
+straight sides that meet at a sharp corner, and the largest circle within a solid.
 """
 
 from __future__ import annotations
@@ -27,29 +27,29 @@ Lengths = tuple[float, float]
 Periodic = tuple[bool, bool]
 
 ROUNDING = 1e-9
-"""Slack for lengths that are equal but for rounding, over the size of the box."""
+"""Tolerance for equal lengths up to rounding, over the size of the box."""
 MOST_CROSSINGS = 1e5
-"""Of the edges of shapes that are combined, which takes a second."""
+"""Largest number of crossings between combined shapes; this many take a second."""
 N_EDGES = 50
-"""Edges whose crossings are counted."""
+"""Number of edges whose crossings are counted."""
 N_CORNERS = 256
-"""Of the polygon that stands for a circle: off by 4e-5 of the radius."""
+"""Number of corners of a circle's polygon; its error is 4e-5 of the radius."""
 FACING = math.radians(20.0)
-"""How far sides may be from parallel, and face each other."""
+"""Largest angle between sides that face each other."""
 LEAST_TURN = math.radians(45.0)
-"""Of a side into the end of a slot or plate."""
+"""Smallest turn from a side to the end of a slot or plate."""
 TOUCHING = math.radians(2.0)
-"""Sides that meet at less touch each other."""
+"""Sides that meet at a smaller angle touch each other."""
 CORNER, SHARPEST = math.radians(20.0), math.radians(120.0)
-"""The least turn of an outline at a corner; sharper corners than the second count as that."""
+"""The smallest turn of an outline at a corner, and the largest that counts."""
 N_PLACES = 64
-"""Places along the box's longer edge from which walls across are looked for, at least."""
+"""Least number of places, per longer edge of the box, from which facing walls are searched."""
 SLACK = 1e-7
-"""Cosines below are zero, and so are lengths, over the size of the box."""
+"""Smaller cosines are zero, and so are smaller lengths over the size of the box."""
 SHARE_NEAR = 4.0
-"""Edges within reach of a corner over all, times the size of the outline over the reach."""
+"""Share of edges within reach of a corner, times the size of the outline over the reach."""
 N_PAIRS = 500_000
-"""Pairs of a place and an edge that are looked at at once."""
+"""Number of pairs of a place and an edge that are evaluated at once."""
 
 
 def disc(centre: tuple[float, float], radius: float) -> BaseGeometry:
@@ -62,12 +62,12 @@ def disc(centre: tuple[float, float], radius: float) -> BaseGeometry:
 
 
 def digest(shape: BaseGeometry) -> str:
-    """Return what tells a shape from any other, to the last bit."""
+    """Return a digest of a shape that depends on its last bit."""
     return hashlib.sha256(shapely.to_wkb(shape)).hexdigest()[:16]
 
 
 def edges_of(shapes: Iterable[BaseGeometry]) -> tuple[Array, Array]:
-    """Return where the edges of shapes start and end, each (n_edges, 2) [m]."""
+    """Return the start and end points of the edges of shapes, each (n_edges, 2) [m]."""
     rings = shapely.get_rings(shapely.get_parts(list(shapes)))
     corners, ring = shapely.get_coordinates(rings, return_index=True)
     within = ring[1:] == ring[:-1]
@@ -75,11 +75,11 @@ def edges_of(shapes: Iterable[BaseGeometry]) -> tuple[Array, Array]:
 
 
 def jutting_corners(shape: BaseGeometry, reach: float) -> tuple[Array, Array]:
-    """Return corners (n_corners, 2) [m] that jut into a shape, and how sharp they are (n_corners,).
+    """Return corners (n_corners, 2) [m] that jut into a shape, and their sharpness (n_corners,).
 
-    Sharpness is tan^2 of half the turn: 1 at a right angle, 3 at most. The outline turns at a
-    corner from the way that comes there from a reach before to the way that goes a reach on:
-    rounding that is finer is no hindrance, and jags are no corners.
+    Sharpness is tan^2 of half the turn: 1 at a right angle, at most 3. The turn is measured between
+    points of the outline a distance `reach` before and after the corner, so that finer rounding
+    does not hide corners, and jags do not count as corners.
     """
     places, turns = [np.empty((0, 2))], [np.empty(0)]
     for ring in shapely.get_rings(shapely.orient_polygons(shapely.get_parts(shape))):
@@ -92,7 +92,7 @@ def jutting_corners(shape: BaseGeometry, reach: float) -> tuple[Array, Array]:
         )
         (a, b), (c, d) = (line[own] - before).T, (after - line[own]).T
         places.append(line[own])
-        # The shape lies on the left, and what juts into it turns right.
+        # The shape is on the left; the outline of a jutting corner turns right.
         turns.append(np.arctan2(b * c - a * d, a * c + b * d))
     place, turn = np.concatenate(places), np.concatenate(turns)
     juts = turn > CORNER
@@ -100,14 +100,14 @@ def jutting_corners(shape: BaseGeometry, reach: float) -> tuple[Array, Array]:
 
 
 def require_few_crossings(shapes: Iterable[BaseGeometry]) -> None:
-    """Raise ValueError where edges cross so often that it takes long to combine shapes.
+    """Raise ValueError if edges cross so often that combining the shapes would take long.
 
     The number is estimated from a few edges.
     """
-    found = np.array(list(shapes), dtype=object)
-    one, other = shapely.STRtree(found).query(found)
-    # Shapes that are apart from all others have no part in it.
-    start, end = (corners.T for corners in edges_of(found[np.unique(one[one != other])]))
+    every = np.array(list(shapes), dtype=object)
+    one, other = shapely.STRtree(every).query(every)
+    # Shapes apart from all others do not cross any.
+    start, end = (corners.T for corners in edges_of(every[np.unique(one[one != other])]))
     chosen = np.random.default_rng(0).permutation(start.shape[1])[:N_EDGES]
     n_crossings = 0
     for edge in chosen:
@@ -121,7 +121,7 @@ def require_few_crossings(shapes: Iterable[BaseGeometry]) -> None:
 
 
 def _side(start: Array, end: Array, place: Array) -> Array:
-    """Return 1 for places on the left of edges, -1 on their right; x, y are along first axes."""
+    """Return 1 for places on the left of edges, -1 on the right; x and y are the first axis."""
     (a, b), (x, y) = end - start, place - start
     return np.sign(a * y - b * x)
 
@@ -129,28 +129,28 @@ def _side(start: Array, end: Array, place: Array) -> Array:
 def periodic_shifts(
     lengths: Lengths, periodic: Periodic, number: int = 1
 ) -> list[tuple[float, float]]:
-    """Return the ways [m] to periodic images, some boxes away on either side."""
+    """Return the translations [m] to periodic images, up to `number` boxes away on either side."""
     turns = (range(-number, number + 1) if repeats else (0,) for repeats in periodic)
     width, height = lengths
     return [(i * width, j * height) for i, j in itertools.product(*turns)]
 
 
 def joined_areas(shape: BaseGeometry, lengths: Lengths, periodic: Periodic) -> Array:
-    """Return the areas [m2] of a shape's separate parts; periodic edges join some."""
-    # Few commands need it, and loading it takes long.
+    """Return the areas [m2] of a shape's separate parts; periodic edges connect some."""
+    # Few commands need this module, and importing it takes long.
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
     parts = shapely.get_parts(shape)
-    found = [_joined_across(axis, parts, lengths) for axis in range(2) if periodic[axis]]
-    one, other = np.concatenate([np.empty((2, 0), np.int64), *found], axis=1)
+    pairs = [_joined_across(axis, parts, lengths) for axis in range(2) if periodic[axis]]
+    one, other = np.concatenate([np.empty((2, 0), np.int64), *pairs], axis=1)
     graph = coo_array((np.ones(one.size), (one, other)), shape=(len(parts), len(parts)))
     number, part_of = connected_components(graph, directed=False)
     return np.bincount(part_of, shapely.area(parts), minlength=number).astype(np.float64)
 
 
 def _joined_across(axis: int, parts: NDArray[np.object_], lengths: Lengths) -> Indices:
-    """Return which parts go on in which others (2, n_pairs), past a periodic edge."""
+    """Return the pairs of parts (2, n_pairs) that continue in each other past a periodic edge."""
     shift = [length if i == axis else 0.0 for i, length in enumerate(lengths)]
     moved = np.array([translate(part, *shift) for part in parts])
     here, there = shapely.STRtree(parts).query(moved, predicate="intersects")
@@ -162,11 +162,11 @@ def _joined_across(axis: int, parts: NDArray[np.object_], lengths: Lengths) -> I
 def least_widths(
     fluid: BaseGeometry, is_wall: Callable[[Array], Mask], lower: Array, upper: Array
 ) -> tuple[float, float]:
-    """Return the least widths [m] of the fluid and of the solid, infinite where there is none.
+    """Return the least widths [m] of the fluid and of the solid, infinite if there is none.
 
     Parameters
     ----------
-    is_wall : says which places (n, 2) [m], in the middle of edges of the fluid, are of walls.
+    is_wall : whether midpoints (n, 2) [m] of edges of the fluid are on walls.
     lower, upper : corners (2,) of the box in which widths are measured [m].
     """
     size = float(np.max(upper - lower))
@@ -184,7 +184,7 @@ def least_widths(
     least_solid = float(np.min((*ends[1], *(2.0 * shapely.length(radii))), initial=math.inf))
     cut = outline_of(shapely.segmentize(fluid, size / N_PLACES))
     cut_wall = is_wall(0.5 * (cut[1] + cut[2]))
-    # The least widths are sought near by first: of thousands of edges, few are near each other.
+    # Small widths are searched first, because of thousands of edges few are near each other.
     reach = size / N_PLACES
     while True:
         middle, width = _circles(cut, cut_wall, within, slack, reach)
@@ -199,7 +199,7 @@ def least_widths(
 def outline_of(fluid: BaseGeometry) -> Array:
     """Return the ends of edges, and those of the edges before and after (4, n_edges, 2) [m].
 
-    The fluid is on the left.
+    The fluid is on the left of edges.
     """
     parts = shapely.orient_polygons(shapely.get_parts(fluid))
     rings = [shapely.get_coordinates(ring)[:-1] for ring in shapely.get_rings(parts)]
@@ -210,9 +210,9 @@ def outline_of(fluid: BaseGeometry) -> Array:
 def _circles(
     edges: Array, wall: Mask, within: Callable[[Array], Mask], slack: float, reach: float
 ) -> tuple[Array, Array]:
-    """Return circles that touch a corner and a wall, and hold no other: centres and diameters.
+    """Return centres and diameters of empty circles that touch a corner and a wall.
 
-    Those with a diameter beyond a reach may be missing.
+    Circles with diameters larger than the reach may be missing.
     """
     _, start, end, following = edges
     along, after = end - start, following - end
@@ -228,7 +228,7 @@ def _circles(
         place = np.clip(_dot(end[one] - start[other], along[other]) / length[other] ** 2, 0.0, 1.0)
         way = start[other] + place[:, None] * along[other] - end[one]
         width = np.hypot(*way.T)
-        # No step along the corner's own sides leads into the circle.
+        # Neither of the corner's own sides leads into the circle.
         free = wall[other] & (width > slack)
         free &= _dot(way, along[one]) >= -SLACK * width * length[one]
         free &= _dot(way, after[one]) <= SLACK * width * np.hypot(*after[one].T)
@@ -259,7 +259,7 @@ def _ends(edges: Array, wall: Mask, side: int) -> Array:
 
 
 def _turn(one: Array, other: Array) -> Array:
-    """Return the angles to the left from ways (n, 2) to others [rad]."""
+    """Return the left turns from vectors (n, 2) to others [rad]."""
     cross = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
     return np.asarray(np.arctan2(cross, _dot(one, other)))
 

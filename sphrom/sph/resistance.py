@@ -1,13 +1,13 @@
-"""What slows the fluid down in proportion to its velocity: resistances, porous bodies, a strip.
+"""Forces that slow the fluid in proportion to its velocity: resistances, porous bodies, a strip.
 
 A resistance adds -lambda u to the rates of the velocity; a porous body of permeability k has
 lambda = nu/k (Darcy's law). An open flow runs in a box that is periodic along the flow, with a
 strip across it, a fringe region (Spalart 1988; Nordstrom, Nordin and Henningson 1999, SIAM J. Sci.
-Comput. 20): there lambda (U - u) brings the fluid back to the velocity U of the inflow.
+Comput. 20). There lambda (U - u) returns the fluid to the velocity U of the inflow.
 
-By itself it carries the fall of the pressure and friction, so that the flow rate falls short. The
-strip therefore takes the mean of other accelerations along the flow away, as simulations do that
-hold a flow rate: with the unit vector e of the particles' lambda, a becomes a - e (e . a).
+This force alone would have to balance the pressure drop and friction, so the flow rate would be too
+low. As in simulations at a fixed flow rate, the strip therefore also removes the mean of the other
+accelerations along the flow: a becomes a - e (e . a), with e the unit vector of all lambda.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ import numpy as np
 from sphrom.arrays import Array, Mask
 
 RISE, FALL = 0.3, 0.1
-"""Shares of a strip's width over which lambda rises, where fluid enters it, and falls."""
+"""Shares of a strip's width over which lambda rises, where fluid enters, and falls."""
 
 Rates = Callable[[Array], Array]
-"""Rates (n_positions,) at positions (2, n_positions) [m] in the box."""
+"""Return rates (n_positions,) at positions (2, n_positions) [m] in the box."""
 
 
 @dataclass(frozen=True)
 class Strip:
-    """A strip across the box that brings the flow back to that of the inflow."""
+    """A strip across the box that returns the flow to the inflow's velocity."""
 
     axis: int
-    """The axis that it goes across: 0 is x."""
+    """The axis perpendicular to the strip: 0 is x."""
     start: float
     end: float
-    """Where it lies along that axis [m]."""
+    """Its position along that axis [m]."""
     speed: float
-    """The largest of the inflow [m/s]; negative where fluid leaves the strip at its start."""
+    """The largest speed of the inflow [m/s]; negative if fluid leaves the strip at its start."""
     strength: float
     """K."""
 
@@ -47,7 +47,7 @@ class Strip:
         return self.strength * abs(self.speed) / width
 
     def contains(self, position: Array) -> Mask:
-        """Return which positions (2, n_positions) [m] in the box lie in it."""
+        """Return whether positions (2, n_positions) [m] in the box are in the strip."""
         return np.asarray((position[self.axis] > self.start) & (position[self.axis] < self.end))
 
     def rates(self, position: Array) -> Array:
@@ -61,14 +61,14 @@ class Strip:
         return found
 
     def forcing(self, position: Array, velocity: Callable[[Array], Array]) -> Array:
-        """Return lambda U (2, n_positions) [m/s2], of the inflow's velocity at positions [m/s]."""
-        found, inside = np.zeros_like(position), np.flatnonzero(self.contains(position))
-        found[:, inside] = self.rates(position[:, inside]) * velocity(position[:, inside])
-        return found
+        """Return lambda U (2, n_positions) [m/s2], given the inflow's velocity [m/s]."""
+        out, inside = np.zeros_like(position), np.flatnonzero(self.contains(position))
+        out[:, inside] = self.rates(position[:, inside]) * velocity(position[:, inside])
+        return out
 
 
 def _step(x: Array) -> Array:
-    """Return a step from 0 at zero to 1 at one that is smooth to all orders."""
+    """Return a smooth step from 0 at zero to 1 at one, with all derivatives continuous."""
     within = np.clip(x, 1e-3, 1.0 - 1e-3)
     smooth = 1.0 / (1.0 + np.exp(1.0 / (within - 1.0) + 1.0 / within))
     return np.asarray(np.where(x >= 1.0, 1.0, smooth))
@@ -76,18 +76,18 @@ def _step(x: Array) -> Array:
 
 @dataclass(frozen=True)
 class Resistance:
-    """All that slows the fluid of a scene down."""
+    """All resistance to the fluid of a scene."""
 
     own: Rates | None = None
-    """lambda without that of porous bodies and the strip [1/s]."""
+    """lambda without porous bodies and the strip [1/s]."""
     inverse_permeability: Rates | None = None
-    """1/k [1/m2]; zero outside of porous bodies."""
+    """1/k [1/m2]; zero outside porous bodies."""
     strip: Strip | None = None
     in_box: Callable[[Array], Array] = lambda position: position
     """Moves positions (2, n_positions) [m] into the box."""
 
     def steady(self, position: Array) -> Array:
-        """Return lambda without porous bodies (n_positions,) [1/s], which no viscosity changes."""
+        """Return lambda without porous bodies (n_positions,) [1/s], independent of viscosity."""
         place = self.in_box(position)
         found = np.zeros(place.shape[1]) if self.own is None else self.own(place)
         return found if self.strip is None else found + self.strip.rates(place)
@@ -100,7 +100,7 @@ class Resistance:
         return found
 
     def hold(self, position: Array, acceleration: Array) -> None:
-        """Take the mean of accelerations (2, n_positions) [m/s2] along the strip out, in place."""
+        """Remove the mean of accelerations (2, n_positions) [m/s2] along the strip, in place."""
         if self.strip is not None:
             rates = self.strip.rates(self.in_box(position))
             along = acceleration[self.strip.axis]

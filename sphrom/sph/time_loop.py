@@ -1,4 +1,4 @@
-"""The loop over a run's time steps: the checks of its state, and which snapshots are kept."""
+"""The time loop of runs, with checks of the state and the choice of stored snapshots."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from sphrom.sph.neighbourhood import Neighbourhood
 
 Item = Mapping[str, NDArray[Any]]
-"""One snapshot: what goes into each dataset of a trajectory."""
+"""One snapshot: the values of each dataset of a trajectory."""
 
 DENSITY_LIMIT = 0.1
-"""Largest |rho - rho_0| / rho_0: ten times what a weakly compressible flow may show."""
+"""Largest |rho - rho_0| / rho_0: ten times that of a weakly compressible flow."""
 
 
 @dataclass(frozen=True)
@@ -35,37 +35,37 @@ class Snapshot:
     coordinates: Array | None = None
     """(n_modes,) the generalized coordinates of a reduced run."""
     mean_density_fluctuation: float | None = None
-    """What a reduced run carries apart from its modes [kg/m3]."""
+    """The separate mean of a reduced run [kg/m3]."""
 
 
 class Model(Protocol):
-    """What the loop needs of a full or a reduced model."""
+    """The interface of full and reduced models that the loop uses."""
 
     @property
     def domain(self) -> Domain:
-        """Where the fluid is."""
+        """The domain of the fluid."""
 
     def rates(self, state: Array, time: float) -> Array:
         """Return the rates of a state at a time [s]."""
 
     @property
     def neighbourhood(self) -> Neighbourhood:
-        """The list of neighbours that rates are summed over."""
+        """The neighbour list of the sums in the rates."""
 
     def position(self, state: Array) -> Array:
         """Return the positions (2, n_particles) of a state [m]."""
 
     def wrapped(self, state: Array) -> Array:
-        """Return the state with its particles in the box, and forget their neighbours.
+        """Return the state with its particles wrapped into the box; reset the neighbour list.
 
-        A run that goes on from a snapshot then sees what the first one saw.
+        A run that continues from a snapshot then has the same list as the original run.
         """
 
     def snapshot(self, state: Array) -> Snapshot:
         """Return the fields of a state."""
 
     def remedy(self, state: Array, time_step: float) -> str:
-        """Return what may help a run that left the model's range in the step after a state."""
+        """Return a suggestion for a run that became unstable in the step after a state."""
 
 
 @dataclass(frozen=True)
@@ -75,17 +75,17 @@ class TimeSteps:
     time_step: float
     """dt [s]."""
     n_steps: int
-    """Steps after the start, which follows a spin-up if there is one."""
+    """Number of steps after the start, which follows a spin-up if there is one."""
     every: int
-    """Steps from one snapshot to the next."""
+    """Number of steps between snapshots."""
     start_time: float = 0.0
     """Time of the first snapshot, and of the state that the run starts from [s]."""
     check_every: int = 1
-    """Steps from one check of the fields to the next."""
+    """Number of steps between checks of the fields."""
 
     @property
     def n_spin_up_steps(self) -> int:
-        """Steps before the start."""
+        """Number of steps before the start."""
         return round(self.start_time / self.time_step)
 
     @property
@@ -95,12 +95,12 @@ class TimeSteps:
 
     @property
     def n_snapshots(self) -> int:
-        """Snapshots of the run, its start among them."""
+        """Number of snapshots of the run, including its start."""
         return self.n_steps // self.every + 1
 
     @property
     def snapshot_interval(self) -> float:
-        """Time from one snapshot to the next [s]."""
+        """Time between snapshots [s]."""
         return self.every * self.time_step
 
     def time(self, step: int) -> float:
@@ -110,19 +110,19 @@ class TimeSteps:
 
 @dataclass(frozen=True)
 class RunState:
-    """Where a run stands after a step: all that the next one depends on."""
+    """The state of a run after a step, on which the next step depends."""
 
     step: int
     state: Array
     neighbours_at: Array | None
-    """(2, n_particles) [m] where the list of neighbours was built; None where it is to be built."""
+    """(2, n_particles) positions [m] at which the neighbour list was built; None before that."""
     seconds: float
-    """What the steps so far have taken [s]."""
+    """Time spent on the steps so far [s]."""
 
 
 @dataclass
 class Clock:
-    """Adds up the time of the steps alone: not that of compiling, looking or writing."""
+    """Adds up the time of the steps only, without compilation, checks or writing."""
 
     seconds: float = 0.0
 
@@ -137,20 +137,20 @@ def march(
     begin: RunState | None = None,
     reached: Callable[[RunState, TimeSteps], None] = lambda run_state, steps: None,
 ) -> Iterator[tuple[int, Array]]:
-    """Take all steps of a run, and yield the number and the state of those to keep.
+    """Take all steps of a run, and yield number and state of those that are stored.
 
     Parameters
     ----------
-    begin : where a run was stopped: it goes on as if it never had been, and what is still to come
-        is yielded.
-    reached : called after each step with where the run stands.
+    begin : the state at which a run was stopped. It continues as if it had not been stopped, and
+        only the remaining states are yielded.
+    reached : called after each step with the state of the run.
 
-    Raises UnstableError when a step can't be taken, or leads out of what the model is for.
+    Raises UnstableError if a step fails, or its result is outside the validity of the model.
     """
     first = 0
     if begin is not None:
         state, clock.seconds, first = begin.state, begin.seconds, begin.step + 1
-    # All that a model needs is compiled before the clock runs.
+    # Everything that a model needs is compiled before the clock starts.
     with _explained("before the first step"):
         model.rates(state, steps.time(max(0, first - 1)))
     if begin is not None:
@@ -181,17 +181,17 @@ def march(
 def watched_step(
     functional: Callable[[Array, float], Array], state: Array, steps: TimeSteps, step: int
 ) -> Array:
-    """Take step number `step`, and raise UnstableError when it can't be taken."""
+    """Take step number `step`; raise UnstableError if it fails."""
     with _explained(f"within step {step}, before t = {steps.time(step):.6g} s"):
         return runge_kutta_step(functional, state, steps.time(step - 1), steps.time_step)
 
 
 @contextmanager
 def _explained(when: str) -> Iterator[None]:
-    """Turn what a state out of its model's range causes into an UnstableError.
+    """Turn errors caused by an invalid state into an UnstableError.
 
-    It can make the equations unsolvable: a basis at particles that are no longer spread out, or
-    positions that are no longer finite.
+    Such a state can make the equations unsolvable, for example if particles are no longer spread
+    out under a basis, or positions are no longer finite.
     """
     try:
         yield
@@ -202,23 +202,23 @@ def _explained(when: str) -> Iterator[None]:
 def check_snapshot(
     snapshot: Snapshot, domain: Domain, reference_density: float, step: int, time: float
 ) -> None:
-    """Raise UnstableError when fields are no longer those of a weakly compressible flow.
+    """Raise UnstableError if fields are not those of a weakly compressible flow.
 
-    Or when a particle is beyond a wall.
+    Also if a particle is beyond a wall.
     """
     check_position(snapshot.position, domain, step, time)
     fluctuation = snapshot.density_fluctuation / reference_density
-    # A comparison with NaN is false: every bad particle fails it.
+    # A comparison with NaN is false, so every bad particle is found.
     good = (np.abs(fluctuation) <= DENSITY_LIMIT) & np.isfinite(snapshot.velocity).all(0)
     if not good.all():
         bad = np.flatnonzero(~good)
         u, v = snapshot.velocity[:, bad[0]]
-        told = f"(rho - rho0)/rho0 = {fluctuation[bad[0]]:.3g} and velocity ({u:.3g}, {v:.3g}) m/s"
-        raise _unstable(f"{first_of(bad, snapshot.position)} has {told}", step, time)
+        text = f"(rho - rho0)/rho0 = {fluctuation[bad[0]]:.3g} and velocity ({u:.3g}, {v:.3g}) m/s"
+        raise _unstable(f"{first_of(bad, snapshot.position)} has {text}", step, time)
 
 
 def check_position(position: Array, domain: Domain, step: int, time: float) -> None:
-    """Raise UnstableError when a particle (2, n_particles) is lost, or beyond a wall."""
+    """Raise UnstableError if a particle (2, n_particles) is lost, or beyond a wall."""
     lost = ~np.isfinite(position).all(0)
     if domain.has_walls:
         lost |= ~domain.contains(position.T)
@@ -227,8 +227,8 @@ def check_position(position: Array, domain: Domain, step: int, time: float) -> N
         raise _unstable(f"{where} is lost, or beyond a wall", step, time)
 
 
-def _unstable(told: str, step: int, time: float) -> UnstableError:
-    return UnstableError(f"unstable at step {step}, t = {time:.6g} s: {told}")
+def _unstable(reason: str, step: int, time: float) -> UnstableError:
+    return UnstableError(f"unstable at step {step}, t = {time:.6g} s: {reason}")
 
 
 def runge_kutta_step(

@@ -1,11 +1,11 @@
-"""Walls as fixed ghost particles that take their fields from the fluid near them (Eq. 2.15-2.16).
+"""Walls as fixed ghost particles with fields extrapolated from the fluid (Eq. 2.15-2.16).
 
 After Adami, Hu and Adams (J. Comput. Phys. 231, 2012). Ghosts fill the lattice beyond the fluid's
-domain as deep as the kernel reaches. A ghost's pressure is the fluid's, interpolated, with the
-weight of the fluid between. Its velocity is extrapolated from each particle through the wall, so
-that fluid sticks to the wall between them (Morris, Fox and Zhu, J. Comput. Phys. 136, 1997); or it
-is twice the wall's less the fluid's, interpolated, which lags behind the shear: a regularised lid's
-flow at 50x50 is then off by up to 0.02 of its speed, extrapolated by 0.004.
+domain to the depth of the kernel's reach. A ghost's pressure is interpolated from the fluid, with
+the weight of the fluid in between added. Its velocity is extrapolated from each particle through
+the wall, so that the velocity at the wall is the wall's (Morris, Fox and Zhu, J. Comput. Phys. 136,
+1997). The alternative, twice the wall's velocity less the interpolated one, lags behind the shear:
+for a regularised lid at 50x50 its error is up to 0.02 of the lid's speed, compared with 0.004.
 """
 
 from __future__ import annotations
@@ -15,33 +15,36 @@ import shapely
 
 from sphrom.arrays import Array, Indices
 from sphrom.kernels import advection, ghost_fields, wall_sweeps
-from sphrom.kernels.sweeps import FluidConstants, RegularityConstants, X, gather
+from sphrom.kernels.sweeps import TINY, FluidConstants, RegularityConstants, X, gather
 from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fluid import Discretization, Fluid, fluctuation_of, volume_of
 from sphrom.sph.neighbourhood import MOVE_RATIO, Search, Sources, sort_sources
 from sphrom.sph.polygons import jutting_corners
 
 CLOSEST, TOUCHING, FELT = 0.25, 0.5, 1.5
-"""Distances from a wall over the spacing: nothing moves closer; the first layer's; the second's."""
+"""Distances from a wall over the spacing: the least allowed; the first layer's; the second's."""
 SHARE_SLOPE = 0.78
 """Integral of the kernel along a line through its centre, times the smoothing length."""
+THIN_SHARE = 0.2
+"""Of the kernel's sum, from which ghosts below thin fluid count fully."""
 NEAREST = 0.5
-"""Least distance from a wall, over the spacing, that velocities are extrapolated from."""
+"""Least distance from a wall, over the spacing, for the extrapolation of velocities."""
 
 
 AT_CORNERS = 3.0
-"""What ghosts at a right angle gain in depth, over their depth: then slow flow past a square has
-the right flow rate at any resolution, and by the rule of `ghost_depths` past other polygons too."""
+"""Relative increase of the ghosts' depth at a right angle. It gives slow flow past a square the
+right flow rate at any resolution, and by the rule of `ghost_depths` that past other polygons."""
 
 
 def ghost_depths(domain: Domain, ghost: Array, discretization: Discretization) -> Array:
-    """Return the depths (n_ghosts,) [m] from which ghosts (n_ghosts, 2) [m] take velocities.
+    """Return the depths (n_ghosts,) [m] of ghosts (n_ghosts, 2) [m] for velocity extrapolation.
 
-    They are distances from the fluid d, and larger behind corners that jut into it. There friction
-    is singular (Moffatt, J. Fluid Mech. 18, 1964), and particles a spacing apart miss part of it:
-    a solid acts as if it were smaller. What they miss has one form for all flows past one angle,
-    so that one number makes up for it: d (1 + 3 tan^2(turn / 2) W(r) / W(0)), r from the corner.
-    Where ghosts' velocities count in continuity, that would be a source: they keep their distance.
+    They are distances from the fluid d, increased behind corners that jut into it. There friction
+    is singular (Moffatt, J. Fluid Mech. 18, 1964), and particles a spacing apart resolve only part
+    of it, so a solid acts as if it were smaller. The missing part has one form for all flows past
+    one angle, and one number compensates for it: d (1 + 3 tan^2(turn / 2) W(r) / W(0)), r from the
+    corner. If ghosts' velocities enter the continuity equation, the depth is d alone: the increase
+    would act as a source of mass.
     """
     depth = np.maximum(-domain.distance_and_normal(ghost)[0], 0.0)
     if discretization.wall_continuity != "adjoint":
@@ -57,7 +60,7 @@ def ghost_depths(domain: Domain, ghost: Array, discretization: Discretization) -
 
 
 class GhostParticles:
-    """The ghosts of a scene's walls, ready to take their fields from the fluid beside them."""
+    """The ghosts of a scene's walls, which take their fields from the fluid beside them."""
 
     def __init__(
         self, walls: Walls, domain: Domain, fluid: Fluid, discretization: Discretization
@@ -74,11 +77,11 @@ class GhostParticles:
         self._mass = fluid.reference_density * spacing**2
         self._position = np.ascontiguousarray(walls.position.T)
         self._inverse_length = 1.0 / discretization.smoothing_length
-        # Walls that follow no axis are as corners are: normal to both.
+        # Walls not parallel to the axes are treated like corners: normal to both axes.
         normal = np.ones_like(walls.position) if walls.normal is None else walls.normal
         self._normal = np.ascontiguousarray(normal.T)
         self._into_fluid = domain.distance_and_normal(walls.position)[1].T
-        # Fluid may have left the box along a periodic axis since it was last wrapped.
+        # Fluid may have left the box along a periodic axis since the last wrap.
         margin = discretization.support_radius + 2.0 * MOVE_RATIO * spacing
         self._near = sort_sources(self._position, domain, margin, spacing)
         self._full_weights = (
@@ -86,7 +89,7 @@ class GhostParticles:
         )
 
     def _weights_beside_all(self, domain: Domain) -> Array:
-        """Return the sum of the kernel (n_ghosts,) [1/m2] where fluid fills the whole domain."""
+        """Return the sums of the kernel (n_ghosts,) [1/m2] if fluid filled the whole domain."""
         spacing, reach = self.discretization.particle_spacing, self.discretization.support_radius
         lattice = np.ascontiguousarray(domain.fill(spacing).T)
         near = sort_sources(lattice, domain, reach, spacing)
@@ -97,21 +100,27 @@ class GhostParticles:
         ghost_fields.ghost_means(self._position, source, *search, means)
         return means[3]
 
-    def _below_surface(self, weights: Array) -> Array | float:
-        """Return the share (n_ghosts,) of ghosts' cells that is below the free surface.
+    def _below_surface(self, weights: Array, depth: Array) -> Array:
+        """Return the share (n_ghosts,) of each ghost's cell that is below the free surface.
 
-        The share of the kernel's sum rises through it by SHARE_SLOPE over a smoothing length.
+        Across the surface, the share of the kernel's sum grows by SHARE_SLOPE per smoothing length.
+        Where fluid is thin, as at a front on the floor, the sum is small, although ghosts are below
+        the fluid.
+
+        Parameters
+        ----------
+        depth : (n_ghosts,) of ghosts below the fluid beside them, along the body force, in rows.
         """
-        if self._full_weights is None:
-            return 1.0
+        assert self._full_weights is not None
         share = np.zeros_like(weights)
         np.divide(weights, self._full_weights, out=share, where=self._full_weights > 0.0)
         rows = self.discretization.smoothing_length / self.discretization.particle_spacing
-        return np.clip(0.5 + (share - 0.5) * rows / SHARE_SLOPE, 0.0, 1.0)
+        beside = np.clip(0.5 + (share - 0.5) * rows / SHARE_SLOPE, 0.0, 1.0)
+        return np.maximum(beside, np.clip(np.minimum(depth, share / THIN_SHARE), 0.0, 1.0))
 
     @property
     def search(self) -> Search:
-        """What sweeps search ghosts with."""
+        """The arguments with which sweeps search ghosts."""
         reach = self.discretization.support_radius
         return self._near.grid, self._near.cell_start, reach, self._inverse_length
 
@@ -123,28 +132,35 @@ class GhostParticles:
         body_force: Array | None,
         wall_speed: float = 1.0,
     ) -> WallTerms:
-        """Return the ghosts beside some fluid, with the fields that it gives them (Eq. 2.15-2.16).
+        """Return the ghosts beside some fluid, with fields derived from it (Eq. 2.15-2.16).
 
         Parameters
         ----------
-        sources, source : the fluid's, and their fields, laid out as in `sphrom.kernels.sweeps`.
-        reach : how far to search the fluid [m].
+        sources, source : of the fluid, with fields laid out as in `sphrom.kernels.sweeps`.
+        reach : search radius for the fluid [m].
         body_force : (2, n_particles) [m/s2], or None.
-        wall_speed : of the walls, over the velocity that they were given.
+        wall_speed : factor of the walls' velocity.
         """
         search = (sources.grid, sources.cell_start, reach, self._inverse_length)
         means = np.empty((5, self._position.shape[1]))
         ghost_fields.ghost_means(self._position, source, *search, means)
         fluctuation, velocity, weights, flux = means[0], means[1:3], means[3], means[4]
+        share: Array | float = 1.0
         if body_force is not None:
             density = self.fluid.reference_density + source[wall_sweeps.DENSITY]
             force = density * body_force[:, sources.particle]
             head = np.empty_like(fluctuation)
             ghost_fields.ghost_heads(self._position, source, force, weights, *search, head)
-            fluctuation = fluctuation + fluctuation_of(head, self.fluid.sound_speed)
-        volume = volume_of(fluctuation, self.fluid.reference_density, self._mass)
-        if self._full_weights is not None:
-            volume = volume * self._below_surface(weights)
+            own, fluctuation = (
+                fluctuation,
+                fluctuation + fluctuation_of(head, self.fluid.sound_speed),
+            )
+            if self._full_weights is not None:
+                row = self.discretization.particle_spacing * np.hypot(*force).max(initial=0.0)
+                share = self._below_surface(weights, head / max(row, TINY))
+                # What falls has no such head, which would pull it to the wall.
+                fluctuation = np.maximum(fluctuation, np.minimum(own, 0.0))
+        volume = share * volume_of(fluctuation, self.fluid.reference_density, self._mass)
         fields = np.zeros((wall_sweeps.N_GHOST_ROWS, fluctuation.size))
         fields[:2] = self._position
         fields[wall_sweeps.DENSITY] = fluctuation
@@ -161,7 +177,7 @@ class GhostParticles:
         return WallTerms(self, sources, source, fields, weights, search)
 
     def _velocity(self, mean: Array, wall_speed: float) -> Array:
-        """Return the ghosts' velocity (2, n_ghosts) from the fluid's interpolated one [m/s]."""
+        """Return the ghosts' velocity (2, n_ghosts), given the fluid's interpolated one [m/s]."""
         wall = wall_speed * self.walls.velocity.T
         if self.discretization.no_slip == "linear":
             return wall
@@ -173,14 +189,14 @@ class GhostParticles:
                     mean - 2.0 * np.sum((mean - wall) * self._into_fluid, axis=0) * self._into_fluid
                 )
             return mean - 2.0 * self._normal * (mean - wall)
-        # As printed: walls at rest turn the tangential part round, moving ones keep their speed.
+        # As printed: walls at rest reverse the tangential part, moving ones keep their speed.
         corner = self._normal.all(axis=0)
         mirrored = np.where(corner, -mean, (2.0 * self._normal - 1.0) * mean)
         moves = np.any(self.walls.velocity.T != 0.0, axis=0)
         return np.where(moves, wall, mirrored)
 
     def gathered(self, fields: Array) -> Array:
-        """Return fields (n_fields, n_ghosts) as sources, periodic images among them."""
+        """Return fields (n_fields, n_ghosts) as sources, including periodic images."""
         near = self._near
         source = np.empty((len(fields), near.particle.size))
         gather(near.particle, near.image, fields, X, source)
@@ -188,7 +204,7 @@ class GhostParticles:
 
 
 class WallTerms:
-    """What the ghosts beside some fluid add to its sums, at the particles that feel them."""
+    """The contributions of ghosts to the sums of particles near walls."""
 
     def __init__(
         self,
@@ -214,19 +230,19 @@ class WallTerms:
 
     @property
     def _pairs(self) -> tuple[Indices, Indices, Array, Array, Array, *Search]:
-        """What sweeps over pairs of the particles that feel walls with ghosts take first."""
+        """The first arguments of sweeps over pairs of ghosts and particles near walls."""
         fluid = self._particle, self._near, self._source
         return *fluid, self._distance, self._ghost, *self._ghosts.search
 
     def regularity(self, constants: RegularityConstants) -> Array:
-        """Return the sums (6, n_particles) over ghosts that `sweeps.regularity` adds to its own."""
+        """Return the sums (6, n_particles) over ghosts that `sweeps.regularity` includes."""
         out = np.zeros((6, self._n_particles))
         walls_return = float(self._ghosts.walls_return)
         wall_sweeps.wall_regularity(*self._pairs, walls_return, constants, out)
         return out
 
     def damp(self, pressure: Array) -> None:
-        """Give ghosts the damper's pressure, from the fluid's sources with it (n_sources,)."""
+        """Set the damper's pressure of ghosts, given that of the fluid's sources (n_sources,)."""
         fields = self._fields
         ghost_fields.ghost_damping(
             fields[:2],
@@ -239,23 +255,25 @@ class WallTerms:
         self._ghost = self._ghosts.gathered(fields)
 
     def hold_back(self, shifting_velocity: Array, against: float = 1.0) -> None:
-        """Change shifting velocities (2, n_particles), so that no particle passes a wall.
+        """Limit shifting velocities (2, n_particles), so that no particle crosses a wall.
 
         With `against` = 0, only so that none pushes into a wall.
         """
         search, spacing = self._ghosts.search_walls, self._ghosts.discretization.particle_spacing
         limits = CLOSEST * spacing, TOUCHING * spacing, FELT * spacing
+        if not self._ghosts.discretization.shifting:
+            limits = 0.5 * CLOSEST * spacing, CLOSEST * spacing, FELT * spacing
         fluid = self._particle, self._near, self._source
         search.kernels.hold_back(*fluid, *search.lists, *limits, against, shifting_velocity)
 
     def add_rates(self, fluid: FluidConstants, regular: Array, out: Array) -> None:
-        """Add the ghosts' part to the acceleration (2, n_particles)."""
+        """Add the ghosts' contribution to the acceleration (2, n_particles)."""
         wall_sweeps.wall_rates(*self._pairs, regular, fluid, out)
 
     def forces(self, fluid: FluidConstants) -> Array:
-        """Return the pressure's and the viscous force on each ghost (2, 2, n_ghosts) [N/m].
+        """Return the pressure and the viscous force on each ghost (2, 2, n_ghosts) [N/m].
 
-        `self._source` has the pressure and the Laplacian's factor by now.
+        `self._source` must contain the pressure and the Laplacian's factor.
         """
         distance = np.empty(self._n_particles)
         distance[self._particle[self._targets]] = self._from_wall
@@ -266,7 +284,7 @@ class WallTerms:
         return out.reshape(2, 2, -1)
 
     def add_transport(self, out: Array) -> None:
-        """Add the ghosts' part to the advection (3, n_particles) of Eq. 3.5-3.6."""
+        """Add the ghosts' contribution to the advection (3, n_particles) of Eq. 3.5-3.6."""
         part, depth = np.zeros_like(out), self._ghost[wall_sweeps.DEPTH]
         advection.transport(*self._pairs, depth, self._ghosts.fluid.reference_density, part)
         out += part

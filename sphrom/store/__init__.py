@@ -1,4 +1,4 @@
-"""The artifacts of one case: which there are, whether they are valid, what numerics need of them.
+"""The artifacts of one case: paths, dependencies, validity, and reading for the numerics.
 
-How a file of any case is written and read is for `sphrom.artifacts`.
+`sphrom.artifacts` writes and reads the files of any case.
 """

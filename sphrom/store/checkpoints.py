@@ -1,10 +1,10 @@
-"""Checkpoints of runs: when one is kept, its files, and their use after a run was stopped.
+"""Checkpoints of runs: when they are written, their files, and their use after a run was stopped.
 
-Beside the artifact in the making, `NAME.part-1`, `NAME.part-2`, ... hold the snapshots that are
-done, each file those since the one before, and `NAME.checkpoint` holds the state and says which
-parts belong to it. Parts never change once they are written, and come before the state that counts
-on them, which replaces the one before as a whole: whenever a process is killed, the state is whole,
-and so are its parts.
+Beside the unfinished artifact, `NAME.part-1`, `NAME.part-2`, ... hold the finished snapshots, each
+file those since the one before. `NAME.checkpoint` holds the state and the number of parts that
+belong to it. Parts never change once they are written, and are written before the state that refers
+to them, which replaces the previous state as a whole. So whenever a process is killed, the state
+and its parts are complete.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from sphrom.store.workspace import Target, Workspace
 from sphrom.version import __version__
 
 LARGEST_SHARE = 0.015
-"""Of a run's time that goes into checkpoints: where writing takes long they are farther apart."""
+"""Largest share of a run's time for checkpoints: if writing is slow, they are farther apart."""
 
 
 @lru_cache(maxsize=1)
 def computes_with() -> Mapping[str, str]:
-    """Return what the last bits of a run depend on besides its case, by name."""
-    # Runs that leave checkpoints have loaded the kernels, which takes others long.
+    """Return the software and hardware on which the last bits of a run depend, by name."""
+    # Runs with checkpoints have imported the kernels anyway, which takes long.
     from sphrom.kernels.jit import compiled_with
 
     digest = hashlib.sha256()
@@ -49,9 +49,9 @@ def computes_with() -> Mapping[str, str]:
 
 @dataclass(frozen=True)
 class _Book:
-    """The last checkpoint of a run, and the snapshots that no checkpoint has yet.
+    """The last checkpoint of a run, and the snapshots since then.
 
-    One record, replaced as a whole: an interrupt finds it consistent.
+    It is one record that is replaced as a whole, so that an interrupt finds it consistent.
     """
 
     step: int = -1
@@ -60,19 +60,19 @@ class _Book:
 
 
 class Checkpoints:
-    """The checkpoints of one run, made while its artifact is written and so locked.
+    """The checkpoints of one run; its artifact is being written, and is therefore locked.
 
     Attributes
     ----------
-    begin : where the run goes on from; None where it starts anew.
-    seconds : time that writing them has taken in this process [s].
+    begin : the state to continue from; None if the run starts from the beginning.
+    seconds : time that this process has spent on writing them [s].
     """
 
     def __init__(self, workspace: Workspace, target: Target, artifact: ArtifactWriter) -> None:
-        """Look for files of a stopped run, and go on from them, give them up, or refuse to.
+        """Look for files of a stopped run; continue from them, discard them, or raise an error.
 
-        Raises ArtifactError when a checkpoint is there, but neither `resume` nor `force` is asked
-        for, or it can't be continued.
+        Raises ArtifactError if there is a checkpoint but neither `resume` nor `force` is set, or if
+        it cannot be continued.
         """
         self._workspace, self._target, self._artifact = workspace, target, artifact
         self._context, self._name = workspace.context, target.path.name
@@ -95,29 +95,29 @@ class Checkpoints:
     def progress(
         self, description: str, n_steps: int
     ) -> AbstractContextManager[Callable[[int], None]]:
-        """Show how many of the steps are done that are still to be taken, and the time left."""
+        """Show how many of the remaining steps are done, and the time left."""
         if self.begin is not None:
             description = f"{description}, from step {self.begin.step}"
             n_steps -= self.begin.step
         return self._context.report.progress(description, n_steps)
 
     def snapshots(self) -> Iterator[Item]:
-        """Read back the snapshots that were done before."""
+        """Read the snapshots of the stopped run."""
         for number in range(1, 1 + self._book.n_parts):
             with self._workspace.open_intermediate(self._part(number)) as part:
                 for i in range(part.length("step")):
                     yield {name: part.dataset(name)[i] for name in part.datasets}
 
     def add(self, item: Item) -> None:
-        """Take a snapshot that the next checkpoint has to hold."""
+        """Add a snapshot to the next checkpoint."""
         if self._working:
             self._book.pending.append(item)
             self._pending_bytes += sum(values.nbytes for values in item.values())
 
     def reached(self, run_state: RunState, steps: TimeSteps) -> None:
-        """Take where the run stands, and write a checkpoint if one is due.
+        """Record the state of the run, and write a checkpoint if one is due.
 
-        Raises ArtifactError when somebody has removed what is being written.
+        Raises ArtifactError if the unfinished artifact was removed.
         """
         self._reached = (run_state, steps, len(self._book.pending))
         waited = time.monotonic() - self._since
@@ -130,9 +130,9 @@ class Checkpoints:
 
     @contextmanager
     def kept_if_stopped(self) -> Iterator[None]:
-        """Write a checkpoint when anything ends the block early: an interrupt, a full disk.
+        """Write a checkpoint if anything ends the block early, such as an interrupt or a full disk.
 
-        An unstable run leaves none: it could not go on.
+        An unstable run leaves no new checkpoint.
         """
         try:
             yield
@@ -148,7 +148,7 @@ class Checkpoints:
             raise
 
     def _latest(self) -> Checkpoint:
-        """Return what is there. Raises ArtifactError unless it is whole, with all its parts."""
+        """Return the stored checkpoint. Raises ArtifactError unless it has all its parts."""
         with self._workspace.open_intermediate(self._state) as artifact:
             artifact.verify_content()
             kept = read_record(artifact, Checkpoint)
@@ -170,7 +170,7 @@ class Checkpoints:
         return replace(self._target, path=path.with_name(f"{path.name}.{ending}"), schema=schema)
 
     def _found(self) -> Checkpoint | None:
-        """Return the checkpoint to go on from; None where the run starts anew."""
+        """Return the checkpoint to continue from; None if the run starts from the beginning."""
         if not self._state.path.exists():
             return None
         context, report = self._context, self._context.report
@@ -188,24 +188,24 @@ class Checkpoints:
                 f"{where}; `--force` starts anew"
             )
         if not context.resume:
-            report.warn(f"{self._name}: starts anew; its checkpoint at {where} is given up")
+            report.warn(f"{self._name}: starts anew; its checkpoint at {where} is discarded")
             return None
         if differing := _computed_otherwise(kept):
-            told = f"{self._name}: its checkpoint was computed with {differing}"
+            reason = f"{self._name}: its checkpoint was computed with {differing}"
             if context.bitwise:
-                report.warn(f"{told}; it starts anew")
+                report.warn(f"{reason}; it starts anew")
                 return None
             if not context.force:
                 raise ArtifactError(
-                    f"{told}; going on from it may differ in the last bits from a run that was "
-                    "never stopped: `--resume --force` insists, `--force` alone starts anew"
+                    f"{reason}; if it is continued, the last bits may differ from an uninterrupted "
+                    "run: `--resume --force` continues anyway, `--force` alone starts anew"
                 )
-            report.warn(f"{told}; the last bits may differ from a run that was never stopped")
+            report.warn(f"{reason}; the last bits may differ from an uninterrupted run")
         report.note(f"{self._name}: goes on from its checkpoint at {where}")
         return kept
 
     def _write_or_warn(self) -> None:
-        """Write a checkpoint; a run goes on without where that can't be done."""
+        """Write a checkpoint; if that fails, warn, and let the run continue without it."""
         started = time.monotonic()
         try:
             self._write()
@@ -220,7 +220,7 @@ class Checkpoints:
             self.seconds += self._cost
 
     def _write(self) -> None:
-        """Write the snapshots that wait, then the state, if there is anything new."""
+        """Write the pending snapshots, then the state, if there is anything new."""
         book, reached = self._book, self._reached
         if reached is None or reached[0].step == book.step:
             return
@@ -259,9 +259,9 @@ def integrate(
     advance: Callable[[int], None],
     checkpoints: Checkpoints,
 ) -> UnstableError | None:
-    """Take all steps of a run and write its snapshots; return what ended it early, if anything.
+    """Take all steps of a run and write its snapshots; return the error that ended it, or None.
 
-    A run that was stopped goes on from its checkpoint; one that is stopped leaves one.
+    A run that was stopped continues from its checkpoint; one that is stopped leaves one.
     """
     clock = Clock()
     failure: UnstableError | None = None
@@ -282,7 +282,7 @@ def integrate(
 
 
 def _computed_otherwise(kept: Checkpoint) -> str:
-    """Return, in words, what a checkpoint was computed with that differs here."""
+    """Return, in words, how this software and hardware differ from those of a checkpoint."""
     there = dict(line.partition(": ")[::2] for line in kept.computed_with.splitlines())
     return ", ".join(
         f"{name} {there.get(name, 'unknown')} there, {value} here"
@@ -292,7 +292,7 @@ def _computed_otherwise(kept: Checkpoint) -> str:
 
 
 def _left(target: Target) -> list[Path]:
-    """Return all paths with names of checkpoints or parts, of use or not: states first."""
+    """Return all paths with names of checkpoints or parts, valid or not; states first."""
     folder, name = target.path.parent, escape(target.path.name)
     return [
         path
@@ -303,20 +303,20 @@ def _left(target: Target) -> list[Path]:
 
 
 def _remove(target: Target) -> None:
-    """Remove all files of a checkpoint, those that a killed process was writing too.
+    """Remove all files of a checkpoint, including those that a killed process was writing.
 
-    The state goes first, as it counts on the parts. Raises ArtifactError where a folder has
-    the name of a file: it is not removed.
+    The state goes first, because it refers to the parts. Raises ArtifactError if a folder has the
+    name of a file; it is not removed.
     """
     files = _left(target)
     if folder := next(filter(Path.is_dir, files), None):
-        raise ArtifactError(f"{folder} is a folder where a checkpoint has to be: remove it")
+        raise ArtifactError(f"{folder} is a folder with the name of a checkpoint: remove it")
     for path in files:
         path.unlink(missing_ok=True)
 
 
 def remove_checkpoints(target: Target) -> None:
-    """Remove the checkpoints of an artifact that is there, unless somebody makes it anew."""
+    """Remove the checkpoints of a finished artifact, unless another process is writing it."""
     if _left(target):
         with suppress(ArtifactError), locked(target.path):
             _remove(target)

@@ -1,4 +1,4 @@
-"""Fields of runs at fixed probes: a line and a grid, on which runs are compared, and stations."""
+"""Fields of runs at fixed probes: the line and the grid of comparisons, and stations."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from sphrom.sph.fluid import pressure_of
 from sphrom.store.trajectory import snapshot_fields
 
 ON_WALL = 1e-6
-"""Points nearer to a wall than this part of the spacing are on it."""
+"""Points closer to a wall than this share of the spacing are on it."""
 N_INFLOWS = 10
-"""Instants at which the inflow of a run is looked at."""
+"""Number of instants at which the inflow of a run is sampled."""
 LEAST_SHARE = 1e-10
-"""Of a combination of modes that holds nothing of a field."""
+"""Relative size of a combination of modes that contains nothing of a field."""
 
 
 def probes_of(case: Case) -> Probes:
-    """Return where the runs of a case are compared.
+    """Return the probes at which the runs of a case are compared.
 
-    Raises CaseError when no fluid is on the line.
+    Raises CaseError if there is no fluid on the line.
     """
     domain = case.scene.domain
     x = case.plan.probe_line
@@ -43,9 +43,9 @@ def probes_of(case: Case) -> Probes:
     n_columns, n_rows = (max(2, round(case.compare.grid * s / longer)) for s in domain.lengths)
     shape = n_rows, n_columns
     points = grid_points(domain.lower, domain.upper, shape)
-    # A point on a wall, as a grid can have on edges within the box, is of no fluid.
+    # A grid inside the box may have points exactly on walls; they are not in the fluid.
     in_fluid = domain.wall_distance(points) > ON_WALL * case.plan.particle_spacing
-    if (strip := case.plan.strip) is not None:  # what happens in it is not of the flow
+    if (strip := case.plan.strip) is not None:  # the flow in it is artificial
         in_fluid &= ~strip.contains(points.T)
     return Probes(
         line=np.stack((np.full(n_line, float(x)), spread(spans, n_line)), axis=1),
@@ -65,7 +65,7 @@ def sample_run(
 ) -> Samples:
     """Sample the particles of a run at points (n_points, 2) [m], at some or all snapshots.
 
-    A run that became unstable is sampled as far as particles are left near all points.
+    A run that became unstable is sampled as long as there are particles near all points.
     """
     times, sample = trajectory.read("time"), sampler(case, points)
     chosen = range(len(times)) if snapshots is None else snapshots
@@ -84,7 +84,7 @@ def sample_run(
 
 
 def described_inflow(case: Case, point: ParameterPoint, trajectory: Artifact) -> str | None:
-    """Return the inflow that was wanted and that a run's later half has, in words; or None."""
+    """Return the target inflow and that of a run's later half, in words; None without a strip."""
     strip, force = case.plan.strip, case.plan.flow(point).body_force
     if strip is None or force is None:
         return None
@@ -97,22 +97,22 @@ def described_inflow(case: Case, point: ParameterPoint, trajectory: Artifact) ->
     width = domain.lengths[across] * len(points) / n_places  # solids may cross the strip
     times = trajectory.read("time")
     chosen = np.unique(np.linspace(len(times) // 2, len(times) - 1, N_INFLOWS).astype(int))
-    found = sample_run(case, trajectory, points, snapshots=chosen.tolist())
+    sampled = sample_run(case, trajectory, points, snapshots=chosen.tolist())
     inside = points.copy()
     inside[:, strip.axis] = 0.5 * (strip.start + strip.end)
     profile = (force.field(inside.T) / strip.rates(inside.T)).T
-    wanted = np.array([force.amplitude(t) for t in found.time])[:, None, None] * profile
-    flows = [width * v[..., strip.axis].mean() for v in (wanted, found.velocity)]
-    off = np.linalg.norm(found.velocity.mean(axis=0) - wanted.mean(axis=0), axis=1)
+    wanted = np.array([force.amplitude(t) for t in sampled.time])[:, None, None] * profile
+    flows = [width * v[..., strip.axis].mean() for v in (wanted, sampled.velocity)]
+    off = np.linalg.norm(sampled.velocity.mean(axis=0) - wanted.mean(axis=0), axis=1)
     return (
-        f"{point.label}: inflow of {flows[0]:.4g} m2/s wanted, {flows[1]:.4g} found "
-        f"({100.0 * (flows[1] / flows[0] - 1.0):+.2f} %); its profile is off by "
+        f"{point.label}: target inflow {flows[0]:.4g} m2/s, actual inflow {flows[1]:.4g} m2/s "
+        f"({100.0 * (flows[1] / flows[0] - 1.0):+.2f} %); the profile differs by "
         f"{100.0 * math.sqrt(np.mean(off**2)) / abs(strip.speed):.2g} % of its largest speed"
     )
 
 
 def sample_mapped(case: Case, mapped: Artifact, sample: ReferenceMap) -> Samples:
-    """Sample mapped snapshots: what the map alone costs."""
+    """Sample mapped snapshots; they contain only the error of the map."""
     position = mapped.read("reference_position")
     snapshots = zip(mapped.dataset("density_fluctuation"), mapped.dataset("velocity"), strict=True)
     fields = [sample(position, density, velocity) for density, velocity in snapshots]
@@ -123,10 +123,10 @@ def sample_mapped(case: Case, mapped: Artifact, sample: ReferenceMap) -> Samples
 def sample_best(
     case: Case, mapped: Artifact, basis: TrialBasis, splines: ModeSplines, probes: Probes
 ) -> tuple[Samples, Samples]:
-    """Sample what in a basis is nearest to mapped snapshots: in both fields, and in each alone.
+    """Sample the best approximations of mapped snapshots in a basis: of states, and of each field.
 
-    The first are states, by projection in the basis's inner product. Of the others each field has
-    coordinates of its own, so that no state with these modes is nearer in either.
+    The first result is the projection of states in the inner product of the basis. In the second
+    each field has coordinates of its own, so no state with these modes is closer in either field.
     """
     densities, velocities = mapped.dataset("density_fluctuation"), mapped.dataset("velocity")
     snapshots = zip(densities, velocities, strict=True)
@@ -153,9 +153,9 @@ def expand(
     coordinates: Array,
     mean_density: Array,
 ) -> Samples:
-    """Sample the states of coordinates (n_snapshots, n_modes) at points by the modes' splines.
+    """Sample the states with coordinates (n_snapshots, n_modes) at points by the modes' splines.
 
-    `mean_density` (n_snapshots,) [kg/m3] is what the basis has carried apart, else zero.
+    `mean_density` (n_snapshots,) [kg/m3] is the separate mean of a basis that has one, else zero.
     """
     values = splines.values(points).reshape(len(points), -1, 3)
     fields = np.tensordot(coordinates, values, (1, 1))

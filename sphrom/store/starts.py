@@ -1,6 +1,6 @@
 """Starts of runs (packed particles, the scene's fields, or the end of a spin-up), and their maps.
 
-The map loads the kernels of SPH, which runs from stored starts don't need.
+The map imports the kernels of SPH, which runs from stored starts do not need.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ Fields = tuple[Array, Array]
 
 
 def initial_positions(workspace: Workspace, values: Factors = NONE) -> Array:
-    """Return where particles start (n_particles, 2) [m], at values of the scene's parameters.
+    """Return the start positions (n_particles, 2) [m] for values of the scene's parameters.
 
-    Raises ArtifactError when they have to be packed first.
+    Raises ArtifactError if they have to be packed first.
     """
     case = workspace.case
     if not case.plan.packed:
@@ -33,9 +33,9 @@ def initial_positions(workspace: Workspace, values: Factors = NONE) -> Array:
 
 
 def start(workspace: Workspace, point: ParameterPoint) -> Start:
-    """Return the start of the recorded part of a run: the scene's state, or the spin-up's end.
+    """Return the start of the recorded part of a run: the scene's state or the end of the spin-up.
 
-    Raises ArtifactError when the spin-up, or the packed particles, have to be made first.
+    Raises ArtifactError if the spin-up, or the packed particles, have to be made first.
     """
     if workspace.case.time.spin_up == 0.0:
         return scene_start(workspace, point)
@@ -44,7 +44,7 @@ def start(workspace: Workspace, point: ParameterPoint) -> Start:
 
 
 def scene_start(workspace: Workspace, point: ParameterPoint) -> Start:
-    """Return the scene's state, from which a spin-up or a run without one starts."""
+    """Return the scene's initial state, from which a spin-up or a run without one starts."""
     position = initial_positions(workspace, point.factors)
     plan, flow = workspace.case.plan, workspace.case.plan.flow(point)
     density = fluctuation_of(flow.initial_pressure(position), plan.sound_speed)
@@ -53,7 +53,7 @@ def scene_start(workspace: Workspace, point: ParameterPoint) -> Start:
 
 
 def starts_record(workspace: Workspace) -> Starts:
-    """Map the starts of the training runs; where the scene is the start of all, that of one."""
+    """Map the starts of the training runs; without a spin-up they are alike, and one is mapped."""
     case, mapped = workspace.case, MappedStarts(workspace)
     points = case.plan.train_points if case.time.spin_up > 0.0 else case.plan.train_points[:1]
     fields = [mapped.at(point) for point in points]
@@ -65,14 +65,14 @@ def starts_record(workspace: Workspace) -> Starts:
 
 
 class MappedStarts:
-    """Starts of runs, mapped onto the reference points, and kept while they stay the same.
+    """Starts of runs, mapped onto the reference points, and cached while they stay the same.
 
-    No start depends on the viscosity. Those of points with the same other parameters that the scene
-    starts by are alike; with a spin-up each has its own.
+    No start depends on the viscosity. Without a spin-up, points have the same start if they agree
+    in the parameters on which the scene's initial state depends.
     """
 
     def __init__(self, workspace: Workspace, operators: Artifact | None = None) -> None:
-        """Use the starts that an artifact of operators holds, if one is given and has any."""
+        """Use the starts stored in an artifact of operators, if one is given and has any."""
         self._workspace = workspace
         self._points = read_points(workspace)
         self._stored = None
@@ -90,7 +90,7 @@ class MappedStarts:
         return self._latest[1]
 
     def _key(self, begin: ParameterPoint) -> object:
-        """Return what starts differ by: the values that the scene's depends on, or all."""
+        """Return the values that a start depends on: all, or those of the scene's initial state."""
         if self._workspace.case.time.spin_up > 0.0:
             return begin
         return tuple(begin.factors[name] for name in self._names)
@@ -99,8 +99,8 @@ class MappedStarts:
         plan, stored = self._workspace.case.plan, self._stored
         if stored is not None:
             for k, values in enumerate(stored.parameters.tolist()):
-                known = plan.point(dict(zip(plan.parameter_names, values, strict=True)))
-                if self._key(known) == self._key(begin):
+                trained = plan.point(dict(zip(plan.parameter_names, values, strict=True)))
+                if self._key(trained) == self._key(begin):
                     return stored.density_fluctuation[k], stored.velocity[k]
         from sphrom.setup.particles import map_onto
 

@@ -1,9 +1,9 @@
-"""Reduced models in their artifacts: bases, splines of modes, operators, training runs projected.
+"""Reduced models in their artifacts: bases, splines of modes, operators, projected training runs.
 
-Modes are orthonormal, so that the coordinates of fewer modes are the first of those that are kept,
-and a model of any size is calibrated when it is built. The closure of Eq. 3.22 is stored by the
-number of modes: the residual that it is made of is what projection onto so many modes leaves, and
-those of fewer modes are no part of it.
+Modes are orthonormal, so the coordinates in fewer modes are the first of those that are stored, and
+a model of any size is calibrated when it is built. The closure of Eq. 3.22 is stored for each
+number of modes: it contains the residual of the projection onto these modes, which cannot be
+derived from that of more modes.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from sphrom.store.trajectory import read_by_quantity, totals
 from sphrom.store.workspace import Workspace
 
 N_BLOCK_SNAPSHOTS = 16
-"""Snapshots that are projected at once."""
+"""Number of snapshots that are projected at once."""
 
 
 def read_points(workspace: Workspace) -> Array:
@@ -60,7 +60,7 @@ def mapped_runs(
 ) -> Iterator[tuple[ParameterPoint, h5py.Dataset, h5py.Dataset]]:
     """Yield the training points of a basis, with their mapped density fluctuations and velocities.
 
-    These are open until the next one is asked for.
+    The datasets are open until the next ones are requested.
     """
     for point in workspace.case.plan.bases[name]:
         with workspace.open(workspace.mapped(point)) as mapped:
@@ -71,7 +71,7 @@ def read_splines(workspace: Workspace, name: str) -> ModeSplines:
     """Read the splines of one basis."""
     domain, group = workspace.case.scene.domain, f"bases/{name}"
     with workspace.open(workspace.splines()) as artifact:
-        # Kernels of splines take long to load, and few runs need them.
+        # Kernels of splines take long to import, and few runs need them.
         if workspace.case.plan.lattice_splines:
             from sphrom.reduction.lattice_splines import LatticeSplines
 
@@ -95,7 +95,7 @@ def read_modes(workspace: Workspace, name: str, n_modes: int) -> tuple[TrialBasi
 
 
 def training_runs(workspace: Workspace, basis: TrialBasis, name: str) -> Array:
-    """Return all snapshots that a basis learnt from (n_runs, n_snapshots, n_modes), projected."""
+    """Return the projected training snapshots of a basis (n_runs, n_snapshots, n_modes)."""
     runs = []
     for _, densities, velocities in mapped_runs(workspace, name):
         firsts = range(0, len(densities), N_BLOCK_SNAPSHOTS)
@@ -110,25 +110,25 @@ def calibrated(
 ) -> Calibration:
     """Calibrate operators with training runs (n_runs, n_snapshots, n_modes) at some points.
 
-    Raises ValueError when they have too few snapshots.
+    Raises ValueError if they have too few snapshots.
     """
-    times, known = snapshot_times(case), []
+    times, trained = snapshot_times(case), []
     for point, coordinates in zip(points, runs, strict=True):
         viscosity = case.plan.kinematic_viscosity(point)
         amplitude = assembly.amplitude_of(case, point)
         rates = operators.at(viscosity, factors=point.factors)
         driven = None if amplitude is None else amplitude(times)
-        known.append(TrainingRun(rates, coordinates, viscosity, driven, point.factors))
+        trained.append(TrainingRun(rates, coordinates, viscosity, driven, point.factors))
     interval = case.plan.steps.snapshot_interval
-    return calibrate(known, interval, case.plan.longest_sound_period)
+    return calibrate(trained, interval, case.plan.longest_sound_period)
 
 
 def cycle_closure(
     case: Case, points: Sequence[ParameterPoint], operators: ReducedOperators, runs: Array
 ) -> CycleClosure:
-    """Return the closure by the limit cycles of training runs, as `calibrated` takes them.
+    """Return the closure by the limit cycles of training runs; see `calibrated` for arguments.
 
-    Raises ValueError, which names the run, where one is not periodic.
+    Raises ValueError that names the run if one is not periodic.
     """
     times, cycles, amplitude = snapshot_times(case), [], assembly.amplitude_of(case, points[0])
     for point, run in zip(points, runs, strict=True):
@@ -158,9 +158,9 @@ def read_operators(artifact: Artifact, name: str) -> ReducedOperators:
 def read_wall_force(
     artifact: Artifact, basis: str, name: str, modes: NDArray[np.int64]
 ) -> tuple[ReducedForce, Array]:
-    """Read the force of a measurement, in the coordinates of some modes of a basis.
+    """Read the force of a measurement, as a function of the coordinates of some modes of a basis.
 
-    Returns the loads (n_runs, n_snapshots, 2, 3) [N/m, N] that training runs recorded, too.
+    Return also the recorded loads (n_runs, n_snapshots, 2, 3) [N/m, N] of the training runs.
     """
     group = f"bases/{basis}/wall_force/{name}"
     force = read_record(artifact, ReducedForce, group).of_modes(modes)
@@ -168,31 +168,35 @@ def read_wall_force(
 
 
 def read_recorded(case: Case, artifact: Artifact, basis: str) -> dict[str, Quantities]:
-    """Read what the full runs that a basis learnt from measured (n_runs, n_snapshots, ...)."""
-    group, found = f"bases/{basis}", {}
+    """Read the measurements (n_runs, n_snapshots, ...) of a basis's full training runs."""
+    group, recorded = f"bases/{basis}", {}
     for name, section in case.scene.recorded.items():
         if section.force_on is not None:
-            found[name] = totals(artifact.read(f"{group}/wall_force/{name}/training_loads"))
+            recorded[name] = totals(artifact.read(f"{group}/wall_force/{name}/training_loads"))
         else:
-            found[name] = read_by_quantity(artifact, f"{group}/measure/{name}/training_")
-    return found
+            recorded[name] = read_by_quantity(artifact, f"{group}/measure/{name}/training_")
+    return recorded
 
 
 def memory_timing(basis: str, n_modes: int) -> str:
-    """Return the attribute that says what the memory operators of a size of basis took."""
+    """Return the attribute with the time spent on the memory operators for a number of modes."""
     return f"timing/memory-{basis}-{n_modes}"
 
 
 def basis_used(
     workspace: Workspace, model: ReducedModelSection, point: ParameterPoint
 ) -> tuple[str, int]:
-    """Return the basis that a model uses at a point, and how many of its modes."""
+    """Return the name of the basis that a model uses at a point, and the number of its modes."""
     name = workspace.case.plan.basis_for(model, point)
     return name, sized_in(workspace, model, name).size
 
 
 def sized_in(workspace: Workspace, model: ReducedModelSection, name: str) -> ReducedModelSection:
-    """Return a model with its number of modes in a basis, where training runs chose it."""
+    """Return a model with its number of modes in a basis, chosen by training runs if automatic."""
+    if workspace.case.scene.has_surface:
+        from sphrom.store.surfaces import trained_surface  # it loads kernels
+
+        return trained_surface(workspace, model).section
     if model.n_modes != AUTO:
         return model
     with workspace.open(workspace.operators()) as artifact:

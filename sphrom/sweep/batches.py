@@ -29,6 +29,7 @@ from sphrom.offline import fom
 from sphrom.online import rom
 from sphrom.online.fast_model import FastRun, fast_model
 from sphrom.online.sensitivities import tangents
+from sphrom.online.surface_model import SurfaceRun
 from sphrom.store.checkpoints import remove_checkpoints
 from sphrom.store.trajectory import field_datasets, measured_of
 from sphrom.store.workspace import Target, Workspace
@@ -141,7 +142,7 @@ class SweptModel:
         remove_checkpoints(target)
         return RunRecord(point, COMPLETE, values=values)
 
-    def _of_fast(self, run: FastRun) -> RunRecord:
+    def _of_fast(self, run: FastRun | SurfaceRun) -> RunRecord:
         """Return the record of a run of a model from operators."""
         if run.failure is not None:
             return RunRecord(run.point, UNSTABLE, str(run.failure))
@@ -156,8 +157,9 @@ class SweptModel:
                 f"{ERROR}pressure_over_time": found.pressure,
             }
         values |= _kept(run.measured)
-        derivatives = _derivatives(run) if self.workspace.case.sweep.sensitivities else {}
-        if derivatives:
+        derivatives: dict[str, float] = {}
+        if isinstance(run, FastRun) and self.workspace.case.sweep.sensitivities:
+            derivatives = _derivatives(run)
             values["derivatives"] = np.array([*derivatives.values()])
         return RunRecord(run.point, COMPLETE, "", values, tuple(derivatives))
 

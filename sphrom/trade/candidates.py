@@ -74,7 +74,9 @@ def candidates(
     if (largest := max(listed or (0,))) > available:
         raise CaseError(f"trade.n_modes: the basis {basis} has {available} modes; got {largest}")
     ends = {"galerkin": available}
-    if not case.plan.driving:  # The closure has operators for the viscosity alone.
+    if not (
+        case.plan.driving or case.scene.has_surface
+    ):  # The closure has operators for the viscosity alone.
         own = also if first.projection == "apg" else ()
         ends["apg"] = min(available, max((MOST_CLOSED_MODES, *own)))
     for projection, end in ends.items():
@@ -97,12 +99,14 @@ def prepared(context: StageContext, models: Sequence[ReducedModelSection]) -> Wo
     Raises ArtifactError when artifacts of the case are missing.
     """
     own, workspace = context.case, Workspace(context)
-    for target in (workspace.basis(), workspace.splines()):
-        workspace.require(target)
+    workspace.require(workspace.basis())
+    if not own.scene.has_surface:
+        workspace.require(workspace.splines())
     wider = replace(context, case=own.model_copy(update={"rom": (*own.rom, *models)}))
-    parts = ("reference_bases", "memory_models", "corrected_bases")
+    parts = ("reference_bases", "memory_models", "corrected_bases", "surface_sizes")
+    kinds = "operators", "surface-operators"
     if any(getattr(wider.case.plan, part) != getattr(own.plan, part) for part in parts):
-        wider = replace(wider, folders={"operators": context.out / FOLDER})
+        wider = replace(wider, folders=dict.fromkeys(kinds, context.out / FOLDER))
         operators.run(_own_context(wider))
     workspace = Workspace(wider)
     workspace.require(workspace.operators())

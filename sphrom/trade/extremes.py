@@ -31,7 +31,7 @@ from sphrom.metrics.samples import Samples
 from sphrom.offline import fit_psi, fom, operators, pod
 from sphrom.offline import map as mapping
 from sphrom.online.basis_model import BasisModel
-from sphrom.online.fast_model import FastModel, FastRun, fast_model
+from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.online.particle_runs import build_model, close, doubts_of_step
 from sphrom.online.stable_ranges import MEMORY, STEP, TIME
 from sphrom.reduction.particle_model import reduced_jacobian
@@ -160,6 +160,8 @@ class Maps:
 
     def __init__(self, context: StageContext, quick: bool) -> None:
         case = context.case
+        if case.scene.has_surface:
+            raise CaseError("--extremes: maps no models of a free surface")
         basis = global_basis(case)
         own = sized_in(Workspace(context), first_model(case), basis)
         self.factors, self.quick = QUICK if quick else FACTORS, quick
@@ -170,7 +172,7 @@ class Maps:
         self.workspace = prepared(context, sections)
         self.case, self.grid = case, probes_of(case).grid
         self.trained = case.plan.bases[basis]
-        self.models = [fast_model(self.workspace, section) for section in sections]
+        self.models = [FastModel(self.workspace, section) for section in sections]
         self._galerkin = [each for each in sections if each.projection == "galerkin"]
         self._truths: dict[tuple[ParameterPoint, float, bool], Truth | None] = {}
         self._points: dict[str, ParameterPoint] = {}
@@ -222,7 +224,7 @@ class Maps:
             with_memory = {}
             for factor in (1.0, 2.0, *self.factors[MEMORY]):
                 length = {"memory_length": factor * automatic}
-                with_memory[factor] = fast_model(
+                with_memory[factor] = FastModel(
                     self.workspace, model.section.model_copy(update=length)
                 )
             longest = longest_memory(*(with_memory[factor].at(self.point) for factor in (1.0, 2.0)))
@@ -296,7 +298,7 @@ class Maps:
             point = case.plan.point(at | {REYNOLDS: value})
             truth = self._truth(point)
             for model in own.case.rom:
-                yield self._fast(fast_model(own, model), ONE_RUN, value, point, truth)
+                yield self._fast(FastModel(own, model), ONE_RUN, value, point, truth)
 
     def _full_models(self) -> Iterator[ExtremeRun]:
         """Yield the runs of varied full models, and of the models that learn from them."""
@@ -315,7 +317,7 @@ class Maps:
             if (beside := own if varied == RESOLUTION else coarse or own) is not None:
                 yield _compared(found, truth.samples, beside.samples)
             for model in made.case.rom:
-                yield self._fast(fast_model(made, model), varied, value, self.point, truth)
+                yield self._fast(FastModel(made, model), varied, value, self.point, truth)
 
     # Full runs to compare with
 
@@ -446,7 +448,7 @@ class Maps:
             values, vectors = np.linalg.eig(jacobian[: section.size, : section.size])
             limits = stability_limits(values.astype(np.complex128))
             worst = int(limits.argmin())
-            basis = fast_model(self.workspace, section).at_point(self.point).basis
+            basis = FastModel(self.workspace, section).at_point(self.point).basis
             found.mechanism = kind_of(basis, values[worst], vectors[:, worst])
             found.predicted = float(limits[worst]) / plan.time_step
             yield self._marched(found, model, state, truth, factor)

@@ -368,7 +368,7 @@ def publish(
     if (own_run := _default_of(runs, default)).errors is not None:
         velocity, pressure = (MOST_ERROR * error for error in own_run.errors)
         report.info(
-            f"right is what is off by at most {format_figure(velocity)} % in velocity and "
+            f"a model is right with errors up to {format_figure(velocity)} % in velocity and "
             f"{format_figure(pressure)} % in pressure, twice the errors of {own_run.model} at "
             f"{own_run.parameters}"
         )

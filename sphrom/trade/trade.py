@@ -21,7 +21,6 @@ from sphrom.compare.costs import (
     N_TIMED_STEPS,
     full_run_timer,
     is_imported,
-    known_seconds,
     largest_step,
     offline_seconds,
     taking_turns,
@@ -29,15 +28,15 @@ from sphrom.compare.costs import (
 from sphrom.errors import CaseError
 from sphrom.metrics.histories import EXACT, Errors, compare, errors_of
 from sphrom.metrics.measures import errors_of as relative_errors
-from sphrom.metrics.measures import mean_square
-from sphrom.metrics.samples import Samples
+from sphrom.metrics.measures import variation
+from sphrom.metrics.samples import Samples, without_weight
 from sphrom.online.error_estimates import measured_errors, measured_shares
-from sphrom.online.fast_model import FastModel, FastRun, fast_model
+from sphrom.online.fast_model import FastModel, fast_model
 from sphrom.online.stable_ranges import TIME, StableRange, stable_ranges
+from sphrom.online.surface_model import SurfaceModel, SurfaceRun
 from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Panel, draw_grid
 from sphrom.plots.tables import UNKNOWN, format_figure, rows_of_columns, write_csv, write_json
-from sphrom.reduction import reference_model
 from sphrom.reduction.polynomial_model import EXPONENTIAL
 from sphrom.setup.assembly import role_of
 from sphrom.setup.context import StageContext
@@ -131,9 +130,9 @@ class _Trade:
         """Run everything, and return the rows of all models, the case's own full run first."""
         first, step = next(iter(self.full)), largest_step(self.case)
         with self.workspace.open(self.workspace.full_run(first)) as artifact:
-            imported, own_seconds = is_imported(artifact), known_seconds(artifact)
-        if not imported:  # Its steps are timed anew, as those of other full runs are.
-            own_seconds = self._full_seconds(self.workspace, step)
+            imported = is_imported(artifact)
+        # Its steps are timed anew, as those of other full runs are: only such times are divided.
+        own_seconds = None if imported else self._full_seconds(self.workspace, step)
         self.full_seconds = own_seconds
         own = ModelRow(
             model="full, as in the case",
@@ -198,11 +197,9 @@ class _Trade:
         )
         return row, runs
 
-    def _fast(self, fast: FastModel, label: str, point: ParameterPoint) -> RunRow:
+    def _fast(self, fast: FastModel | SurfaceModel, label: str, point: ParameterPoint) -> RunRow:
         measure, role = self.measured, role_of(self.case, fast.basis_at(point), point)
-        reduced = fast.at(point)
-        found, seconds = reference_model.automatic(reduced).timed(self.case.trade.repeats)
-        run = FastRun(**vars(found), model=fast, point=point, reduced=reduced)
+        run, seconds = fast.timed(point, self.case.trade.repeats)
         samples = None
         if run.failure is None:
             samples = run.sampled(self.probes.all)
@@ -210,6 +207,8 @@ class _Trade:
                 samples = replace(samples, measured=run.measured[measure])
         row = self._row(point, samples, seconds, model=label, role=role, time_step=run.time_step)
         if measure is None or samples is None or self.oscillating is not None:
+            return row
+        if isinstance(run, SurfaceRun):  # it has no estimates
             return row
         estimate = measured_shares(run, measured_errors(run)).get(measure)
         return replace(row, errors={**row.errors, ESTIMATE: estimate})
@@ -227,7 +226,10 @@ class _Trade:
         )
 
     def _errors(self, point: ParameterPoint, samples: Samples) -> Errors:
-        history = compare(samples, self.full[point], self.probes, self.case.compare.from_time)
+        both = samples, self.full[point]
+        if (weight := self.case.plan.weight_at(point, self.probes.all)) is not None:
+            both = without_weight(*both, weight)
+        history = compare(*both, self.probes, self.case.compare.from_time)
         if not len(history.time):
             raise CaseError(
                 "compare.line_points, compare.grid, compare.from_time: there is no snapshot in "
@@ -244,7 +246,8 @@ class _Trade:
         counted_ones = full.time >= self.case.compare.from_time
         for quantity, reference in full.measured.items():
             values, exact = samples.measured[quantity][counted_ones], reference[counted_ones]
-            errors = relative_errors(quantity, values, exact, mean_square(quantity, exact))
+            size = variation(quantity, exact, with_weight=self.case.scene.has_surface)
+            errors = relative_errors(quantity, values, exact, size)
             name = f"measured_{quantity}_relative_l2"
             found |= zip((name, f"{name}_peak"), errors, strict=True)
         return found

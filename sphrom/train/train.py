@@ -30,7 +30,7 @@ from sphrom.errors import CaseError, UnstableError
 from sphrom.metrics.histories import TIME_TOLERANCE
 from sphrom.offline import fit_psi, fom, operators, pod
 from sphrom.offline import map as map_stage
-from sphrom.online.fast_model import FastRun, fast_model
+from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.reduction.greedy import choose, ending
 from sphrom.reduction.trial_basis import (
     TrialBasis,
@@ -110,6 +110,11 @@ class _Training:
         self._at_once, self._scheduler = workers, scheduler
         self.section = self.case.training
         model = fast_section(self.case, self.section.model)
+        if self.case.scene.has_surface:
+            raise CaseError(
+                "training: needs estimates of errors, which models of a free surface don't have; "
+                "list the runs to train on in parameters.train"
+            )
         if not self.section.ranges or model is None:
             raise CaseError(
                 "training: the case names no region of parameters; give ranges, such as --set "
@@ -284,7 +289,7 @@ class StageModel:
         for stage in (pod, fit_psi, operators):
             stage.run(context)
         self.workspace = Workspace(context)
-        self._points, self._fast = points, fast_model(self.workspace, model)
+        self._points, self._fast = points, FastModel(self.workspace, model)
 
     def estimate(self, point: ParameterPoint) -> Array:
         """Return the estimated errors (2,) of the model at a point, infinite if there are none."""

@@ -149,7 +149,7 @@ def test_texts_that_are_no_outline(refusal, text: str, words: str) -> None:
         ({"constants": {"pi": 3.0}, "body_force": ["pi", 0]}, r"constants\.pi: the name means"),
         (
             {"solids": {"a": {"circle": {"centre": [3, 2], "radius": 1e-9}}}},
-            "solid a: it is so small",
+            "solid a: it is too small",
         ),
     ],
 )

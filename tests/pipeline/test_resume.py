@@ -186,7 +186,7 @@ def test_a_checkpoint_of_another_version_or_processor(
     kept = leftovers(place)
     (line,) = again("full", "--resume", code=3).stderr.splitlines()
     assert f"computed with {name} other there, {computes_with()[name]} here;" in line
-    assert "`--resume --force` insists" in line
+    assert "`--resume --force` continues anyway" in line
     assert leftovers(place) == kept
     insisted = again("full", "--resume", "--force", code=0)
     assert f"{FULL}: goes on from its checkpoint at step 4 of" in insisted.stdout
@@ -290,7 +290,7 @@ def test_a_folder_where_a_checkpoint_has_to_be(place, again, ending, options) ->
     (folder / "kept").write_text("of somebody")
     again("full", code=0)
     (place / FULL).unlink()
-    assert f"error: {folder} is a folder where" in again("full", *options, code=3).stderr
+    assert f"error: {folder} is a folder with the name" in again("full", *options, code=3).stderr
     assert (folder / "kept").read_text() == "of somebody"
 
 

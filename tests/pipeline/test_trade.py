@@ -131,7 +131,7 @@ def test_quick_maps_say_where_models_are_stable_and_right(sphrom, weigh, place, 
     assert (place / "trade" / "extreme-16-reynolds1000-1" / "fom-reynolds1000.h5").exists()
     assert (place / "trade" / "extremes.png").stat().st_size > 10_000
     assert f"{len(rows)} runs: " in words
-    assert "right is what is off by at most" in words
+    assert "a model is right with errors up to" in words
 
     (own,) = of(rows, varied=STEP, value="1.0", n_modes="3", steps="exponential", kind="fast",
                 projection="galerkin")  # fmt: skip

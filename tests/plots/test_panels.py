@@ -12,14 +12,14 @@ import pytest
 from sphrom.errors import ArtifactError
 from sphrom.metrics.samples import grid_points
 from sphrom.plots.canvas import save
-from sphrom.plots.panels import Curve, Field, Frame, Panel, draw_grid
+from sphrom.plots.panels import Curve, Field, Frame, Panel, colour_scale, draw_grid
 
 FRAME = Frame((0.0, 1.0, 0.0, 1.0))
 X = np.linspace(0.0, 1.0, 31)
 SPEED = np.linspace(0.0, 1.0, 144).reshape(12, 12)
 FULL, REDUCED = Field("full", "speed [m/s]", SPEED), Field("apg", "speed [m/s]", 1.1 * SPEED)
 DIFFERENCE = Field("difference", "difference [m/s]", 0.1 * SPEED, difference=True)
-RUNS = [Curve("good", X, 2.0 * X), Curve("gone", X[:15], 1e9 * X[:15], complete=False)]
+RUNS = [Curve("good", X, 2.0 * X), Curve("gone", X[:15], 1e9 * X[:15])]
 PANEL = Panel("errors", "time [s]", "error [%]", RUNS)
 
 
@@ -92,9 +92,19 @@ def test_scattered_points_leave_the_outside_of_the_fluid_empty() -> None:
     assert not empty[int(0.6 * ny) :].any()
 
 
-def test_errors_from_zero_follow_no_run_that_became_unstable() -> None:
-    axes = draw_grid([[replace(PANEL, axes="from zero")]]).axes[0]
-    assert axes.get_ylim() == (0.0, pytest.approx(2.3))
+def test_runs_that_became_unstable_decide_no_scale() -> None:
+    whole, ended = np.linspace(0.0, 1.0, 100), np.linspace(0.0, 2.5, 100)
+    fields = [Field("a", "speed", whole), Field("b", "speed", ended, complete=False)]
+    _, (low, high) = colour_scale(fields)
+    assert (low, high) == pytest.approx((0.0, 1.0), abs=0.02)
+    assert colour_scale(fields[1:])[1][1] > 2.0
+
+
+def test_a_quantity_has_one_colour_map_where_each_picture_has_a_scale() -> None:
+    one = Field("mode 1", "density", np.linspace(0.5, 1.0, 9).reshape(3, 3))
+    rows = [[one, replace(one, values=one.values - 0.7), replace(one, label="speed")]]
+    maps = [axes.images[0].get_cmap().name for axes in draw_grid(rows, FRAME).axes if axes.images]
+    assert maps == ["RdBu_r", "RdBu_r", "viridis"]
 
 
 def test_a_model_looks_alike_beside_others_and_without_them_and_no_data_look_like_one() -> None:

@@ -1,4 +1,4 @@
-"""The phase of a run beside another, as the page of the paper's claims tells it."""
+"""What the page of the paper's claims computes: phases of runs, and costs of models."""
 
 from __future__ import annotations
 
@@ -20,3 +20,12 @@ def test_a_phase_that_drifts_is_followed_beyond_half_a_period(script) -> None:
     assert lead[-1] == pytest.approx(0.8 * (1.0 - 0.5 / 4.6), abs=0.03)
     with pytest.raises(ValueError, match="a period or more"):
         phase_lead(time, reference, reference, 0.5)
+
+
+def test_costs_are_means_over_the_parameters_of_a_model(script) -> None:
+    page = script("paper_page")
+    row = {"model": "fast", "n_modes": 5, **dict.fromkeys(page.COST_COLUMNS, 2.0)}
+    rows = page.cost_rows({"timings": [row, {**row, "speed_up": 4.0}, {**row, "model": "apg"}]})
+    assert [cells[0] for cells in rows] == ["fast", "apg"]
+    assert rows[0][1:] == ["5", "2.00", "2.00", "2.00", "2.00", "3.00", "2.00 to 2.00"]
+    assert len(rows[0]) == len(page.COSTS.split("|"))

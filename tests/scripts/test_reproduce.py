@@ -17,7 +17,8 @@ SCENES = ("taylor_green", "lid_driven_cavity", "open_cavity")
 KINDS = {"share": "space basis modes", "compression": "run reynolds", "error": "run quantity",
          "frequency": "run reynolds", "phase": "run reynolds", "exact": "quantity reynolds",
          "reference": "profile state reynolds", "amplitude": "run quantity time reynolds",
-         "trough": "run quantity time between reynolds"}  # fmt: skip
+         "trough": "run quantity time between reynolds", "seen": "", "reynolds": "length reynolds",
+         "roughness": "run quantity time between reynolds"}  # fmt: skip
 
 
 @pytest.mark.parametrize("scene", SCENES)
@@ -28,6 +29,7 @@ def test_every_claim_can_be_looked_up(scene):
     for claim in yaml.safe_load(claims):
         assert {"where", "what", "paper"} <= claim.keys()
         assert set(KINDS[claim["find"]].split()) <= claim.keys(), claim["what"]
+        assert claim.get("seen", {}).keys() <= {"as printed", "corrected"}
         assert claim.get("basis", "all") in corrected.plan.bases
         assert claim.get("modes", 1) <= corrected.plan.n_modes
         if "run" in claim:

@@ -120,6 +120,21 @@ def test_elevation_is_that_of_the_fluid_on_the_floor() -> None:
     assert [float(found[name]["elevation"]) for name in ("at2", "at4")] == [0.0, 0.0]
 
 
+def test_fields_between_the_surface_and_a_wall_stay_within_those_of_particles() -> None:
+    """Polynomials overshoot in a crest at a wall: by 16 times here."""
+    case = tank({f"at{i}": {"probe": [0.0, LEVEL - i * SPACING / 4]} for i in range(8)})
+    crest = case.scene.domain.fill(SPACING)
+    crest = crest[crest[:, 1] < LEVEL - 1.5 * crest[:, 0]]
+    random = np.random.default_rng(2)
+    velocity, density = random.uniform(-1.0, 1.0, crest.shape), random.uniform(0, 1e-2, len(crest))
+    found = measured(
+        case, crest + random.uniform(-0.2, 0.2, crest.shape) * SPACING, density, velocity
+    )
+    pressure = np.array([each["pressure"] for each in found.values()]) / case.plan.sound_speed**2
+    assert np.abs([each["velocity"] for each in found.values()]).max() <= 1.0
+    assert 0.0 <= pressure.min() < pressure.max() <= 1e-2
+
+
 def test_forces_on_the_walls_of_a_tank_at_rest() -> None:
     case = tank({name: {"force_on": name} for name in ("left", "bottom", "top")})
     point, (position, density, velocity) = case.plan.points[0], at_rest(case)

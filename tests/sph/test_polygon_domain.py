@@ -206,8 +206,8 @@ def test_packed_beside_walls_kernels_are_complete(
 @pytest.mark.parametrize(
     ("solids", "message"),
     [
-        ([("a", shapely.box(3, 3, 4, 4))], "solid a: nothing of it is in the box"),
-        ([("a", shapely.Polygon())], "solid a: nothing of it is in the box"),
+        ([("a", shapely.box(3, 3, 4, 4))], "solid a: no part of it is in the box"),
+        ([("a", shapely.Polygon())], "solid a: no part of it is in the box"),
         ([("top", shapely.box(0.2, 0.2, 0.4, 0.4))], "solid top: the name is taken"),
         (
             [("a", shapely.box(0.2, 0.2, 0.6, 0.6)), ("b", shapely.box(0.5, 0.5, 0.8, 0.8))],

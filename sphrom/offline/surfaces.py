@@ -1,0 +1,154 @@
+"""The stages map, pod and operators of flows with a free surface.
+
+A snapshot becomes a stream function and an elevation, a basis has modes of both, and models are
+trained for some numbers of modes (`sphrom.reduction.graph_model`).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+
+import numpy as np
+
+from sphrom.artifacts import write_record
+from sphrom.artifacts.records.surfaces import StoredSurfaceBasis, SurfaceModels
+from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ALL, AUTO
+from sphrom.errors import SphromError, UnstableError
+from sphrom.metrics.histories import energy
+from sphrom.plots.tables import format_figure
+from sphrom.reduction.graph_model import make_basis
+from sphrom.reduction.graph_training import TrainedGraph, TrainingRun, chosen_size, train
+from sphrom.setup.assembly import medium, stream_space, surface_columns, uniform_force
+from sphrom.store.surfaces import elevation_of, read_surface_basis
+from sphrom.store.trajectory import require_complete, snapshot_fields
+from sphrom.store.workspace import Workspace
+
+SHOWN_MODES = (1, 2, 3, 5, 10, 20)
+MOST_KEPT = 50
+"""Singular values."""
+
+
+def map_point(workspace: Workspace, point: ParameterPoint) -> None:
+    """Fit stream functions and elevations to the snapshots of a full run.
+
+    Raises UnstableError where a column has no fluid or more than one surface.
+    """
+    case, space = workspace.case, stream_space(workspace.case)
+    columns = surface_columns(case)
+    find = elevation_of(case, space, columns)
+    with workspace.open(workspace.full_run(point)) as trajectory:
+        require_complete(trajectory)
+        times = trajectory.read("time")
+        shapes = {
+            "stream_function": (space.n_coefficients,),
+            "elevation": columns.shape,
+            "residual": (),
+        }
+        with (
+            workspace.create(workspace.mapped(point), medium(case, point)) as artifact,
+            workspace.context.report.progress(f"map, {point.label}", len(times)) as advance,
+        ):
+            write_record(artifact, space, "space")
+            artifact.write("time", times)
+            started = time.perf_counter()
+            streams = {n: artifact.stream(n, shape, len(times)) for n, shape in shapes.items()}
+            residuals = []
+            for snapshot, instant in enumerate(times.tolist()):
+                position, density, velocity = snapshot_fields(trajectory, snapshot)
+                try:
+                    elevation = find(position, density)
+                except SphromError as error:
+                    raise UnstableError(
+                        f"{point.label}, t = {instant:.6g} s: {error} A reduced model needs one "
+                        "surface above each x: drive the fluid less, or record less of the run."
+                    ) from error
+                coefficients, residual = space.fit(position, velocity)
+                residuals.append(residual)
+                for name, value in zip(shapes, (coefficients, elevation, residual), strict=True):
+                    streams[name].append(np.asarray(value))
+                advance(1)
+            artifact.annotate("timing/map", time.perf_counter() - started)
+    lost = format_figure(100.0 * float(np.median(residuals)))
+    text = f"{point.label}: the stream functions leave out {lost} % of the velocity (median)"
+    workspace.context.report.info(text)
+
+
+def decompose(workspace: Workspace) -> None:
+    """Write the basis of the training runs."""
+    case, target = workspace.case, workspace.basis()
+    with workspace.create(target, medium(case)) as artifact:
+        coefficients, elevations, residuals = [], [], []
+        for point in case.plan.train_points:
+            with workspace.open(workspace.mapped(point)) as mapped:
+                coefficients.append(mapped.read("stream_function"))
+                elevations.append(mapped.read("elevation"))
+                residuals.append(mapped.read("residual"))
+        started = time.perf_counter()
+        runs, noise = np.stack(coefficients), float(np.median(residuals))
+        most = min(MOST_KEPT, runs.shape[2], runs.shape[0] * runs.shape[1])
+        whole = make_basis(stream_space(case), runs, np.stack(elevations), noise, most)
+        artifact.annotate("timing/decomposition", time.perf_counter() - started)
+        kept = whole.reduced(case.plan.basis_size(ALL), len(whole.surface_modes))
+        values = np.sqrt(np.clip(whole.energies, 0.0, None))
+        stored = StoredSurfaceBasis(**vars(kept), singular_values={"velocity": values})
+        write_record(artifact, stored, f"bases/{ALL}")
+    shares = energy(values)
+    workspace.context.report.table(
+        f"basis {ALL}: {len(kept.stream_modes)} modes of the velocity, {kept.modes_above_noise} of "
+        f"them above the noise of the fits, and {len(kept.surface_modes)} of the elevation",
+        ("modes", "singular value", "energy %"),
+        [
+            (str(m), f"{values[m - 1]:.4g}", f"{shares[m - 1]:.6f}")
+            for m in SHOWN_MODES
+            if m <= len(values)
+        ],
+    )
+
+
+def train_models(workspace: Workspace) -> None:
+    """Train models of all numbers of modes that the case's models have, and write them."""
+    case, sizes = workspace.case, workspace.case.plan.surface_sizes
+    basis = read_surface_basis(workspace)
+    with workspace.create(workspace.operators()) as artifact:
+        started = time.perf_counter()
+        with workspace.context.report.progress("training", len(sizes)) as advance:
+            trained = train(basis, list(_training_runs(workspace)), sizes, advance)
+        artifact.annotate("timing/projection", time.perf_counter() - started)
+        write_record(artifact, SurfaceModels(sizes={str(m): t for m, t in trained.items()}))
+    _report(workspace, trained)
+    if any(model.n_modes == AUTO for model in case.rom):
+        size = chosen_size(trained)
+        workspace.context.report.info(f"n_modes: auto takes {size} modes, of {sizes[-1]} at most")
+
+
+def _training_runs(workspace: Workspace) -> Iterator[TrainingRun]:
+    case = workspace.case
+    for point in case.plan.train_points:
+        with workspace.open(workspace.mapped(point)) as mapped:
+            yield TrainingRun(
+                times=mapped.read("time"),
+                coefficients=mapped.read("stream_function"),
+                elevation=mapped.read("elevation"),
+                depth=case.plan.depth(point),
+                gravity=case.scene.gravity,
+                viscosity=case.plan.kinematic_viscosity(point),
+                force=uniform_force(case, point),
+            )
+
+
+def _report(workspace: Workspace, trained: dict[int, TrainedGraph]) -> None:
+    rows = []
+    for each in dict.fromkeys(trained.values()):
+        errors = each.elevation_error, each.velocity_error
+        plain = each.uncalibrated_elevation_error, each.uncalibrated_velocity_error
+        figures = (*errors, *plain)
+        shown = (format_figure(100.0 * error) for error in figures)
+        rows.append((str(each.n_modes), str(each.n_surface), f"{each.gravity_factor:.4f}", *shown))
+    workspace.context.report.table(
+        "repeated training runs: errors of elevation and velocity [%], calibrated and not",
+        ("modes", "of the elevation", "gravity", "elevation", "velocity", "elevation, not",
+         "velocity, not"),
+        rows,
+    )  # fmt: skip

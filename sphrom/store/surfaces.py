@@ -1,0 +1,137 @@
+"""Artifacts of flows with a free surface: bases, trained models, and where the surface is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from sphrom.arrays import Array
+from sphrom.artifacts import read_record
+from sphrom.artifacts.records.surfaces import SurfaceModels
+from sphrom.case.models import Case
+from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ALL, AUTO, ReducedModelSection
+from sphrom.metrics.elevation import find_elevation
+from sphrom.metrics.samples import Samples
+from sphrom.reduction.graph_model import GraphModel, GraphRun, SurfaceBasis
+from sphrom.reduction.graph_training import TrainedGraph, chosen_size
+from sphrom.reduction.polynomial_model import OutputTimes
+from sphrom.reduction.stream_functions import StreamSpace
+from sphrom.setup.assembly import surface_columns, uniform_force
+from sphrom.sph.fluid import volume_of
+from sphrom.store.starts import start
+from sphrom.store.workspace import Workspace
+
+
+def read_surface_basis(workspace: Workspace) -> SurfaceBasis:
+    """Read the basis of a case with a free surface."""
+    with workspace.open(workspace.basis()) as artifact:
+        return read_record(artifact, SurfaceBasis, f"bases/{ALL}")
+
+
+def trained_surface(workspace: Workspace, section: ReducedModelSection) -> TrainedSurface:
+    """Read a trained model; its section then has the number of modes, those of noise left out."""
+    with workspace.open(workspace.operators()) as artifact:
+        trained = read_record(artifact, SurfaceModels).sizes
+    if section.n_modes == AUTO:
+        size = chosen_size({int(size): each for size, each in trained.items()})
+        section = section.model_copy(update={"n_modes": size})
+    found = trained[str(section.size)]
+    section = section.model_copy(update={"n_modes": found.n_modes})
+    basis = read_surface_basis(workspace).reduced(found.n_modes, found.n_surface)
+    return TrainedSurface(workspace, section, found, basis, {})
+
+
+@dataclass(frozen=True)
+class SurfaceModelAt:
+    """A model at a parameter point, with the start and the snapshots of its runs."""
+
+    graph: GraphModel
+    density: float
+    """[kg/m3]"""
+    start: Array
+    """(n_modes + n_surface,)."""
+    output_times: OutputTimes
+
+    def run(self) -> GraphRun:
+        """Return a run."""
+        return self.graph.run(self.output_times.time, self.start)
+
+    def sampled(self, points: Array, time: Array, coordinates: Array) -> Samples:
+        """Return velocity and pressure at points (n_points, 2) [m], zero above the surface."""
+        pressure = self.density * self.graph.pressure(time, coordinates, points)
+        samples = Samples(time, self.graph.velocity(coordinates, points), pressure)
+        return dried(samples, points, self.graph.elevation(coordinates, points[:, 0]))
+
+
+@dataclass(frozen=True)
+class TrainedSurface:
+    """A trained model, which can be evaluated at any parameter point."""
+
+    workspace: Workspace
+    section: ReducedModelSection
+    """It has the number of modes."""
+    trained: TrainedGraph
+    basis: SurfaceBasis
+    starts: dict[object, Array]
+    """The starts of runs that are known."""
+
+    def at(self, point: ParameterPoint) -> SurfaceModelAt:
+        """Return the model at a parameter point."""
+        case = self.workspace.case
+        graph = self.trained.model(
+            self.basis,
+            case.plan.depth(point),
+            case.scene.gravity,
+            case.plan.kinematic_viscosity(point),
+            uniform_force(case, point),
+            calibrated=self.section.is_calibrated,
+        )
+        steps, density = case.plan.model_steps(self.section), case.fluid.reference_density
+        times = OutputTimes(steps.snapshot_interval, steps.n_snapshots, steps.start_time)
+        return SurfaceModelAt(graph, density, self._start(point), times)
+
+    def _start(self, point: ParameterPoint) -> Array:
+        """Return the coordinates that runs at a point start from."""
+        case, spun_up = self.workspace.case, self.workspace.case.time.spin_up > 0.0
+        begin = case.plan.start_point(point)
+        own = ((n, v) for n, v in begin.factors.items() if case.scene.starts_by(n))
+        key = begin if spun_up else tuple(own)
+        if key not in self.starts:
+            state, columns = start(self.workspace, begin), surface_columns(case)
+            level = case.scene.level_at(begin.factors)
+            elevation = np.full_like(columns, level)
+            if spun_up or not math.isfinite(level):
+                elevation = elevation_of(case, self.basis.space, columns)(
+                    state.position, state.density_fluctuation
+                )
+            coefficients, _ = self.basis.space.fit(state.position, state.velocity)
+            self.starts[key] = self.basis.project(coefficients[None], elevation[None])[0]
+        return self.starts[key]
+
+
+def elevation_of(case: Case, space: StreamSpace, columns: Array) -> Callable[[Array, Array], Array]:
+    """Return what finds the surface [m] at columns from positions and density fluctuations.
+
+    It raises SphromError where a column has no fluid or more than one surface.
+    """
+    walls, radius = (space.left, space.right, space.bottom), 2.0 * case.plan.smoothing_length
+
+    def find(position: Array, density: Array) -> Array:
+        volume = volume_of(density, case.fluid.reference_density, case.plan.mass)
+        return find_elevation(position, volume, columns, radius, walls)
+
+    return find
+
+
+def dried(samples: Samples, points: Array, surface: Array) -> Samples:
+    """Return samples that are zero at points (n_points, 2) [m] above a surface.
+
+    Its heights y are (n_snapshots, n_points) [m].
+    """
+    wet = points[:, 1] <= surface
+    velocity = np.where(wet[..., None], samples.velocity, 0.0)
+    return Samples(samples.time, velocity, np.where(wet, samples.pressure, 0.0))
