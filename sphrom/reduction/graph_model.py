@@ -204,8 +204,8 @@ class GraphModel:
         n_modes = len(self.basis.stream_modes)
         tables, out = _tables(self.basis), np.empty(coordinates.shape)
         work = self.closure_matrix, np.empty((n_modes, n_modes)), np.empty((5, n_modes))
-        for own, state, force in zip(out, coordinates, self.force(times).T, strict=True):
-            kernels.rates(tables, state, *self.given, *force, *work, own)
+        for own, state, (f_x, f_y) in zip(out, coordinates, self.force(times).T, strict=True):
+            kernels.rates(tables, state, *self.given, f_x, f_y, *work, own)
         return out
 
     def velocity(self, coordinates: Array, points: Array) -> Array:

@@ -218,19 +218,18 @@ def _train(
     n_surface = len(fit.scale) - n_modes
     plain = fit_of(n_surface, 0.0)
     projections = [one.errors(one.coordinates) ** 2 for one in fit.projected]
-    of_elevation, of_velocity = zip(
-        fit.errors(fit.numbers),
-        plain.errors(plain.numbers),
-        np.sqrt(np.mean(projections, axis=0)),
-        strict=True,
-    )
-    names = "{}_error", "uncalibrated_{}_error", "best_{}_error"
+    calibrated, uncalibrated = fit.errors(fit.numbers), plain.errors(plain.numbers)
+    projected = np.sqrt(np.mean(projections, axis=0))
     return TrainedGraph(
         n_surface=n_surface,
         rise=rise,
+        elevation_error=float(calibrated[0]),
+        velocity_error=float(calibrated[1]),
+        uncalibrated_elevation_error=float(uncalibrated[0]),
+        uncalibrated_velocity_error=float(uncalibrated[1]),
+        best_elevation_error=float(projected[0]),
+        best_velocity_error=float(projected[1]),
         **fit.change(fit.numbers),
-        **{name.format("elevation"): float(e) for name, e in zip(names, of_elevation, strict=True)},
-        **{name.format("velocity"): float(e) for name, e in zip(names, of_velocity, strict=True)},
     )
 
 
