@@ -1,6 +1,6 @@
-"""HDF5 artifacts: the files that stages write, whole or not at all, and read, checked.
+"""HDF5 artifacts: the files that stages write completely or not at all, and check on reading.
 
-This package doesn't interpret a case: it stores its text and compares digests.
+This package does not interpret a case: it stores its text and compares digests.
 """
 
 from sphrom.artifacts.layout import Identity as Identity

@@ -1,8 +1,8 @@
-"""Where particles fill space: the height of a free surface, and places that are dry.
+"""The share of space filled with particles: the height of a free surface, and dry places.
 
-The share that is filled at a place is the sum of the particles' volumes times their kernel. Mirror
-images complete it beside the sides of the box, and beside solids it is taken over what these leave.
-The surface is where it is one half.
+The share at a place is the sum of the particles' volumes times their kernel. Mirror images complete
+it beside the sides of the box. Beside solids it is divided by the share that they leave. On the
+surface it is one half.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from sphrom.arrays import Array
 from sphrom.errors import SphromError
 
 Filled = Callable[[Array, Array], Array]
-"""The share of space that is filled at fixed points (n_points,), from positions of particles
-(n_particles, 2) [m] and their density fluctuations (n_particles,) [kg/m3]."""
+"""Returns the filled share of space at fixed points (n_points,), given positions (n_particles, 2)
+[m] and density fluctuations (n_particles,) [kg/m3] of particles."""
 HALF = 0.5
 """The share at the surface."""
 LEAST_LEFT = 0.05
-"""Of the kernel, at least, that solids are taken to leave."""
+"""Smallest assumed share of the kernel outside solids."""
 
 
 class Filling:
@@ -32,8 +32,8 @@ class Filling:
     ----------
     points : (n_points, 2) [m].
     radius : of the kernel's support [m].
-    lower, upper, periodic : corners of the box [m], and along which axes it is periodic.
-    solid, solid_volume : (n_solid, 2) [m] points within solids, and the volume of each [m2].
+    lower, upper, periodic : corners of the box [m], and whether each axis is periodic.
+    solid, solid_volume : (n_solid, 2) [m] points in solids, and the volume of each [m2].
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class Filling:
             self._left = np.maximum(1.0 - taken, LEAST_LEFT)
 
     def __call__(self, position: Array, volume: Array) -> Array:
-        """Return the shares (n_points,) of particles (n_particles, 2) [m], (n_particles,) [m2]."""
+        """Return the shares (n_points,), given positions (n_particles, 2) [m] and volumes [m2]."""
         return self._sums(position, volume) / self._left
 
     def _sums(self, position: Array, volume: Array) -> Array:
@@ -72,20 +72,20 @@ class Filling:
         )
         offset = near["v"] / self._radius
         kernel = 7.0 / (math.pi * self._radius**2) * (1.0 - offset) ** 4 * (1.0 + 4.0 * offset)
-        found = np.bincount(near["i"], kernel * volume[near["j"]], minlength=self._tree.n)
-        return np.asarray(found, dtype=float)
+        sums = np.bincount(near["i"], kernel * volume[near["j"]], minlength=self._tree.n)
+        return np.asarray(sums, dtype=float)
 
 
 def columns_of(x: Array, heights: Array) -> Array:
-    """Return points (n_columns n_heights, 2) [m] at heights, one column after the other."""
+    """Return points (n_columns n_heights, 2) [m] at all heights, column by column."""
     return np.stack((np.repeat(x, len(heights)), np.tile(heights, len(x))), axis=1)
 
 
 def lowest_surface(share: Array, heights: Array) -> Array:
     """Return the lowest height (n_columns,) [m] where shares (n_columns, n_heights) are one half.
 
-    It is that of the body of fluid on the floor, and drops above it don't count. In a column that
-    is dry at the floor it is the floor's, in one that is full the highest.
+    It is the surface of the fluid on the floor; drops above it do not count. It is the height of
+    the floor in a column that is dry there, and the largest height in a full column.
     """
     wet = np.pad(share > HALF, ((0, 0), (0, 1)))
     dry, columns = wet.argmin(axis=1), np.arange(len(share))
@@ -98,7 +98,7 @@ def lowest_surface(share: Array, heights: Array) -> Array:
 def find_elevation(
     position: Array, volume: Array, columns: Array, radius: float, walls: tuple[float, float, float]
 ) -> Array:
-    """Return the heights (n_columns,) [m] where the particles' kernels sum up to one half.
+    """Return the heights (n_columns,) [m] at which the sums of the particles' kernels are one half.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def find_elevation(
     Raises
     ------
     SphromError
-        If a column has no fluid or more than one surface; the message says where.
+        If a column has no fluid or more than one surface.
     """
     left, right, bottom = walls
     heights = np.arange(bottom, position[:, 1].max() + radius, radius / 16)
@@ -119,6 +119,6 @@ def find_elevation(
     wet = share > HALF
     crossings = np.count_nonzero(wet[:, 1:] != wet[:, :-1], axis=1)
     for number in np.flatnonzero((crossings != 1) | ~wet[:, 0])[:1]:
-        found = "more than one surface" if wet[number].any() else "no fluid"
-        raise SphromError(f"The column x = {columns[number]:.4g} m has {found}.")
+        state = "more than one surface" if wet[number].any() else "no fluid"
+        raise SphromError(f"The column x = {columns[number]:.4g} m has {state}.")
     return lowest_surface(share, heights)

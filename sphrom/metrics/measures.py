@@ -1,11 +1,11 @@
-"""What is measured in the fluid over time: flow rates through sections, and fields at places.
+"""Measurements in the fluid over time: flow rates through sections, and fields at places.
 
-A flow rate is the integral of u . n along a segment, by Gauss's rule of three points on pieces no
-longer than a length: exact for velocities up to the fifth degree. The normal points to the right of
-the way along the segment, so that the flow rate is what the stream function grows by from its start
-to its end.
+A flow rate is the integral of u . n along a segment, by the three-point Gauss rule on pieces of
+limited length, which is exact for velocities up to the fifth degree. The normal points to the right
+of the segment's direction, so the flow rate is the increase of the stream function from the start
+to the end.
 
-Measured quantities have the axes (snapshot, ...), then place and component where they have some.
+Measured quantities have the axes (snapshot, ...), then place and component if they have any.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from sphrom.arrays import Array, Indices
 from sphrom.metrics.series import OSCILLATION, oscillation, oscillation_beside
 
 Quantities = Mapping[str, Array]
-"""By UNITS, what one measurement gives."""
+"""The values of one measurement, by the names in UNITS."""
 
 UNITS = {
     "force": "N/m", "torque": "N", "flow_rate": "m2/s", "velocity": "m/s", "pressure": "Pa",
@@ -35,12 +35,12 @@ ABOUT_MEAN = ("elevation", "centre_of_mass")
 PLACED = ("velocity", "pressure")
 """Quantities with an axis of places."""
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(3)
-"""Gauss's rule on each piece of a section."""
+"""The Gauss rule on each piece of a section."""
 
 
 @dataclass(frozen=True)
 class FieldMeasure:
-    """Where fields are measured, and how a flow rate is summed up."""
+    """The places of measured fields, and the quadrature of a flow rate."""
 
     position: Array
     """(n_places, 2) [m]."""
@@ -49,7 +49,7 @@ class FieldMeasure:
 
     @classmethod
     def section(cls, start: Array, end: Array, longest: float) -> FieldMeasure:
-        """Return a section from start to end (2,) [m], in pieces of a length [m] at most."""
+        """Return a section from start to end (2,) [m], in pieces not longer than a length [m]."""
         way = np.subtract(end, start)
         n_pieces = max(1, math.ceil(float(np.hypot(*way)) / longest))
         along = (np.arange(n_pieces)[:, None] + 0.5 * (1.0 + NODES)).ravel() / n_pieces
@@ -59,25 +59,25 @@ class FieldMeasure:
 
     @classmethod
     def line(cls, start: Array, end: Array, n_places: int) -> FieldMeasure:
-        """Return places at equal distances from start to end (2,) [m], both among them."""
+        """Return equally spaced places from start to end (2,) [m], both included."""
         along = np.linspace(0.0, 1.0, n_places)[:, None]
         return cls((1.0 - along) * start + along * end)
 
     def of(self, velocity: Array, pressure: Array) -> Quantities:
-        """Return what is measured of velocity (..., n_places, 2) and pressure (..., n_places)."""
+        """Return the measurement of velocity (..., n_places, 2) and pressure (..., n_places)."""
         if self.normal is None:
             return {"velocity": velocity, "pressure": pressure}
         return {"flow_rate": np.sum(velocity * self.normal, axis=(-2, -1))}
 
 
 def component_names(quantity: str) -> tuple[str, ...]:
-    """Return what columns call the components of a quantity, such as `force_x` and `force_y`."""
+    """Return the column names of a quantity's components, such as `force_x` and `force_y`."""
     return tuple(f"{quantity}_{axis}" for axis in AXES) if quantity in VECTORS else (quantity,)
 
 
 @dataclass(frozen=True)
 class Column:
-    """What the values of a column are."""
+    """The meaning of a column's values."""
 
     measure: str
     """A measurement of the case; empty for fields at places of the rows."""
@@ -109,9 +109,9 @@ class Oscillating(Column):
         return "Hz" if figure.startswith("frequency") else self.units
 
     def of(self, time: Array, own: Quantities, full: Quantities | None = None) -> dict[str, float]:
-        """Return the oscillation in what a run measured at times (n_snapshots,) [s].
+        """Return the oscillation in the measurements of a run at times (n_snapshots,) [s].
 
-        Its errors are among the figures where a full run is given.
+        Its errors are included if a full run is given.
         """
         late, signals = time >= self.from_time, list[Array]()
         for values in (run[self.quantity] for run in (own, full) if run is not None):
@@ -121,21 +121,21 @@ class Oscillating(Column):
 
 
 class Oscillations(dict[str, Oscillating]):
-    """What oscillates, by the names of the measurements."""
+    """The oscillations to determine, by the names of the measurements."""
 
     def of(self, time: Array, measured: Mapping[str, Quantities]) -> dict[str, Quantities]:
         """Return figures of oscillations, the same at all times (n,), and NaN for missing ones."""
-        found: dict[str, Quantities] = {}
+        figures: dict[str, Quantities] = {}
         for name, each in self.items():
             own = each.of(time, measured[each.measure])
-            found[name] = {f: np.full(len(time), own.get(f, np.nan)) for f in OSCILLATION}
-        return found
+            figures[name] = {f: np.full(len(time), own.get(f, np.nan)) for f in OSCILLATION}
+        return figures
 
 
 def combined(
     measured: Mapping[str, Quantities], others: Mapping[str, Quantities], factor: float
 ) -> dict[str, Quantities]:
-    """Return others' quantities times a factor, plus those of the same names."""
+    """Return `factor` times the quantities of `others`, plus those of the same names."""
     return {
         name: {q: measured[name][q] + factor * v for q, v in each.items()}
         for name, each in others.items()
@@ -143,7 +143,7 @@ def combined(
 
 
 def components(quantity: str, values: Array) -> dict[str, Array]:
-    """Return values (n_snapshots, ...) by the names of components."""
+    """Return the components of values (n_snapshots, ...), by name."""
     each = np.moveaxis(values, -1, 0) if quantity in VECTORS else (values,)
     return dict(zip(component_names(quantity), each, strict=True))
 
@@ -154,9 +154,9 @@ def items(measured: Mapping[str, Quantities], index: int | Indices) -> dict[str,
 
 
 def of_a_run(quantities: Quantities) -> Quantities:
-    """Return what is kept of a run among many: series over time, and of a line its end.
+    """Return the stored part of a run's measurements: series over time, and lines at the end.
 
-    Those of a probe have no axis of places; what is of a line is called `final_velocity` and
+    A probe's series have no axis of places. The ends of lines are called `final_velocity` and
     `final_pressure`.
     """
     if "velocity" not in quantities:
@@ -167,24 +167,24 @@ def of_a_run(quantities: Quantities) -> Quantities:
 
 
 STATISTICS = ("last", "mean", "fluctuation", "least", "greatest")
-"""Of a series over time; the fluctuation is the root mean square about the mean."""
+"""Statistics of a time series; the fluctuation is the root mean square about the mean."""
 
 
 def statistics(quantities: Quantities) -> dict[str, Array]:
     """Return the statistics (n_runs,) of series (n_runs, n_snapshots[, 2]), such as `torque_mean`.
 
-    Of a line there are none.
+    Lines have no statistics.
     """
-    found: dict[str, Array] = {}
+    named: dict[str, Array] = {}
     for quantity, values in quantities.items():
         for name, series in components(quantity, values).items() if quantity in UNITS else ():
             each = [series[:, -1], series.mean(1), series.std(1), series.min(1), series.max(1)]
-            found |= {f"{name}_{s}": v for s, v in zip(STATISTICS, each, strict=True)}
-    return found
+            named |= {f"{name}_{s}": v for s, v in zip(STATISTICS, each, strict=True)}
+    return named
 
 
 def mean_square(quantity: str, values: Array) -> float:
-    """Return the mean square of values (n_snapshots, ...) over time and places, of vectors too."""
+    """Return the mean square over time and places of values (n_snapshots, ...), or of vectors."""
     squares = np.sum(values**2, axis=-1) if quantity in VECTORS else values**2
     return float(squares.mean())
 
@@ -203,10 +203,10 @@ def variation(quantity: str, values: Array, *, with_weight: bool = False) -> flo
 def errors_of(
     quantity: str, values: Array, reference: Array, size: float
 ) -> tuple[float | None, float | None]:
-    """Return the relative L2 errors [%] over all and at the worst instant.
+    """Return the relative L2 errors [%]: over all snapshots, and the largest of one snapshot.
 
-    Both are root mean squares over the root of `size`, the mean square of a reference; None where
-    that is zero.
+    Both are root mean squares over the root of `size`, the mean square of a reference. They are
+    None if it is zero.
     """
     if not size > 0.0:
         return None, None

@@ -112,7 +112,7 @@ def _ensure_spun_up(workspace: Workspace, point: ParameterPoint) -> None:
         return
     target = workspace.spin_up(point)
     if workspace.reason_to_make(target) is None:
-        workspace.context.report.info(f"{target.path.name}: there, and of this case: kept")
+        workspace.context.report.info(f"{target.path.name}: up to date, kept")
     elif workspace.must_make(target):
         _spin_up(workspace, point)
     remove_checkpoints(target)

@@ -38,7 +38,7 @@ def run(context: StageContext) -> None:
 def reference_points(workspace: Workspace) -> Array:
     """Return the points of the reference space (n_points, 2) [m].
 
-    Raises ArtifactError when they come from a full run that is not there.
+    Raises ArtifactError if they come from a full run that does not exist.
     """
     case = workspace.case
     if case.reference.points == "lattice":
@@ -87,33 +87,33 @@ def _report_errors(
     points: Array,
     artifact: ArtifactWriter,
 ) -> None:
-    """Store the loss of the map: of the exact solution, or there and back where there is none.
+    """Store the loss of the map: for the exact solution, or without one, for a map there and back.
 
-    The pressure is taken less its mean, of which no map loses anything. Noise from particle to
-    particle, such as the pressure has next to a lid, counts as lost.
+    The pressure is taken less its mean, which no map changes. Noise from particle to particle, such
+    as that of the pressure next to a lid, counts as lost.
     """
     last = len(trajectory.read("time")) - 1
     position, density, velocity = snapshot_fields(trajectory, last)
     flow = workspace.case.plan.flow(point).exact
     if flow is None:
-        kind, what = "round_trip_error", "to the reference points and back the last snapshot"
+        kind, step = "round_trip_error", "to the reference points and back the last snapshot"
         exact = density - density.mean(), velocity
         try:
             there = to_reference(position, *exact)
-            found = particles.map_onto(workspace.case, position)(points, *there)
+            mapped = particles.map_onto(workspace.case, position)(points, *there)
         except ValueError as error:
             raise CaseError(f"reference: snapshot {last}, there and back: {error}") from error
     else:
-        kind, what = "map_error", "of the exact solution on the particles the map"
+        kind, step = "map_error", "of the exact solution on the particles the map"
         end = float(trajectory.read("time")[-1])
         exact, sampled = (
             (flow.pressure(there, end), flow.velocity(there, end)) for there in (points, position)
         )
-        found = to_reference(position, *sampled)
+        mapped = to_reference(position, *sampled)
     losses = {}
     for name, k in (("velocity", 1), ("pressure", 0)):
         size = np.linalg.norm(exact[k]) or 1.0
-        losses[name] = 100.0 * float(np.linalg.norm(found[k] - exact[k]) / size)
+        losses[name] = 100.0 * float(np.linalg.norm(mapped[k] - exact[k]) / size)
         artifact.annotate(f"{kind}/{name}", losses[name])
     lost = " and ".join(f"{loss:.2g} % of the {name}" for name, loss in losses.items())
-    workspace.context.report.info(f"{point.label}: {what} loses {lost}")
+    workspace.context.report.info(f"{point.label}: {step} loses {lost}")

@@ -1,9 +1,9 @@
 """Stage `operators`: right-hand sides on the reference points, projected once (Eq. 3.21-3.22).
 
-Beside the operators it stores the data of error estimates, with which no run needs the points: the
-factor of the residual, and products of some training snapshots with the basis, from which the
-errors of reduced training runs follow. Training runs that are held out also choose how many modes
-to have, and how many of them to integrate.
+Beside the operators, the stage stores the data of error estimates, so that no run needs the points:
+the factor of the residual, and products of some training snapshots with the basis, from which the
+errors of reduced training runs follow. Held-out training runs also determine the number of modes,
+and how many of them to integrate.
 """
 
 from __future__ import annotations
@@ -41,9 +41,13 @@ from sphrom.reduction.held_out import (
     snapshot_products,
     unheld_shares,
 )
-from sphrom.reduction.memory_operators import project_memory_operators
 from sphrom.reduction.mode_fields import BLOCK_VALUES, FieldProjections, blocks, mode_fields
-from sphrom.reduction.operator_projection import project_forces, project_operators, residual_factor
+from sphrom.reduction.operator_projection import (
+    project_forces,
+    project_memory_operators,
+    project_operators,
+    residual_factor,
+)
 from sphrom.reduction.polynomial_model import step_limit
 from sphrom.reduction.reduced_measures import project_measures
 from sphrom.reduction.reduced_operators import MemoryOperators, ResidualFactor
@@ -72,13 +76,13 @@ from sphrom.store.trajectory import measured_of, read_forces
 from sphrom.store.workspace import Workspace
 
 N_STATES = 10
-"""Training snapshots of a run, about, around which the step limit is looked at."""
+"""Approximate number of training snapshots per run around which the step limit is computed."""
 N_AT_ONCE = 10
-"""Snapshots that are read at once."""
+"""Number of snapshots read at once."""
 UNBALANCED = 0.05
-"""Share of a force that the balance of momentum may differ by without a warning."""
+"""Largest relative difference of a force from the balance of momentum without a warning."""
 LEAST_SNAPSHOTS = 3
-"""Of training runs that models can be calibrated with."""
+"""Fewest snapshots per training run for a calibration."""
 
 
 def run(context: StageContext) -> None:
@@ -106,7 +110,7 @@ def run(context: StageContext) -> None:
 
 
 class _Projection:
-    """The projection onto one basis, and what its training runs tell of models."""
+    """The projection onto one basis, and the choices that its training runs determine."""
 
     def __init__(self, workspace: Workspace, points: FixedPoints, name: str) -> None:
         self.workspace, self.points, self.name = workspace, points, name
@@ -118,23 +122,23 @@ class _Projection:
         self.compared = compared_snapshots(self.case.plan.steps.n_snapshots)
 
     def stored(self, artifact: ArtifactWriter) -> BasisOperators:
-        """Project everything, report it, and return what is stored; times go to the artifact."""
+        """Project everything, report it, and return the record to store; time the parts."""
         closures = self._closures(artifact)
         states = []
         for _, densities, velocities in mapped_runs(self.workspace, self.name):
             every = max(1, (len(densities) - 1) // N_STATES)
             states.append(project(self.basis, densities[::every], velocities[::every]))
-        # Around them steps have to be stable.
+        # Steps must be stable around these states.
         self.states = np.concatenate(states)
-        taught = None
+        runs = None
         if self.name in self.case.plan.corrected_bases:
-            taught = training_runs(self.workspace, self.basis, self.name)
+            runs = training_runs(self.workspace, self.basis, self.name)
         residual, estimate = self._error_data()
-        chosen = self._held_out(taught, estimate)
-        found = BasisOperators(
+        chosen = self._held_out(runs, estimate)
+        stored = BasisOperators(
             rates=self.operators,
             states=self.states,
-            training_runs=taught,
+            training_runs=runs,
             residual=residual,
             estimate=estimate,
             held_out=chosen,
@@ -146,18 +150,18 @@ class _Projection:
         self._report_operators()
         if chosen is not None:
             self._report_choice(chosen)
-        return found
+        return stored
 
     def _closures(self, artifact: ArtifactWriter) -> dict[str, MemoryOperators]:
-        """Project the closure's term, for every number of modes that a model with it has."""
+        """Project the term of the closure, for every number of modes of a model that uses it."""
         sizes = [n_modes for used, n_modes in self.case.plan.memory_models if used == self.name]
-        found: dict[str, MemoryOperators] = {}
+        closures: dict[str, MemoryOperators] = {}
         if not sizes:
-            return found
+            return closures
         with self.report.progress(f"memory operators, basis {self.name}", len(sizes)) as advance:
             for n_modes in sizes:
                 started = computing_seconds()
-                found[str(n_modes)] = project_memory_operators(
+                closures[str(n_modes)] = project_memory_operators(
                     self.points,
                     truncate(self.basis, n_modes),
                     self.splines.first(n_modes),
@@ -166,10 +170,10 @@ class _Projection:
                 taken = computing_seconds() - started
                 artifact.annotate(memory_timing(self.name, n_modes), taken)
                 advance(1)
-        return found
+        return closures
 
     def _wall_forces(self) -> dict[str, WallForce]:
-        """Project the forces that a case measures, beside those that training runs recorded."""
+        """Project the measured forces, and add those recorded by training runs."""
         case, walls = self.case, particles.driven_measured_walls(self.case)
         if not walls:
             return {}
@@ -178,7 +182,7 @@ class _Projection:
             with self.workspace.open(self.workspace.full_run(point)) as run:
                 for measured, recorded in loads.items():
                     recorded.append(read_forces(run, measured))
-        found, ghosts = {}, particles.walls(case, case.plan.flow(self.trained[0]))
+        forces, ghosts = {}, particles.walls(case, case.plan.flow(self.trained[0]))
         assert ghosts is not None
         names, position = case.scene.measured_walls, self.points.position
         around = position, ghosts.position, case.plan.particle_spacing
@@ -187,14 +191,14 @@ class _Projection:
         for measured, (wall, circulations) in walls.items():
             balance = tested[names[measured]], self.splines
             force = project_forces(self.points, self.basis, wall, circulations, balance)
-            found[measured] = WallForce(**vars(force), training_loads=np.stack(loads[measured]))
-        self._report_balance(found, {name: wall.arm for name, (wall, _) in walls.items()})
-        return found
+            forces[measured] = WallForce(**vars(force), training_loads=np.stack(loads[measured]))
+        self._report_balance(forces, {name: wall.arm for name, (wall, _) in walls.items()})
+        return forces
 
     def _report_balance(self, forces: Mapping[str, WallForce], arms: Mapping[str, float]) -> None:
-        """Say how far the forces that training runs recorded are from the balance of momentum.
+        """Report the difference of recorded training forces from the balance of momentum.
 
-        Sound is averaged out of both, and the start left out.
+        Sound is averaged out of both, and the start is left out.
         """
         case, times, averages = self.case, snapshot_times(self.case), sound_averages(self.case)
         late = times >= times[0] + LEFT_OUT * (times[-1] - times[0])
@@ -223,14 +227,14 @@ class _Projection:
                 )
         if rows:
             self.report.table(
-                f"balance of momentum, basis {self.name}: how far forces of training runs are from "
-                "it, the largest of all runs, without sound",
+                f"balance of momentum, basis {self.name}: largest difference of the forces of "
+                "training runs from it, without sound",
                 ("measured", "difference [%]"),
                 rows,
             )
 
     def _measures(self) -> dict[str, TrainedMeasure]:
-        """Project the fields that a case measures, beside those that training runs recorded."""
+        """Project the measured fields, and add the measurements recorded by training runs."""
         fields, recorded = MeasuredFields.of(self.case), []
         if fields is None:
             return {}
@@ -254,7 +258,7 @@ class _Projection:
         plan, name = self.case.plan, self.name
         if not plan.has_error_estimate(name):
             return None, None
-        # How large the factors of the parameters are, by part.
+        # The sizes of the parameters' factors, by part.
         scales = {"viscosity": plan.largest_viscosity, "walls": plan.largest_viscosity}
         for parameter in plan.parameter_names[1:]:
             largest = max(abs(point.factors[parameter]) for point in plan.train_points) or 1.0
@@ -273,7 +277,7 @@ class _Projection:
         return factor, self._estimate()
 
     def _estimate(self) -> Estimate:
-        """Return products of training snapshots with the basis, and where their runs start."""
+        """Return products of training snapshots with the basis, and the start of each run."""
         projections_of = FieldProjections(self.basis, mode_fields(self.basis, self.points))
         starts, projections, squares = [], [], []
         for _, densities, velocities in mapped_runs(self.workspace, self.name):
@@ -297,7 +301,7 @@ class _Projection:
         )
 
     def _unheld(self) -> UnheldShares:
-        """Return the shares of unseen training snapshots that bases cannot represent."""
+        """Return the shares of held-out training snapshots that bases cannot represent."""
         n_snapshots, scale = len(self.trained) * len(self.compared), self.points.density_scale
 
         def read(runs: list[Artifact]) -> Iterator[tuple[slice, Array, Array]]:
@@ -319,12 +323,12 @@ class _Projection:
         )
 
     def _held_out(self, runs: Array | None, estimate: Estimate | None) -> HeldOut | None:
-        """Return what training runs choose for calibrated models with the basis.
+        """Return the numbers of modes that training runs determine for calibrated models.
 
-        They are projected (n_runs, n_snapshots, n_modes), if they are kept. None where nothing is
-        known of their errors, or they are too short to calibrate with.
+        `runs` are projected (n_runs, n_snapshots, n_modes), if they are stored. None without data
+        for their errors, or if they are too short for a calibration.
 
-        Raises CaseError when a model needs it all the same.
+        Raises CaseError if a model needs the numbers nevertheless.
         """
         if runs is None or estimate is None or runs.shape[1] < LEAST_SNAPSHOTS:
             if self.name in self.case.plan.sized_bases:
@@ -340,9 +344,9 @@ class _Projection:
         return HeldOut(integrated=integrated, error=error)
 
     def _repeated(self, runs: Array, n_modes: int) -> Array:
-        """Return training runs (n_runs, n_snapshots, n_modes) by a model calibrated on them.
+        """Return training runs (n_runs, n_snapshots, n_modes) of a model calibrated on them.
 
-        NaN where they aren't stable.
+        They are NaN if the model is not stable.
         """
         case, modes = self.case, np.arange(n_modes)
         operators, runs = self.operators.of_modes(modes), runs[..., modes]
@@ -366,7 +370,7 @@ class _Projection:
         return np.stack(found)
 
     def _report_operators(self) -> None:
-        """Report the growth of sound in the operators, and the limit of steps."""
+        """Report the growth rates of sound in the operators, and the limits of steps."""
         rows = []
         for point in self.trained:
             viscosity = self.case.plan.kinematic_viscosity(point)
@@ -382,7 +386,7 @@ class _Projection:
         )
 
     def _report_choice(self, chosen: HeldOut) -> None:
-        """Say how many modes models have, and integrate, that leave it to the training runs."""
+        """Report the automatic numbers of modes, and of integrated modes."""
         plan, name, size = self.case.plan, self.name, 0
         if self.name in plan.sized_bases:
             size = best_size(chosen.error)

@@ -43,7 +43,7 @@ def run(context: StageContext) -> None:
                 for p in case.plan.train_points
             ]
             points = maps[0].read("reference_position")
-            # Every point of the reference space stands for the same area (Eq. 3.15).
+            # Every point of the reference space represents the same area (Eq. 3.15).
             volume = np.full(len(points), case.plan.particle_spacing**2)
             artifact.write("reference_position", points)
             artifact.write("volume", volume)
@@ -69,7 +69,7 @@ def run(context: StageContext) -> None:
 def _mean_densities(workspace: Workspace, runs: list[Artifact], volume: Array) -> Array | None:
     """Return the spatial mean (n_runs, n_snapshots) of the density fluctuation [kg/m3].
 
-    None where it stays in the snapshots. One snapshot is read at a time.
+    None if the mean stays in the snapshots. One snapshot is read at a time.
     """
     if not workspace.case.plan.separate_mean_density:
         return None
@@ -81,7 +81,7 @@ def _mean_densities(workspace: Workspace, runs: list[Artifact], volume: Array) -
 def _decompose(
     workspace: Workspace, runs: list[Artifact], volume: Array, means: Array | None, description: str
 ) -> dict[str, TrialBasis]:
-    """Return the bases of the case from artifacts that hold density fluctuation and velocity."""
+    """Return the bases of the case from artifacts with density fluctuation and velocity."""
     case = workspace.case
     per_run = case.plan.steps.n_snapshots
 
@@ -97,7 +97,7 @@ def _decompose(
         point: np.arange(per_run) + per_run * run
         for run, point in enumerate(case.plan.train_points)
     }
-    learnt = {
+    trained = {
         name: np.concatenate([of_run[point] for point in points])
         for name, points in case.plan.bases.items()
     }
@@ -108,8 +108,8 @@ def _decompose(
             n_snapshots=per_run * len(runs),
             product=inner_product(case),
             volume=volume,
-            n_modes={name: case.plan.basis_size(name) for name in learnt},
-            snapshots=learnt,
+            n_modes={name: case.plan.basis_size(name) for name in trained},
+            snapshots=trained,
             mean_density=None if means is None else means.ravel(),
             ram_limit=decomposition_ram_limit(),
         )
@@ -118,7 +118,7 @@ def _decompose(
 
 
 def _write_lagrangian(workspace: Workspace, artifact: ArtifactWriter, volume: Array) -> None:
-    """Decompose the unmapped snapshots too: the paper's comparison of singular values."""
+    """Decompose the unmapped snapshots too, for the paper's comparison of singular values."""
     with ExitStack() as stack:
         runs = [
             stack.enter_context(workspace.open(workspace.full_run(point)))
@@ -135,7 +135,7 @@ def _write_lagrangian(workspace: Workspace, artifact: ArtifactWriter, volume: Ar
 
 
 def _report(workspace: Workspace, name: str, basis: TrialBasis) -> None:
-    """Show the shares of the first modes, and how orthonormal they are."""
+    """Report the shares of the first modes, and their orthonormality."""
     values = basis.singular_values[JOINT]
     shares, energies = cumulative_singular_value_share(values), energy(values)
     workspace.context.report.table(

@@ -1,8 +1,8 @@
-"""`FastModel`, a model from operators at any parameters, and its runs with all that they give.
+"""`FastModel`, a model from operators that runs at any parameters, and its runs with their results.
 
-The commands and the Python interface all run models this way. `sphrom.online.basis_model` has the
+All commands and the Python interface run models this way. `sphrom.online.basis_model` has the
 equations with one basis, `sphrom.reduction.reference_model` integrates them, and
-`sphrom.online.reference_runs` writes what the stage `rom` makes of them.
+`sphrom.online.reference_runs` writes the results of the stage `rom`.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ if TYPE_CHECKING:
     from sphrom.online.surface_model import SurfaceModel
 
 DOUBTFUL = 50.0
-"""The estimated error from which a run is doubtful [%]: errors are up to twice their estimates."""
+"""Estimated error from which a run is doubtful [%]; errors are up to twice their estimates."""
 
 
 def fast_model(workspace: Workspace, section: ReducedModelSection) -> FastModel | SurfaceModel:
-    """Return a model that is run without particles."""
+    """Return a model that runs without particles."""
     if workspace.case.scene.has_surface:
         from sphrom.online.surface_model import SurfaceModel  # it loads kernels
 
@@ -50,12 +50,12 @@ def fast_model(workspace: Workspace, section: ReducedModelSection) -> FastModel 
 
 
 class FastModel:
-    """One model from operators: built and run at any parameters.
+    """One model from operators, built and run at any parameters.
 
-    The initial condition is the scene's at a point, or the end of the spin-up, that of the nearest
-    trained value where there is none; mapped onto the reference space and projected.
+    The initial condition is that of the scene, or the end of the spin-up at the point or at the
+    nearest trained point, mapped onto the reference space and projected.
 
-    Where training runs choose the number of modes, the section of `on_basis` has it.
+    If training runs choose the number of modes, the section of `on_basis` contains it.
     """
 
     def __init__(self, workspace: Workspace, section: ReducedModelSection) -> None:
@@ -92,8 +92,8 @@ class FastModel:
 
         Parameters
         ----------
-        reduced : the model at the point, where it is known or has other output times.
-        integrator : the model's own by default.
+        reduced : the model at the point, if it is available or has other output times.
+        integrator : by default the model's own.
         """
         reduced = reduced or self.at(point)
         integrator = integrator or self.at_point(point).integrator(reduced)
@@ -110,7 +110,7 @@ class FastModel:
         return FastRun(**vars(found), model=self, point=point, reduced=reduced), seconds
 
     def runner(self, point: ParameterPoint) -> Callable[[], object]:
-        """Return what makes one run at a parameter point, to be timed."""
+        """Return a function that makes one run at a parameter point, for timing."""
         return self.at_point(point).integrator(self.at(point)).run
 
     def trained_differences(
@@ -118,20 +118,20 @@ class FastModel:
     ) -> list[tuple[Array, dict[str, Quantities]]]:
         """Return the places of the training runs of models at points, and their differences.
 
-        Those are full runs' measures less the model's, by name and quantity (n_snapshots, ...).
-        There are none without estimates of errors.
+        These are measurements of full runs less the model's (n_snapshots, ...), by name and
+        quantity. Empty without error estimates.
         """
-        taught = [self.on_basis(name) for name in dict.fromkeys(map(self.basis_at, points))]
-        if any(basis.trained_errors is None for basis in taught):
+        bases = [self.on_basis(name) for name in dict.fromkeys(map(self.basis_at, points))]
+        if any(basis.trained_errors is None for basis in bases):
             return []
         return [
             (place, items(basis.measured_differences, k))
-            for basis in taught
+            for basis in bases
             for k, place in enumerate(basis.places)
         ]
 
     def velocities(self, run: FastRun) -> ModeVelocities:
-        """Return what finds speeds and energies of a run, once for each basis."""
+        """Return the object that computes speeds and energies of a run, one per basis."""
         if (name := self.basis_at(run.point)) not in self._velocities:
             self._velocities[name] = ModeVelocities(run.reduced.basis)
         return self._velocities[name]
@@ -149,12 +149,12 @@ class FastRun(Run):
 
     @property
     def name(self) -> str:
-        """The model and the point, as messages name them."""
+        """The name of the model and the point in messages."""
         return f"{self.model.section.name}, {self.point.label}"
 
     @property
     def failure(self) -> UnstableError | None:
-        """Why the run ended early; None where it didn't."""
+        """Why the run ended early; None if it did not."""
         if math.isnan(at := self.diverged_at):
             return None
         chosen = self.model.section.time_step == "auto"
@@ -176,43 +176,43 @@ class FastRun(Run):
 
     @cached_property
     def measured(self) -> dict[str, Quantities]:
-        """All that the case measures, by name and quantity (n_snapshots, ...)."""
+        """All measurements of the case (n_snapshots, ...), by name and quantity."""
         case = self.model.workspace.case
         return quantities_of(case, self.reduced, self.time, self.coordinates)
 
     @cached_property
     def estimate(self) -> ErrorEstimate | None:
-        """The estimated errors of the run; None where the case wants none or can't have them."""
+        """The estimated errors of the run; None if there are no estimates."""
         return estimate(self)
 
     @cached_property
     def outside(self) -> tuple[str, ...]:
-        """Warnings of a run outside of the trained values, or longer than training runs."""
+        """Warnings about a run outside the trained parameters, or longer than training runs."""
         case, end = self.model.workspace.case, self.reduced.output_times.time[-1]
         trained = case.plan.steps.end_time
-        found = [beyond_training(trained)] if end > trained * (1.0 + ROUNDING) else []
+        warnings = [beyond_training(trained)] if end > trained * (1.0 + ROUNDING) else []
         if self.model.at_point(self.point).leaves_cycles:
-            found.append(f"states of {self.model.section.size} modes leave the trained cycles")
+            warnings.append(f"states of {self.model.section.size} modes leave the trained cycles")
         beyond = extrapolation(case, self.point)
-        return tuple(found) if beyond is None else (beyond, *found)
+        return tuple(warnings) if beyond is None else (beyond, *warnings)
 
     @cached_property
     def doubts(self) -> tuple[str, ...]:
-        """Why a run that went to its end may be wrong, known without a full run."""
-        found = self.estimate
-        if found is None and self.model.at_point(self.point).trained_errors is not None:
-            told = "no estimate of errors: the training runs have none, or all of them diverge"
-            return (*self.outside, told)
-        if found is None or max(found.velocity_percent, found.pressure_percent) < DOUBTFUL:
+        """Why a completed run may be wrong, as far as is known without a full run."""
+        errors = self.estimate
+        if errors is None and self.model.at_point(self.point).trained_errors is not None:
+            text = "no estimate of errors: the training runs have none, or all of them diverge"
+            return (*self.outside, text)
+        if errors is None or max(errors.velocity_percent, errors.pressure_percent) < DOUBTFUL:
             return self.outside
-        shares = found.velocity_percent, found.pressure_percent
+        shares = errors.velocity_percent, errors.pressure_percent
         velocity, pressure = (f"{format_figure(share, 2)} %" for share in shares)
-        told = f"its estimated errors are {velocity} in velocity and {pressure} in pressure"
-        return (*self.outside, told)
+        text = f"its estimated errors are {velocity} in velocity and {pressure} in pressure"
+        return (*self.outside, text)
 
     @property
     def done(self) -> FastRun:
-        """The run as far as it went before it diverged."""
+        """The part of the run before it diverged."""
         n_done = int(np.isfinite(self.coordinates).all(axis=1).sum())
         return replace(
             self,

@@ -1,9 +1,9 @@
 """Reduced runs on the reference points, whose cost does not depend on the number of particles.
 
-A steady state may be sought from where a run ended. Where the rates of a model vanish, the flow
-need not be steady. So a steady state comes with its distance from the nearest state of the training
-runs, or interpolated between them, with the residual of the full rates there, and with an estimate
-of its errors.
+A steady state can be searched from the end of a run. A zero of the model's rates is not always a
+steady flow. A steady state is therefore stored with its distance from the nearest state of the
+training runs (or interpolated between them), the residual of the full rates, and an estimate of its
+errors.
 """
 
 from __future__ import annotations
@@ -40,15 +40,15 @@ from sphrom.store.trajectory import field_datasets, force_datasets, write_positi
 from sphrom.store.workspace import Workspace
 
 N_TIMED = 5
-"""Repetitions of a run, and of the search for a steady state, to time them."""
+"""Number of timed repetitions of a run, and of the search for a steady state."""
 FAR = 0.05
-"""Distance from the nearest training state over the state's norm, beyond which to warn."""
+"""Distance from the nearest training state, over the state's norm, that causes a warning."""
 
 
 def seek_steady_state(run: FastRun, artifact: ArtifactWriter) -> None:
-    """Look for a steady state by Newton's method from the end of a run, write and report it.
+    """Find a steady state by Newton's method from the end of a run, write and report it.
 
-    If none is found, the state with the smallest residual is written as not converged.
+    If the search fails, the state with the smallest residual is written as not converged.
     """
     report, model = run.model.workspace.context.report, run.model.at_point(run.point)
     polynomial, amplitude = run.reduced.polynomial, 0.0
@@ -98,7 +98,7 @@ def seek_steady_state(run: FastRun, artifact: ArtifactWriter) -> None:
 
 
 def _figures(quantities: Quantities) -> str:
-    """Return what is measured in one state in words; of a line nothing."""
+    """Return the measurements in one state, in words; lines are left out."""
     return ", ".join(
         f"{component.replace('_', ' ')} {format_figure(float(values.item()))} {UNITS[quantity]}"
         for quantity, vectors in quantities.items()
@@ -117,15 +117,15 @@ def run_point(workspace: Workspace, section: ReducedModelSection, point: Paramet
     _warn(workspace, section, point, reduced, integrator)
     attributes = assembly.run_attributes(workspace.case, point, integrator.steps.time_step)
     with workspace.create(target, attributes) as artifact:
-        found, seconds = integrator.timed(N_TIMED)
-        run = FastRun(**vars(found), model=model, point=point, reduced=reduced)
+        result, seconds = integrator.timed(N_TIMED)
+        run = FastRun(**vars(result), model=model, point=point, reduced=reduced)
         _write(run, artifact)
         artifact.annotate("status", "complete" if run.failure is None else "unstable")
         if run.failure is not None:
             artifact.annotate("status_detail", str(run.failure))
         artifact.annotate("timing/integration", seconds)
         artifact.annotate("integrator", integrator.steps.system.integrator)
-        _tell(run, integrator, seconds)
+        _report(run, integrator, seconds)
         if run.failure is None:
             estimate_errors(run, artifact)
             for doubt in run.doubts[len(run.outside) :]:
@@ -136,7 +136,7 @@ def run_point(workspace: Workspace, section: ReducedModelSection, point: Paramet
 
 @lru_cache(maxsize=1)
 def _fast_model(workspace: Workspace, name: str) -> FastModel:
-    """Return the model of runs that differ in their points alone: it learns from training once."""
+    """Return the model, which is shared by runs at different points and trained once."""
     return FastModel(workspace, next(m for m in workspace.case.rom if m.name == name))
 
 
@@ -147,17 +147,17 @@ def _warn(
     reduced: ReferenceModel,
     integrator: Integrator,
 ) -> None:
-    """Warn of a run that is known to be unstable, or not right, before it starts."""
-    found, step = list(against(workspace, section, point)), integrator.steps.time_step
+    """Warn before a run that is known to be unstable or inaccurate."""
+    texts, step = list(against(workspace, section, point)), integrator.steps.time_step
     if integrator.steps.system.integrator != EXPONENTIAL and step > reduced.step_limit:
         limit = f"the model's stability limit of {reduced.step_limit:.3g} s"
-        found.append(f"a step of {step:.3g} s is beyond {limit}")
-    for text in found:
+        texts.append(f"a step of {step:.3g} s is beyond {limit}")
+    for text in texts:
         workspace.context.report.warn(f"{section.name}, {point.label}: {text}")
 
 
-def _tell(run: FastRun, integrator: Integrator, seconds: float) -> None:
-    """Report the number of steps of a run, their length, and the time that they took."""
+def _report(run: FastRun, integrator: Integrator, seconds: float) -> None:
+    """Report the number of steps of a run, their length, and their computing time."""
     report, reduced, step = run.model.workspace.context.report, run.reduced, run.time_step
     exponential = integrator.steps.system.integrator == EXPONENTIAL
     if run.failure is not None:
@@ -168,13 +168,13 @@ def _tell(run: FastRun, integrator: Integrator, seconds: float) -> None:
     closure = "" if length is None else f", memory length {length:.3g} s"
     if reduced.leading is not None:
         closure += f", {reduced.n_integrated} of {reduced.basis.n_modes} modes integrated"
-    # Rounded first: the last exponential step may reach beyond the end, but not by rounding.
+    # Rounded first: the last exponential step may end beyond the run, but not by rounding.
     n_steps = math.ceil(round((run.time[-1] - run.time[0]) / step, 6))
     report.info(f"{run.name}: {n_steps} {kind} of {step:.3g} s in {1e3 * seconds:.3g} ms{closure}")
 
 
 def _write(run: FastRun, artifact: ArtifactWriter) -> None:
-    """Write the coordinates of a run as far as it went, and the fields that the model asks for."""
+    """Write the coordinates of a run up to a divergence, and the fields that the case requests."""
     workspace, reduced, done = run.model.workspace, run.reduced, run.done
     section = run.model.at_point(run.point).section
     artifact.write("time", done.time)
@@ -201,7 +201,7 @@ def _write(run: FastRun, artifact: ArtifactWriter) -> None:
 
 
 def _write_fields(run: FastRun, artifact: ArtifactWriter) -> None:
-    """Rebuild and write the fields of all snapshots, one at a time."""
+    """Reconstruct and write the fields of all snapshots, one at a time."""
     workspace, mean = run.model.workspace, run.reduced.mean_density_fluctuation
     points, n_snapshots = read_points(workspace), len(run.time)
     artifact.write("reference_position", points)

@@ -1,7 +1,7 @@
-"""From a case to records and arrays of the numerics, without the kernels of SPH.
+"""From a case to the records and arrays of the numerics, without the kernels of SPH.
 
 `case.plan` has the records that follow from the keys alone; `sphrom.setup.particles` makes the
-functional, walls and maps, which load the kernels.
+functional, walls and maps, which import the kernels.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from sphrom.reduction.trial_basis import InnerProduct
 from sphrom.sph.time_loop import TimeSteps
 
 MOST_GROWTH = 3.0
-"""Of a model's coordinates, over training's; flows that start from rest grow to 1.7 times at up to
-ten times the trained Reynolds numbers, and to 5.4 times in five times the trained time."""
+"""Largest growth of a model's coordinates over training. Flows that start from rest grow 1.7 times
+at up to ten times the trained Reynolds numbers, and 5.4 times in five times the trained time."""
 
 N_COLUMNS, ROWS_OF_FLUID, LEAST_CELL = 16, 9, 2
 """Of a tank's splines: cells along it, along the depth, and the least size over the spacing."""
@@ -48,7 +48,7 @@ def inner_product(case: Case) -> InnerProduct:
 
 
 def medium(case: Case, point: ParameterPoint | None = None) -> dict[str, object]:
-    """Return where density and pressure start from, and the parameters' values at a point."""
+    """Return the reference density, the speed of sound, and the parameters at a point, if any."""
     values = {} if point is None else point.as_dict()
     return {
         **{f"parameters/{name}": value for name, value in values.items()},
@@ -58,7 +58,7 @@ def medium(case: Case, point: ParameterPoint | None = None) -> dict[str, object]
 
 
 def run_attributes(case: Case, point: ParameterPoint, time_step: float) -> dict[str, object]:
-    """Return the physical constants that a trajectory is stored with."""
+    """Return the physical constants stored with a trajectory."""
     return {
         **medium(case, point),
         "kinematic_viscosity": case.plan.kinematic_viscosity(point),
@@ -71,7 +71,7 @@ def run_attributes(case: Case, point: ParameterPoint, time_step: float) -> dict[
 
 
 def field_measures(case: Case) -> dict[str, FieldMeasure]:
-    """Return where a case measures fields, by the names of the measurements."""
+    """Return the places and sections of measured fields, by name of the measurement."""
     spacing = case.plan.particle_spacing
     return {name: _measure(m, spacing) for name, m in case.scene.measured_fields.items()}
 
@@ -86,7 +86,7 @@ def _measure(section: MeasureSection, spacing: float) -> FieldMeasure:
 
 
 def amplitude_of(case: Case, point: ParameterPoint) -> Amplitude | None:
-    """Return how strongly a flow is driven, at times; None where that doesn't change."""
+    """Return the amplitude of a flow's driving at times; None if it does not change."""
     flow = case.plan.flow(point)
     if flow.body_force is not None and flow.body_force.series is not None:
         return flow.body_force.series
@@ -100,7 +100,7 @@ def memory_length_of(
 ) -> float:
     """Return the memory length [s] of a model with the closure of Eq. 3.22.
 
-    `jacobian` returns that of the rates without closure, at the start of the run [1/s].
+    `jacobian` returns that of the rates without closure at the start of the run [1/s].
     """
     if model.memory_length == "auto":
         return memory_length(jacobian(), case.plan.smoothing_length, case.plan.sound_speed)
@@ -139,17 +139,17 @@ def uniform_force(case: Case, point: ParameterPoint) -> Callable[[Array], Array]
 
 
 def sound_averages(case: Case) -> Array:
-    """Return weights of averages over snapshots in which sound cancels."""
+    """Return the weights of averages over snapshots in which sound cancels."""
     return hat(max(1, round(case.plan.longest_sound_period / case.plan.steps.snapshot_interval)))
 
 
 def output_times_of(
     case: Case, steps: TimeSteps, states: Array, point: ParameterPoint
 ) -> OutputTimes:
-    """Return the snapshots of a reduced run on the reference points, at a parameter point.
+    """Return the snapshot times of a reduced run on the reference points, and its largest norm.
 
-    It diverges beyond MOST_GROWTH times the largest of training states (n_states, n_modes), and as
-    many times more as a parameter or the time is beyond the largest that is trained.
+    The norm is MOST_GROWTH times the largest of the training states (n_states, n_modes). It is
+    increased in proportion if a parameter or the time exceeds its largest trained value.
     """
     values, largest = np.abs([*point.as_dict().values()]), case.plan.largest_values
     beyond = np.divide(values, largest, out=np.ones_like(largest), where=largest > 0.0)
@@ -159,9 +159,9 @@ def output_times_of(
 
 
 def scaled_parameters(case: Case, points: Sequence[ParameterPoint]) -> Array:
-    """Return the scaled parameters of points (n_points, n_parameters), to measure distances in.
+    """Return the scaled parameters of points (n_points, n_parameters), used for distances.
 
-    The Reynolds number counts by its logarithm. The other parameters may be negative, so each is
+    The Reynolds number enters by its logarithm. The other parameters may be negative, so each is
     divided by its largest trained value.
     """
     places = np.log([[point.reynolds] for point in points])
@@ -173,9 +173,9 @@ def scaled_parameters(case: Case, points: Sequence[ParameterPoint]) -> Array:
 
 
 def role_of(case: Case, basis: str, point: ParameterPoint) -> str:
-    """Return `trained` for a point that a basis was trained at, else `predicted`.
+    """Return `trained` for a training point of a basis, else `predicted`.
 
-    Outside of the range of its training points it is `extrapolated`.
+    Outside the range of the training points it is `extrapolated`.
     """
     trained = case.plan.bases[basis]
     if point in trained:

@@ -1,6 +1,6 @@
-"""From a case to what computes on its particles: the functional, ghosts of walls, and maps.
+"""From a case to the objects that compute on its particles: the functional, ghosts, and maps.
 
-They load the kernels of SPH; `sphrom.setup.assembly` makes everything else, without them.
+They import the kernels of SPH; `sphrom.setup.assembly` makes everything else without them.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from sphrom.sph.wall_forces import MeasuredWall, WallForces, measured_wall
 SAMPLING_RATIO = 2.0
 """Smoothing length of the moving least squares that sample particles, over the spacing."""
 HEIGHTS = 2
-"""At which an elevation is looked for, for each spacing of the particles."""
+"""Number of heights per particle spacing at which the elevation is searched."""
 
 
 def functional(case: Case, point: ParameterPoint) -> Functional:
@@ -50,7 +50,7 @@ def functional(case: Case, point: ParameterPoint) -> Functional:
 
 
 def walls(case: Case, flow: Scene) -> Walls | None:
-    """Return the ghosts of a scene's walls, or None where it has no walls."""
+    """Return the ghosts of a scene's walls, or None if it has no walls."""
     if not flow.domain.has_walls:
         return None
     at_rest = flow.domain.ghosts(case.plan.particle_spacing, case.plan.n_wall_layers)
@@ -69,7 +69,7 @@ def measured_walls(case: Case, flow: Scene) -> dict[str, MeasuredWall]:
 
 
 def wall_forces(case: Case, point: ParameterPoint, of: Functional) -> WallForces | None:
-    """Return the forces that a case measures in the states of a functional, if any."""
+    """Return the forces that a case measures, for states of a functional, if there are any."""
     measured = measured_walls(case, case.plan.flow(point))
     return WallForces(of, measured) if measured else None
 
@@ -86,9 +86,9 @@ def map_onto(case: Case, points: Array) -> ReferenceMap:
 
 
 def driven_measured_walls(case: Case) -> dict[str, tuple[MeasuredWall, dict[str, float]]]:
-    """Return the walls on which a case measures forces, as they move where what varies is zero.
+    """Return the walls on which a case measures forces, without the motion by driving parameters.
 
-    With each is the circulation [m2/s] that each parameter gives per unit of its value.
+    Each comes with the circulation [m2/s] per unit of each driving parameter.
     """
     at_rest, per_unit = _rest_and_units(case)
     moved = {name: measured_walls(case, flow) for name, flow in per_unit.items()}
@@ -99,9 +99,9 @@ def driven_measured_walls(case: Case) -> dict[str, tuple[MeasuredWall, dict[str,
 
 
 def _rest_and_units(case: Case) -> tuple[Scene, dict[str, Scene]]:
-    """Return the flow where what drives it is zero, and those where one parameter each is one.
+    """Return the undriven flow, then one flow per driving parameter with that parameter set to one.
 
-    Raises CaseError where an expression has no value there.
+    Raises CaseError if an expression has no value there.
     """
     point, names = case.plan.train_points[0], case.plan.driving
 
@@ -117,9 +117,9 @@ def _rest_and_units(case: Case) -> tuple[Scene, dict[str, Scene]]:
 
 
 def drives(case: Case, position: Array) -> dict[str, UnitForcing[Array]]:
-    """Return what each parameter gives walls' ghosts and points (n_points, 2) per unit."""
+    """Return the forcing of walls' ghosts and points (n_points, 2) per unit of each parameter."""
     at_rest, per_unit = _rest_and_units(case)
-    ghosts, found = walls(case, at_rest), {}
+    ghosts, forcings = walls(case, at_rest), {}
     for name, flow in per_unit.items():
         velocity = force = None
         if ghosts is not None:
@@ -129,14 +129,14 @@ def drives(case: Case, position: Array) -> dict[str, UnitForcing[Array]]:
             force = of_flow(position.T) - of_rest(position.T)
         some = [part if part is not None and part.any() else None for part in (velocity, force)]
         if any(part is not None for part in some):
-            found[name] = UnitForcing(*some)
-    return found
+            forcings[name] = UnitForcing(*some)
+    return forcings
 
 
 def fixed_points(case: Case, position: Array) -> FixedPoints:
     """Return the sums over neighbours at the reference points (n_points, 2) [m].
 
-    What varies beside the viscosity drives them by parts of its own.
+    Each driving parameter has a separate part in them.
     """
     point = case.plan.train_points[0]
     flow, _ = _rest_and_units(case)
@@ -155,7 +155,7 @@ def fixed_points(case: Case, position: Array) -> FixedPoints:
 
 
 def filled(case: Case, points: Array) -> Filled:
-    """Return what tells the share of space that particles fill at points (n_points, 2) [m]."""
+    """Return the function for the share that particles fill at points (n_points, 2) [m]."""
     domain, spacing, solid = case.scene.domain, case.plan.particle_spacing, np.empty((0, 2))
     if n_solids := len(domain.solid_names):
         ghosts = domain.ghosts(spacing, case.plan.n_wall_layers)
@@ -169,7 +169,7 @@ def filled(case: Case, points: Array) -> Filled:
 def sampler(case: Case, points: Array) -> ReferenceMap:
     """Return the interpolation that samples particles at points (n_points, 2) [m].
 
-    It is the accurate one, whatever the case maps with. Above a free surface fields are zero.
+    It is the accurate one, whichever map the case uses. Above a free surface fields are zero.
     """
     return ReferenceMap(
         points,
@@ -181,12 +181,12 @@ def sampler(case: Case, points: Array) -> ReferenceMap:
 
 
 class MeasuredFields:
-    """Fields where they are measured, those of particles interpolated: affine in the fields.
+    """Measured fields, interpolated from particles: affine in the particles' fields.
 
-    On walls fluid has their velocity. By what the interpolation misses it there, places are
-    corrected: in full on the wall, and not at all from a spacing away. Flow rates aren't: particles
-    conserve them as they are. Nor are places where parameters or time change the wall's velocity,
-    so that all runs are measured alike, where fluid slips, or where it has a free surface.
+    On walls, fluid has the walls' velocity. The interpolation's error on the wall is subtracted at
+    places: fully on the wall, and not at all from a spacing away. There are three exceptions: flow
+    rates, because particles conserve them without a correction; walls whose velocity changes with
+    parameters or time, so that all runs are measured alike; and slip or free-surface flows.
     """
 
     def __init__(self, case: Case, measures: Mapping[str, FieldMeasure]) -> None:
@@ -205,39 +205,39 @@ class MeasuredFields:
         varies |= case.scene.free_slip or case.scene.has_surface
         self._share = np.where(varies, 0.0, 1.0 - distance[near] / spacing)[:, None]
         self.position = np.concatenate((places, on_walls))
-        """(n_positions, 2) [m] where fields are wanted."""
+        """(n_positions, 2) [m], the positions at which fields are needed."""
         self._sample = sampler(case, self.position)
 
     @classmethod
     def of(cls, case: Case) -> MeasuredFields | None:
-        """Return the measured fields of a case, None where it measures none."""
+        """Return the measured fields of a case, or None if it measures none."""
         measures = field_measures(case)
         return cls(case, measures) if measures else None
 
     def __call__(
         self, position: Array, density_fluctuation: Array, velocity: Array
     ) -> dict[str, Quantities]:
-        """Return by name what is measured of particles (n_particles[, 2]).
+        """Return the measurements of particles (n_particles[, 2]), by name.
 
-        Above a free surface pressure and velocity are zero.
+        Above a free surface, pressure and velocity are zero.
 
-        Raises UnstableError where too few particles are near a place in fluid without a surface.
+        Raises UnstableError if too few particles are near a place in fluid without a surface.
         """
         try:
             return self.of_fields(*self._sample(position, density_fluctuation, velocity))
         except TooFewParticlesError as error:
             names = np.repeat([*self.measures], [len(m.position) for m in self.measures.values()])
             name = np.concatenate((names, names[self._near]))[error.number]
-            told = f"unstable where fields are measured{f' ({name})' if name else ''}"
-            raise UnstableError(f"{told}: {error}") from error
+            place = f"unstable where fields are measured{f' ({name})' if name else ''}"
+            raise UnstableError(f"{place}: {error}") from error
 
     def of_fields(self, density_fluctuation: Array, velocity: Array) -> dict[str, Quantities]:
-        """Return by name what is measured of fields (n_positions[, 2]) at `position`."""
-        found, pressure = velocity.copy(), pressure_of(density_fluctuation, self._sound_speed)
+        """Return the measurements of fields (n_positions[, 2]) at `position`, by name."""
+        corrected, pressure = velocity.copy(), pressure_of(density_fluctuation, self._sound_speed)
         ends = np.cumsum([len(measure.position) for measure in self.measures.values()])
-        found[self._near] += self._share * (self._walls - found[ends[-1] :])
-        # What is left over is on walls.
-        parts = zip(*(np.split(each, ends)[:-1] for each in (found, pressure)), strict=True)
+        corrected[self._near] += self._share * (self._walls - corrected[ends[-1] :])
+        # The remaining positions are on walls.
+        parts = zip(*(np.split(each, ends)[:-1] for each in (corrected, pressure)), strict=True)
         return {
             name: measure.of(*part)
             for (name, measure), part in zip(self.measures.items(), parts, strict=True)
@@ -245,7 +245,7 @@ class MeasuredFields:
 
 
 class MeasuredParticles:
-    """All that a case measures of particles but forces: fields, the surface and the whole fluid."""
+    """All measurements of particles except forces: fields, the surface, and the whole fluid."""
 
     def __init__(self, case: Case, point: ParameterPoint) -> None:
         self._fields = MeasuredFields.of(case)
@@ -265,31 +265,31 @@ class MeasuredParticles:
 
     @classmethod
     def of(cls, case: Case, point: ParameterPoint) -> MeasuredParticles | None:
-        """Return what a case measures of particles at a point, None where it is nothing."""
+        """Return the measurements of a case's particles at a point, or None if there are none."""
         scene = case.scene
         return cls(case, point) if scene.measured_fields or scene.measured_surface else None
 
     @property
     def at_rest(self) -> dict[str, Quantities]:
-        """What is measured where all of it is zero, by name: it tells shapes."""
-        found = {
+        """Measurements with all values zero, by name; they define the shapes."""
+        quantities = {
             name: measure.of(np.zeros_like(measure.position), np.zeros(len(measure.position)))
             for name, measure in self.measures.items()
         }
         for name, section in self._surface.items():
-            found[name] = {q: np.zeros((2,) * (q in VECTORS)) for q in section.quantities}
-        return found
+            quantities[name] = {q: np.zeros((2,) * (q in VECTORS)) for q in section.quantities}
+        return quantities
 
     def __call__(
         self, position: Array, density_fluctuation: Array, velocity: Array
     ) -> dict[str, Quantities]:
-        """Return by name what is measured of particles (n_particles[, 2]).
+        """Return the measurements of particles (n_particles[, 2]), by name.
 
         Raises UnstableError as `MeasuredFields` does.
         """
-        found, elevations = dict[str, Quantities](), iter(list[float]())
+        measured, elevations = dict[str, Quantities](), iter(list[float]())
         if self._fields is not None:
-            found |= self._fields(position, density_fluctuation, velocity)
+            measured |= self._fields(position, density_fluctuation, velocity)
         if self._filled is not None:
             share = np.where(self._solid, 1.0, self._filled(position, density_fluctuation))
             shares = share.reshape(-1, len(self._heights))
@@ -303,7 +303,7 @@ class MeasuredParticles:
             "centre_of_mass": {"centre_of_mass": position.mean(axis=0)},
         }
         for name, section in self._surface.items():
-            found[name] = of_fluid.get(section.of_fluid) or {
+            measured[name] = of_fluid.get(section.of_fluid) or {
                 "elevation": np.asarray(next(elevations))
             }
-        return found
+        return measured

@@ -1,4 +1,4 @@
-"""Trajectories in their artifacts: snapshots of particles, and what is measured over time."""
+"""Trajectories in their artifacts: snapshots of particles, and measurements over time."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from sphrom.metrics.measures import UNITS, FieldMeasure, Quantities
 from sphrom.sph.fluid import pressure_of
 from sphrom.sph.wall_forces import TORQUE, WallForces
 
-if TYPE_CHECKING:  # it loads kernels, which take long, and reduced runs need none of it
+if TYPE_CHECKING:  # it imports kernels, which take long and which reduced runs do not need
     from sphrom.setup.particles import MeasuredParticles
     from sphrom.sph.domain import Walls
     from sphrom.sph.time_loop import Item, Snapshot
 
 
 PARTS = ("pressure", "viscous")
-"""Of a force."""
+"""The parts of a force."""
 
 
 def force_datasets(name: str, loads: Array) -> dict[str, Array]:
-    """Return by dataset the forces and torques (..., 2, 3) [N/m, N] of a measurement."""
+    """Return the forces and torques (..., 2, 3) [N/m, N] of a measurement, by dataset."""
     forces = {f"force/{name}/{p}": loads[..., i, :TORQUE] for i, p in enumerate(PARTS)}
     torques = {f"force/{name}/{p}_torque": loads[..., i, TORQUE] for i, p in enumerate(PARTS)}
     return forces | torques
 
 
 def read_forces(artifact: Artifact, name: str) -> Array:
-    """Return the pressure's and the viscous force and torque (n_snapshots, 2, 3) [N/m, N]."""
+    """Return the pressure and the viscous force with torque (n_snapshots, 2, 3) [N/m, N]."""
     paths = [f"force/{name}/{p}" for p in PARTS]
     parts = [np.column_stack((artifact.read(p), artifact.read(f"{p}_torque"))) for p in paths]
     return np.stack(parts, axis=1)
@@ -49,26 +49,26 @@ def field_datasets(measured: Mapping[str, Quantities]) -> dict[str, Array]:
 
 
 def write_positions(artifact: ArtifactWriter, measures: Mapping[str, FieldMeasure]) -> None:
-    """Write where fields are measured [m]."""
+    """Write the places of measured fields [m]."""
     for name, measure in measures.items():
         if measure.normal is None:
             artifact.write(f"measure/{name}/position", measure.position)
 
 
 def read_quantities(artifact: Artifact, name: str) -> Quantities:
-    """Return the values of a measurement that a run has, by quantity (n_snapshots, ...)."""
+    """Return the recorded values of a measurement, by quantity (n_snapshots, ...)."""
     if f"force/{name}/pressure" in artifact:
         return totals(read_forces(artifact, name))
     return read_by_quantity(artifact, f"measure/{name}/")
 
 
 def read_by_quantity(artifact: Artifact, begin: str) -> Quantities:
-    """Return those quantities that have datasets, whose names begin in one way."""
+    """Return the quantities of the existing datasets whose names begin with `begin`."""
     return {q: artifact.read(begin + q) for q in UNITS if begin + q in artifact}
 
 
 def totals(loads: Array) -> Quantities:
-    """Return force and torque, by quantity, of pressure's and viscous ones (..., 2, 3)."""
+    """Return total force and torque, by quantity, from the parts of loads (..., 2, 3)."""
     total = loads.sum(axis=-2)
     return {"force": total[..., :TORQUE], "torque": total[..., TORQUE]}
 
@@ -79,7 +79,7 @@ def measured_of(case: Case, artifact: Artifact) -> dict[str, Quantities]:
 
 
 class TrajectoryWriter:
-    """The datasets of a trajectory, written one snapshot after the other."""
+    """The datasets of a trajectory, written snapshot by snapshot."""
 
     def __init__(
         self,
@@ -125,11 +125,11 @@ class TrajectoryWriter:
             artifact.write("ghost/wall_velocity", walls.velocity)
 
     def append(self, time: float, step: int, snapshot: Snapshot) -> Item:
-        """Write one snapshot, and return what was written.
+        """Write one snapshot, and return the written values.
 
-        Raises UnstableError where fields are measured and too few particles are near.
+        Raises UnstableError if there are too few particles near a measured place.
         """
-        found = {
+        values = {
             "time": np.asarray(time),
             "step": np.asarray(step, dtype=np.int64),
             "position": snapshot.position.T,
@@ -142,28 +142,28 @@ class TrajectoryWriter:
         if self._forces is not None:
             state = np.vstack((snapshot.position, snapshot.density_fluctuation, snapshot.velocity))
             for name, loads in self._forces(state, time).items():
-                found |= force_datasets(name, loads)
+                values |= force_datasets(name, loads)
         if self._fields is not None:
             fields = snapshot.position.T, snapshot.density_fluctuation, snapshot.velocity.T
             try:
-                found |= field_datasets(self._fields(*fields))
+                values |= field_datasets(self._fields(*fields))
             except UnstableError as error:
                 raise UnstableError(f"{error}, at t = {time:.6g} s") from error
-        item = {name: found[name] for name in self._streams}
+        item = {name: values[name] for name in self._streams}
         self.write(item)
         return item
 
     def write(self, item: Item) -> None:
-        """Write one snapshot as it was written before."""
+        """Write one snapshot that `append` returned before."""
         for name, stream in self._streams.items():
             stream.append(item[name])
 
     def finish(
         self, failure: UnstableError | None, seconds: float | None, checkpoint_seconds: float = 0.0
     ) -> None:
-        """Say how the run ended, and how long its time steps and its checkpoints took [s].
+        """Record the end of the run, and the time of its steps and its checkpoints [s].
 
-        `seconds` is None where nobody knows.
+        `seconds` is None if it is unknown.
         """
         self._artifact.annotate("status", "complete" if failure is None else "unstable")
         if failure is not None:

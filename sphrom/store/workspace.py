@@ -1,8 +1,7 @@
-"""The artifacts of one case: where they are, what each depends on, whether it is valid.
+"""The artifacts of one case: their files, their dependencies, and whether they are valid.
 
-An artifact depends on some sections of the case and on the artifacts it was made from. The first
-are compared by a digest, the second by their content. How a single file is read and written is for
-`sphrom.artifacts`.
+An artifact depends on some sections of the case, which are compared by a digest, and on other
+artifacts, which are compared by their content. `sphrom.artifacts` reads and writes single files.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from sphrom.artifacts import (
     open_artifact,
     probe,
 )
-from sphrom.artifacts.inspection import Fault, inspect, open_file
+from sphrom.artifacts.reader import Fault, inspect, open_file
 from sphrom.case.fields import Section
 from sphrom.case.loader import case_of_text
 from sphrom.case.models import VERSIONS, inputs_digest, section_inputs, stated
@@ -48,7 +47,7 @@ class Kind:
     sections: tuple[str, ...]
     """The sections of the case that it depends on as a whole."""
     partly: tuple[str, ...] = ()
-    """The sections of which it depends on some keys, that its `about` names."""
+    """The sections of which it depends on some keys; they are part of its `about`."""
 
 
 KINDS: Mapping[str, Kind] = {
@@ -75,7 +74,7 @@ KINDS: Mapping[str, Kind] = {
 
 @dataclass(frozen=True)
 class Target:
-    """One artifact of a case: its file, and what it must have been made with and from."""
+    """One artifact of a case: its file, and the case and inputs that it must be made with."""
 
     path: Path
     schema: str
@@ -84,19 +83,19 @@ class Target:
     inputs_digest: str
     parents: Mapping[str, Target]
     sections: frozenset[str]
-    """Those of the case that it or a parent depends on, wholly or in part."""
+    """The sections of the case that it or a parent depends on, wholly or in part."""
     at_least: Mapping[str, int]
-    """Lengths that datasets in it have at least: one that holds more serves as well."""
+    """Minimum lengths of its datasets; longer ones are valid too."""
 
 
 class Workspace:
-    """The folder of a case's artifacts: which there can be, which are valid; to read and write."""
+    """The folder of a case's artifacts: names, validity, reading and writing."""
 
     def __init__(self, context: StageContext) -> None:
         self.context = context
         self.case, self.out = context.case, context.out
         ask_for_threads(context.threads)
-        # Figures that a case asks for change no artifact, nor do frequencies any runs.
+        # Requested figures change no artifact, and measured frequencies change no run.
         scene = self.case.scene.model_copy(update={"measure": self.case.scene.recorded})
         compare = self.case.compare.model_copy(update={"figures": ()})
         self._without_figures = self.case.model_copy(update={"compare": compare, "scene": scene})
@@ -107,13 +106,13 @@ class Workspace:
 
     @property
     def threads(self) -> int:
-        """How many threads kernels use, which are loaded to tell."""
+        """Number of threads of the kernels; imports them."""
         from sphrom.kernels.jit import threads_for
 
         return threads_for(self.context.threads)
 
     def reason_to_make(self, target: Target) -> str | None:
-        """Return why an artifact has to be made, or None when it is there and valid."""
+        """Return why an artifact has to be made, or None if it exists and is valid."""
         if target.path not in self._reasons:
             self._reasons[target.path] = self._reason_to_make(target)
         return self._reasons[target.path]
@@ -127,19 +126,19 @@ class Workspace:
         return probe(target.path, target.schema, self._origin(target), target.at_least)
 
     def must_make(self, target: Target) -> bool:
-        """Return whether a stage is to make an artifact, and say why not.
+        """Return whether a stage has to make an artifact, and report if it does not.
 
-        Raises ArtifactError when it is there but not valid, and may not be overwritten, as what was
-        imported never is.
+        Raises ArtifactError if the artifact exists, is not valid, and must not be overwritten.
+        Imported artifacts are never overwritten.
         """
         if target.path.is_dir():
-            raise ArtifactError(f"{target.path} is a folder where an artifact has to be: remove it")
+            raise ArtifactError(f"{target.path} is a folder where a file has to be: remove it")
         command = self._import_command(target)
         if self.context.force and not self.context.keep_valid and command is None:
             return True
         reason = self.reason_to_make(target)
         if reason is None:
-            self.context.report.info(f"{target.path.name}: there, and of this case: kept")
+            self.context.report.info(f"{target.path.name}: up to date, kept")
             return False
         if command is not None:
             self.require(target)
@@ -151,7 +150,7 @@ class Workspace:
         return True
 
     def require(self, target: Target) -> None:
-        """Raise ArtifactError, naming the first cause, unless an artifact is there and valid."""
+        """Raise ArtifactError that names the first cause, unless an artifact is valid."""
         if (reason := self.reason_to_make(target)) is not None:
             self._require_parents(target)
             lacks, again = ("out of date", " --force") if target.path.exists() else ("missing", "")
@@ -162,34 +161,34 @@ class Workspace:
             raise ArtifactError(f"{target.path} {reason}; {remedy}")
 
     def imported(self, target: Target) -> dict[str, str]:
-        """Return what an artifact says of its import; nothing where it was made here or damaged."""
+        """Return the import attributes of an artifact; empty if it was made here or is damaged."""
         with suppress(Fault), open_file(target.path) as file:
-            said = inspect(file).attributes.items()
-            return {name: str(value) for name, value in said if name.startswith("imported/")}
+            attributes = inspect(file).attributes.items()
+            return {name: str(value) for name, value in attributes if name.startswith("imported/")}
         return {}
 
     def _import_command(self, target: Target) -> str | None:
-        """Return the command that imports a full run again; None for what stages here make."""
-        said = self.imported(target) if target.stage == "fom" else {}
-        files = said.get("imported/files")
+        """Return the command that imports a full run again; None if a stage makes the artifact."""
+        attributes = self.imported(target) if target.stage == "fom" else {}
+        files = attributes.get("imported/files")
         return files and f"sphrom import {self.context.words} {files} --force"
 
     def _require_parents(self, target: Target) -> None:
-        """Raise ArtifactError when an input that is still there is not valid."""
+        """Raise ArtifactError if an existing input is not valid."""
         for parent in target.parents.values():
             if parent.path.exists():
                 self.require(parent)
 
     def open(self, target: Target) -> AbstractContextManager[Artifact]:
-        """Open an artifact for reading, checked against the case and its inputs.
+        """Open an artifact for reading, after checking it against the case and its inputs.
 
-        Raises ArtifactError when it is missing, damaged, or no longer valid.
+        Raises ArtifactError if it is missing, damaged, or no longer valid.
         """
         self.require(target)
         return self.open_intermediate(target)
 
     def open_intermediate(self, target: Target) -> AbstractContextManager[Artifact]:
-        """Open an intermediate file, such as a checkpoint, and check that file alone."""
+        """Open an intermediate file, such as a checkpoint, after checking that file only."""
         return open_artifact(
             target.path, target.schema, made_by=target.made_by, origin=self._origin(target)
         )
@@ -198,7 +197,7 @@ class Workspace:
     def create(
         self, target: Target, attributes: Mapping[str, object] | None = None
     ) -> Iterator[ArtifactWriter]:
-        """Write an artifact, made from its parents as they are now."""
+        """Write an artifact that is made from the current state of its parents."""
         for parent in target.parents.values():
             self.require(parent)
         make_folder(target.path.parent)
@@ -222,26 +221,26 @@ class Workspace:
         )
 
     def folder(self, name: str = "") -> Path:
-        """Return the folder of artifacts, or one in it, made if need be."""
+        """Return the folder of artifacts, or one in it, made if necessary."""
         return make_folder(self.out / name)
 
     def _origin(self, target: Target) -> Origin:
-        """Return what an artifact is made with, and from those parents that are still there."""
+        """Return the case and the existing parents of an artifact."""
         there = [item for item in target.parents.items() if item[1].path.exists()]
         lineage = {role: self._identity(parent) for role, parent in there}
         made_with = target.inputs_digest, self.case.text, target.sections
         return Origin(*made_with, lambda text: self._consequences(target, text), lineage)
 
     def _consequences(self, target: Target, text: str) -> str:
-        """Tell in words what follows otherwise from the points of a case in YAML."""
+        """Return, in words, the derived values that differ for another case, given as YAML."""
         with suppress(CaseError):
             plans = case_of_text(text).plan, self.case.plan
-            what, (there, here) = "step", [f"{plan.steps.time_step:.6g} s" for plan in plans]
+            name, (there, here) = "step", [f"{plan.steps.time_step:.6g} s" for plan in plans]
             if there == here:
-                what, (there, here) = "speed of sound", [f"{p.sound_speed:.6g} m/s" for p in plans]
+                name, (there, here) = "speed of sound", [f"{p.sound_speed:.6g} m/s" for p in plans]
             if "time" in target.sections and there != here:
                 reason = "it follows the lowest Reynolds number of all points, and their speeds"
-                return f"the {what} is {there} there, {here} here: {reason}"
+                return f"the {name} is {there} there, {here} here: {reason}"
         return ""
 
     def _identity(self, target: Target) -> Identity:
@@ -291,7 +290,7 @@ class Workspace:
 
     def splines(self) -> Target:
         """The splines of the modes."""
-        # The section alone may leave the choice to the points.
+        # The points may determine the kind, not the section alone.
         kind = "psi on a lattice" if self.case.plan.lattice_splines else "psi"
         return self._target(kind, "", {}, {"basis": self.basis()})
 
@@ -318,7 +317,7 @@ class Workspace:
         return self._target("operators", "", about, parents)
 
     def reduced_run(self, model: ReducedModelSection, point: ParameterPoint) -> Target:
-        """What a reduced model gave at a parameter point."""
+        """The run of a reduced model at a parameter point."""
         kind = f"rom{self._own_kind}" if model.from_operators else "rom on particles"
         parents = self._trained(model) | self._start(self.case.plan.start_point(point))
         about = {"point": point.as_dict(), **_about(model, "parameters")}
@@ -338,7 +337,7 @@ class Workspace:
         return self._target("compare", "", {}, parents)
 
     def sweep(self) -> Target:
-        """The runs of the case's sweep; which values it has is for who reads it to compare."""
+        """The runs of the case's sweep; its readers compare the values of the parameters."""
         model = sweep_model(self.case)
         about: dict[str, object] = {
             "sweep": _without(self.case.sweep.of_any_values, "name", "model")
@@ -352,7 +351,7 @@ class Workspace:
         return self._target("sweep", sweep_name(self.case), about, parents)
 
     def fit(self, name: str, measurements: str, noise: float | None) -> Target:
-        """The parameters that measurements tell, by the digest of their file."""
+        """The parameters estimated from measurements, by the digest of their file."""
         model = fast_section(self.case, self.case.fit.model)
         about = {
             "fit": _without(self.case.fit, "model", "noise"),
@@ -364,7 +363,7 @@ class Workspace:
         return self._target("fit", name, about, made_from)
 
     def _trained(self, model: ReducedModelSection) -> dict[str, Target]:
-        """Return what a reduced model is made of."""
+        """Return the artifacts from which a reduced model is built."""
         if model.from_operators:
             return {"basis": self.basis(), "operators": self.operators()}
         return {"basis": self.basis(), "splines": self.splines()}
@@ -380,7 +379,7 @@ class Workspace:
         return {name: getattr(self.case.plan.steps, name) for name in names}
 
     def _start(self, point: ParameterPoint) -> dict[str, Target]:
-        """Return what a run starts from that has its start at a point."""
+        """Return the artifacts that contain the start of a run at a point."""
         if self.case.time.spin_up > 0.0:
             return {"spin-up": self.spin_up(point)}
         return self._packed()
@@ -396,7 +395,7 @@ class Workspace:
         parents: Mapping[str, Target],
         at_least: Mapping[str, int] | None = None,
     ) -> Target:
-        """Return a target; `about` is of what the sections of its kind don't say as a whole."""
+        """Return a target; `about` contains the dependencies beyond the whole sections."""
         kind = KINDS[name]
         if name in ("compare", "sweep", "fit") and (of := self.case.scene.oscillations):
             about = {**about, "oscillations": {key: vars(each) for key, each in of.items()}}
@@ -409,7 +408,7 @@ class Workspace:
         inputs = {
             "sections": self._inputs[name],
             "about": stated(about),
-            # In their order; they may have been deleted since, or be fewer now.
+            # In their order; they may have been deleted, or be fewer now.
             "inputs": [[role, parent.inputs_digest] for role, parent in parents.items()],
             "schema": kind.schema,
         }
@@ -427,19 +426,19 @@ class Workspace:
 
 
 def _about(model: ReducedModelSection, *names: str) -> dict[str, object]:
-    """Return what a reduced model's section says, but for some keys, and its version."""
+    """Return the values of a reduced model's section, without some keys, and its version."""
     return {"model": _without(model, *names), "rom version": VERSIONS["rom"]}
 
 
 def _without(section: Section, *names: str) -> dict[str, object]:
-    """Return what a section says, but for some keys."""
-    said = stated(section)
-    assert isinstance(said, dict)
-    return {name: value for name, value in said.items() if name not in names}
+    """Return the values of a section, without some keys."""
+    values = stated(section)
+    assert isinstance(values, dict)
+    return {name: value for name, value in values.items() if name not in names}
 
 
 def make_folder(path: Path, option: str = "--out") -> Path:
-    """Return a folder, made if need be. Raises ArtifactError, naming the option for another."""
+    """Return a folder, made if necessary. Raises ArtifactError that names the option."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:

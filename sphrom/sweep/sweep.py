@@ -280,7 +280,7 @@ class Results:
                 found = read_record(artifact, Statistics, "statistics") if stored else None
             if case.sweep.levels == (() if found is None else tuple(found.levels.tolist())):
                 name = self._whole.path.name
-                self._workspace.context.report.info(f"{name}: there, and of this case: kept")
+                self._workspace.context.report.info(f"{name}: up to date, kept")
                 return records, found
         found = statistics.statistics_of(self._workspace, records) if complete else None
         write_sweep(self._workspace, self._whole, records, found)

@@ -23,9 +23,9 @@ ASKING = (
     "says?|said|sees?|saw|shows?|know|knows|known|tells?|told|asks?|explains?|describes?|about|on"
 )
 CEILINGS = {
-    ("sphrom", "what"): 490,
-    ("docs", "what"): 72,
-    ("sphrom", "those that"): 33,
+    ("sphrom", "what"): 372,
+    ("docs", "what"): 68,
+    ("sphrom", "those that"): 31,
     ("docs", "those that"): 3,
 }
 """Matches that are left in each folder. The goal is 60 of "what" in all."""

@@ -16,7 +16,7 @@ from sphrom.artifacts import open_artifact, read_record
 from sphrom.case.loader import load_case
 from sphrom.case.points import ParameterPoint
 from sphrom.online.fast_model import FastModel
-from sphrom.reduction.memory_operators import project_memory
+from sphrom.reduction.operator_projection import project_memory
 from sphrom.reduction.reduced_operators import MemoryOperators
 from sphrom.reduction.reference_model import automatic, step_tolerance
 from sphrom.setup import particles
@@ -247,7 +247,7 @@ def test_only_a_closure_of_another_size_needs_other_operators(place, sphrom):
     sphrom("rom", "vortex.yaml", "--set", "rom.1.n_modes=2", "--force", code=3)
     more = ("--set", "rom.0.n_modes=2", "--set", "rom.0.parameters=[170]")
     kept = sphrom("operators", "vortex.yaml", *more)
-    assert "operators.h5: there, and of this case: kept" in kept.stdout
+    assert "operators.h5: up to date, kept" in kept.stdout
 
 
 def test_a_run_that_diverges(place, sphrom, peaks):

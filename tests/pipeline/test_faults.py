@@ -64,7 +64,7 @@ def test_run_with_force_makes_a_damaged_artifact_anew(place, sphrom, refused, fl
     assert line.startswith(f"error: {damaged} is damaged")
     result = sphrom("run", "tiny.yaml", "--force", "--threads", 1, "--verbose", code=0)
     assert f"{damaged.name}: made again, because it is damaged" in result.stdout
-    assert "fom-reynolds100.h5: there, and of this case: kept" in result.stdout
+    assert "fom-reynolds100.h5: up to date, kept" in result.stdout
     assert result.stdout.count("wrote ") == 1  # what is compared has not changed
     assert digests(place) == before
 

@@ -83,7 +83,7 @@ def test_stages_go_on_from_what_pysph_wrote(case, sphrom) -> None:
     measured = "--set=scene.measure={centre: {probe: [0.3, 0.3]}}"
     sphrom("import", case, *PYSPH, *BY_PRESSURE, "--seconds", 7.0, measured, code=0)
     result = sphrom("run", case, "--threads", 1, "--verbose", measured, code=0)
-    assert "fom-reynolds100.h5: there, and of this case: kept" in result.stdout
+    assert "fom-reynolds100.h5: up to date, kept" in result.stdout
     with open_artifact(OUT / "pod.h5", "sphrom/basis", made_by="pod") as basis:
         values = basis.read("bases/all/singular_values/joint")
     # A vortex that decays in place: one mode has nearly all of it.
@@ -444,7 +444,7 @@ def test_run_that_is_there_is_kept_unless_forced(case, sphrom, refused) -> None:
     assert RUN.read_bytes() == ours
     sphrom("import", case, *names, "--force", code=0)
     theirs = RUN.read_bytes()
-    assert "there, and of this case: kept" in sphrom("import", case, *names, code=0).stdout
+    assert "up to date, kept" in sphrom("import", case, *names, code=0).stdout
     assert ours != RUN.read_bytes() == theirs
     # Other options, or other files, are another import.
     said = "imported from ./their_*.npz --only"

@@ -223,5 +223,5 @@ def test_a_flow_that_starts_from_a_file_is_trained_and_told_of_no_range(case, tr
     result = train("--tolerance", "50%", "--workers", "2", "--out", "made")
     assert "outside of the trained range" not in result.output
     again = sphrom("fom", "made/training/case.yaml", "--out", "made", "--only", "reynolds=50")
-    assert "fom-reynolds50.h5: there, and of this case: kept" in again.output
+    assert "fom-reynolds50.h5: up to date, kept" in again.output
     assert "next: sphrom run made/training/case.yaml --out made" in result.output

@@ -35,7 +35,7 @@ def test_nothing_is_made_from_an_unstable_full_run(empty, sphrom):
     for stage in ("fom", "map"):
         sphrom(stage, "tiny.yaml", *kept, code=2)
     again = sphrom("run", "tiny.yaml", *TOO_FAST, "--verbose", code=4)
-    assert "fom-reynolds100.h5: there, and of this case: kept" in again.stdout
+    assert "fom-reynolds100.h5: up to date, kept" in again.stdout
     for stage, change in (("map", ()), ("compare", ("--set", "rom=[]"))):
         one = ("--set", "parameters.train.reynolds=[100]", "--set", "parameters.test.reynolds=[]")
         result = sphrom(stage, "tiny.yaml", *TOO_FAST, *one, *change, code=3)
@@ -57,7 +57,7 @@ def test_an_unstable_reduced_run_does_not_keep_the_others(place, sphrom, peaks, 
     with (place / "tables" / "timings.csv").open(newline="") as file:
         assert {row["model"] for row in csv.DictReader(file)} == {"galerkin"}
     again = sphrom("run", "tiny.yaml", *change, "--verbose", code=4)
-    assert "rom-apg-reynolds100.h5: there, and of this case: kept" in again.stdout
+    assert "rom-apg-reynolds100.h5: up to date, kept" in again.stdout
 
 
 def test_a_channel_at_a_low_reynolds_number_runs_as_it_is(tmp_path, sphrom):

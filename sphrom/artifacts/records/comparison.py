@@ -1,4 +1,4 @@
-"""What comparisons of runs hold."""
+"""The contents of comparisons of runs."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Series(Record):
 
 
 class Samples(Record):
-    """What was sampled at some places over time."""
+    """Velocity and pressure at some places over time."""
 
     position: Array = dataset("point component", "m", "the places", "x")
     time: Array = dataset("snapshot", "s", "time of each snapshot", "t", "Eq. 2.18")
@@ -52,7 +52,7 @@ class Samples(Record):
 
 
 class Ranges(Record):
-    """Ranges of the full run over line and grid, which Eq. 4.1 divides by."""
+    """Ranges of the full run over line and grid, the denominators of Eq. 4.1."""
 
     time: Array = dataset("snapshot", "s", "time of each snapshot", "t", "Eq. 2.18")
     speed: Array = dataset("snapshot", "m/s", "largest less smallest speed", equation="Eq. 4.1")
@@ -62,20 +62,20 @@ class Ranges(Record):
 
 
 class ReferenceProfile(Record):
-    """A published or independent profile, and a full run's."""
+    """A published or independent profile, and that of a full run."""
 
     coordinate: Array = dataset(
-        "point", "1", "place along a reference's profile, over the reference length"
+        "point", "1", "coordinate along a reference's profile, over the reference length"
     )
     reference_value: Array = dataset("point", "1", "the reference there, over U, or rho U^2")
-    value: Array = dataset("point", "1", "the full run there, its mean over a window of time")
+    value: Array = dataset("point", "1", "the full run there, averaged over a window of time")
     scatter: Array = dataset(
         "point", "1", "standard deviation of its snapshots there in the window"
     )
 
 
 class Comparison(Record, kind="sphrom/comparison"):
-    """Figures of merit over time, by what is compared and by parameter."""
+    """Figures of merit over time, by compared run and by parameter."""
 
     series: Mapping[str, Series] = part(at="series/*/*", default_factory=dict)
     centreline: Mapping[str, Samples] = part(at="centreline/*/*")

@@ -1,4 +1,4 @@
-"""What runs on the reference points hold."""
+"""The contents of runs on the reference points."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ from sphrom.artifacts.records.runs import (
 from sphrom.declaration import Record, attribute, dataset, part
 
 Converged = Literal["converged", "not converged"]
-_CONSTANT = "error over the residual's integral that decays, in training"
+_CONSTANT = "error in training over the residual's integral with decay"
 _FACTOR = (
-    "that 95 % of the training errors are within, either way, of estimates with the other training "
-    "runs' constant; absent outside of training"
+    "factor, either way, between 95 % of the training errors and their estimates from the other "
+    "training runs; absent outside of training"
 )
 
 
 class MeasuredOnce(Record):
-    """One value of each measured quantity: in a steady state, or an error over a run."""
+    """One value per measured quantity: in a steady state, or an error over a run."""
 
     force: Array | None = dataset("component", "N/m", "force on a wall", default=None)
     torque: float | None = attribute("N", "torque on a wall, anticlockwise", default=None)
@@ -49,10 +49,10 @@ class ErrorEstimate(Record):
     change: Array = dataset(
         "snapshot cause",
         "of the inner product",
-        "how far coordinates are from what training runs make of them: by the parameters, and since"
-        " the training runs ended",
+        "distance of coordinates from those that training runs predict: due to the parameters, and "
+        "since the training runs ended",
     )
-    decay_rate: float = attribute("1/s", "at which errors are forgotten")
+    decay_rate: float = attribute("1/s", "decay rate of errors")
     training: Literal["inside", "outside"] = attribute(
         "",
         "whether the run is inside or outside of the trained parameters and times; outside the "
@@ -66,21 +66,21 @@ class ErrorEstimate(Record):
 
 
 class Steady(Record):
-    """A steady state, from where a run ended."""
+    """A steady state, found from the end of a run."""
 
     coordinates: Array = dataset(
         "mode", "of the inner product",
-        "where the rates vanish, or the nearest that was found, from where the run ended",
+        "zero of the rates, or the closest state that was found, from the end of the run",
         "omega-hat", "Eq. 3.11",
     )
     status: Converged = attribute("", "whether a steady state was found")
     residual: float = attribute("of the modes, /s", "norm of its rates")
     training_distance: float | None = attribute(
-        "1", "from the nearest of some training states, over the norm of the steady state",
+        "1", "distance from the nearest of some training states, over the norm of the steady state",
         default=None,
     )
     residual_left_out: float | None = attribute(
-        "of the inner product, /s", "norm of what the basis leaves out of the rates there",
+        "of the inner product, /s", "norm of the residual of the full rates there",
         default=None,
     )
     velocity_error_estimate: float | None = attribute(*VELOCITY_ERROR, default=None)
@@ -88,7 +88,7 @@ class Steady(Record):
         "Pa", "estimated root mean square error of the pressure", default=None
     )
     n_steps: int = attribute("", "steps of Newton's method")
-    largest_real_part: float = attribute("1/s", "of the spectrum there")
+    largest_real_part: float = attribute("1/s", "largest real part of the spectrum there")
     measure: Mapping[str, MeasuredOnce] = part(default_factory=dict)
 
 
@@ -102,37 +102,37 @@ class Coordinates(Settings, kind="sphrom/coordinates"):
     correction: Array | None = dataset(
         "snapshot mode",
         "of the inner product",
-        "the part of them that training runs add to those that are integrated",
+        "the part of the coordinates that is a correction by training runs",
         default=None,
     )
     integrated_modes: int | None = attribute(
-        "1", "number of modes that are integrated, the first, as long as training runs are; "
-        "training runs predict the others", default=None,
+        "1", "number of leading modes that are integrated within the trained time; training runs "
+        "predict the others", default=None,
     )
     force: Mapping[str, Force] = part(default_factory=dict)
     measure: Mapping[str, Measured] = part(default_factory=dict)
     residual: Array | None = dataset(
-        "snapshot", "of the inner product, /s", "norm of what the model leaves out of the rates",
+        "snapshot", "of the inner product, /s", "norm of the residual of the model's rates",
         default=None,
     )
     error_estimate: ErrorEstimate | None = part(default=None)
     steady: Steady | None = part(default=None)
     reference_position: Array | None = dataset(
-        "particle component", "m", "points of the reference space, where fields are kept", "x_G",
+        "particle component", "m", "points of the reference space, where fields are stored", "x_G",
         "Eq. 3.14", default=None,
     )
     density_fluctuation: Array | None = dataset("snapshot particle", *DENSITY, default=None)
     velocity: Array | None = dataset("snapshot particle component", *VELOCITY, default=None)
     pressure: Array | None = dataset("snapshot particle", *PRESSURE, default=None)
     status: Status = attribute("", "how the run ended")
-    status_detail: str | None = attribute("", "what went wrong, and when", default=None)
+    status_detail: str | None = attribute("", "reason and time of a failure", default=None)
     memory_length: float | None = attribute("s", "tau of Eq. 3.22", default=None)
-    mean_density_fluctuation: float = attribute("kg/m3", "carried apart, constant")
+    mean_density_fluctuation: float = attribute("kg/m3", "separate mean, constant")
     integrator: Literal["runge-kutta", "exponential"] | None = attribute(
-        "", "what steps are: Runge-Kutta's (Eq. 2.18), or exponential, the linear part exact",
+        "", "kind of steps: Runge-Kutta (Eq. 2.18), or exponential, with an exact linear part",
         default=None,
     )
     step_limit: float | None = attribute(
-        "s", "largest stable Runge-Kutta step; absent where any is", default=None
+        "s", "largest stable Runge-Kutta step; absent if every step is stable", default=None
     )
-    largest_real_part: float = attribute("1/s", "of the spectrum at the start")
+    largest_real_part: float = attribute("1/s", "largest real part of the spectrum at the start")

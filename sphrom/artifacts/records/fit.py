@@ -1,4 +1,4 @@
-"""What fits of parameters to measurements hold."""
+"""The contents of fits of parameters to measurements."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from sphrom.declaration import Record, attribute, dataset, part
 
 
 class FittedHistory(Record):
-    """One measured history beside the fitted model's."""
+    """One measured history and that of the fitted model."""
 
-    instant: Array = dataset("measurement", "s", "when values were measured", "t")
+    instant: Array = dataset("measurement", "s", "times of the measured values", "t")
     measured: Array = dataset("measurement", "of the quantity", "measured values")
     noise: Array = dataset("measurement", "of the quantity", "standard deviations of the noise")
     fitted: Array = dataset("measurement", "of the quantity", "values of the fitted model")
     curve: Array = dataset("snapshot", "of the quantity", "the fitted model at its snapshots")
     half_width: Array = dataset(
         "snapshot", "of the quantity",
-        "half-width of the 95 % interval about the curve that the flow's own history is in",
+        "half-width about the curve of the 95 % interval for the flow's own history",
     )
-    name: str = attribute("", "what was measured, and where the case doesn't name it the place")
+    name: str = attribute("", "measurement, with its place if the case does not name it")
     units: str = attribute("", "units of the quantity", at="quantity_units")
 
     @property
@@ -33,18 +33,18 @@ class FittedHistory(Record):
 
 
 class Fit(Record, kind="sphrom/fit"):
-    """Parameters of a model from measured histories, with what is known of them."""
+    """Parameters of a model, estimated from measured histories, with their uncertainty."""
 
     value: Array = dataset("estimate", "of the parameters", "estimated values", "mu")
     standard_deviation: Array = dataset(
         "estimate", "of the parameters", "standard deviations of the estimates"
     )
     by_noise: Array = dataset(
-        "estimate", "of the parameters", "their part by the noise of the measurements"
+        "estimate", "of the parameters", "their part due to the noise of the measurements"
     )
-    by_model: Array = dataset("estimate", "of the parameters", "their part by the model's errors")
-    low: Array = dataset("estimate", "of the parameters", "where the 95 % intervals begin")
-    high: Array = dataset("estimate", "of the parameters", "where the 95 % intervals end")
+    by_model: Array = dataset("estimate", "of the parameters", "their part due to model errors")
+    low: Array = dataset("estimate", "of the parameters", "lower ends of the 95 % intervals")
+    high: Array = dataset("estimate", "of the parameters", "upper ends of the 95 % intervals")
     covariance: Array = dataset(
         "parameter parameter", "of the parameters", "covariance of the estimated parameters"
     )
@@ -55,21 +55,21 @@ class Fit(Record, kind="sphrom/fit"):
     directions: Array = dataset("parameter parameter", "1", "its eigenvectors, in rows")
     time: Array = dataset("snapshot", *TIME)
     history: Mapping[str, FittedHistory] = part()
-    estimate_names: str = attribute("", "names of the estimates, with commas")
-    remarks: str = attribute("", "why an interval doesn't hold, of each estimate, with commas")
-    parameter_names: str = attribute("", "names of the estimated parameters, with commas")
+    estimate_names: str = attribute("", "names of the estimates, separated by commas")
+    remarks: str = attribute("", "why an interval is invalid, by estimate, separated by commas")
+    parameter_names: str = attribute("", "names of the estimated parameters, separated by commas")
     point: Mapping[str, float] = attribute(
-        "of the parameters", "values of all parameters, known ones too", at="parameters"
+        "of the parameters", "values of all parameters, fixed ones too", at="parameters"
     )
     model: str = attribute("", "the fitted model")
     measurements: str = attribute("", "name of the file of measurements")
     warnings: str = attribute(
-        "", "what to know before these figures are used, one a line", at="problems"
+        "", "reasons for caution with the results, one per line", at="problems"
     )
     chi_square: float = attribute("1", "chi^2 of the fit")
     expected_chi_square: float = attribute(
-        "1", "chi^2 that noise, with a probability of 99.9 %, and the model's errors stay below"
+        "1", "bound of chi^2 from noise, with a probability of 99.9 %, and the model's errors"
     )
-    degrees_of_freedom: int = attribute("", "values less estimated parameters")
-    starts_led_here: int = attribute("", "starts of the search that led to this fit")
-    starts: int = attribute("", "starts of the search")
+    degrees_of_freedom: int = attribute("", "number of values less that of estimated parameters")
+    starts_led_here: int = attribute("", "number of starts of the search that led to this fit")
+    starts: int = attribute("", "number of starts of the search")

@@ -1,7 +1,7 @@
-"""Trial bases, right-hand sides that are projected onto them with the data for error estimates, and
-splines of modes: the artifacts of the stages pod, operators and fit-psi.
+"""Trial bases, projected right-hand sides with the data for error estimates, and splines of modes:
+the artifacts of the stages pod, operators and fit-psi.
 
-The numerics' own records say most of what they hold. `sphrom.store.trained_models` reads them.
+Most fields are declared by records of the numerics. `sphrom.store.trained_models` reads them.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ class Basis(Medium, kind="sphrom/basis"):
     """Trial bases and their singular values."""
 
     reference_position: Array = dataset("particle component", *REFERENCE_POSITION)
-    volume: Array = dataset("particle", "m2", "area that each point stands for", "V", "Eq. 3.15")
+    volume: Array = dataset("particle", "m2", "area represented by each point", "V", "Eq. 3.15")
     mean_density_fluctuation: Mapping[str, Array] = dataset(
         "snapshot",
         "kg/m3",
-        "spatial mean of each snapshot of a training run, taken out before the decomposition where "
-        "it is carried apart",
+        "spatial mean of each snapshot of a training run, if it is subtracted as a separate "
+        "variable",
         default_factory=dict,
     )
     bases: Mapping[str, StoredBasis] = part()
@@ -37,24 +37,24 @@ class Basis(Medium, kind="sphrom/basis"):
     )
     lagrangian: Mapping[str, Modes] = part(default_factory=dict)
     lagrangian_position: Array | None = dataset(
-        "particle component", "m", "where the particles of the Lagrangian modes started", "x",
+        "particle component", "m", "start positions of the particles of the Lagrangian modes", "x",
         "Eq. 3.13", default=None,
     )
     inner_product: str = attribute("", "inner product of the modes")
 
 
 class WallForce(ReducedForce):
-    """A projected force, and the forces that training runs recorded."""
+    """A projected force, and the recorded forces of training runs."""
 
     training_loads: Array = dataset(
         "run snapshot part load",
         "N/m, N of the torque",
-        "pressure's and viscous force in the full runs that it learnt from, to correct with",
+        "pressure and viscous force in the full training runs, for corrections",
     )
 
 
 class TrainedMeasure(ReducedMeasure):
-    """A projected measurement, and what the full runs that it learnt from recorded."""
+    """A projected measurement, and its recorded values in the full training runs."""
 
     training_flow_rate: Array | None = dataset(
         "run snapshot", "m2/s", "flow through the section in training runs", default=None
@@ -68,7 +68,7 @@ class TrainedMeasure(ReducedMeasure):
 
 
 class Estimate(FieldProducts):
-    """The data that estimates of errors are fitted to."""
+    """The data to which error estimates are fitted."""
 
     unheld: UnheldShares = part()
     start: Array = dataset(
@@ -78,16 +78,16 @@ class Estimate(FieldProducts):
 
 
 class HeldOut(Record):
-    """Models that training runs, each held out in turn, choose; calibrated ones with Galerkin."""
+    """Numbers of modes chosen by held-out training runs, for calibrated Galerkin models."""
 
     integrated: Indices = dataset(
         "size", "1",
-        "number of modes to integrate of models with 1, 2, ... modes; training runs predict the "
+        "number of modes to integrate in models with 1, 2, ... modes; training runs predict the "
         "others",
     )
     error: Array = dataset(
         "size field", "1",
-        "error over the field's size to expect of such models between training runs" + OF_FIELDS,
+        "expected relative error of such models between training runs" + OF_FIELDS,
     )
 
 
@@ -97,12 +97,12 @@ class BasisOperators(Record):
     rates: ReducedOperators = part(at="")
     states: Array = dataset(
         "state mode", "of the inner product",
-        "coordinates of some training snapshots, around which steps have to be stable", "omega-hat",
+        "coordinates of some training snapshots, around which steps must be stable", "omega-hat",
         "Eq. 3.11",
     )
     training_runs: Array | None = dataset(
         "run snapshot mode", "of the inner product",
-        "coordinates of all snapshots that the basis learnt from, to calibrate and correct with",
+        "coordinates of all training snapshots of the basis, for calibration and correction",
         "omega-hat", "Eq. 3.11", default=None,
     )
     residual: ResidualFactor | None = part(default=None)
@@ -111,14 +111,14 @@ class BasisOperators(Record):
     memory: Mapping[str, MemoryOperators] = part()
     wall_force: Mapping[str, WallForce] = part(default_factory=dict)
     measure: Mapping[str, TrainedMeasure] = part(default_factory=dict)
-    skewness: float = attribute("1", "of the acoustic part; zero is skew")
+    skewness: float = attribute("1", "asymmetry of the acoustic part; zero if it is skew")
 
 
 class Starts(Record):
     """Starts of runs, mapped onto the reference points."""
 
     parameters: Array = dataset(
-        "start parameter", "1", "values of the parameters that each start belongs to"
+        "start parameter", "1", "parameter values of each start"
     )
     density_fluctuation: Array = dataset(
         "start particle", "kg/m3", "density minus the reference density", "rho'", "Eq. 3.15"
@@ -131,7 +131,7 @@ class Operators(Record, kind="sphrom/operators"):
 
     bases: Mapping[str, BasisOperators] = part()
     starts: Starts | None = part(default=None)
-    walls_driven: int = attribute("", "1 where the amplitude is that of the walls' speed, else 0")
+    walls_driven: int = attribute("", "1 if the amplitude is that of the walls' speed, else 0")
 
 
 class Spline(Record, kind="sphrom/spline"):

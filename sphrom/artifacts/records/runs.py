@@ -1,4 +1,4 @@
-"""What full runs and runs of particles hold: starts, snapshots, and checkpoints on the way."""
+"""The contents of full runs and runs of particles: starts, snapshots, and checkpoints."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from sphrom.arrays import Array, Indices
 from sphrom.declaration import Record, attribute, dataset, part
 
 TIME = "s", "time of each snapshot", "t", "Eq. 2.18"
-"""Units, meaning, symbol and equation of what several records hold; of others likewise."""
+"""Units, meaning, symbol and equation that several records share; likewise for other fields."""
 DENSITY = "kg/m3", "density less its reference value", "rho - rho_0", "Eq. 2.6"
 VELOCITY = "m/s", "velocity", "u", "Eq. 2.7"
 PRESSURE = "Pa", "pressure", "p", "Eq. 2.8"
 REFERENCE_POSITION = "m", "points of the reference space", "x_G", "Eq. 3.14"
-FLOW_RATE = "m2/s", "flow through a section, from the left to the right of the way along it"
+FLOW_RATE = "m2/s", "flow through a section, from the left to the right of its direction"
 VELOCITY_AT_PLACES = "m/s", "velocity at the places", "u", "Eq. 2.7"
 PRESSURE_AT_PLACES = "Pa", "pressure at the places", "p", "Eq. 2.8"
 VELOCITY_ERROR = "m/s", "estimated root mean square error of the velocity"
@@ -28,14 +28,14 @@ Status = Literal["complete", "unstable"]
 
 
 class Medium(Record):
-    """Where density and pressure start from."""
+    """The reference state of density and pressure."""
 
     reference_density: float = attribute("kg/m3", "rho_0 of Eq. 2.8")
     sound_speed: float = attribute("m/s", "c_0 of Eq. 2.8")
 
 
 class Settings(Medium):
-    """What a run was made with."""
+    """The physical and numerical settings of a run."""
 
     parameters: Mapping[str, float] = attribute(*PARAMETERS, default_factory=dict)
     kinematic_viscosity: float = attribute("m2/s", "nu of Eq. 2.12")
@@ -47,7 +47,7 @@ class Settings(Medium):
 
 
 class Packing(Record, kind="sphrom/packing"):
-    """Starting positions, packed."""
+    """Packed starting positions."""
 
     position: Array = dataset("particle component", "m", "packed positions", "x", "Eq. 2.8")
     residual: Array = dataset("iteration", "1", "residual of packing at each iteration")
@@ -76,7 +76,7 @@ class State(Start, Settings, kind="sphrom/state"):
 
 
 class Force(Record):
-    """What the fluid does to a wall, per metre of depth."""
+    """The force and torque of the fluid on a wall, per metre of depth."""
 
     pressure: Array = dataset("snapshot component", "N/m", "force of the pressure on a wall")
     viscous: Array = dataset("snapshot component", "N/m", "viscous force on a wall")
@@ -87,10 +87,10 @@ class Force(Record):
 
 
 class Measured(Record):
-    """What is measured in the fluid: a flow rate, fields at places, the surface, the whole."""
+    """Measurements in the fluid: flow rate, fields at places, the surface, the whole fluid."""
 
     position: Array | None = dataset(
-        "place component", "m", "where velocity and pressure are measured", "x", default=None
+        "place component", "m", "places of velocity and pressure", "x", default=None
     )
     flow_rate: Array | None = dataset("snapshot", *FLOW_RATE, default=None)
     velocity: Array | None = dataset("snapshot place component", *VELOCITY_AT_PLACES, default=None)
@@ -123,7 +123,7 @@ class Snapshots(Record):
     )
     mean_density_fluctuation: Array | None = dataset(
         "snapshot", "kg/m3",
-        "mean that a reduced run carries apart from its modes, in closed boxes", default=None,
+        "separate mean of a reduced run, in closed boxes", default=None,
     )
     force: Mapping[str, Force] = part(default_factory=dict)
     measure: Mapping[str, Measured] = part(default_factory=dict)
@@ -138,17 +138,17 @@ class Trajectory(Snapshots, Settings, kind="sphrom/trajectory"):
     )
     ghost_wall_velocity: Array | None = dataset(
         "ghost component", "m/s",
-        "velocity of the wall that each ghost belongs to, once it is up to speed", "U_wall",
+        "velocity of each ghost's wall at full speed", "U_wall",
         "Eq. 2.15", at="ghost/wall_velocity", default=None,
     )
     status: Status = attribute("", "how the run ended")
-    status_detail: str | None = attribute("", "what went wrong, where and when", default=None)
+    status_detail: str | None = attribute("", "reason, place and time of a failure", default=None)
     memory_length: float | None = attribute("s", "tau of Eq. 3.22, of a reduced run", default=None)
     imported_files: str | None = attribute(
-        "", "another program's, that it is from, and options", at="imported/files", default=None
+        "", "source files of another program, and options", at="imported/files", default=None
     )
     imported_doubts: str | None = attribute(
-        "", "why the case may not be its own, a line each", at="imported/doubts", default=None
+        "", "reasons why the case may not match, one per line", at="imported/doubts", default=None
     )
     imported_sha256: str | None = attribute(
         "", "digest of both", at="imported/sha256", default=None
@@ -175,7 +175,7 @@ class ReferenceSnapshots(Medium, kind="sphrom/reference-snapshots"):
 
 
 class Checkpoint(Record, kind="sphrom/checkpoint"):
-    """Where a run that is not complete stands: what its next step depends on."""
+    """The state of an unfinished run, on which its next step depends."""
 
     state: Array = dataset(
         "row entry", "of each row", "the full or reduced state after the step, as the run holds it",
@@ -183,19 +183,19 @@ class Checkpoint(Record, kind="sphrom/checkpoint"):
     )
     neighbours_at: Array | None = dataset(
         "component particle", "m",
-        "positions that the list of neighbours was built at, unless it is to be built anew", "x",
+        "positions at which the neighbour list was built, unless it must be built again", "x",
         "Alg. 3.2", default=None,
     )
-    step: int = attribute("", "steps taken")
-    n_steps: int = attribute("", "steps of the whole run")
+    step: int = attribute("", "number of steps taken")
+    n_steps: int = attribute("", "number of steps of the whole run")
     time: float = attribute("s", "time of the state")
-    n_parts: int = attribute("", "files of snapshots that belong to it")
-    computed_with: str = attribute("", "versions and processor that its last bits depend on")
-    seconds: float = attribute("s", "time that the steps have taken", at="timing/integration")
-    wall_seconds: float = attribute("s", "time that the artifact has taken", at="timing/wall")
+    n_parts: int = attribute("", "number of files of snapshots that belong to it")
+    computed_with: str = attribute("", "versions and processor on which its last bits depend")
+    seconds: float = attribute("s", "time spent on the steps", at="timing/integration")
+    wall_seconds: float = attribute("s", "time spent on the artifact", at="timing/wall")
 
 
 class TrajectoryPart(Snapshots, kind="sphrom/trajectory-part"):
-    """Snapshots of a run that is not complete, from one checkpoint to the next."""
+    """Snapshots of an unfinished run, from one checkpoint to the next."""
 
     number: int = attribute("", "place in the order of parts, from 1")

@@ -1,4 +1,4 @@
-"""What sweeps over parameters hold."""
+"""The contents of sweeps over parameters."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from sphrom.metrics.draws import OutputIndices, OutputStatistics
 
 
 class Estimates(Record):
-    """The estimated errors of those runs that have any."""
+    """The estimated errors of those runs that have estimates."""
 
     run: Indices = dataset(
-        "estimated_run", "1", "the runs whose errors are estimated, counted from zero"
+        "estimated_run", "1", "indices of the runs with estimated errors, from zero"
     )
     velocity: Array = dataset(
         "estimated_run", "%",
@@ -26,7 +26,7 @@ class Estimates(Record):
     )
     extrapolated: Indices = dataset(
         "estimated_run", "1",
-        "one where a run is outside of what its model was trained on, else zero",
+        "one if a run is outside the training of its model, else zero",
     )
     velocity_over_time: Array | None = dataset(
         "estimated_run snapshot", *VELOCITY_ERROR, default=None
@@ -37,7 +37,7 @@ class Estimates(Record):
 
 
 class Measured(Record):
-    """What runs have measured: over time, and along a line at their end."""
+    """Measurements of runs: over time, and along a line at the end."""
 
     force: Array | None = dataset(
         "complete_run snapshot component", "N/m", "force on a wall", default=None
@@ -73,14 +73,14 @@ class Measured(Record):
 
 
 class Statistics(Record):
-    """Statistics of a sweep whose points are draws of random parameters."""
+    """Statistics of a sweep whose points are random draws of parameters."""
 
     levels: Array = dataset("level", "1", "shares of runs below the quantiles", "p")
     outputs: Mapping[str, OutputStatistics] = part(default_factory=dict)
     indices: Mapping[str, OutputIndices] = part(default_factory=dict)
-    n_runs: int = attribute("", "complete runs that they are of")
-    n_extrapolated: int = attribute("", "draws outside of what the model was trained on")
-    method: str = attribute("", "how the points were drawn")
+    n_runs: int = attribute("", "number of complete runs in the statistics")
+    n_extrapolated: int = attribute("", "number of draws outside the training of the model")
+    method: str = attribute("", "method of drawing the points")
 
 
 class Sweep(Record, kind="sphrom/sweep"):
@@ -91,11 +91,11 @@ class Sweep(Record, kind="sphrom/sweep"):
     )
     status: Indices = dataset(
         "run", "1",
-        "how each run ended: 0 complete, 1 unstable, 2 failed for another reason, 3 not run yet",
+        "status of each run: 0 complete, 1 unstable, 2 failed for another reason, 3 not run yet",
     )
     complete: Indices = dataset(
         "complete_run", "1",
-        "the runs that are complete, counted from zero; what follows is theirs",
+        "indices of the complete runs, from zero; the other datasets are of these runs",
     )
     time_step: Array = dataset("complete_run", "s", "time step of each run")
     kinetic_energy: Array = dataset("complete_run", "J/m", "kinetic energy at the end")
@@ -119,11 +119,11 @@ class Sweep(Record, kind="sphrom/sweep"):
         default=None,
     )
     statistics: Statistics | None = part(default=None)
-    model: str = attribute("", "model that was run, full or a reduced model's name")
-    parameter_names: str = attribute("", "names of the parameters, with commas")
+    model: str = attribute("", "model of the runs, full or a reduced model's name")
+    parameter_names: str = attribute("", "names of the parameters, separated by commas")
     derivative_names: str | None = attribute(
-        "", "names of the derivatives, with commas", default=None
+        "", "names of the derivatives, separated by commas", default=None
     )
     failures: Mapping[str, str] = attribute(
-        "", "why a run, by its number, is not complete", default_factory=dict
+        "", "reason why a run, by its number, is not complete", default_factory=dict
     )
