@@ -81,7 +81,7 @@ class _Rates:
         return 1 + (self.head is not None or self.points.walls_driven)
 
     def _dragged(self, power: int) -> Array | None:
-        """Return the friction of moving walls if it belongs to this power of the amplitude."""
+        """Return the friction of moving walls if it varies with this power of the amplitude."""
         return self.drag if power == int(self.points.walls_driven) else None
 
     def source(self, power: int) -> Array:
