@@ -160,6 +160,8 @@ def _check_geometry(case: Case) -> Found:
             yield "scene.fluid.level", f"{reason}; they do at {nearest_level:g} m"
     if case.scene.has_surface and not plan.n_particles:
         yield "scene.fluid", "no particle is in it; raise discretization.resolution"
+    if case.scene.has_surface and section.shifting.enabled:
+        yield "discretization.shifting.enabled", "moves fluid out of a free surface; leave it out"
     if case.scene.has_surface and section.initial_particles == "packed":
         reason = "fluid with a free surface starts on a lattice; leave initial_particles out"
         yield "discretization.initial_particles", reason

@@ -17,7 +17,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationInfo, model_validator
 
 from sphrom.case.fields import SafeName, Section, key
-from sphrom.case.free_surfaces import OF_SURFACES
+from sphrom.case.free_surfaces import surface_defaults
 from sphrom.case.full_model_sections import (
     DiscretizationSection,
     FluidSection,
@@ -99,7 +99,8 @@ class Case(Section):
         given = {name: value for name, value in values.items() if value is not None}
         given.setdefault("scene", {})
         if isinstance(given["scene"], Mapping) and given["scene"].get("fluid") is not None:
-            given = with_defaults(given, OF_SURFACES)
+            slips = given["scene"].get("slip") == "free"
+            given = with_defaults(given, surface_defaults(slips))
         return with_defaults(given, DEFAULTS.get(kind_of(values), {}))
 
     @model_validator(mode="after")

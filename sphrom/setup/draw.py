@@ -80,7 +80,7 @@ def draw(case: Case) -> Figure:
         figure = new_figure(max(5.0, width + 0.9), height + 1.8)
         axes = figure.subplots()
         dot = max(0.4, 36.0 * width * spacing / size[0]) ** 2
-        _draw_points(axes, domain.fill(spacing), dot, FLUID, "fluid particles")
+        _draw_points(axes, case.scene.fill(spacing), dot, FLUID, "fluid particles")
         if walls is not None:
             ghosts = walls.position
             inside = np.all((ghosts >= lower) & (ghosts <= upper), axis=1)

@@ -159,7 +159,7 @@ class Functional:
         if self.discretization.free_surface:
             self._settle_spray(regular)
         moving = regular[sweeps.OWN_SHIFT_U : sweeps.OWN_SHIFT_V + 1]
-        if walls is not None and self.discretization.shifting:
+        if walls is not None and (self.discretization.shifting or self.discretization.free_surface):
             moving = self._held_back(moving, walls)
         shared = regular[: self._n_fields - sweeps.PRESSURE]
         sweeps.gather(near.particle, near.image, shared, sweeps.PRESSURE, source)

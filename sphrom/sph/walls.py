@@ -15,7 +15,7 @@ import shapely
 
 from sphrom.arrays import Array, Indices
 from sphrom.kernels import advection, ghost_fields, wall_sweeps
-from sphrom.kernels.sweeps import FluidConstants, RegularityConstants, X, gather
+from sphrom.kernels.sweeps import TINY, FluidConstants, RegularityConstants, X, gather
 from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fluid import Discretization, Fluid, fluctuation_of, volume_of
 from sphrom.sph.neighbourhood import MOVE_RATIO, Search, Sources, sort_sources
@@ -25,6 +25,8 @@ CLOSEST, TOUCHING, FELT = 0.25, 0.5, 1.5
 """Distances from a wall over the spacing: the least allowed; the first layer's; the second's."""
 SHARE_SLOPE = 0.78
 """Integral of the kernel along a line through its centre, times the smoothing length."""
+THIN_SHARE = 0.2
+"""Of the kernel's sum, from which ghosts below thin fluid count fully."""
 NEAREST = 0.5
 """Least distance from a wall, over the spacing, for the extrapolation of velocities."""
 
@@ -98,17 +100,23 @@ class GhostParticles:
         ghost_fields.ghost_means(self._position, source, *search, means)
         return means[3]
 
-    def _below_surface(self, weights: Array) -> Array | float:
+    def _below_surface(self, weights: Array, depth: Array) -> Array:
         """Return the share (n_ghosts,) of each ghost's cell that is below the free surface.
 
         Across the surface, the share of the kernel's sum grows by SHARE_SLOPE per smoothing length.
+        Where fluid is thin, as at a front on the floor, the sum is small, although ghosts are below
+        the fluid.
+
+        Parameters
+        ----------
+        depth : (n_ghosts,) of ghosts below the fluid beside them, along the body force, in rows.
         """
-        if self._full_weights is None:
-            return 1.0
+        assert self._full_weights is not None
         share = np.zeros_like(weights)
         np.divide(weights, self._full_weights, out=share, where=self._full_weights > 0.0)
         rows = self.discretization.smoothing_length / self.discretization.particle_spacing
-        return np.clip(0.5 + (share - 0.5) * rows / SHARE_SLOPE, 0.0, 1.0)
+        beside = np.clip(0.5 + (share - 0.5) * rows / SHARE_SLOPE, 0.0, 1.0)
+        return np.maximum(beside, np.clip(np.minimum(depth, share / THIN_SHARE), 0.0, 1.0))
 
     @property
     def search(self) -> Search:
@@ -137,15 +145,22 @@ class GhostParticles:
         means = np.empty((5, self._position.shape[1]))
         ghost_fields.ghost_means(self._position, source, *search, means)
         fluctuation, velocity, weights, flux = means[0], means[1:3], means[3], means[4]
+        share: Array | float = 1.0
         if body_force is not None:
             density = self.fluid.reference_density + source[wall_sweeps.DENSITY]
             force = density * body_force[:, sources.particle]
             head = np.empty_like(fluctuation)
             ghost_fields.ghost_heads(self._position, source, force, weights, *search, head)
-            fluctuation = fluctuation + fluctuation_of(head, self.fluid.sound_speed)
-        volume = volume_of(fluctuation, self.fluid.reference_density, self._mass)
-        if self._full_weights is not None:
-            volume = volume * self._below_surface(weights)
+            own, fluctuation = (
+                fluctuation,
+                fluctuation + fluctuation_of(head, self.fluid.sound_speed),
+            )
+            if self._full_weights is not None:
+                row = self.discretization.particle_spacing * np.hypot(*force).max(initial=0.0)
+                share = self._below_surface(weights, head / max(row, TINY))
+                # What falls has no such head, which would pull it to the wall.
+                fluctuation = np.maximum(fluctuation, np.minimum(own, 0.0))
+        volume = share * volume_of(fluctuation, self.fluid.reference_density, self._mass)
         fields = np.zeros((wall_sweeps.N_GHOST_ROWS, fluctuation.size))
         fields[:2] = self._position
         fields[wall_sweeps.DENSITY] = fluctuation
@@ -246,6 +261,8 @@ class WallTerms:
         """
         search, spacing = self._ghosts.search_walls, self._ghosts.discretization.particle_spacing
         limits = CLOSEST * spacing, TOUCHING * spacing, FELT * spacing
+        if not self._ghosts.discretization.shifting:
+            limits = 0.5 * CLOSEST * spacing, CLOSEST * spacing, FELT * spacing
         fluid = self._particle, self._near, self._source
         search.kernels.hold_back(*fluid, *search.lists, *limits, against, shifting_velocity)
 

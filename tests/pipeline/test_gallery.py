@@ -15,13 +15,18 @@ RESOLUTIONS = {
     "cavity_with_fin": 30,
     "cylinder": 8,
     "cylinder_array": 20,
+    "dam_break": 12,
     "eccentric_cylinder": 24,
     "kolmogorov": 16,
     "l_shaped_cavity": 20,
+    "oscillating_drop": 10,
+    "standing_wave": 12,
     "taylor_couette": 12,
     "wake": 8,
 }
 """Coarse ones that leave gaps two supports wide and solids one."""
+FULL = "dam_break", "oscillating_drop", "standing_wave"
+"""Those of the full model alone."""
 STAGES = ("fom", "map", "pod", "fit-psi", "operators", "rom")
 N_STEPS = 6
 
@@ -34,12 +39,12 @@ def test_cases_are_short_and_right():
         case = load_case(path)
         assert case.name == name
         assert case_warnings(case) == []
-        assert [model.evaluation for model in case.rom] == ["operators"]
+        assert [model.evaluation for model in case.rom] == ["operators"] * (name not in FULL)
 
 
 @pytest.mark.parametrize(
     "name", [name if name == "cylinder" else pytest.param(name, marks=pytest.mark.slow)
-             for name in RESOLUTIONS]
+             for name in RESOLUTIONS if name not in FULL]
 )  # fmt: skip
 def test_a_case_runs(sphrom, tmp_path, name):
     path = GALLERY / f"{name}.yaml"
@@ -65,3 +70,11 @@ def test_a_case_runs(sphrom, tmp_path, name):
         sphrom(stage, path, *options, *out, code=0)
     assert list(tmp_path.glob("rom-fast-*.h5"))
     assert bool(list(tmp_path.glob("plots/overview-*.png"))) == (name == "cylinder")
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.slow) for name in FULL])
+def test_a_full_run_of_a_surface_runs(sphrom, tmp_path, name):
+    path, resolution = GALLERY / f"{name}.yaml", f"discretization.resolution={RESOLUTIONS[name]}"
+    step = load_case(path, [resolution]).plan.steps.time_step
+    options = ("--set", resolution, "--set", f"time.final_time={N_STEPS * step}")
+    sphrom("fom", path, *options, "--out", tmp_path, "--threads", 1, "--quiet", code=0)

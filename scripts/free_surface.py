@@ -1,0 +1,364 @@
+"""The full model with a free surface, beside exact solutions, theory and an experiment.
+
+Runs cases of the gallery, and prints a table for each part:
+
+- `rest`: fluid at rest in the tank of `standing_wave` for twenty periods: the largest velocity over
+  sqrt(g H), after the first period too, and the r.m.s. error of pressure over rho g H.
+- `wave`: standing waves of 0.05 and 0.2 H: frequency over that of linear theory, for the higher wave
+  beside the correction by Tadjbakhsh and Keller (J. Fluid Mech. 8, 1960), and the rate of decay over
+  2 nu k^2, from the fluid's moment with the wave's potential.
+- `drop`: the drop's semi-axes, from its second moments, beside the ordinary differential equations.
+- `dam`: the front of the collapsing column beside Martin and Moyce (Phil. Trans. A 244, 1952), n^2 = 2.
+- `noslip`: a wave at Re 1,000 between walls that fluid sticks to, beside theory of Stokes layers.
+- `shifting`: how evenly particles lie at the ends of those runs, without shifting and with it.
+- `pictures`: the pictures of the gallery and of the page about free surfaces.
+
+    python scripts/free_surface.py wave --resolution 32 64 --ratio 2 2.5
+    python scripts/free_surface.py rest drop dam noslip shifting pictures
+
+Runs and `free_surface.json`, with all figures so far, are kept in `runs/free_surface`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import h5py
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.optimize import curve_fit
+from scipy.spatial import cKDTree
+from small_picture import write_small
+
+from sphrom.api.study import Study
+from sphrom.plots.canvas import COLOURS, EXACT_COLOUR, SPEED_MAP, new_figure, save, styled
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+ROOT = Path(__file__).parents[1]
+GALLERY, FIGURES = ROOT / "cases" / "gallery", ROOT / "docs" / "figures"
+HEIGHT, WAVE_NUMBER = 0.5, math.pi
+OMEGA = math.sqrt(WAVE_NUMBER * math.tanh(WAVE_NUMBER * HEIGHT))
+PERIOD = 2.0 * math.pi / OMEGA
+FRONT = {0.832: 1.217, 1.997: 2.292, 3.345: 4.134}
+"""Martin and Moyce: z / a at t sqrt(2 g / a)."""
+DROP_PERIOD = 4.567375
+SPACING = "particle_spacing"
+
+
+@dataclass(frozen=True)
+class Run:
+    """A full run of a case of the gallery, as stored."""
+
+    time: np.ndarray
+    position: np.ndarray
+    """(n_snapshots, n_particles, 2) [m]."""
+    velocity: np.ndarray
+    pressure: np.ndarray
+    box: np.ndarray
+    """Its lower and its upper corner (2, 2) [m]."""
+    viscosity: float
+    spacing: float
+
+
+class Runs:
+    """Makes full runs of the gallery's cases, once each, in a folder."""
+
+    def __init__(self, folder: Path, threads: int, ratio: float | None) -> None:
+        self.folder, self._threads, self._ratio = folder, threads, ratio
+
+    def __call__(self, name: str, resolution: int | None = None, **changes: Any) -> Run:
+        """Return a run of a case, with keys changed; `a__b` stands for `a.b`."""
+        keys = {key.replace("__", "."): value for key, value in changes.items()}
+        if resolution is not None:
+            keys["discretization.resolution"] = resolution
+        if self._ratio is not None:
+            keys["discretization.smoothing_length_ratio"] = self._ratio
+        told = "-".join((name, *(f"{key.split('.')[-1]}{keys[key]}" for key in sorted(keys))))
+        folder = self.folder / re.sub(r"[^\w.-]+", "_", told)
+        study = Study(
+            GALLERY / f"{name}.yaml", set=keys, out=folder, threads=self._threads, quiet=True
+        )
+        study.run(until="fom")
+        section = study.case.scene.box
+        box = np.array((section.lower, section.upper))
+        with h5py.File(next(study.folder.glob("fom-*.h5"))) as run:
+            fields = [run[key][()] for key in ("time", "position", "velocity", "pressure")]
+            return Run(*fields, box, *(run.attrs[key] for key in ("kinematic_viscosity", SPACING)))
+
+
+def damped(t: np.ndarray, *shape: float) -> np.ndarray:
+    """Return a damped oscillation about a mean."""
+    sine, cosine, mean, rate, decay = shape
+    return mean + np.exp(-decay * t) * (sine * np.sin(rate * t) + cosine * np.cos(rate * t))
+
+
+def moment_of(run: Run) -> np.ndarray:
+    """Return the fluid's moment (n_snapshots,) with the potential of the first wave."""
+    x, y = np.moveaxis(WAVE_NUMBER * run.position, -1, 0)
+    return np.mean(np.cos(x) * np.cosh(y), axis=1)
+
+
+def rate_and_decay(run: Run) -> tuple[float, float]:
+    """Return the frequency [rad/s] and the rate of decay [1/s] of a run's first wave."""
+    moment = moment_of(run)
+    start = (np.ptp(moment) / 2.0, 0.0, moment.mean(), OMEGA, 0.03)
+    shape = curve_fit(damped, run.time, moment, start)[0]
+    return float(shape[3]), float(shape[4])
+
+
+def rest(runs: Runs, resolution: int) -> dict[str, float]:
+    """Return figures of fluid at rest."""
+    run = runs(
+        "standing_wave",
+        resolution,
+        scene__constants__amplitude=0.0,
+        time__final_time=20.0 * PERIOD,
+        snapshots__every=20,
+    )
+    speed = np.hypot(*np.moveaxis(run.velocity, -1, 0)).max(axis=1) / math.sqrt(HEIGHT)
+    error = (run.pressure - (HEIGHT - run.position[..., 1])) / HEIGHT
+    late = run.time > PERIOD
+    return {
+        "velocity / sqrt(g H), from the start": float(speed.max()),
+        "velocity / sqrt(g H), after a period": float(speed[late].max()),
+        "velocity / sqrt(g H), last ten": float(speed[run.time > 10.0 * PERIOD].max()),
+        "pressure / (rho g H), r.m.s.": float(np.sqrt(np.mean(error[late] ** 2))),
+        "pressure / (rho g H), largest": float(np.abs(error[late]).max()),
+    }
+
+
+def wave(runs: Runs, resolution: int, share: float = 0.05, **changes: Any) -> dict[str, float]:
+    """Return figures of a wave whose height is a share of the depth, over five periods."""
+    amplitude = share * HEIGHT
+    changes = {"scene__constants__amplitude": amplitude, **changes}
+    run = runs("standing_wave", resolution, time__final_time=5.0 * PERIOD, **changes)
+    rate, decay = rate_and_decay(run)
+    friction = 2.0 * run.viscosity * WAVE_NUMBER**2
+    t2 = math.tanh(WAVE_NUMBER * HEIGHT) ** 2
+    bend = (9.0 / t2**2 - 12.0 / t2 - 3.0 - 2.0 * t2) / 64.0
+    # The correction is with the square of the amplitude, of which the fit sees the mean.
+    mean = np.mean(np.exp(-2.0 * friction * run.time))
+    return {
+        "frequency / linear theory": rate / OMEGA,
+        "the same by second-order theory": 1.0 + bend * (WAVE_NUMBER * amplitude) ** 2 * mean,
+        "decay / (2 nu k^2)": decay / friction,
+    }
+
+
+def high_wave(runs: Runs, resolution: int) -> dict[str, float]:
+    """Return figures of a wave of 0.2 H."""
+    return wave(runs, resolution, 0.2)
+
+
+def no_slip(runs: Runs, resolution: int) -> dict[str, float]:
+    """Return figures of a low wave at Re 1,000 between walls that fluid sticks to.
+
+    Layers of thickness sqrt(2 nu / omega) on the floor and both ends take energy at the mean rate
+    rho U^2 sqrt(nu omega / 2) / 2 per area, and lower the frequency as much as they damp (Mei and
+    Liu, J. Fluid Mech. 59, 1973; Landau and Lifshitz, Fluid Mechanics, sections 24 and 25).
+    """
+    run = runs(
+        "standing_wave",
+        resolution,
+        scene__slip="none",
+        scene__constants__amplitude=0.05 * HEIGHT,
+        parameters__train__reynolds=[1000],
+        time__final_time=5.0 * PERIOD,
+    )
+    rate, decay = rate_and_decay(run)
+    k, nu = WAVE_NUMBER, run.viscosity
+    depth = math.sinh(2.0 * k * HEIGHT)
+    layers = math.sqrt(0.5 * nu * OMEGA) * 2.0 * k / depth * (0.5 + depth / (2.0 * k) - HEIGHT)
+    return {
+        "frequency / linear theory": rate / OMEGA,
+        "the same with layers": 1.0 - layers / OMEGA,
+        "decay [1/s]": decay,
+        "the same by theory [1/s]": layers + 2.0 * nu * k**2,
+    }
+
+
+def ellipse(time: np.ndarray) -> np.ndarray:
+    """Return the exact semi-axes (2, n_times) of the drop."""
+
+    def rates(t: float, state: np.ndarray) -> tuple[float, float, float]:
+        stretch, a, b = state
+        return (stretch**2 + 1.0) * (b**2 - a**2) / (b**2 + a**2), stretch * a, -stretch * b
+
+    ends = 0.0, float(time[-1])
+    found = solve_ivp(rates, ends, (0.5, 1.0, 1.0), t_eval=time, rtol=1e-10, atol=1e-12)
+    return found.y[1:]
+
+
+def axes_of(run: Run) -> np.ndarray:
+    """Return the semi-axes (2, n_snapshots) of the ellipse with a run's second moments."""
+    return 2.0 * np.sqrt(np.mean(run.position**2, axis=1)).T
+
+
+def drop(runs: Runs, resolution: int) -> dict[str, float]:
+    """Return figures of the drop over three periods."""
+    run = runs("oscillating_drop", resolution)
+    error = np.abs(axes_of(run) / ellipse(run.time) - 1.0)
+    return {
+        "largest error of semi-axes": float(error.max()),
+        "the same over the first period": float(error[:, run.time < DROP_PERIOD].max()),
+    }
+
+
+def dam(runs: Runs, resolution: int) -> dict[str, float]:
+    """Return the front of the collapsing column, over the measured one."""
+    last = max(FRONT) / math.sqrt(2.0) + 0.1
+    box = [6.0, 3.0]
+    run = runs("dam_break", resolution, scene__box__upper=box, time__final_time=last)
+    front = run.position[..., 0].max(axis=1) + 0.5 * run.spacing
+    scaled = run.time * math.sqrt(2.0)
+    return {
+        f"front at {at:g}, measured {known:g}": float(np.interp(at, scaled, front))
+        for at, known in FRONT.items()
+    }
+
+
+def evenness(run: Run, inner: np.ndarray) -> dict[str, float]:
+    """Return how evenly particles lie in the inner part at a run's end.
+
+    On a lattice twelve others are within 2.1 spacings; beside a void there are far fewer.
+    """
+    tree = cKDTree(run.position[-1])
+    near = tree.query(run.position[-1][inner], 2)[0][:, 1] / run.spacing
+    count = tree.query_ball_point(run.position[-1][inner], 2.1 * run.spacing, return_length=True)
+    return {
+        "nearest neighbour / spacing, least": float(near.min()),
+        "nearest neighbour / spacing, mean": float(near.mean()),
+        "neighbours within 2.1, least": float(count.min() - 1),
+        "neighbours within 2.1, most": float(count.max() - 1),
+    }
+
+
+def shifting(runs: Runs, resolution: int) -> dict[str, float]:
+    """Return how particles lie after a high wave, and after the drop, with and without shifting."""
+    found = {}
+    for enabled in (False, True):
+        told = "with" if enabled else "without"
+        change = {"discretization__shifting__enabled": enabled}
+        run = runs("standing_wave", resolution, **change)
+        figures = evenness(run, run.position[-1, :, 1] < 0.3)
+        rate, decay = rate_and_decay(run)
+        figures |= {"frequency / linear": rate / OMEGA}
+        figures |= {"decay / (2 nu k^2)": decay / (2.0 * run.viscosity * WAVE_NUMBER**2)}
+        level = 2.0 * run.position[-1, :, 1].mean() - HEIGHT
+        figures |= {"twice the centre's height / H - 1": level / HEIGHT}
+        found |= {f"wave {told}: {name}": value for name, value in figures.items()}
+    return found
+
+
+PARTS: dict[str, tuple[Callable[[Runs, int], dict[str, float]], tuple[int, ...]]] = {
+    "rest": (rest, (32, 64)),
+    "wave": (wave, (32, 64)),
+    "high-wave": (high_wave, (32, 64)),
+    "drop": (drop, (20, 40)),
+    "dam": (dam, (30, 60)),
+    "noslip": (no_slip, (32, 64)),
+    "shifting": (shifting, (32,)),
+}
+"""What measures, and the resolutions by default."""
+
+
+def draw(runs: Runs) -> None:
+    """Draw the gallery's cases: particles in colours of their speed, and a history beside theory."""
+    frames = {
+        "standing_wave": ((0.25, 0.5, 3.25), PERIOD),
+        "oscillating_drop": ((0.2, 0.5, 2.7), DROP_PERIOD),
+        "dam_break": ((1.2, 2.4, 4.0), 1.0),
+    }
+    for name, (instants, unit) in frames.items():
+        run = runs(name)
+        with styled():
+            figure = new_figure(12.0, 2.9)
+            *panels, last = figure.subplots(1, 4)
+            for panel, instant in zip(panels, instants, strict=True):
+                _draw_particles(panel, run, instant * unit, run.box)
+            _draw_history(last, name, run)
+            last.set_box_aspect(0.75)
+        source = runs.folder / f"{name}.png"
+        save(figure, source)
+        path = FIGURES / f"gallery-{name}.png"
+        write_small(source, path)
+        print(f"{path.relative_to(ROOT)}: {path.stat().st_size / 1000:.0f} kB")
+
+
+def _draw_particles(axes: Axes, run: Run, at: float, box: np.ndarray) -> None:
+    """Draw a run's particles at a time, in colours of their speed."""
+    k = int(np.argmin(np.abs(run.time - at)))
+    speed, (width, height) = np.hypot(*run.velocity[k].T), box[1] - box[0]
+    dot = (150.0 * run.spacing / max(width, height)) ** 2
+    axes.scatter(*run.position[k].T, c=speed, s=dot, cmap=SPEED_MAP, linewidths=0.0)
+    axes.set(title=f"speed, t = {run.time[k]:.2f} s", aspect="equal", xlabel="x [m]")
+    axes.set(xlim=box[:, 0], ylim=box[:, 1], ylabel="y [m]")
+
+
+def _draw_history(axes: Axes, name: str, run: Run) -> None:
+    """Draw what is known of a flow over time, and the run's."""
+    time, fine = run.time, np.linspace(0.0, run.time[-1], 400)
+    known = {"color": EXACT_COLOUR, "linewidth": 3.0}
+    axes.set(xlabel="t [s]")
+    if name == "dam_break":
+        fell = time < max(FRONT) / math.sqrt(2.0)
+        front = run.position[fell, :, 0].max(axis=1) + 0.5 * run.spacing
+        axes.plot(time[fell], front, color=COLOURS[0], label="front")
+        at = np.array(list(FRONT)) / math.sqrt(2.0)
+        axes.plot(at, list(FRONT.values()), "o", color=EXACT_COLOUR, label="measured (1952)")
+        axes.set(title="front along the floor", ylabel="x [m]")
+    elif name == "oscillating_drop":
+        for index, (exact, found) in enumerate(zip(ellipse(fine), axes_of(run), strict=True)):
+            axes.plot(fine, exact, **known, label="exact" if index == 0 else None)
+            axes.plot(time, found, color=COLOURS[index], label=f"along {'xy'[index]}")
+        axes.set(title="semi-axes", ylabel="[m]")
+    else:
+        # Of small waves, elevation at the wall and this moment are in proportion.
+        moment = moment_of(run)
+        scale = (moment - moment.mean()) / np.ptp(moment)
+        friction = 2.0 * run.viscosity * WAVE_NUMBER**2
+        linear = np.exp(-friction * fine) * np.sin(OMEGA * fine)
+        sampled = np.interp(time, fine, linear)
+        axes.plot(fine, linear / np.ptp(sampled), **known, label="linear theory")
+        axes.plot(time, scale, color=COLOURS[0], label="full model")
+        axes.set(title="amplitude of the wave", ylabel="over its range")
+    axes.legend(fontsize=7)
+
+
+def main() -> None:
+    """Measure, print and keep."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("parts", nargs="+", choices=(*PARTS, "pictures"))
+    parser.add_argument("--resolution", type=int, nargs="+", help="particles over a length of one")
+    parser.add_argument("--ratio", type=float, nargs="+", default=[None], help="h / dx")
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=Path("runs/free_surface"))
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    path = given.out / "free_surface.json"
+    rows = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    for part in given.parts:
+        if part == "pictures":
+            draw(Runs(given.out, given.threads, None))
+            continue
+        measure, resolutions = PARTS[part]
+        for resolution, ratio in product(given.resolution or resolutions, given.ratio):
+            found = measure(Runs(given.out, given.threads, ratio), resolution)
+            where = f"{part}, resolution {resolution}, h/dx {ratio or 'of the case'}"
+            rows[where] = found
+            print(where, *(f"  {name:46}{value:12.5g}" for name, value in found.items()), sep="\n")
+            path.write_text(json.dumps(rows, indent=1), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
