@@ -229,7 +229,7 @@ def _shares(
 
 
 def _errors(products: SnapshotProducts, trained: Indices, left_out: Indices, n_modes: int) -> Array:
-    """Return mean square errors (n_modes, 2) of bases of `trained` snapshots in those `left_out`."""
+    """Return the mean square errors (n_modes, 2) of bases of `trained` in snapshots `left_out`."""
     values, vectors = np.linalg.eigh(products.states[np.ix_(trained, trained)])
     kept = np.flatnonzero(values > ROUNDING * values[-1])[::-1][:n_modes]
     modes = vectors[:, kept] / np.sqrt(values[kept])
