@@ -69,7 +69,7 @@ class SurfaceModelAt:
 
 @dataclass(frozen=True)
 class TrainedSurface:
-    """A trained model, which can be had at any parameter point."""
+    """A trained model at any parameter point."""
 
     workspace: Workspace
     section: ReducedModelSection
