@@ -41,9 +41,13 @@ from sphrom.reduction.held_out import (
     snapshot_products,
     unheld_shares,
 )
-from sphrom.reduction.memory_operators import project_memory_operators
 from sphrom.reduction.mode_fields import BLOCK_VALUES, FieldProjections, blocks, mode_fields
-from sphrom.reduction.operator_projection import project_forces, project_operators, residual_factor
+from sphrom.reduction.operator_projection import (
+    project_forces,
+    project_memory_operators,
+    project_operators,
+    residual_factor,
+)
 from sphrom.reduction.polynomial_model import step_limit
 from sphrom.reduction.reduced_measures import project_measures
 from sphrom.reduction.reduced_operators import MemoryOperators, ResidualFactor
