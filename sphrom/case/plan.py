@@ -238,6 +238,14 @@ class Plan:
         area = len(scene.fill(self.particle_spacing, values)) * self.particle_spacing**2
         return area / scene.domain.lengths[0]
 
+    def weight_at(self, point: ParameterPoint, position: Array) -> Array | None:
+        """Return the pressure at rest (n_positions,) [Pa] below a level; None without a surface."""
+        scene = self._case.scene
+        if not scene.has_surface:
+            return None
+        level = scene.domain.lower[1] + self.depth(point)
+        return self._case.fluid.reference_density * scene.gravity * (level - position[:, 1])
+
     def flow(self, point: ParameterPoint) -> Scene:
         """Return the flow at a parameter point."""
         fluid = self._case.fluid

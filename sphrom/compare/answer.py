@@ -78,7 +78,8 @@ class Answer:
             f"({counted(self.row.n_modes or 0, 'mode')}) differs from the full run by "
             f"{percent(self.error[0])} in velocity and {percent(self.error[1])} in pressure: "
             f"the root mean square of the difference, over the whole field and all instants"
-            f"{self.since}, in percent of the full run's own; a pressure is less its mean."
+            f"{self.since}, in percent of the full run's own; a pressure is less its mean"
+            f"{'' if self.surface is None else ' and its part at rest'}."
         )
         yield from self._compared()
         yield from self._cost()

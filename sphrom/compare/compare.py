@@ -40,7 +40,7 @@ from sphrom.compare.references import compare_with_references
 from sphrom.compare.stored_comparison import ComparisonWriter
 from sphrom.errors import CaseError
 from sphrom.metrics.histories import compare
-from sphrom.metrics.samples import Samples
+from sphrom.metrics.samples import Samples, without_weight
 from sphrom.metrics.series import exponential_rate, kinetic_energy
 from sphrom.online.surface_model import SurfaceModel, SurfaceRun
 from sphrom.scenes.flows import TaylorGreen
@@ -257,7 +257,10 @@ class _PointComparison:
         status: str = "complete",
     ) -> None:
         begin, period = self.case.compare.from_time, self.case.plan.longest_sound_period
-        history = compare(samples, self.references[against], self.probes, begin, period)
+        both = samples, self.references[against]
+        if (weight := self.case.plan.weight_at(self.point, self.probes.all)) is not None:
+            both = without_weight(*both, weight)
+        history = compare(*both, self.probes, begin, period)
         if status == "complete" and len(history.time) == 0:
             raise CaseError(
                 "compare.line_points, compare.grid, compare.from_time: there is no snapshot in "

@@ -25,7 +25,7 @@ from sphrom.online.fast_model import fast_model
 from sphrom.online.particle_runs import build_model, close
 from sphrom.setup import particles
 from sphrom.sph.time_loop import Model, runge_kutta_step
-from sphrom.store.trained_models import memory_timing
+from sphrom.store.trained_models import basis_used, memory_timing
 from sphrom.store.trajectory import snapshot_fields
 from sphrom.store.workspace import Target, Workspace
 
@@ -134,6 +134,8 @@ def run_timings(workspace: Workspace) -> Iterator[RunTiming]:
                 continue
             step, memory_length = run.number("time_step"), _number(run, "memory_length")
             n_modes = int(run.dataset("generalized_coordinates").shape[1])
+        if case.scene.has_surface:  # the surface has coordinates, too
+            n_modes = basis_used(workspace, model, point)[1]
         own = (model.name, model.from_operators and point)
         if not imported and FULL not in timers:
             timers[FULL] = full_run_timer(workspace, point, largest_step(case))

@@ -82,6 +82,23 @@ class Samples:
         return Samples(self.time[: len(velocity)], velocity, pressure, measured)
 
 
+def without_weight(run: Samples, reference: Samples, weight: Array) -> tuple[Samples, Samples]:
+    """Return two runs with a free surface as they are compared: zero where one has no fluid.
+
+    Pressures are less those of fluid at rest, `weight` (n_probes,) [Pa].
+    """
+    common = slice(min(len(run.time), len(reference.time)))
+    run, reference = run.at(common), reference.at(common)
+    wet_in_run, wet_in_reference = (r.speed + np.abs(r.pressure) > 0.0 for r in (run, reference))
+    wet = wet_in_run & wet_in_reference
+
+    def compared(one: Samples) -> Samples:
+        velocity = np.where(wet[..., None], one.velocity, 0.0)
+        return Samples(one.time, velocity, np.where(wet, one.pressure - weight, 0.0))
+
+    return compared(run), compared(reference)
+
+
 def midpoints(lower: float, upper: float, n_points: int) -> Array:
     """Return the midpoints (n_points,) [m] of equal intervals between two bounds."""
     return lower + (np.arange(n_points) + 0.5) * (upper - lower) / n_points

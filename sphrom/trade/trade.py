@@ -29,7 +29,7 @@ from sphrom.errors import CaseError
 from sphrom.metrics.histories import EXACT, Errors, compare, errors_of
 from sphrom.metrics.measures import errors_of as relative_errors
 from sphrom.metrics.measures import variation
-from sphrom.metrics.samples import Samples
+from sphrom.metrics.samples import Samples, without_weight
 from sphrom.online.error_estimates import measured_errors, measured_shares
 from sphrom.online.fast_model import FastModel, fast_model
 from sphrom.online.stable_ranges import TIME, StableRange, stable_ranges
@@ -226,7 +226,10 @@ class _Trade:
         )
 
     def _errors(self, point: ParameterPoint, samples: Samples) -> Errors:
-        history = compare(samples, self.full[point], self.probes, self.case.compare.from_time)
+        both = samples, self.full[point]
+        if (weight := self.case.plan.weight_at(point, self.probes.all)) is not None:
+            both = without_weight(*both, weight)
+        history = compare(*both, self.probes, self.case.compare.from_time)
         if not len(history.time):
             raise CaseError(
                 "compare.line_points, compare.grid, compare.from_time: there is no snapshot in "
