@@ -1,9 +1,9 @@
-"""Statistics of a sweep's outputs where its points are a sample: records, tables and figures.
+"""Statistics of the outputs of a sweep with sampled points: records, tables and figures.
 
-Outputs are of all runs: over time, their means over time, or along a line at their end. Errors of
-what is measured follow from those of training runs (`output_errors`). With U
-the root mean square of the velocity, e_u that of its error and M the mass, the kinetic energy
-M U^2 / 2 is off by at most M (U e_u + e_u^2 / 2).
+An output is a quantity over time, its mean over time, or a profile along a line at the end of runs.
+Errors of measurements follow from those of training runs (`output_errors`). The error of the
+kinetic energy M U^2 / 2 is at most M (U e_u + e_u^2 / 2), with U the root mean square of the
+velocity, e_u that of its error, and M the mass.
 """
 
 from __future__ import annotations
@@ -38,30 +38,30 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Values = Sequence[Mapping[str, Any]]
-"""Of complete runs, as their records have them."""
+"""The values of complete runs, as in their records."""
 
 SALTELLI = "saltelli"
 FIGURES = {
     "quantiles": "Quantiles of outputs over draws of the parameters.",
-    "indices": "Sobol indices of outputs: the share of their variance that a parameter causes "
-    "alone (first order), or has any part in (total); grey is the share of the model's error.",
+    "indices": "Sobol indices of outputs: the share of the variance due to a parameter alone (first"
+    " order), or including its interactions (total). Grey is the share of the model's error.",
 }
-"""Captions, by how the names of files end."""
+"""Captions of figures, by the suffix of their file names."""
 FINAL = "final_"
-"""What begins the names of quantities along lines, at the end of runs."""
+"""Prefix of the names of profiles along lines at the end of runs."""
 TIME: Along = "time"
 MEAN: Along = "mean"
 LINE: Along = "line"
 NOISY = 0.2
-"""Share of the model's error in the variance of full runs from which on a warning names an output:
-the error is half of the spread, and indices may be off by about the share."""
+"""Share of the model's error in the variance of an output above which there is a warning. At this
+share, the error is half of the spread, and indices may be wrong by about the share."""
 COLUMNS = 3
-"""Panels beside one another."""
+"""Columns of panels in figures."""
 
 
 @dataclass(frozen=True)
 class Output:
-    """What all runs give: over time, its mean over time, or along a line at their end."""
+    """A quantity of all runs: over time, its mean over time, or along a line at the end."""
 
     name: str
     unit: str
@@ -69,49 +69,49 @@ class Output:
     values: Array
     """(n_runs, n_instants)."""
     errors: Array | None
-    """(n_runs, n_instants) estimated, None where no error is known."""
+    """(n_runs, n_instants) estimated errors, None if unknown."""
 
 
 def outputs_of(case: Case, runs: Values, trained: Values = ()) -> Iterator[Output]:
-    """Yield the outputs of complete runs: kinetic energy, and what the case measures.
+    """Yield the outputs of complete runs: kinetic energy, and the measurements of the case.
 
-    Means over time follow, and what all runs have of oscillations. `trained` has differences, as
-    `SweptModel.in_training` returns them.
+    They are followed by means over time, and by figures of oscillations that all runs have.
+    `trained` are the differences from `SweptModel.in_training`.
     """
     whole, differences = _stacked(runs), _stacked(trained)
     yield from _outputs(case, TIME, whole, differences)
     yield from _outputs(case, MEAN, _averaged(whole), _averaged(differences))
     for name, measure in case.scene.oscillations.items():
-        found = [oscillation_of(measure, values) for values in runs]
+        oscillations = [oscillation_of(measure, values) for values in runs]
         for figure in OSCILLATION[:3]:
-            if all(figure in each for each in found):
-                values = np.array([[each[figure]] for each in found])
+            if all(figure in each for each in oscillations):
+                values = np.array([[each[figure]] for each in oscillations])
                 yield Output(f"{name}_{figure}", measure.units_of(figure), MEAN, values, None)
 
 
 def oscillation_of(each: Oscillating, values: Mapping[str, Any]) -> dict[str, float]:
-    """Return the oscillation in a run, as its record has it."""
+    """Return the oscillation in a run from the values of its record."""
     measured = {each.quantity: values[f"measure/{each.measure}/{each.quantity}"]}
     return each.of(values["time"], measured)
 
 
 def _stacked(runs: Values) -> dict[str, Array]:
-    """Return what all runs have (n_runs, ...): energies and measurements.
+    """Return the energies and measurements that all runs have (n_runs, ...), by name.
 
-    Errors over the fluid (n_runs, n_snapshots, 2) are of velocity and pressure.
+    Errors over the fluid (n_runs, n_snapshots, 2) are those of velocity and pressure.
     """
-    found = {
+    arrays = {
         name: np.stack([values[name] for values in runs])
         for name in (set(runs[0]).intersection(*runs) if runs else ())
         if name.startswith(("measure/", PLACE)) or name.endswith("_over_time")
     }
-    if (paths := [f"{ERROR}{quantity}_over_time" for quantity in PLACED])[0] in found:
-        found[ERROR] = np.stack([found.pop(path) for path in paths], axis=-1)
-    return found
+    if (paths := [f"{ERROR}{quantity}_over_time" for quantity in PLACED])[0] in arrays:
+        arrays[ERROR] = np.stack([arrays.pop(path) for path in paths], axis=-1)
+    return arrays
 
 
 def _averaged(whole: Mapping[str, Array]) -> dict[str, Array]:
-    """Return the means over time (n_runs, 1, ...), root mean squares of errors over the fluid."""
+    """Return means over time (n_runs, 1, ...), and root mean squares of errors over the fluid."""
     return {
         name: np.sqrt(np.mean(values**2, axis=1, keepdims=True))
         if name == ERROR
@@ -152,8 +152,8 @@ def _outputs(
 def statistics_of(workspace: Workspace, records: Sequence[RunRecord]) -> Statistics | None:
     """Return the statistics of the runs of a sweep, in the order of its points.
 
-    None where its points are no sample, or too few runs are complete for intervals. Without
-    Sobol indices where a run of their design is not.
+    Returns None if the points are not a sample, or too few runs are complete for intervals. Sobol
+    indices need all runs of their design to be complete.
     """
     case = workspace.case
     section, sample = case.sweep, case.sweep.sample
@@ -182,14 +182,14 @@ def statistics_of(workspace: Workspace, records: Sequence[RunRecord]) -> Statist
 
 
 def _indices(case: Case, records: Sequence[RunRecord]) -> dict[str, OutputIndices]:
-    """Return the indices of all outputs; none where runs lack."""
+    """Return the Sobol indices of all outputs; none if runs are incomplete."""
     runs = [record.values for record in records if record.values]
     if case.sweep.sample is None or len(runs) < len(records):
         return {}
     drawn, names = list(case.sweep.sample.entries), case.plan.parameter_names
 
     def of_all(values: Array) -> Array:
-        """Return rows of all parameters: one that isn't drawn has no part in anything."""
+        """Return rows for all parameters, with zeros for those that are not drawn."""
         whole = np.zeros((*values.shape[:-2], len(names), values.shape[-1]))
         whole[..., [names.index(name) for name in drawn], :] = values
         return whole
@@ -201,7 +201,7 @@ def _indices(case: Case, records: Sequence[RunRecord]) -> dict[str, OutputIndice
 
 
 def publish(case: Case, path: Path, records: Sequence[RunRecord], found: Statistics | None) -> None:
-    """Write tables and figures of statistics beside a sweep's artifact, or remove old ones."""
+    """Write tables and figures of statistics beside a sweep's artifact, and remove old ones."""
     for kind in FIGURES:
         for suffix in ("csv", "png"):
             beside(path, kind, suffix).unlink(missing_ok=True)
@@ -219,7 +219,7 @@ def publish(case: Case, path: Path, records: Sequence[RunRecord], found: Statist
 
 
 def beside(path: Path, kind: str, suffix: str) -> Path:
-    """Return the file of a kind beside a sweep's artifact, such as `sweep-fast-quantiles.csv`."""
+    """Return the path of a file beside a sweep's artifact, such as `sweep-fast-quantiles.csv`."""
     return path.with_name(f"{path.stem}-{kind}.{suffix}")
 
 
@@ -228,9 +228,9 @@ def _instants(along: str, n_instants: int, time: Array) -> Array:
 
 
 def _quantile_rows(found: Statistics, time: Array) -> Iterator[dict[str, Any]]:
-    """Yield mean, deviation and quantiles of each output at each instant, with their intervals.
+    """Yield mean, deviation and quantiles of each output at each time, with their intervals.
 
-    `at` is the time [s], of a mean over time the last, or the place along a line from zero to one.
+    `at` is the time [s], for means the final time, or the place along a line from zero to one.
     """
     for name, each in found.outputs.items():
         rows: list[tuple[str, Array, Array, Array | None]] = [
@@ -256,7 +256,7 @@ def _quantile_rows(found: Statistics, time: Array) -> Iterator[dict[str, Any]]:
 
 
 def _index_rows(found: Statistics, names: Sequence[str], time: Array) -> Iterator[dict[str, Any]]:
-    """Yield the Sobol indices of each output at each instant by each parameter."""
+    """Yield the Sobol indices of each output, at each time, for each parameter."""
     for name, each in found.indices.items():
         instants = _instants(found.outputs[name].along, each.first.shape[1], time)
         for k, at in enumerate(instants.tolist()):
@@ -270,7 +270,7 @@ def _index_rows(found: Statistics, names: Sequence[str], time: Array) -> Iterato
 
 
 def draw_quantiles(found: Statistics, time: Array) -> Figure:
-    """Return a panel of quantiles over time, or along a line, for every output."""
+    """Draw quantiles over time, or along a line, with one panel per output."""
 
     def curves(name: str, x: Array) -> Iterator[Curve]:
         each = found.outputs[name]
@@ -278,13 +278,13 @@ def draw_quantiles(found: Statistics, time: Array) -> Figure:
             yield Curve(f"{100.0 * level:g} %", x, values)
         yield Curve("mean", x, each.mean, "full")
         for end, values in (("lowest", each.interval[0, 0]), ("highest", each.interval[1, -1])):
-            yield Curve(f"{end} end of the quantiles' intervals", x, values, "level")
+            yield Curve(f"{end} end of intervals", x, values, "level")
 
     return _draw(found, time, curves)
 
 
 def draw_indices(found: Statistics, parameters: Sequence[str], time: Array) -> Figure:
-    """Return a panel of Sobol indices with their intervals, as of quantiles, for every output.
+    """Draw Sobol indices with their intervals, with one panel per output.
 
     Grey lines are the share of the model's error in the variance of full runs.
     """
@@ -319,12 +319,12 @@ def _draw(
 
 
 def _shown(output: OutputStatistics) -> int:
-    """Return the instant that is printed: the end, or the middle of a line."""
+    """Return the index of the printed value: the final time, or the middle of a line."""
     return len(output.mean) // 2 if output.along == LINE else -1
 
 
 def show(report: Reporter, found: Statistics) -> None:
-    """Report the statistics of all outputs at the end, and what their reader has to know."""
+    """Report the statistics of all outputs at the end, and warnings about them."""
     middle = int(np.argmin(np.abs(found.levels - 0.5)))
     levels = [f"{100.0 * level:g} %" for level in found.levels]
     rows = []
@@ -335,7 +335,7 @@ def show(report: Reporter, found: Statistics) -> None:
         shown = [format_figure(float(cell)) for cell in cells]
         rows.append((f"{name.replace('_', ' ')} [{each.unit}]", *shown))
     report.table(
-        f"statistics of {found.n_runs} runs at the end (of a line, in its middle)",
+        f"statistics of {found.n_runs} runs at the final time; of profiles, in the middle",
         ("output", "mean", "deviation", *levels, f"{levels[middle]} within +-"),
         rows,
     )
@@ -345,7 +345,7 @@ def show(report: Reporter, found: Statistics) -> None:
             "trained range"
         )
     if found.method == SALTELLI and not found.indices:
-        report.warn("statistics: no Sobol indices, as a run of their design has no result")
+        report.warn("statistics: no Sobol indices, because a run of their design has no result")
     shares = {}
     for name, each in found.outputs.items():
         if (share := each.error_share) is not None:
@@ -354,10 +354,10 @@ def show(report: Reporter, found: Statistics) -> None:
     if noisy := [name for name, share in shares.items() if share > NOISY]:
         names = ", ".join(f"{name} ({100.0 * shares[name]:.0f} %)" for name in noisy)
         means = [f"{name}_mean" for name in noisy if shares.get(f"{name}_mean", 1.0) <= NOISY]
-        less = f"; of {', '.join(means)} it is less than {100.0 * NOISY:.0f} %" if means else ""
+        less = f"; it is below {100.0 * NOISY:.0f} % for {', '.join(means)}" if means else ""
         report.warn(
-            f"full runs may have other quantiles and Sobol indices of {names}: so much of their "
-            f"variance is the model's estimated error{less}"
+            f"full runs may have other quantiles and Sobol indices of {names}: the percentage is "
+            f"the share of the model's estimated error in the variance{less}"
         )
     if unknown := ", ".join(k for k, v in found.outputs.items() if v.model_error == "unknown"):
-        report.warn(f"intervals of {unknown} are of sampling alone: no error is estimated")
+        report.warn(f"intervals of {unknown} include sampling only, without an error estimate")
