@@ -39,7 +39,7 @@ from scipy.spatial import cKDTree
 from small_picture import write_small
 
 from sphrom.api.study import Study
-from sphrom.plots.canvas import COLOURS, EXACT_COLOUR, SPEED_MAP, new_figure, save, styled
+from sphrom.plots.panels import COLOURS, EXACT_COLOUR, SPEED_MAP, new_figure, save, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

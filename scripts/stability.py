@@ -39,7 +39,7 @@ from sphrom.errors import UnstableError
 from sphrom.offline import fom
 from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.online.stable_ranges import FILE, StableRange
-from sphrom.plots.canvas import save
+from sphrom.plots.panels import save
 from sphrom.reduction.reference_model import Integrator, ReferenceModel
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext

@@ -25,8 +25,7 @@ from sphrom.compare.stored_comparison import StoredComparison
 from sphrom.metrics.histories import without_mean
 from sphrom.metrics.measures import UNITS, components
 from sphrom.metrics.samples import Samples
-from sphrom.plots.canvas import save
-from sphrom.plots.panels import Curve, Field, Panel, Role, draw_grid
+from sphrom.plots.panels import Curve, Field, Panel, Role, draw_grid, save
 from sphrom.scenes.flows import TaylorGreen
 from sphrom.setup.assembly import field_measures
 from sphrom.store.sampling import probes_of

@@ -50,8 +50,7 @@ from sphrom.metrics.estimation import (
 )
 from sphrom.online.fast_model import FastModel, fast_model
 from sphrom.online.surface_model import SurfaceModel
-from sphrom.plots.canvas import save
-from sphrom.plots.panels import Curve, Panel, draw_grid
+from sphrom.plots.panels import Curve, Panel, draw_grid, save
 from sphrom.plots.tables import format_figure, write_csv
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace

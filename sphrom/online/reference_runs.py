@@ -13,7 +13,7 @@ from dataclasses import replace
 from functools import lru_cache, partial
 
 from sphrom.artifacts import ArtifactWriter, write_record
-from sphrom.artifacts.records.coordinates import Converged, Steady
+from sphrom.artifacts.records.runs import Converged, Steady
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.machine import seconds_of

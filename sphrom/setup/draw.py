@@ -10,8 +10,17 @@ import numpy as np
 from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
-from sphrom.plots.canvas import COLOURS, FORMATS, INK, new_figure, save, styled
-from sphrom.plots.panels import Extent, Solids, cover
+from sphrom.plots.panels import (
+    COLOURS,
+    FORMATS,
+    INK,
+    Extent,
+    Solids,
+    cover,
+    new_figure,
+    save,
+    styled,
+)
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.sph.domain import SIDES, Domain, Walls

@@ -34,8 +34,7 @@ from sphrom.online.error_estimates import measured_errors, measured_shares
 from sphrom.online.fast_model import FastModel, fast_model
 from sphrom.online.stable_ranges import TIME, StableRange, stable_ranges
 from sphrom.online.surface_model import SurfaceModel, SurfaceRun
-from sphrom.plots.canvas import save
-from sphrom.plots.panels import Curve, Panel, draw_grid
+from sphrom.plots.panels import Curve, Panel, draw_grid, save
 from sphrom.plots.tables import UNKNOWN, format_figure, rows_of_columns, write_csv, write_json
 from sphrom.reduction.polynomial_model import EXPONENTIAL
 from sphrom.setup.assembly import role_of

@@ -2,7 +2,6 @@
 
 from sphrom.artifacts.records import (  # noqa: F401
     comparison,
-    coordinates,
     fit,
     reduced_models,
     runs,
