@@ -4,11 +4,12 @@ Runs cases of the gallery, and prints a table for each part:
 
 - `rest`: fluid at rest in the tank of `standing_wave` for twenty periods: the largest velocity over
   sqrt(g H), after the first period too, and the r.m.s. error of pressure over rho g H.
-- `wave`: standing waves of 0.05 and 0.2 H: frequency over that of linear theory, for the higher wave
-  beside the correction by Tadjbakhsh and Keller (J. Fluid Mech. 8, 1960), and the rate of decay over
-  2 nu k^2, from the fluid's moment with the wave's potential.
+- `wave`: standing waves of 0.05 and 0.2 H: frequency over that of linear theory, for the higher
+  wave beside the correction by Tadjbakhsh and Keller (J. Fluid Mech. 8, 1960), and the rate of
+  decay over 2 nu k^2, from the fluid's moment with the wave's potential.
 - `drop`: the drop's semi-axes, from its second moments, beside the ordinary differential equations.
-- `dam`: the front of the collapsing column beside Martin and Moyce (Phil. Trans. A 244, 1952), n^2 = 2.
+- `dam`: the front of the collapsing column beside Martin and Moyce (Phil. Trans. A 244, 1952),
+  n^2 = 2.
 - `noslip`: a wave at Re 1,000 between walls that fluid sticks to, beside theory of Stokes layers.
 - `shifting`: how evenly particles lie at the ends of those runs, without shifting and with it.
 - `pictures`: the pictures of the gallery and of the page about free surfaces.
@@ -273,7 +274,7 @@ PARTS: dict[str, tuple[Callable[[Runs, int], dict[str, float]], tuple[int, ...]]
 
 
 def draw(runs: Runs) -> None:
-    """Draw the gallery's cases: particles in colours of their speed, and a history beside theory."""
+    """Draw the gallery's cases: particles coloured by their speed, and a history beside theory."""
     frames = {
         "standing_wave": ((0.25, 0.5, 3.25), PERIOD),
         "oscillating_drop": ((0.2, 0.5, 2.7), DROP_PERIOD),

@@ -16,7 +16,6 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import yaml
 from small_picture import write_small
@@ -29,7 +28,7 @@ from sphrom.plots.panels import Curve, Field, Frame, Panel, draw_grid
 ROOT = Path(__file__).parents[1]
 CASE, FIGURES = ROOT / "cases" / "gallery" / "sloshing.yaml", ROOT / "docs" / "figures"
 RATE = math.sqrt(math.pi * math.tanh(0.5 * math.pi))
-"""Of the first mode in a tank one metre wide, filled half a metre, with a gravity of one [rad/s]."""
+"""Of the first mode in a tank one metre wide, filled half a metre, at a gravity of one [rad/s]."""
 PERIOD = 2.0 * math.pi / RATE
 SIZES = (2, 3, 5, 7, 10, 20)
 FINE = {"discretization": {"resolution": 32}, "snapshots": {"every": 40}}
