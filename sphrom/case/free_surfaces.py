@@ -110,7 +110,6 @@ class SurfaceForce(BodyForce):
         return np.stack([np.broadcast_to(one, times.shape) for one in values])
 
     def __call__(self, position: Array, time: float) -> Array:
-        """Return the acceleration (2, n_particles) [m/s2]."""
         out = np.empty_like(position)
         for row, part in zip(out, self.parts, strict=True):
             row[:] = part(x=position[0], y=position[1], t=time)

@@ -30,17 +30,9 @@ from sphrom.machine import computing_seconds
 from sphrom.metrics.series import smoothed
 from sphrom.offline import surfaces
 from sphrom.plots.tables import format_figure
-from sphrom.reduction import reference_model
+from sphrom.reduction import held_out, reference_model
 from sphrom.reduction.decomposition import N_FIELD_VALUES
 from sphrom.reduction.error_calibration import LEFT_OUT, compared_snapshots
-from sphrom.reduction.held_out import (
-    TrainedSizes,
-    UnheldShares,
-    best_size,
-    choose_integrated,
-    snapshot_products,
-    unheld_shares,
-)
 from sphrom.reduction.mode_fields import BLOCK_VALUES, FieldProjections, blocks, mode_fields
 from sphrom.reduction.operator_projection import (
     project_forces,
@@ -300,7 +292,7 @@ class _Projection:
             squares=np.stack(squares),
         )
 
-    def _unheld(self) -> UnheldShares:
+    def _unheld(self) -> held_out.UnheldShares:
         """Return the shares of held-out training snapshots that bases cannot represent."""
         n_snapshots, scale = len(self.trained) * len(self.compared), self.points.density_scale
 
@@ -317,8 +309,8 @@ class _Projection:
         with ExitStack() as stack:
             mapped = map(self.workspace.mapped, self.trained)
             runs = [stack.enter_context(self.workspace.open(target)) for target in mapped]
-            products = snapshot_products(self.basis, n_snapshots, scale, read(runs))
-        return unheld_shares(
+            products = held_out.snapshot_products(self.basis, n_snapshots, scale, read(runs))
+        return held_out.unheld_shares(
             products, scaled_parameters(self.case, self.trained), self.basis.n_modes
         )
 
@@ -338,9 +330,9 @@ class _Projection:
                 )
             return None
         places = scaled_parameters(self.case, self.trained)
-        sizes = TrainedSizes(places, runs, products=estimate, compared=self.compared)
+        sizes = held_out.TrainedSizes(places, runs, products=estimate, compared=self.compared)
         repeated = [self._repeated(runs, n + 1) for n in range(sizes.largest)]
-        integrated, error = choose_integrated(sizes, repeated)
+        integrated, error = held_out.choose_integrated(sizes, repeated)
         return HeldOut(integrated=integrated, error=error)
 
     def _repeated(self, runs: Array, n_modes: int) -> Array:
@@ -389,7 +381,7 @@ class _Projection:
         """Report the automatic numbers of modes, and of integrated modes."""
         plan, name, size = self.case.plan, self.name, 0
         if self.name in plan.sized_bases:
-            size = best_size(chosen.error)
+            size = held_out.best_size(chosen.error)
             velocity, pressure = (format_figure(100.0 * e) for e in chosen.error[size - 1])
             self.report.info(
                 f"basis {name}: n_modes: auto takes {size} of {len(chosen.error)} modes, expected "

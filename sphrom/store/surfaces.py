@@ -10,7 +10,7 @@ import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.artifacts import read_record
-from sphrom.artifacts.records.surfaces import SurfaceModels
+from sphrom.artifacts.records.runs import SurfaceModels
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ALL, AUTO, ReducedModelSection

@@ -5,7 +5,6 @@ from sphrom.artifacts.records import (  # noqa: F401
     fit,
     reduced_models,
     runs,
-    surfaces,
     sweep,
 )
 from sphrom.declaration import DECLARED, Schema
