@@ -31,8 +31,7 @@ from sphrom.exchange.import_options import place
 from sphrom.plots.tables import rows_of_columns, write_csv
 from sphrom.setup.context import StageContext
 from sphrom.sph.fluid import pressure_of
-from sphrom.store.sampling import probes_of
-from sphrom.store.stored_run import StoredRun
+from sphrom.store.stored_run import StoredRun, probes_of
 from sphrom.store.workspace import Target, Workspace, make_folder
 from sphrom.whole_files import replacement
 

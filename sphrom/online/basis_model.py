@@ -166,7 +166,7 @@ class BasisModel:
 
         `mean` is the separate density fluctuation [kg/m3].
         """
-        from sphrom.store.sampling import expand
+        from sphrom.store.stored_run import expand
 
         case, means = self.workspace.case, np.full(len(time), mean)
         return expand(case, self.basis, self.splines, points, time, coordinates, means)

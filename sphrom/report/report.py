@@ -37,8 +37,7 @@ from sphrom.plots.panels import SHOWN, SOLID_COLOUR, colour_scale
 from sphrom.plots.tables import format_figure, read_csv
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import described_run
-from sphrom.store.sampling import probes_of
-from sphrom.store.stored_run import StoredRun
+from sphrom.store.stored_run import StoredRun, probes_of
 from sphrom.store.workspace import Workspace
 from sphrom.sweep.batches import COMPLETE
 from sphrom.sweep.statistics import FIGURES, beside

@@ -39,7 +39,7 @@ from sphrom.plots.tables import UNKNOWN, format_figure, rows_of_columns, write_c
 from sphrom.reduction.polynomial_model import EXPONENTIAL
 from sphrom.setup.assembly import role_of
 from sphrom.setup.context import StageContext
-from sphrom.store.sampling import probes_of
+from sphrom.store.stored_run import probes_of
 from sphrom.store.trajectory import require_complete
 from sphrom.store.workspace import Workspace
 from sphrom.text import counted

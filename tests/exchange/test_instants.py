@@ -10,8 +10,8 @@ import pytest
 from sphrom.errors import CaseError
 from sphrom.exchange import instants
 from sphrom.exchange.foreign_files import Source
+from sphrom.exchange.import_ import choose, find_sources, interpolated, interval
 from sphrom.exchange.import_options import ImportOptions
-from sphrom.exchange.instants import choose, find_sources, interpolated, interval
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.time_loop import Snapshot, TimeSteps
 
