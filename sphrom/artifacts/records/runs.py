@@ -140,8 +140,7 @@ class Trajectory(Snapshots, Settings, kind="sphrom/trajectory"):
         default=None,
     )
     ghost_wall_velocity: Array | None = dataset(
-        "ghost component", "m/s",
-        "velocity of each ghost's wall at full speed", "U_wall",
+        "ghost component", "m/s", "velocity of each ghost's wall at full speed", "U_wall",
         "Eq. 2.15", at="ghost/wall_velocity", default=None,
     )
     status: Status = attribute("", "how the run ended")
@@ -172,8 +171,7 @@ class ReferenceSnapshots(Medium, kind="sphrom/reference-snapshots"):
     round_trip_error: Mapping[str, float] = attribute(
         "%",
         "relative L2 loss of the last snapshot by the map and back, by field, where no exact "
-        "solution is known",
-        default_factory=dict,
+        "solution is known", default_factory=dict,
     )
 
 
@@ -228,8 +226,7 @@ class ErrorEstimate(Record):
     velocity: Array = dataset("snapshot", *VELOCITY_ERROR)
     pressure: Array = dataset("snapshot", *PRESSURE_ERROR)
     change: Array = dataset(
-        "snapshot cause",
-        "of the inner product",
+        "snapshot cause", "of the inner product",
         "distance of coordinates from those that training runs predict: due to the parameters, and "
         "since the training runs ended",
     )
@@ -281,10 +278,8 @@ class Coordinates(Settings, kind="sphrom/coordinates"):
         "snapshot mode", "of the inner product", "coordinates in the basis", "omega-hat", "Eq. 3.11"
     )
     correction: Array | None = dataset(
-        "snapshot mode",
-        "of the inner product",
-        "the part of the coordinates that is a correction by training runs",
-        default=None,
+        "snapshot mode", "of the inner product",
+        "the part of the coordinates that is a correction by training runs", default=None,
     )
     integrated_modes: int | None = attribute(
         "1", "number of leading modes that are integrated within the trained time; training runs "
