@@ -17,14 +17,7 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.study_sections import FULL
-from sphrom.compare.costs import (
-    N_TIMED_STEPS,
-    full_run_timer,
-    is_imported,
-    largest_step,
-    offline_seconds,
-    taking_turns,
-)
+from sphrom.compare import costs
 from sphrom.errors import CaseError
 from sphrom.metrics.histories import EXACT, Errors, compare, errors_of
 from sphrom.metrics.measures import errors_of as relative_errors
@@ -108,14 +101,14 @@ class _Trade:
 
     def _full_seconds(self, workspace: Workspace, step: float) -> float:
         """Return the measured time of a full run on this machine [s], with a time step [s]."""
-        timer = {FULL: full_run_timer(workspace, next(iter(self.full)), step)}
-        return float(taking_turns(timer, self.case.trade.repeats)[FULL].min())
+        timer = {FULL: costs.full_run_timer(workspace, next(iter(self.full)), step)}
+        return float(costs.taking_turns(timer, self.case.trade.repeats)[FULL].min())
 
     def results(self) -> Results:
         """Run all models, and return their rows, with the case's own full run first."""
-        first, step = next(iter(self.full)), largest_step(self.case)
+        first, step = next(iter(self.full)), costs.largest_step(self.case)
         with self.workspace.open(self.workspace.full_run(first)) as artifact:
-            imported = is_imported(artifact)
+            imported = costs.is_imported(artifact)
         # Only times that were measured alike are divided, so its steps are timed now, too.
         own_seconds = None if imported else self._full_seconds(self.workspace, step)
         self.full_seconds = own_seconds
@@ -169,7 +162,9 @@ class _Trade:
         listed = (*own, section)[0].model_dump(exclude_defaults=True)
         keys = ", ".join(f"{key}: {value}" for key, value in listed.items())
         runs = [self._fast(fast, label, point) for point in self.full]
-        offline, training = offline_seconds(self.wider, section, list(self.full), self.full_seconds)
+        offline, training = costs.offline_seconds(
+            self.wider, section, list(self.full), self.full_seconds
+        )
         row = weighing.ModelRow.of(
             runs,
             family=family,
@@ -296,7 +291,7 @@ def timed_words(case: Case) -> str:
     return (
         f"online is the time of a run of {case.plan.recorded_time:g} s on one thread, without "
         f"reading and writing, the least of {counted(case.trade.repeats, 'time')}; full runs are "
-        f"timed over {N_TIMED_STEPS} steps, and the case's own has its largest stable step"
+        f"timed over {costs.N_TIMED_STEPS} steps, and the case's own has its largest stable step"
         f"{spin_up if case.time.spin_up > 0.0 else ''}"
     )
 
