@@ -53,7 +53,6 @@ from sphrom.setup.context import StageContext
 from sphrom.setup.cost import require_room
 from sphrom.setup.particles import MeasuredFields
 from sphrom.sph.fixed_points import FixedPoints
-from sphrom.store.starts import starts_record
 from sphrom.store.trained_models import (
     calibrated,
     mapped_runs,
@@ -62,6 +61,7 @@ from sphrom.store.trained_models import (
     read_points,
     read_splines,
     snapshot_times,
+    starts_record,
     training_runs,
 )
 from sphrom.store.trajectory import measured_of, read_forces

@@ -44,8 +44,8 @@ from sphrom.setup.assembly import (
     scaled_parameters,
     sound_averages,
 )
-from sphrom.store.starts import Fields
 from sphrom.store.trained_models import (
+    Fields,
     calibrated,
     cycle_closure,
     read_basis,

@@ -22,7 +22,7 @@ from sphrom.reduction.polynomial_model import OutputTimes
 from sphrom.reduction.stream_functions import StreamSpace
 from sphrom.setup.assembly import surface_columns, uniform_force
 from sphrom.sph.fluid import volume_of
-from sphrom.store.starts import start
+from sphrom.store.trained_models import start
 from sphrom.store.workspace import Workspace
 
 
