@@ -33,8 +33,7 @@ def open_labelled(path: str | Path, group: str = "") -> xarray.Dataset:
     `sphrom.open` documents the names of variables and attributes. The file stays open until the
     dataset is closed.
 
-    Raises ArtifactError if the file is missing, damaged or not an artifact, CaseError if it has no
-    such group.
+    Raises ArtifactError if the file is missing, damaged or foreign, CaseError for no such group.
     """
     group = group.strip("/")
     with contextlib.ExitStack() as stack:

@@ -1,8 +1,7 @@
 """The scene of kind custom: a box with solids of any shape, moving walls and a body force.
 
 Walls' velocities and the force must be affine in the parameters, because operators are projected
-once for all values: each parameter that drives the flow has its own operators, which its value
-multiplies.
+once: each parameter that drives the flow has its own operators, which its value multiplies.
 """
 
 from __future__ import annotations

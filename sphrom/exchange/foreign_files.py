@@ -3,8 +3,7 @@
 A file has one snapshot, except VTK's HDF files, which may have many. Fields are returned by name
 with one number per particle; the components of a vector `velocity` are `velocity.x`, `velocity.y`
 and `velocity.z`. No code from a file is run: archives with pickles and HDF5 files with external
-links are refused. VTK files are read by VTK (the extra `vtk`) in a separate process, see
-`vtk_process`.
+links are refused. VTK reads its files (the extra `vtk`) in a process of its own, `vtk_process`.
 """
 
 from __future__ import annotations

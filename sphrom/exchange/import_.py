@@ -162,8 +162,7 @@ def interpolated(
 
     A single snapshot is returned unchanged.
 
-    Raises CaseError if particles move more than `spacing` [m] farther than their speeds allow, or
-    leave the fluid.
+    Raises CaseError if particles leave the fluid, or move `spacing` [m] farther than speeds allow.
     """
     if len(near) == 1:
         return near[0][1]

@@ -11,15 +11,13 @@ error, by the central limit theorem, the mean and the standard deviation s lie i
 with z = 1.96 and m4 the fourth central moment. If the errors are independent of the parameters,
 full runs have the variance s^2 + mean(e^2).
 
-In Saltelli's design (2010), two samples A and B of n points are mixed: AB_i is A with column i of
-B. Then
+In Saltelli's design (2010) of two samples A and B of n points, AB_i is A with column i of B. Then
 
     V = var(y_A, y_B),  S_i = mean(y_B (y_ABi - y_A)) / V,  T_i = mean((y_A - y_ABi)^2) / 2 V,
 
 after subtracting the mean of y_A and y_B from all, with n (d + 2) runs for d parameters, computed
 by `scipy.stats.sobol_indices`. Intervals are percentiles of a bootstrap, which resamples the n
-points. Scipy's bootstrap takes memory that grows with the square of n; here a resample is a row of
-counts.
+points. The memory of scipy's grows with the square of n; here a resample is a row of counts.
 """
 
 from __future__ import annotations

@@ -2,8 +2,7 @@
 
 Eq. 4.1 divides by a range, max - min of the reference. The choice of points for the range matters
 more than the error: a few points with large values, such as the corners under a lid, make any error
-small. A comparison of part of a field therefore states whether its range is that of the part or of
-the whole field.
+small. A comparison of part of a field therefore says whether its range is that of the whole field.
 
 Fields are (n_snapshots, n_points) or (n_points,): the last axis, or the last two of a vector field,
 is one instant, and each function returns one number per instant. Results that are not finite raise

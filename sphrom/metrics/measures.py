@@ -2,8 +2,7 @@
 
 A flow rate is the integral of u . n along a segment, by the three-point Gauss rule on pieces of
 limited length, which is exact for velocities up to the fifth degree. The normal points to the right
-of the segment's direction, so the flow rate is the increase of the stream function from the start
-to the end.
+of the segment's direction, so the flow rate is the increase of the stream function along it.
 
 Measured quantities have the axes (snapshot, ...), then place and component if they have any.
 """

@@ -452,8 +452,7 @@ def forces_of(
     ----------
     time : (n_states,) [s].
     coordinates : (n_states, n_modes).
-    mean : separate density fluctuation [kg/m3], (n_states,) or one for all; by default the model's
-        own.
+    mean : separate density fluctuation [kg/m3], (n_states,) or one; by default the model's own.
     """
     mean = reduced.mean_density_fluctuation if mean is None else mean
     amplitude = np.zeros(len(time)) if reduced.amplitude is None else reduced.amplitude(time)

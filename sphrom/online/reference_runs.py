@@ -1,9 +1,8 @@
 """Reduced runs on the reference points, whose cost does not depend on the number of particles.
 
 A steady state can be searched from the end of a run. A zero of the model's rates is not always a
-steady flow. A steady state is therefore stored with its distance from the nearest state of the
-training runs (or interpolated between them), the residual of the full rates, and an estimate of its
-errors.
+steady flow. A steady state is therefore stored with the residual of the full rates, an estimate of
+its errors, and its distance from the nearest state of the training runs or between them.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Tables as CSV and JSON, from rows that are instances of one frozen record.
 
 A field of the record may have `metadata={"unit": "%"}`; its CSV heading is then `name [%]`. A field
-with `metadata=columns(...)` maps names of several columns to their figures. A missing figure, such
-as the error of an unstable run, is None: an empty cell in CSV, null in JSON. NaN and infinities are
-refused.
+with `metadata=columns(...)` maps names of several columns to their figures. A missing figure is
+None: an empty cell in CSV, null in JSON. NaN and infinities are refused.
 """
 
 from __future__ import annotations

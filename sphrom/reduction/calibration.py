@@ -13,8 +13,7 @@ where n is the number of averages, s^2 the mean square of the averaged coordinat
 mean viscosity of the runs. The window is a hat whose half-width is the period of the longest sound
 wave: snapshots are too far apart to resolve the time derivative of sound, and sound cancels in
 averages over a period. If all runs have the same viscosity, c' and A' are zero. If the rates vanish
-at rest, c and c' are multiplied by the energy |a|^2 over its mean, so that the flow can come to
-rest.
+at rest, the energy |a|^2 over its mean multiplies c and c', so that the flow can come to rest.
 
 All coordinates share one scale s. With a scale for each coordinate, the penalty would no longer
 limit the coupling of small coordinates, which the averages hardly determine: reduced models of

@@ -4,9 +4,8 @@ A point is an array (n_points, n_parameters) of scaled parameters, whose distanc
 positive parameters enter by their logarithms. The weights w of `interpolation_weights` are those of
 linear interpolation in the simplex of training points around the point (the Delaunay
 triangulation): of all w >= 0 with sum w = 1 that reproduce the point, they minimise the sum of
-w_k d_k^2, where d_k are the distances. With one parameter they are the weights of the two
-neighbours. A point outside the convex hull of the training points is replaced by the nearest point
-of the hull.
+w_k d_k^2, where d_k are the distances. With one parameter they are those of the two neighbours.
+Outside the convex hull of the training points, they are those of the nearest point of the hull.
 
 At the training points k the defects d_k = Phi^T x_k - a_k are known; they are the differences
 between the projected full run and the reduced run. At other points the corrected coordinates are
@@ -24,8 +23,7 @@ states with the same weights for all modes keeps such relations between modes; w
 mode, the pressure error in channels grew by up to a half. Modes that a model does not integrate are
 zero in its runs; they have a length of their own.
 
-In a run that is longer than the training runs, the correction fades out before their end and is
-zero after it.
+In a run that is longer than the training runs, the correction fades out before their end.
 """
 
 from __future__ import annotations

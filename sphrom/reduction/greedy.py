@@ -29,8 +29,7 @@ APART = 0.5
 NEAR = 0.25
 """Least distance from the trained places, over that of the farthest candidate.
 
-Close to a training run the error is the remaining training error, which a further run there would
-not reduce.
+Close to a training run the error is that of training, which a further run would not reduce.
 """
 
 Ending = Literal["within", "floor", "budget"]

@@ -1,8 +1,7 @@
 """Forces on walls, flow rates and fields at places as functions of generalized coordinates.
 
-They are projected once; no field is reconstructed. Flow rates and fields at places are linear in
-the state: products of constant arrays with the terms (1, separate mean density fluctuation,
-coordinates).
+They are projected once; no field is reconstructed. Flow rates and fields at places are products of
+constant arrays with the terms (1, separate mean density fluctuation, coordinates).
 
 A force follows from the balance of momentum of the whole fluid, tested with the Stokes flow w of
 the wall's motion (`sphrom.reduction.stokes_fields`). With the velocity sum_k a_k phi_k and the

@@ -8,8 +8,7 @@ Stability is not accuracy. Sound limits Runge-Kutta steps, and at 0.9 of the lim
 the amplitude of the fastest sound; the resulting pressure error is once or twice that of the model
 itself. Exponential steps have no limit, but an error from the change of the flow within a step.
 Runs are therefore repeated with twice as many steps until the coordinates change little compared
-with the truncation error of the basis. That error follows from the singular values and is about the
-error of models.
+with the truncation error of the basis, which follows from the singular values.
 """
 
 from __future__ import annotations

@@ -63,8 +63,7 @@ def candidates(
 ) -> list[ReducedModelSection]:
     """Return the reduced models in a basis, to compare or map at parameter points.
 
-    Their sizes are those of `trade.n_modes`, by default SIZES up to the size of the basis, and
-    those in `also`.
+    Their sizes are `also`, and those of `trade.n_modes`, by default SIZES up to that of the basis.
 
     Raises CaseError when the basis has fewer modes than are listed, or there is no local basis.
     """
@@ -94,8 +93,7 @@ def candidates(
 def prepared(context: StageContext, models: Sequence[ReducedModelSection]) -> Workspace:
     """Return a workspace whose case includes the models, and has their operators.
 
-    Operators that the case lacks are projected. Raises ArtifactError when artifacts of the case are
-    missing.
+    Operators that the case lacks are projected. Raises ArtifactError when artifacts are missing.
     """
     own, workspace = context.case, Workspace(context)
     workspace.require(workspace.basis())
