@@ -158,8 +158,7 @@ class Artifact:
     def read(self, name: str) -> NDArray[Any]:
         """Return a whole dataset.
 
-        Raises ArtifactError if it is damaged, ResourceError if it does not fit into memory,
-        KeyError if there is none.
+        Raises ArtifactError if damaged, ResourceError without memory for it, KeyError if absent.
         """
         dataset = self._file[name]
         needed: int = dataset.nbytes

@@ -45,8 +45,7 @@ def create_artifact(
 ) -> Iterator[ArtifactWriter]:
     """Write the artifact `path`; it appears under its name when the block ends without an error.
 
-    `schema` is a name such as `sphrom/basis`; `attributes` are by path, such as `sound_speed` or
-    `parameters/reynolds`.
+    `schema` is a name such as `sphrom/basis`; `attributes` are by path, as `parameters/reynolds`.
 
     Raises ArtifactError if the target cannot be written or a value is not finite, ValueError if the
     data do not match the schema.
@@ -297,8 +296,7 @@ def fixed_text(text: str) -> NDArray[Any]:
 def write_record(artifact: ArtifactWriter, record: Record, group: str = "") -> None:
     """Write a record into a group of an artifact, or into its root.
 
-    Raises ArtifactError if it cannot be written or is not finite, ValueError if an array does not
-    have the declared type and axes.
+    Raises ArtifactError if it cannot be written or is not finite, ValueError for other types.
     """
     for name, field in fields_of_record(type(record)).items():
         value, path = getattr(record, name), joined(group, field.name)

@@ -138,8 +138,7 @@ def read_foreign(source: Source, array: str | None = None) -> ForeignSnapshot:
 
     In PySPH's files, `array` is a name. In others it is a field with a value, such as `Type=3`.
 
-    Raises ArtifactError when the file is missing, damaged, of an unknown kind, unsafe, or contains
-    numbers that are not finite.
+    Raises ArtifactError when the file is missing, damaged, unknown, unsafe, or not finite.
     """
     path, suffix = source.path, source.path.suffix.lower()
     if suffix not in KINDS:

@@ -206,8 +206,7 @@ FLUCTUATION = "density_fluctuation"
 ROUNDING = 1e-6
 """Share of the largest speed up to which a third component of velocity counts as zero."""
 FOLLOWED = 0.5
-"""Time for which the case's own model follows an imported run, over the time in which the flow
-crosses the scene."""
+"""Time for which the case's own model follows an imported run, over that of crossing the scene."""
 MODEL_OFF, PER_SPACING, START_OFF = 3.0, 240.0, 20.0
 """Limits of differences in velocity [%]: the least limit of an imported run, the limit over spacing
 per length, and that of its start. A finite-volume solution of the cavity departs by 4.2 and 8.2 %

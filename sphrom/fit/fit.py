@@ -252,8 +252,7 @@ def fit(
     ----------
     known : a cache of differences in training runs, shared by fits of the model.
 
-    Raises CaseError unless there are more values than free parameters, UnstableError when the model
-    is unstable at all starts.
+    Raises CaseError unless there are more values than parameters, UnstableError without a start.
     """
     case = fast.workspace.case
     values = measurements.values

@@ -143,8 +143,7 @@ class FittedModel:
         """Return the histories at all snapshots, and their derivatives by the place.
 
         Times are (n_snapshots,), histories (n_snapshots, n_histories) and derivatives
-        (n_snapshots, n_histories, n_free). Returns None if the run is unstable, or has no frequency
-        to compare with a measured one.
+        (n_snapshots, n_histories, n_free). Returns None if the run is unstable or has no frequency.
         """
         point = self.point(place)
         reduced = self.reduced(point)

@@ -11,8 +11,7 @@ ValueError; they arise from fields that are not finite, or a reference of zero.
 Quantities and the points of their comparison have one name, such as `velocity_field` or
 `pressure_line`. In the L2 norm, velocities are compared as vectors, and pressures less their mean
 over the points; in Eq. 4.1, speeds and the pressures themselves are. Estimated errors, and the true
-ones that they are compared with, are root mean squares over the grid, of velocities and of
-pressures less their mean.
+ones beside them, are root mean squares over the grid, of velocities and pressures less their mean.
 """
 
 from __future__ import annotations
@@ -58,8 +57,7 @@ def relative_l2(approximation: Array, reference: Array, *, field_axes: int = 1) 
     """Return 100 |error| / |reference| in the L2 norm of every instant [%].
 
     `field_axes` is 1 for scalars (..., n_points), 2 for vectors (..., n_points, n_dim); with one
-    more, the norm is over points and time. Raises ValueError for a field that is not finite, or a
-    reference of zero.
+    more, over points and time. Raises ValueError for fields that aren't finite, zero references.
     """
     axes = tuple(range(-field_axes, 0))
     error, norm = (np.sqrt(np.sum(f**2, axis=axes)) for f in (approximation - reference, reference))

@@ -2,8 +2,7 @@
 
 Beside the operators, the stage stores the data of error estimates, so that no run needs the points:
 the factor of the residual, and products of some training snapshots with the basis, from which the
-errors of reduced training runs follow. Held-out training runs also determine the number of modes,
-and how many of them to integrate.
+errors of reduced training runs follow. Held-out training runs also determine the numbers of modes.
 """
 
 from __future__ import annotations

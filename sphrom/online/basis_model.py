@@ -201,8 +201,7 @@ class BasisModel:
     def projected(self, point: ParameterPoint, *, in_training: bool = False) -> ReferenceModel:
         """Return the model at a point, without its correction and forces.
 
-        Its steps use the linear part of the nearest training point. Runs `in_training` have the
-        times of training runs.
+        Its steps use the linear part of the nearest training point, runs `in_training` its times.
         """
         linear = self._linear_parts[self._nearest(point)]
         model = self._equations(point, in_training)

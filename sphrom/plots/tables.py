@@ -97,8 +97,7 @@ def _rows_of(record: type[DataclassInstance], rows: Any) -> list[Any]:
 def write_csv(path: Path, rows: Sequence[DataclassInstance]) -> None:
     """Write rows of one record as CSV, with a heading, and figures with full precision.
 
-    Raises ValueError without rows and for figures that aren't finite, ArtifactError when the file
-    can't be written.
+    Raises ValueError without rows and for figures that aren't finite, ArtifactError for the file.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

@@ -15,9 +15,8 @@ wave: snapshots are too far apart to resolve the time derivative of sound, and s
 averages over a period. If all runs have the same viscosity, c' and A' are zero. If the rates vanish
 at rest, the energy |a|^2 over its mean multiplies c and c', so that the flow can come to rest.
 
-All coordinates share one scale s. With a scale for each coordinate, the penalty would no longer
-limit the coupling of small coordinates, which the averages hardly determine: reduced models of
-cavities became unstable.
+All coordinates share one scale s. With a scale for each, the penalty would not limit the coupling
+of small coordinates, which the averages hardly determine, and models of cavities became unstable.
 """
 
 from __future__ import annotations

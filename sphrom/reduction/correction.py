@@ -7,10 +7,9 @@ triangulation): of all w >= 0 with sum w = 1 that reproduce the point, they mini
 w_k d_k^2, where d_k are the distances. With one parameter they are those of the two neighbours.
 Outside the convex hull of the training points, they are those of the nearest point of the hull.
 
-At the training points k the defects d_k = Phi^T x_k - a_k are known; they are the differences
-between the projected full run and the reduced run. At other points the corrected coordinates are
-a(t) + sum_k w_k d_k(t), with the weights of kriging (`docs/fast-models.md`) with mean zero and the
-correlation exp(-|p - p_k| / l):
+At the training points k the defects d_k = Phi^T x_k - a_k are known, as x_k is the full run. At
+other points the corrected coordinates are a(t) + sum_k w_k d_k(t), with the weights of kriging
+(`docs/fast-models.md`) with mean zero and the correlation exp(-|p - p_k| / l):
 
     w = K^-1 (exp(-|p - p_k| / l))_k,    K_jk = exp(-|p_j - p_k| / l).
 

@@ -6,8 +6,7 @@ the largest one; a Gram matrix would lose all values below the square root of ro
 pass over the blocks gives the modes S V / sigma. As S = Q R, any subset of the columns has the
 singular values and right vectors of the same columns of R: one factor serves all training sets.
 
-Shapes: density (n_snapshots, n_points), velocity (n_snapshots, n_points, 2). Modes have the same
-shapes with the mode first.
+Shapes: density (n_snapshots, n_points), velocity (n_snapshots, n_points, 2); of modes the same.
 """
 
 from __future__ import annotations

@@ -124,8 +124,7 @@ class LocalErrorCalibration:
         """Return the estimated errors (2,) [m/s] of a steady state.
 
         `change` (2,) is the change up to the end of the run, `steady_change` the norm of the change
-        from there to the steady state. No share is known for arbitrarily long times, so the whole
-        change of the velocity counts.
+        from there to the steady state, all of whose velocity counts, as no share is known.
         """
         known = residual / self.decay_rate * self.constants
         later = change + np.array([0.0, steady_change])

@@ -16,10 +16,9 @@ number of modes. There are two kinds of held-out snapshots:
 Everything follows from the products of snapshots with each other, so the points are read once. The
 products lose digits below the square root of rounding, far below the error of a basis.
 
-`docs/modes.md` explains the choice of the numbers of modes, which takes the errors of training runs
-that are predicted with their own correction and with one from the other runs. The basis and the
-calibration are those of all runs: rates fitted without the predicted run would extrapolate too, and
-lead to far worse choices.
+`docs/modes.md` explains the choice of the numbers of modes, by the errors of training runs that are
+predicted with their own correction and with one from the other runs. The basis and the calibration
+are those of all runs: rates without the predicted run would lead to far worse choices.
 """
 
 from __future__ import annotations
@@ -311,8 +310,7 @@ def choose_integrated(sizes: TrainedSizes, runs: Sequence[Array]) -> tuple[Indic
     """Return how many of 1, 2, ... modes to integrate (n_sizes,), and the errors (n_sizes, 2).
 
     `runs` (n_runs, n_snapshots, n_integrated) are the runs at the training points of models that
-    integrate 1, 2, ... modes. With a single training run all modes are integrated, because it
-    cannot predict any.
+    integrate 1, 2, ... modes. A single training run predicts no mode, so all are integrated.
     """
     chosen, errors = [], []
     for n_modes in range(1, sizes.largest + 1):

@@ -7,9 +7,8 @@ and projects. Galerkin projection (Eq. 3.21) uses the rates directly. Adjoint Pe
 (Eq. 3.22, Alg. 3.5; Parish, Wentland and Duraisamy 2020) adds the effect of the residual.
 
 Advection is removed in one of two ways. `paper` subtracts Eq. 3.5-3.6, which advect with u and
-leave the shifting terms in. `consistent` subtracts (u + delta u) . grad of the reduced field, with
-the exact gradient of the modes' splines, because the points move with u + delta u while the
-coordinates belong to fixed modes.
+leave the shifting terms in. `consistent` subtracts (u + delta u) . grad of the reduced field by the
+modes' splines, because points move with u + delta u while coordinates belong to fixed modes.
 
 A separate mean density is subtracted from the snapshots, so no mode contains it. The model carries
 it as one more coordinate, whose mode is a constant density.
@@ -238,8 +237,7 @@ class ParticleModel:
     ) -> Array:
         """Return the derivative of f-bar along a field, by a finite difference (Alg. 3.5, 3).
 
-        The particles do not move. The field is known only at the particles, so its gradient is the
-        renormalised one.
+        The particles do not move. The gradient is the renormalised one, from values at particles.
         """
         state = np.vstack((self._scale * fields.density_fluctuation, fields.velocity))
         if (step := JACOBIAN_STEP * relative_step(state, along)) == 0.0:

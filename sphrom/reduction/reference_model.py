@@ -296,8 +296,7 @@ def runge_kutta(model: ReferenceModel, n_steps: int) -> Steps:
 def automatic_whole(model: ReferenceModel) -> Steps:
     """Return steps of all modes that are accurate enough for the basis, exponential if possible.
 
-    The first trial has at most one step per snapshot, which suffices if the stiffness comes from
-    something other than sound.
+    The first trial has at most one step per snapshot: enough if sound is not what is stiff.
     """
     if model.linear is None:
         return accurate(runge_kutta(model, model.n_stable), step_tolerance(model.basis))

@@ -202,8 +202,7 @@ GAP = 1
 def run(context: StageContext) -> None:
     """Write the page beside the artifacts.
 
-    Raises ArtifactError when the comparison or a table is missing, damaged or of another case, or
-    the page can't be written.
+    Raises ArtifactError when the page can't be written, or a table is missing or of another case.
     """
     workspace = Workspace(context)
     workspace.require(workspace.comparison())

@@ -2,8 +2,8 @@
 
 Modes are orthonormal, so the coordinates in fewer modes are the first of those that are stored, and
 a model of any size is calibrated when it is built. The closure of Eq. 3.22 is stored for each
-number of modes: it contains the residual of the projection onto these modes, which cannot be
-derived from that of more modes.
+number of modes: it contains the residual of the projection onto these modes alone. Starts of runs
+are packed particles, the scene's fields, or the end of a spin-up.
 """
 
 from __future__ import annotations

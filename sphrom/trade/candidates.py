@@ -144,8 +144,7 @@ def with_steps(
 ) -> Case:
     """Return the full model at a resolution and at most a Courant number, with equal snapshots.
 
-    Steps are shortened so that a whole number of them fits between snapshots. Pass `snapshots` to
-    use another case's snapshot times.
+    Steps are shortened so that whole ones fit between snapshots: `snapshots`, or the case's.
     """
     plan = snapshots or case.plan.steps
     time = case.time.model_copy(update={"step": "auto", "courant_number": courant})

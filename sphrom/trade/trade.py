@@ -1,8 +1,7 @@
 """Stage `trade`: weigh the speed of models against their accuracy.
 
 Fast models of several sizes, and full models at other steps and resolutions, are run, timed on this
-machine, and compared with the case's own full runs. Tables, a figure and the recommended model go
-into the folder `trade`.
+machine, and compared with the case's own full runs. The folder `trade` gets tables and a figure.
 """
 
 from __future__ import annotations

@@ -4,8 +4,7 @@ This is weak greedy training (`sphrom.reduction.greedy`): the model's error is e
 points of the region, and the full model runs where the estimate is largest. That run becomes a
 training run, and the next stage begins. Full runs and maps belong to the case and are kept. Bases,
 splines and operators are made anew in each stage, in a folder of their own, at a small part of the
-cost of a full run. A repeated command makes the same choices and finds their full runs on disk, so
-it continues where it was stopped.
+cost of a full run. A repeated command makes the same choices and continues where it was stopped.
 
 Errors are root mean squares over the reference points and the compared times, over those of the
 field [%], for the velocity and for the pressure less its mean.
@@ -59,8 +58,7 @@ FOLDER = "training"
 LABELS = {"reynolds": "Re [–]"}
 """Labels of parameters with a usual symbol."""
 FIGURES = ("estimate", "error", "floor")
-"""Errors of a predicted run [%]: the estimate without a factor, the true error, and the error of
-the best approximation."""
+"""Errors of a predicted run [%]: the estimate, the true error, and the best approximation's."""
 
 
 @dataclass(frozen=True)
