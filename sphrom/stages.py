@@ -70,7 +70,7 @@ def folder_of(case: Case, out: Path | None) -> Path:
 def with_checkpoints(context: StageContext, *, resume: bool, every: float) -> StageContext:
     """Return a context in which runs write a checkpoint `every` so many seconds.
 
-    With `resume`, stopped runs continue from checkpoints. Raises CaseError for a negative interval.
+    With `resume`, stopped runs continue from them. Raises CaseError for a negative interval.
     """
     if not every >= 0.0:
         raise CaseError(f"--checkpoint-every: must be a number of seconds; got {every:g}")

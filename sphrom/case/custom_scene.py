@@ -519,10 +519,11 @@ class CustomScene(SceneSection):
         share = partial(ramp_share, self.inflow_ramp)
         # Cached, because all runs of a case use the same times.
         at = lru_cache(N_TIMES)(lambda t: factor * float(share(t)) * float(amplitude(t=t)))
-        changes = bool(amplitude.depends_on)
-        return BodyForce(
-            field, at, lambda times: factor * (share(times) * amplitude(t=times)), changes
-        )
+
+        def series(times: Array) -> Array:
+            return factor * (share(times) * amplitude(t=times))
+
+        return BodyForce(field, at, series, changes=bool(amplitude.depends_on))
 
     @cached_property
     def _strip(self) -> Strip | None:

@@ -23,10 +23,7 @@ Force = Annotated[bool, typer.Option("--force", help="Overwrite an existing file
 
 
 def write_new(target: Path | None, text: str, next_step: str, *, force: bool) -> None:
-    """Write a file and report it, or print the text if no file is named.
-
-    Raises CaseError when the file exists and `force` is not set.
-    """
+    """Write a file, an existing one only with `force`, or print the text if no file is named."""
     if target is None:
         print(text, end="")
         return

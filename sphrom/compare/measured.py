@@ -31,7 +31,7 @@ from sphrom.store.stored_run import StoredRun
 from sphrom.store.workspace import Workspace
 
 SURFACE = "surface"
-"""What tables call the elevation of the whole surface."""
+"""Name of the elevation of the whole surface in tables."""
 Measured = Mapping[str, Quantities]
 """Quantities (n_snapshots, ...) of measurements, by the name of the measurement."""
 

@@ -309,9 +309,8 @@ class _Projection:
             mapped = map(self.workspace.mapped, self.trained)
             runs = [stack.enter_context(self.workspace.open(target)) for target in mapped]
             products = held_out.snapshot_products(self.basis, n_snapshots, scale, read(runs))
-        return held_out.unheld_shares(
-            products, scaled_parameters(self.case, self.trained), self.basis.n_modes
-        )
+        places = scaled_parameters(self.case, self.trained)
+        return held_out.unheld_shares(products, places, self.basis.n_modes)
 
     def _held_out(self, runs: Array | None, estimate: Estimate | None) -> HeldOut | None:
         """Return the numbers of modes that training runs determine for calibrated models.

@@ -214,8 +214,8 @@ def run(context: StageContext) -> None:
     points = {"Predicted": case.plan.test_points, "Trained": case.plan.train_points}
     shown: dict[str, list[Html]] = {title: [] for title in points}
     for title, point in ((title, point) for title, some in points.items() for point in some):
-        named, told = _named(captions, point.file_label), _told(case, tables, point)
-        if pictures := list(_pictures(out / "plots", named, told=told)):
+        named, words = _named(captions, point.file_label), _errors_of(case, tables, point)
+        if pictures := list(_pictures(out / "plots", named, words=words)):
             shown[title] += element("h3", point.label), *pictures
     first = next((title for title, some in points.items() if some), "")
     shown[first] = [*animations(workspace), *shown[first]]
@@ -277,7 +277,7 @@ def _measure_captions(case: Case) -> dict[str, str]:
     return captions
 
 
-def _told(case: Case, tables: Tables, point: ParameterPoint) -> str:
+def _errors_of(case: Case, tables: Tables, point: ParameterPoint) -> str:
     """Describe the errors of each model at a point, for readers who can't see figures."""
     names = {model.name for model in case.rom}
     parts = [
@@ -296,13 +296,13 @@ def _named(captions: Mapping[str, str], place: str) -> dict[str, str]:
 
 
 def _pictures(
-    folder: Path, captions: Mapping[str, str], before: str = "", told: str = ""
+    folder: Path, captions: Mapping[str, str], before: str = "", words: str = ""
 ) -> Iterator[Html]:
-    """Yield the existing figures; `told` is added to their descriptions."""
+    """Yield the existing figures; `words` is added to their descriptions."""
     for name, caption in captions.items():
         if (folder / name).is_file():
             content = (folder / name).read_bytes()
-            yield picture(content, before + caption, before + caption + told)
+            yield picture(content, before + caption, before + caption + words)
 
 
 def _study(context: StageContext, study: Mapping[str, Any]) -> list[Html]:
