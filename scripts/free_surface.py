@@ -4,17 +4,17 @@ Runs cases of the gallery, and prints a table for each part:
 
 - `rest`: fluid at rest in the tank of `standing_wave` for twenty periods: the largest velocity over
   sqrt(g H), after the first period too, and the r.m.s. error of pressure over rho g H.
-- `wave`: standing waves of 0.05 and 0.2 H: frequency over that of linear theory, for the higher wave
-  beside the correction by Tadjbakhsh and Keller (J. Fluid Mech. 8, 1960), and the rate of decay over
-  2 nu k^2, from the fluid's moment with the wave's potential.
+- `wave` and `high-wave`: standing waves of 0.05 and 0.2 H over five periods: frequency over that of
+  linear theory, beside the correction by Tadjbakhsh and Keller (J. Fluid Mech. 8, 1960), and the
+  rate of decay over 2 nu k^2, from the fluid's moment with the wave's potential.
 - `drop`: the drop's semi-axes, from its second moments, beside the ordinary differential equations.
-- `dam`: the front of the collapsing column beside Martin and Moyce (Phil. Trans. A 244, 1952), n^2 = 2.
+- `dam`: the front of the collapsing column beside Martin and Moyce (Phil. Trans. A 244, 1952).
 - `noslip`: a wave at Re 1,000 between walls that fluid sticks to, beside theory of Stokes layers.
-- `shifting`: how evenly particles lie at the ends of those runs, without shifting and with it.
+- `evenness`: how evenly particles lie at the end of a high wave, of the drop and of the column.
 - `pictures`: the pictures of the gallery and of the page about free surfaces.
 
     python scripts/free_surface.py wave --resolution 32 64 --ratio 2 2.5
-    python scripts/free_surface.py rest drop dam noslip shifting pictures
+    python scripts/free_surface.py rest drop dam noslip evenness pictures
 
 Runs and `free_surface.json`, with all figures so far, are kept in `runs/free_surface`.
 """
@@ -227,36 +227,25 @@ def dam(runs: Runs, resolution: int) -> dict[str, float]:
     }
 
 
-def evenness(run: Run, inner: np.ndarray) -> dict[str, float]:
-    """Return how evenly particles lie in the inner part at a run's end.
+def evenness(runs: Runs, resolution: int) -> dict[str, float]:
+    """Return how evenly particles lie at the ends of the gallery's runs, below the surface.
 
     On a lattice twelve others are within 2.1 spacings; beside a void there are far fewer.
     """
-    tree = cKDTree(run.position[-1])
-    near = tree.query(run.position[-1][inner], 2)[0][:, 1] / run.spacing
-    count = tree.query_ball_point(run.position[-1][inner], 2.1 * run.spacing, return_length=True)
-    return {
-        "nearest neighbour / spacing, least": float(near.min()),
-        "nearest neighbour / spacing, mean": float(near.mean()),
-        "neighbours within 2.1, least": float(count.min() - 1),
-        "neighbours within 2.1, most": float(count.max() - 1),
-    }
-
-
-def shifting(runs: Runs, resolution: int) -> dict[str, float]:
-    """Return how particles lie after a high wave, and after the drop, with and without shifting."""
     found = {}
-    for enabled in (False, True):
-        told = "with" if enabled else "without"
-        change = {"discretization__shifting__enabled": enabled}
-        run = runs("standing_wave", resolution, **change)
-        figures = evenness(run, run.position[-1, :, 1] < 0.3)
-        rate, decay = rate_and_decay(run)
-        figures |= {"frequency / linear": rate / OMEGA}
-        figures |= {"decay / (2 nu k^2)": decay / (2.0 * run.viscosity * WAVE_NUMBER**2)}
-        level = 2.0 * run.position[-1, :, 1].mean() - HEIGHT
-        figures |= {"twice the centre's height / H - 1": level / HEIGHT}
-        found |= {f"wave {told}: {name}": value for name, value in figures.items()}
+    for name in ("standing_wave", "oscillating_drop", "dam_break"):
+        run = runs(name, resolution)
+        last, spacing = run.position[-1], run.spacing
+        tree = cKDTree(last)
+        deep = tree.query_ball_point(last, 4.0 * spacing, return_length=True) > 40
+        nearest = tree.query(last[deep], 2)[0][:, 1] / spacing
+        count = tree.query_ball_point(last[deep], 2.1 * spacing, return_length=True) - 1
+        found |= {
+            f"{name}: nearest neighbour / spacing, least": float(nearest.min()),
+            f"{name}: the same, mean": float(nearest.mean()),
+            f"{name}: neighbours within 2.1 spacings, mean": float(count.mean()),
+            f"{name}: the same, least": float(count.min()),
+        }
     return found
 
 
@@ -267,13 +256,13 @@ PARTS: dict[str, tuple[Callable[[Runs, int], dict[str, float]], tuple[int, ...]]
     "drop": (drop, (20, 40)),
     "dam": (dam, (30, 60)),
     "noslip": (no_slip, (32, 64)),
-    "shifting": (shifting, (32,)),
+    "evenness": (evenness, (30,)),
 }
 """What measures, and the resolutions by default."""
 
 
 def draw(runs: Runs) -> None:
-    """Draw the gallery's cases: particles in colours of their speed, and a history beside theory."""
+    """Draw the gallery's cases: particles coloured by speed, and a history beside theory."""
     frames = {
         "standing_wave": ((0.25, 0.5, 3.25), PERIOD),
         "oscillating_drop": ((0.2, 0.5, 2.7), DROP_PERIOD),
