@@ -99,8 +99,9 @@ class Case(Section):
         given = {name: value for name, value in values.items() if value is not None}
         given.setdefault("scene", {})
         if isinstance(given["scene"], Mapping) and given["scene"].get("fluid") is not None:
-            slips = given["scene"].get("slip") == "free"
-            given = with_defaults(given, surface_defaults(slips))
+            scene = given["scene"]
+            along_axes = scene.get("slip") == "free" and not scene.get("solids")
+            given = with_defaults(given, surface_defaults(along_axes))
         return with_defaults(given, DEFAULTS.get(kind_of(values), {}))
 
     @model_validator(mode="after")
