@@ -52,6 +52,8 @@ PERIOD = 2.0 * math.pi / OMEGA
 FRONT = {0.832: 1.217, 1.997: 2.292, 3.345: 4.134}
 """Martin and Moyce: z / a at t sqrt(2 g / a)."""
 DROP_PERIOD = 4.567375
+WIDTH = 1100
+"""Of a picture [pixels]."""
 SPACING = "particle_spacing"
 
 
@@ -266,12 +268,12 @@ def draw(runs: Runs) -> None:
     frames = {
         "standing_wave": ((0.25, 0.5, 3.25), PERIOD),
         "oscillating_drop": ((0.2, 0.5, 2.7), DROP_PERIOD),
-        "dam_break": ((1.2, 2.4, 4.0), 1.0),
+        "dam_break": ((1.2, 2.0, 2.6), 1.0),
     }
     for name, (instants, unit) in frames.items():
         run = runs(name)
         with styled():
-            figure = new_figure(12.0, 2.9)
+            figure = new_figure(12.0, 3.1)
             *panels, last = figure.subplots(1, 4)
             for panel, instant in zip(panels, instants, strict=True):
                 _draw_particles(panel, run, instant * unit, run.box)
@@ -280,7 +282,7 @@ def draw(runs: Runs) -> None:
         source = runs.folder / f"{name}.png"
         save(figure, source)
         path = FIGURES / f"gallery-{name}.png"
-        write_small(source, path)
+        write_small(source, path, WIDTH)
         print(f"{path.relative_to(ROOT)}: {path.stat().st_size / 1000:.0f} kB")
 
 
@@ -289,7 +291,9 @@ def _draw_particles(axes: Axes, run: Run, at: float, box: np.ndarray) -> None:
     k = int(np.argmin(np.abs(run.time - at)))
     speed, (width, height) = np.hypot(*run.velocity[k].T), box[1] - box[0]
     dot = (150.0 * run.spacing / max(width, height)) ** 2
-    axes.scatter(*run.position[k].T, c=speed, s=dot, cmap=SPEED_MAP, linewidths=0.0)
+    fastest = np.hypot(*np.moveaxis(run.velocity, -1, 0)).max()
+    colours = {"cmap": SPEED_MAP, "vmin": 0.0, "vmax": fastest}
+    axes.scatter(*run.position[k].T, c=speed, s=dot, linewidths=0.0, **colours)
     axes.set(title=f"speed, t = {run.time[k]:.2f} s", aspect="equal", xlabel="x [m]")
     axes.set(xlim=box[:, 0], ylim=box[:, 1], ylabel="y [m]")
 
@@ -312,16 +316,16 @@ def _draw_history(axes: Axes, name: str, run: Run) -> None:
             axes.plot(time, found, color=COLOURS[index], label=f"along {'xy'[index]}")
         axes.set(title="semi-axes", ylabel="[m]")
     else:
-        # Of small waves, elevation at the wall and this moment are in proportion.
+        # Of low waves, this moment and the elevation at x = 0 are in proportion.
         moment = moment_of(run)
         scale = (moment - moment.mean()) / np.ptp(moment)
         friction = 2.0 * run.viscosity * WAVE_NUMBER**2
-        linear = np.exp(-friction * fine) * np.sin(OMEGA * fine)
+        linear = -np.exp(-friction * fine) * np.sin(OMEGA * fine)  # it falls first at x = 0
         sampled = np.interp(time, fine, linear)
         axes.plot(fine, linear / np.ptp(sampled), **known, label="linear theory")
         axes.plot(time, scale, color=COLOURS[0], label="full model")
         axes.set(title="amplitude of the wave", ylabel="over its range")
-    axes.legend(fontsize=7)
+    axes.legend(fontsize=7, loc="upper right")
 
 
 def main() -> None:
