@@ -115,7 +115,7 @@ def _origin(runs: Sequence[Any]) -> Iterator[str]:
             why = run.failure_file.read_text(encoding="utf-8").strip()
             yield from (f"{name}, the full model is unstable: {why}", "")
             continue
-        tables = read_json(run.out / "compare.json", "sphrom compare CASE")
+        tables = read_json(run.out / "compare.json", "sphrom compare CASE", {})
         about: Mapping[str, Any] = tables["about"]
         seconds = paper_page.stage_seconds(tables)
         taken = ", ".join(f"{stage} {format_figure(total)}" for stage, total in seconds.items())

@@ -55,8 +55,8 @@ CAPTION = (
     "the lead over the full run in periods, least to largest. Shares as printed are of stacked "
     "density and velocities; corrected shares are of the acoustic product, which leaves out the "
     "mean density. The compression is N_d / M, with five values for each particle. Words instead "
-    "of numbers are read from the figures. The rows of full runs are additions: the paper does "
-    "not give their errors."
+    "of numbers describe the figures of the documentation. The rows of full runs are additions: "
+    "the paper does not give their errors."
 )
 COSTS = "model|modes|its step [s]|full run's step [s]|model [s]|full run [s]|speed-up|its range"
 COST_COLUMNS = ["reduced_step", "full_step", "reduced_seconds", "full_seconds", "speed_up"]
@@ -78,7 +78,7 @@ class Result:
         self.case, self.out, self.reading = run.case, run.out, run.reading
         workspace = Workspace(context)
         self.comparison = stack.enter_context(StoredComparison.of(workspace))
-        self.tables = read_json(run.out / "compare.json", "sphrom compare CASE")
+        self.tables = read_json(run.out / "compare.json", "sphrom compare CASE", {})
 
     def rows(self, table: str, **wanted: object) -> list[Mapping[str, Any]]:
         """Return the rows of a table that have these values."""
@@ -195,7 +195,8 @@ def _error(result: Result, claim: Mapping[str, Any], run: str | None) -> str:
     assert run is not None
     points, unstable = _points(claim), []
     for point in points:
-        if not result.comparison.is_complete(run, point):
+        series = result.comparison.errors(run, point)
+        if series is None or series.status != "complete":
             time, _ = result.comparison.discrepancy(run, point, claim["quantity"], "field")
             unstable.append(f"{time[-1]:.3g} s" if len(time) else "the start")
     after = [f"unstable after {', '.join(dict.fromkeys(unstable))}"] if unstable else []

@@ -1,6 +1,6 @@
 """sphrom: reduced models of smoothed-particle hydrodynamics.
 
-The names below are those of `sphrom.api`, which is loaded when one of them is first used.
+The names are those of `sphrom.api`, which is loaded when one of them is first used.
 """
 
 from __future__ import annotations

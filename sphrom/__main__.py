@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 import sys
 
-# Threads are the kernels' business: a BLAS that shares small systems out over threads of its own
-# is many times slower where cores are busy, and its results depend on their number.
+# Only the kernels use threads. A BLAS that spreads small systems over its own threads is many times
+# slower on busy cores, and its results depend on their number.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# Nothing plugs into pydantic here, and to look for plugins takes a tenth of a short command.
+# No pydantic plugins are used, and searching for them takes a tenth of a short command's time.
 os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")
 
 
@@ -18,7 +18,7 @@ def main() -> None:
         from sphrom.cli.app import app
 
         app(prog_name="sphrom")
-    except KeyboardInterrupt:  # before a command has begun
+    except KeyboardInterrupt:  # before a command has started
         sys.exit(130)
 
 

@@ -1,4 +1,4 @@
-"""The types of arrays that all modules name: floats, whole numbers and truth values."""
+"""The array types that all modules use: floats, integers and booleans."""
 
 from __future__ import annotations
 

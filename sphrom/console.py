@@ -1,7 +1,7 @@
-"""Report to a terminal, to a log, or to a program: lines, warnings, tables, progress.
+"""Report lines, warnings, tables and progress to a terminal, to a log, or to a program.
 
-Whatever the program shows goes through here: texts may come from files and arguments that somebody
-else wrote, so that control characters are shown as escapes.
+All output goes through this module. Texts may come from other people's files and arguments, so
+control characters are shown as escapes.
 """
 
 from __future__ import annotations
@@ -24,36 +24,36 @@ from sphrom.text import duration, shortened, visible
 from sphrom.whole_files import open_to_write
 
 LOG = "sphrom.log"
-"""The log's name beside a case's artifacts."""
+"""Name of the log file beside the artifacts of a case."""
 LINE_INTERVAL = 10.0
-"""Seconds before the first plain line about progress."""
+"""Time before the first plain line about progress [s]; each next interval is twice as long."""
 LONGEST_INTERVAL = 600.0
-"""Each interval is twice the one before, up to this one [s]."""
+"""Longest interval between such lines [s]."""
 REFRESHED = 0.1
-"""Seconds from one change of a terminal's last line to the next."""
+"""Time between changes of a terminal's last line [s]."""
 LONGEST_LINE = 500
-"""Characters of an error or a warning: what they quote may be of any length."""
+"""Most characters of an error or a warning; the texts that they quote may be of any length."""
 PROSE = 100
-"""Characters of a line of sentences where there is no terminal."""
+"""Characters of a line of prose where there is no terminal."""
 TOGETHER = re.compile("`[^`]*`|sphrom [^`]*$| %")
-"""What stands in one line: a command to copy, of any length, a figure and its percent sign."""
+"""Texts that are never broken over lines: commands to copy, and a number with its percent sign."""
 WHOLE_WORDS: Any = {"break_long_words": False, "break_on_hyphens": False}
 _ERASE = "\r\x1b[K"
 
 _status = ""
-"""The terminal's last line, which says how far things are."""
+"""The terminal's last line, which shows progress."""
 
 
 def tell(text: str, *, error: bool = False, indent: int = 0) -> None:
-    """Write one line to the output, or to the error stream, where it has its middle left out.
+    """Write one line to the output, or shortened to the error stream.
 
-    A terminal has it in lines of whole words, of which all but the first may be indented.
+    On a terminal the line is wrapped at whole words, with an indent from the second line on.
     """
     _show_status("")
     stream = sys.stderr if error else sys.stdout
     text = shortened(text, LONGEST_LINE) if error else visible(text)
     if stream.isatty():
-        text = TOGETHER.sub(lambda found: found[0].replace(" ", "\xa0"), text)
+        text = TOGETHER.sub(lambda match: match[0].replace(" ", "\xa0"), text)
         text = textwrap.fill(text, _columns(), subsequent_indent=" " * indent, **WHOLE_WORDS)
         text = text.replace("\xa0", " ")
     print(text, file=stream, flush=True)
@@ -64,7 +64,7 @@ def _columns() -> int:
 
 
 def _show_status(text: str) -> None:
-    """Put a text in place of the terminal's last line."""
+    """Replace the terminal's last line."""
     global _status
     text = textwrap.shorten(visible(text), _columns() - 1, placeholder=" ...", **WHOLE_WORDS)
     if text != _status:
@@ -73,10 +73,10 @@ def _show_status(text: str) -> None:
 
 
 class LogFile:
-    """The log of a command: lines with their times, added to a file once its folder is there.
+    """The log of a command: lines with their times, appended to a file once its folder exists.
 
-    A log is no result: where it can't be written, the command goes on with a warning. Without a
-    path there is no log.
+    If the log can't be written, the command continues with a warning. Without a path there is no
+    log.
     """
 
     def __init__(self, path: Path | None = None) -> None:
@@ -99,7 +99,7 @@ class LogFile:
 
     @contextmanager
     def recorded(self, command: Sequence[str]) -> Iterator[None]:
-        """Write what a command was told, and how it ended."""
+        """Write the command line at the start of the block, and the outcome at its end."""
         self.write("$ " + " ".join(command))
         try:
             yield
@@ -111,24 +111,24 @@ class LogFile:
 
 
 class Level(IntEnum):
-    """How much a line matters."""
+    """The importance of a line."""
 
     DETAIL = 0
-    """For the log, and for who asks for details."""
+    """In the log; on the terminal with --verbose only."""
     INFO = 1
     """Hidden by --quiet."""
     RESULT = 2
 
 
 class Reporter:
-    """Tells the user how a stage is getting on: lines of some level, warnings, tables, progress.
+    """Reports the progress of a stage to the user: lines, warnings and tables.
 
     Parameters
     ----------
-    quiet : show warnings and results alone.
-    verbose : show details, too.
-    log : the file that has all of it.
-    write : a program's own function, which takes each line in place of the output.
+    quiet : whether to show only warnings and results.
+    verbose : whether to show details.
+    log : log file, which gets all lines.
+    write : a program's own function, which takes each line instead of the output.
     """
 
     def __init__(
@@ -150,11 +150,11 @@ class Reporter:
 
     @property
     def details(self) -> Self:
-        """The reporter of details, which go to the log and appear only with --verbose."""
+        """A reporter whose lines go to the log, and to the terminal with --verbose only."""
         return self._changed(_level=Level.DETAIL)
 
     def brief(self, *, label: str = "", progress: bool = False) -> Self:
-        """Return the reporter of runs that are a means only: warnings, and progress if asked."""
+        """Return a reporter for auxiliary runs: it shows warnings, and progress if asked."""
         return self._changed(
             _is_brief=True, _has_progress=progress, _label=f"{label}: " if label else ""
         )
@@ -165,19 +165,19 @@ class Reporter:
         return changed
 
     def info(self, text: str) -> None:
-        """Tell something in one line."""
+        """Report one line."""
         self._tell(text, self._level)
 
     def note(self, text: str) -> None:
-        """Tell something in one line, also where details are hidden."""
+        """Report one line, also where details are hidden."""
         self._tell(text, Level.INFO)
 
     def result(self, text: str) -> None:
-        """Tell a result in one line."""
+        """Report a result in one line."""
         self._tell(text, Level.RESULT)
 
     def prose(self, text: str) -> None:
-        """Tell a result in sentences."""
+        """Report a result in sentences."""
         for line in [text] if self._terminal else textwrap.wrap(text, PROSE, **WHOLE_WORDS):
             self.result(line)
 
@@ -197,9 +197,9 @@ class Reporter:
         (self._write or partial(tell, error=True))(text)
 
     def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        """Show a result as a table: the first column to the left, numbers to the right.
+        """Show a table with its first column aligned left and the others right.
 
-        Columns that don't fit a terminal's line follow below, beside the first one again.
+        Columns that don't fit the width of the terminal follow below, with the first one repeated.
         """
         columns, *rows = ([visible(cell) for cell in row] for row in (columns, *rows))
         widths = [max(map(len, cells)) for cells in zip(columns, *rows, strict=True)]
@@ -220,9 +220,9 @@ class Reporter:
     def progress(self, description: str, total: int) -> Iterator[Callable[[int], None]]:
         """Show how much of `total` is done, and the time left.
 
-        The callable that it gives takes what was done since the last call. A terminal's last line
-        says how far all that is running is. Where there is no terminal a line comes now and then
-        of what takes long, and at the end; of a detail that was done quickly there is none.
+        The block gets a function that takes the number of items done since its last call. The last
+        line of a terminal shows all tasks in progress. Without a terminal, a line is written now
+        and then, and at the end; for details that are quickly done, there is none.
         """
         if self._is_brief and not self._has_progress:
             yield lambda done: None
@@ -257,33 +257,33 @@ class Reporter:
 
 
 class SilentReporter(Reporter):
-    """Tells nobody."""
+    """A reporter that shows nothing."""
 
     def __init__(self) -> None:
         super().__init__(write=lambda text: None)
 
 
 class _Progress:
-    """How much of something is done, since when, and when to say so again."""
+    """Progress of a task: the share that is done, its rate, and the time of the next report."""
 
     def __init__(self, description: str, total: int) -> None:
         self._description, self._total = description, total
         self.start = self._since = time.monotonic()
         self.shown = -REFRESHED
-        """When a terminal's line last told of it."""
+        """Time of the last refresh of the terminal's line [s]."""
         self.done = self._first = 0
         self._interval = LINE_INTERVAL
         self._next = self.start + self._interval
 
     def count(self, done: int) -> None:
-        """Count what was done."""
+        """Add to the number of items done."""
         if not self.done:
-            # Kernels may be compiled in what is done first: it says nothing of the rest.
+            # The first items may include compiling kernels, so they don't count in the rate.
             self._first, self._since = done, time.monotonic()
         self.done += done
 
     def is_due(self) -> bool:
-        """Return whether to write a line: the more seldom the longer it takes."""
+        """Return whether to write a line; the intervals grow with time."""
         now = time.monotonic()
         if now < self._next or not 0 < self.done < self._total:
             return False

@@ -1,4 +1,4 @@
-"""Declare a kind of artifact once, as a class: its schema, documentation and types follow.
+"""Declare a kind of artifact as a class, from which its schema, documentation and types follow.
 
     class Basis(Record, kind="sphrom/basis"):
         \"\"\"Trial bases.\"\"\"
@@ -7,14 +7,14 @@
         bases: Mapping[str, Modes] = part()
         inner_product: str = attribute("", "inner product of the modes")
 
-A field's type says how it is stored: an array as a dataset, a number or text as an attribute,
-another record as a group, and a mapping as so many of them, each under its key. A field with a
-default is optional. The numerics' own dataclasses are such records: this module knows no files. A
-field that isn't declared by one of the functions here is not stored.
+The type of a field determines how it is stored: an array as a dataset, a number or text as an
+attribute, a record as a group, and a mapping as one of these per key. A field with a default is
+optional. Only fields that are declared by the functions of this module are stored. The module does
+not deal with files, so dataclasses of the numerics can be records.
 
 A schema lists the datasets and attributes of a kind of artifact. In a name, `*` stands for one
-group that the writer names, such as a basis or a parameter. Axes are named: within one artifact an
-axis has one length, and within a `*` group its own axes have theirs.
+group that the writer names, such as a basis or a parameter. Axes have names. An axis has one length
+within an artifact; axes of a `*` group have one length within each group.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from sphrom.arrays import Array, Indices
 SCHEMA_VERSION = "1.1"
 
 Tensors = tuple[Array, ...]
-"""Those of a polynomial, by degree."""
+"""The tensors of a polynomial, by degree."""
 
 DEGREES = ("constant", "linear", "quadratic", "cubic")
 """Names of the tensors of a polynomial."""
@@ -54,31 +54,31 @@ _KINDS = {
 
 @dataclass(frozen=True)
 class Field:
-    """A dataset, an attribute or a group: what a record declares, and what a schema lists."""
+    """A dataset, an attribute or a group, as records declare and schemas list them."""
 
     name: str
-    """Its path in the group of its record, or in the file; `*` stands for a mapping's keys."""
+    """Path in the group of its record, or in the file; `*` stands for a mapping's keys."""
     kind: str
-    """`float64`, `int64` or `tensors` of datasets; `float`, `floats` (a vector), `int` or `text` of
-    an attribute; `group`."""
+    """`float64`, `int64` or `tensors` for datasets; `float`, `floats` (a vector), `int` or `text`
+    for attributes; `group`."""
     units: str = ""
     meaning: str = ""
     required: bool = True
     axes: tuple[str, ...] = ()
-    """Of a dataset, or of the last of several tensors."""
+    """Axes of a dataset; for several tensors, those of the highest degree."""
     symbol: str = ""
     equation: str = ""
     allowed: tuple[str, ...] = ()
-    """The texts that an attribute may be, where not any is."""
+    """The allowed texts of an attribute; if empty, any."""
     names: Mapping[str, str] | None = None
-    """What may stand for `*` in its name, and what `%s` in its meaning then is."""
+    """The texts that may replace `*` in its name, each with the text for `%s` in its meaning."""
     is_mapping: bool = False
     record: type[Record] | None = None
-    """The record that a group is."""
+    """The record of a group."""
 
     @property
     def labels(self) -> dict[str, str]:
-        """A description of its values; units and the long name are netCDF's."""
+        """A description of the values, with units and long name as in netCDF."""
         return {
             "units": self.units,
             "long_name": self.meaning,
@@ -97,9 +97,9 @@ def dataset(
     names: Mapping[str, str] | None = None,
     **place: Any,
 ) -> Any:
-    """Declare a dataset with axes such as `snapshot particle`; `names` those of a mapping.
+    """Declare a dataset with axes such as `snapshot particle`; `names` lists a mapping's keys.
 
-    `place` may hold a name, `at`, and a `default` or `default_factory`, as for all declarations.
+    As in all declarations, `place` may hold a name, `at`, and a `default` or `default_factory`.
     """
     about = {"units": units, "meaning": meaning, "symbol": symbol, "equation": equation}
     return _declared(place, axes=tuple(axes.split()), names=names, **about)
@@ -115,7 +115,7 @@ def tensors(
     symbols: str = "    ",
     **place: Any,
 ) -> Any:
-    """Declare the tensors of a polynomial in the modes' coordinates, `by` an axis before them."""
+    """Declare the tensors of a polynomial in the modal coordinates; `by` is a leading axis."""
     axes = " ".join((by, *("mode",) * (degree + 1)))
     names = dict.fromkeys(DEGREES[: degree + 1], "")
     return dataset(axes, units, meaning, symbols, equation, names=names, **place)
@@ -127,13 +127,14 @@ def attribute(units: str, meaning: str, **place: Any) -> Any:
 
 
 def part(**place: Any) -> Any:
-    """Declare a group that is a record of its own; `at` may be `""`, for one in the same group."""
+    """Declare a record within a record; `at=""` stores it in the same group."""
     return _declared(place)
 
 
-def _declared(place: dict[str, Any], **given: Any) -> Any:
-    """Declare a field; its name, where none is given, and its kind are known with its class."""
-    return dataclasses.field(metadata={"at": place.pop("at", None), "given": given}, **place)
+def _declared(place: dict[str, Any], **declared: Any) -> Any:
+    """Declare a field; its kind and its default name follow from the class."""
+    metadata = {"at": place.pop("at", None), "declared": declared}
+    return dataclasses.field(metadata=metadata, **place)
 
 
 @dataclass_transform(
@@ -142,7 +143,7 @@ def _declared(place: dict[str, Any], **given: Any) -> Any:
     field_specifiers=(dataset, tensors, attribute, part, dataclasses.field),
 )
 class Record:
-    """A frozen dataclass that an artifact, or a group of one, may hold."""
+    """A frozen dataclass that can be stored in an artifact, or in a group of one."""
 
     def __init_subclass__(cls, kind: str = "") -> None:
         super().__init_subclass__()
@@ -152,13 +153,13 @@ class Record:
 
     @classmethod
     def of(cls, source: object, **others: Any) -> Self:
-        """Return a record of what an object has under the same names, and of others."""
+        """Return a record with values of an object's equally named attributes, and with others."""
         own = fields_of_record(cls).items()
         names = {name for name, field in own if field.required or hasattr(source, name)}
         return cls(**{name: getattr(source, name) for name in names - others.keys()}, **others)
 
     def mapped(self, change: Callable[[Array], Any]) -> Self:
-        """Return the record with all of its stored arrays changed, those of its parts too."""
+        """Return the record with `change` applied to all stored arrays, also those of its parts."""
         stored = fields_of_record(type(self))
         changed = {name: _mapped(getattr(self, name), change) for name in stored}
         return type(self)(**vars(self) | changed)
@@ -177,23 +178,23 @@ def _mapped(value: Any, change: Callable[[Array], Any]) -> Any:
 
 
 DECLARED: dict[str, type[Record]] = {}
-"""The kinds of artifacts."""
+"""The records of all kinds of artifacts."""
 _FIELDS: dict[type[Record], dict[str, Field]] = {}
-"""The fields of records, which take long to look up."""
+"""A cache of the fields of records, because their look-up is slow."""
 
 
 def fields_of_record(record: type[Record]) -> dict[str, Field]:
-    """Return the stored fields of a record, by their names in Python."""
+    """Return the stored fields of a record by attribute name."""
     if record not in _FIELDS:
         hints = get_type_hints(record)
         fields = dataclasses.fields(record)  # type: ignore[arg-type]
-        stored = (field for field in fields if "given" in field.metadata)
+        stored = (field for field in fields if "declared" in field.metadata)
         _FIELDS[record] = {field.name: _field(field, hints[field.name]) for field in stored}
     return _FIELDS[record]
 
 
 def _field(field: dataclasses.Field[Any], hint: Any) -> Field:
-    name, given = field.metadata["at"], field.metadata["given"]
+    name, declared = field.metadata["at"], field.metadata["declared"]
     name = field.name if name is None else name
     if get_origin(hint) in (UnionType, Union):
         (hint,) = (one for one in get_args(hint) if one is not NoneType)
@@ -203,23 +204,24 @@ def _field(field: dataclasses.Field[Any], hint: Any) -> Field:
         hint = get_args(hint)[1]
     required = field.default is MISSING and field.default_factory is MISSING
     if isinstance(hint, type) and issubclass(hint, Record):
-        return Field(name, "group", required=required, is_mapping=is_mapping, record=hint, **given)
+        declared = declared | {"record": hint}
+        return Field(name, "group", required=required, is_mapping=is_mapping, **declared)
     allowed = get_args(hint) if get_origin(hint) is Literal else ()
     kind = "text" if allowed else _KINDS[hint]
-    return Field(name, kind, required=required, is_mapping=is_mapping, allowed=allowed, **given)
+    return Field(name, kind, required=required, is_mapping=is_mapping, allowed=allowed, **declared)
 
 
 def joined(group: str, name: str) -> str:
-    """Return the path of a name in a group, either of which may be empty."""
+    """Return the path of a name in a group; either may be empty."""
     return f"{group}/{name}" if group and name else group or name
 
 
 def fields_of(record: type[Record], group: str = "", optional: bool = False) -> Iterator[Field]:
-    """Yield every dataset and attribute of a record, and of the records in it, by its path."""
+    """Yield the datasets and attributes of a record and of its parts, named by their paths."""
     for field in fields_of_record(record).values():
         path, required = joined(group, field.name), field.required and not optional
         if field.record is not None:
-            # There may be none of several, but each is whole.
+            # A mapping may be empty, but each of its records is complete.
             yield from fields_of(field.record, path, not (field.is_mapping or required))
         elif field.kind == "tensors":
             names = tuple(field.names or ())
@@ -251,12 +253,12 @@ class Schema:
     @classmethod
     def of(cls, kind: str, record: type[Record]) -> Self:
         """Return the schema of a kind of artifact that is declared as a record."""
-        found = tuple(fields_of(record))
+        fields = tuple(fields_of(record))
         return cls(
             kind,
             (record.__doc__ or "").partition("\n")[0].removesuffix("."),
-            tuple(field for field in found if field.axes),
-            tuple(field for field in found if not field.axes),
+            tuple(field for field in fields if field.axes),
+            tuple(field for field in fields if not field.axes),
         )
 
     def dataset(self, name: str) -> Field | None:
@@ -269,27 +271,27 @@ class Schema:
 
 
 def matches(pattern: str, name: str) -> bool:
-    """Whether `name` is `pattern`, each `*` standing for one group or attribute."""
+    """Return whether `name` matches `pattern`, where `*` stands for one group or attribute."""
     if "*" not in pattern:
         return pattern == name
-    expected, given = pattern.split("/"), name.split("/")
-    return len(expected) == len(given) and all(
-        one in ("*", other) for one, other in zip(expected, given, strict=True)
+    expected, actual = pattern.split("/"), name.split("/")
+    return len(expected) == len(actual) and all(
+        one in ("*", other) for one, other in zip(expected, actual, strict=True)
     )
 
 
 def find_field(fields: Iterable[Field], name: str) -> Field | None:
-    """Return the field that describes `name`; one without `*` comes before one with."""
+    """Return the field that describes `name`, preferring one without `*`."""
     fitting = [field for field in fields if matches(field.name, name)]
     return min(fitting, key=lambda field: field.name.count("*"), default=None)
 
 
-# Written at the root of every artifact by the writer itself; no part of the content's digest.
+# Attributes that the writer adds to every artifact; the digest of the content excludes them.
 PROVENANCE = (
     Field("schema", "text", "", "kind of artifact"),
     Field("schema_version", "text", "", "version of the kind; another major is refused"),
     Field("stage", "text", "", "command that wrote the artifact"),
-    Field("uuid", "text", "", "identity of this very file"),
+    Field("uuid", "text", "", "identity of this file"),
     Field("software", "text", "", "program that wrote the artifact"),
     Field("softwareVersion", "text", "", "its version"),
     Field("date", "text", "", "when writing began, UTC"),
@@ -301,5 +303,5 @@ PROVENANCE = (
     Field("content_sha256", "text", "", "digest of the datasets and attributes"),
 )
 
-# Wall-clock of the parts of a stage; no part of the content's digest.
+# Wall-clock time of the parts of a stage; the digest of the content excludes it.
 TIMING = Field("timing/*", "float", "s", "time spent in a part of the stage", required=False)

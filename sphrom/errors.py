@@ -1,16 +1,16 @@
-"""The vocabulary of errors: each class is an exit code, each message says what to do next."""
+"""The errors of the package: each class has an exit code, each message suggests a remedy."""
 
 from __future__ import annotations
 
 
 class SphromError(Exception):
-    """An error that a user can act on; its text is shown without a traceback."""
+    """An error that a user can act on; the command line shows it without a traceback."""
 
     exit_code = 1
 
 
 class CaseError(SphromError):
-    """The case file, or the command line, asks for something invalid."""
+    """The case file or the command line is invalid."""
 
     exit_code = 2
 
@@ -22,12 +22,12 @@ class ArtifactError(SphromError):
 
 
 class UnstableError(SphromError):
-    """A run left the range in which its numbers mean anything."""
+    """A run diverged, or left the range in which its numbers are physical."""
 
     exit_code = 4
 
 
 class ResourceError(SphromError):
-    """A run was asked for that would not fit this machine."""
+    """A run does not fit the memory or the disk of this machine."""
 
     exit_code = 5

@@ -1,8 +1,7 @@
-"""What this process has of the machine: memory, threads of linear algebra, processor time.
+"""The resources of this process: memory, threads of linear algebra, processor time.
 
-Its memory is the machine's, or less where a control group limits it. A container, a batch system or
-a service manager sets such limits; beyond them the process is killed, whatever the machine still
-has.
+A container, a batch system or a service manager may limit the memory of a process by a control
+group, and kills a process that exceeds the limit even if the machine has free memory.
 """
 
 from __future__ import annotations
@@ -19,18 +18,18 @@ from typing import Any
 
 _ROOT = Path("/")
 LEAST_TIMED = 5e-4
-"""Least processor time [s] of a measurement: the clock is too coarse for less."""
+"""Least processor time of a measurement [s], because the clock is coarse."""
 compiling = [0.0]
 """Processor time that this process has spent on compiling [s]."""
 
 
 def computing_seconds() -> float:
-    """Return the processor time of this process [s], that of compiling kernels left out."""
+    """Return the processor time of this process [s], without the time to compile kernels."""
     return time.process_time() - compiling[0]
 
 
 def seconds_of(run: Callable[[], object]) -> float:
-    """Return the processor time of a call [s], the mean over as many as can be timed."""
+    """Return the processor time of a call [s], the mean over enough calls to be measurable."""
     count, taken = 0, 0.0
     while taken < LEAST_TIMED:
         count, started = max(1, 4 * count), time.process_time()
@@ -42,9 +41,9 @@ def seconds_of(run: Callable[[], object]) -> float:
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Within the block, libraries of linear algebra compute on one thread, as the commands do.
+    """Limit libraries of linear algebra to one thread within the block, as in all commands.
 
-    With more of them the last bits of results differ.
+    With more threads the last bits of results differ.
     """
     import scipy.linalg  # noqa: F401 - it brings a library of its own, and loads it late
 
@@ -54,18 +53,18 @@ def one_blas_thread() -> Iterator[None]:
 
 @lru_cache(maxsize=1)
 def _thread_pools(n_modules: int) -> Any:
-    """Find libraries with threads, again once there are more modules: that takes milliseconds."""
+    """Find the libraries with threads; the search takes milliseconds, so its result is cached."""
     return import_module("threadpoolctl").ThreadpoolController()
 
 
 def physical_ram(root: Path = _ROOT) -> int:
-    """Return the most memory that this process may ever have [bytes]."""
+    """Return the largest memory that this process may use [bytes]."""
     machine = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     return min((machine, *(limit for limit, _ in _group_limits(root))))
 
 
 def available_ram(root: Path = _ROOT) -> int | None:
-    """Return the memory available now without swapping [bytes], None where unknown."""
+    """Return the memory that is free now, without swapping [bytes]; None if unknown."""
     lines = (line.split() for line in _lines(root / "proc/meminfo"))
     free = [int(line[1]) * 1024 for line in lines if line[:1] == ["MemAvailable:"]]
     free += [max(0, limit - used) for limit, used in _group_limits(root)]
@@ -73,9 +72,9 @@ def available_ram(root: Path = _ROOT) -> int | None:
 
 
 def _group_limits(root: Path) -> Iterator[tuple[int, int]]:
-    """Yield the limits of the control groups that this process is in, and the use of each [bytes].
+    """Yield the memory limit and the used memory of each control group of this process [bytes].
 
-    The file cache isn't counted as used: it gives way.
+    The file cache doesn't count as used, because the system frees it on demand.
     """
     for line in _lines(root / "proc/self/cgroup"):
         controllers, path = line.split(":", 2)[1:]
@@ -86,7 +85,7 @@ def _group_limits(root: Path) -> Iterator[tuple[int, int]]:
         elif controllers:
             continue
         inner = base / path.lstrip("/")
-        # Within a container the path may be the host's, and only the mount itself be there.
+        # Within a container the path may be that of the host, where only the mount point exists.
         for folder in (inner, *inner.parents):
             limit, used = (_lines(folder / name) for name in names)
             if folder.is_relative_to(base) and limit and limit[0].isdigit():

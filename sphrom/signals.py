@@ -1,8 +1,8 @@
-"""Signals that stop a process in order: they raise an exception, and none of them is lost.
+"""Signals that stop a process in order: each one raises an exception, and none is lost.
 
-Python prints an exception in a destructor or a weak reference's callback, of which each access to
-an HDF5 file has some, and goes on: a run would not notice that it was stopped. A signal that
-arrives there comes again, a moment later.
+Python prints exceptions that are raised in destructors and callbacks of weak references, and
+continues. Each access to an HDF5 file runs some of these, so an interrupt could be lost there. A
+signal that arrives in such code is sent again a moment later.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from sphrom.errors import ArtifactError, ResourceError
 from sphrom.machine import one_blas_thread
 
 MOMENT = 0.01
-"""Seconds after which it comes again."""
+"""Time after which a lost signal is sent again [s]."""
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.ENOMEM, errno.EFBIG}
-"""Errors of a machine that has no more room."""
+"""Error numbers of a full disk or memory."""
 Handler = Callable[[int, FrameType | None], Any]
 
 
 class Terminated(KeyboardInterrupt):
-    """SIGTERM, which stops a command as an interrupt does."""
+    """SIGTERM, which stops a command like an interrupt."""
 
 
 STOPPING: Mapping[type[BaseException], signal.Signals] = {
     KeyboardInterrupt: signal.SIGINT,
     Terminated: signal.SIGTERM,
 }
-"""What is raised, and by which signal."""
+"""The exceptions that stop a command, with their signals."""
 
 
 @contextmanager
@@ -47,7 +47,7 @@ def termination_interrupts() -> Iterator[None]:
         raise Terminated
 
     if threading.current_thread() is not threading.main_thread():
-        yield  # signals are the main thread's business
+        yield  # only the main thread receives signals
         return
     before = signal.signal(signal.SIGTERM, terminate)
     try:
@@ -57,10 +57,10 @@ def termination_interrupts() -> Iterator[None]:
 
 
 def interrupt_behind(error: BaseException | None) -> KeyboardInterrupt | None:
-    """Return the interrupt that caused an error, such as one within a call of C code, or None.
+    """Return the interrupt that caused an error, or None.
 
-    Where compiled code is loaded an interrupt may show as a SystemError: the call has returned a
-    result although an exception was set.
+    An interrupt while compiled code is loaded may appear as a SystemError, because the call has
+    returned a result although an exception was set.
     """
     while error is not None:
         if isinstance(error, KeyboardInterrupt):
@@ -71,10 +71,10 @@ def interrupt_behind(error: BaseException | None) -> KeyboardInterrupt | None:
 
 @contextmanager
 def guarded(*, computes: bool = True) -> Iterator[None]:
-    """Lose no interrupt, raise errors of the project, and compute on one BLAS thread.
+    """Within the block, lose no interrupt, raise errors of the project, and use one BLAS thread.
 
-    With more threads the last bits would differ from those of the command line, which sets their
-    number before it starts.
+    The command line sets the number of threads before it starts. With more threads, the last bits
+    of results would differ from its results.
     """
     try:
         with one_blas_thread() if computes else nullcontext(), interrupts_come_again():
@@ -83,10 +83,10 @@ def guarded(*, computes: bool = True) -> Iterator[None]:
         if (interrupt := interrupt_behind(error)) is not None:
             raise interrupt from None
         raise
-    except BrokenPipeError:  # whoever reads the output has had enough
+    except BrokenPipeError:  # the reader of the output has closed it
         raise
     except MemoryError as error:
-        raise ResourceError("out of memory; `sphrom case check` tells what a case needs") from error
+        raise ResourceError("out of memory; `sphrom case check` estimates the need") from error
     except OSError as error:
         kind = ResourceError if error.errno in FULL else ArtifactError
         raise kind(f"{error.filename or 'a file'}: {error.strerror or error}") from error
@@ -98,7 +98,7 @@ def interrupts_come_again() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    lost: list[signal.Signals] = []  # which may be changed at any time
+    lost: list[signal.Signals] = []  # may change at any time
     late: list[signal.Signals] = []
     ending: list[bool] = []
     hook_before = sys.unraisablehook
@@ -125,7 +125,7 @@ def interrupts_come_again() -> Iterator[None]:
             if ending:
                 late.append(signal.Signals(number))
             elif _runs(hook.__code__, frame):
-                send_again(signal.Signals(number))  # what is raised within the hook is lost as well
+                send_again(signal.Signals(number))  # exceptions within the hook are lost as well
             else:
                 handler(number, frame)
 
@@ -139,7 +139,7 @@ def interrupts_come_again() -> Iterator[None]:
         sys.unraisablehook = hook
         yield
     finally:
-        ending.append(True)  # in one step that nothing can interrupt: cleaning up is left alone
+        ending.append(True)  # atomic; from here on no interrupt disturbs the clean-up
         while lost:
             time.sleep(MOMENT)
         sys.unraisablehook = hook_before
@@ -151,7 +151,7 @@ def interrupts_come_again() -> Iterator[None]:
 
 
 def _runs(code: CodeType, frame: FrameType | None) -> bool:
-    """Return whether a frame, or one that it was called from, runs some code."""
+    """Return whether a frame, or one of its callers, runs some code."""
     while frame is not None and frame.f_code is not code:
         frame = frame.f_back
     return frame is not None

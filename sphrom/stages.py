@@ -1,7 +1,7 @@
-"""The list of stages, and how to run one, or all that a case needs.
+"""The list of stages, and functions that run one stage or all stages of a case.
 
-The command line and Python programs share it. A stage is imported when it is run, as some take long
-to load.
+The command line and Python programs share it. A stage is imported when it runs, because some take
+long to load.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from sphrom.setup.context import StageContext
 
 RUNS = Path("runs")
-"""Where artifacts go unless another folder is named."""
+"""Default folder of artifacts."""
 PIPELINE = ("fom", "map", "pod", "fit-psi", "operators", "rom", "compare")
-"""The stages that `run` runs, in their order."""
+"""The stages of the command `run`, in order."""
 STAGES = {
     "check": "setup.cost",
     "draw": "setup.draw",
@@ -54,7 +54,7 @@ STAGES = {
 def context_of(
     case: Case, report: Reporter, out: Path | None, force: bool, threads: int | None
 ) -> StageContext:
-    """Return what a stage needs to know to run on a case, and report the case's warnings."""
+    """Return the context in which stages run on a case, and report the case's warnings."""
     from sphrom.case.hints import case_warnings
     from sphrom.setup.context import StageContext
 
@@ -64,14 +64,14 @@ def context_of(
 
 
 def folder_of(case: Case, out: Path | None) -> Path:
-    """Return the folder of a case's artifacts: the one that is given, or its own."""
+    """Return the folder of a case's artifacts: `out`, or the default for its name."""
     return out or RUNS / case.name
 
 
 def with_checkpoints(context: StageContext, *, resume: bool, every: float) -> StageContext:
-    """Return a context whose runs are continued, or not, and leave checkpoints `every` seconds.
+    """Return a context in which runs write a checkpoint `every` so many seconds.
 
-    Raises CaseError where that is no time.
+    With `resume`, stopped runs continue from them. Raises CaseError for a negative interval.
     """
     if not every >= 0.0:
         raise CaseError(f"--checkpoint-every: must be a number of seconds; got {every:g}")
@@ -79,7 +79,7 @@ def with_checkpoints(context: StageContext, *, resume: bool, every: float) -> St
 
 
 def run_stage(stage: str, context: StageContext, **asked: Any) -> Any:
-    """Run one stage, with what else is asked of it, and return what it returns.
+    """Run one stage with its own options `asked`, and return its result.
 
     Raises SphromError.
     """
@@ -88,12 +88,12 @@ def run_stage(stage: str, context: StageContext, **asked: Any) -> Any:
 
 
 def run_all(context: StageContext, until: str | None = None) -> None:
-    """Run all stages that the case needs, or those `until` one, itself included.
+    """Run all stages that the case needs, up to and including the stage `until`.
 
-    Artifacts that are valid are kept. With `force`, those that no longer belong to the case are
-    made again; without, they stop the run. A reduced model that diverges does not keep the others
-    from being compared; it is reported at the end. Each stage is told of in one line, its details
-    are for the log; the last one tells the answer.
+    Valid artifacts are kept. An artifact that no longer belongs to the case is made again with
+    `force`, and stops the run otherwise. If a reduced model diverges, the others are still
+    compared, and the error is raised at the end. Each stage reports one line, and its details go to
+    the log; the last stage reports the results.
 
     Raises CaseError when there is no such stage.
     """
@@ -109,14 +109,14 @@ def run_all(context: StageContext, until: str | None = None) -> None:
             unstable = error
         if stage != PIPELINE[-1]:
             number = len(context.known.written) - before
-            made = f"made {counted(number, 'artifact')}" if number else "all is there"
+            made = f"made {counted(number, 'artifact')}" if number else "all artifacts exist"
             context.report.info(f"{stage}: {made}, {duration(time.monotonic() - started)}")
     if unstable is not None:
         raise unstable
 
 
 def _needed(case: Case, until: str | None) -> list[str]:
-    """Return the stages that a case needs: one without reduced models its full runs only."""
+    """Return the stages that a case needs; without reduced models, these are its full runs."""
     if until is not None and until not in PIPELINE:
         raise CaseError(f"no stage is called {quoted(until)}; {nearest(str(until), PIPELINE)}")
     spared = set() if case.rom else {"map", "pod", "fit-psi"}
@@ -130,9 +130,9 @@ def _needed(case: Case, until: str | None) -> list[str]:
 
 @contextmanager
 def _warnings_in_lines(report: Reporter) -> Iterator[None]:
-    """Show in one line what the kernels' cache tells, and nothing of overflows, in the block.
+    """Within the block, report warnings of the kernels' cache in one line and ignore overflows.
 
-    Values that aren't finite are refused where they are written, by name and place.
+    Values that aren't finite are refused later, when they are written.
     """
     from sphrom.kernels.code_cache import CodeCacheWarning, CompilingWarning
 
@@ -149,27 +149,28 @@ def _warnings_in_lines(report: Reporter) -> Iterator[None]:
 
 
 def selected(context: StageContext, stage: str, only: Sequence[str]) -> StageContext:
-    """Return a context with the models and the points that texts such as `--only` has choose.
+    """Return a context restricted to the models and points that the texts of `--only` select.
 
-    A name is a model's, `name=value,...` is of points; without one of a kind all of it is chosen.
+    A name selects a model, `name=value,...` selects points. If no text selects a model, all models
+    are selected, and likewise for points.
 
     Raises CaseError where the stage runs no such model, or at no such point.
     """
     models = [model.name for model in context.case.rom if stage in ("rom", "export")]
     names = tuple(text for text in only if text in models)
-    known = _points(context.case, stage)
+    all_points = _points(context.case, stage)
     points: dict[ParameterPoint, None] = {}
     for text in only:
-        found = [point for point in known if _agrees(point, text)]
-        if not found and text not in names:
-            runs = ", ".join([*(point.label for point in known), *models])
+        selection = [point for point in all_points if _agrees(point, text)]
+        if not selection and text not in names:
+            runs = ", ".join([*(point.label for point in all_points), *models])
             raise CaseError(f"--only: got {text!r}; this command runs {runs}")
-        points.update(dict.fromkeys(found))
+        points.update(dict.fromkeys(selection))
     return replace(context, only=tuple(points) or None, models=names or None)
 
 
 def _agrees(point: ParameterPoint, text: str) -> bool:
-    """Return whether a point has the values of a text such as lid=0.8,reynolds=150."""
+    """Return whether a point has the parameter values of a text such as lid=0.8,reynolds=150."""
     values = point.as_dict()
     try:
         wanted = [part.split("=") for part in text.split(",")]

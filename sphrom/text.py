@@ -1,4 +1,4 @@
-"""Numbers and texts as people read them: no digit of a name lost, nothing that a terminal obeys."""
+"""Format numbers for names without loss of digits, and texts without control characters."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ MAX_SHOWN = 60
 def exact(value: float) -> str:
     """Return a number so that it reads back the same: `100`, `0.05`, `100.0000001`, `1e+06`.
 
-    Two numbers never have the same text, so names and labels may be made of it.
+    Two numbers never have the same text, so it is safe in names and labels.
     """
     short = f"{value:g}"
     return short if float(short) == value else repr(float(value)).removesuffix(".0")
 
 
 def repeated(names: Iterable[str]) -> list[str]:
-    """Return the names that stand more than once."""
+    """Return the names that occur more than once."""
     return [name for name, count in Counter(names).items() if count > 1]
 
 
 def visible(text: str, keep: str = "") -> str:
-    """Return a text from outside with its control characters as escapes, such as `\\x1b`.
+    """Return an external text with its control characters as escapes, such as `\\x1b`.
 
-    Escaped is all that Unicode calls other or a separator, but the space: controls, marks of the
-    direction of writing, what has no width, halves of characters. `keep` are characters to leave.
+    Apart from the space and the characters in `keep`, all that Unicode classes as other or as a
+    separator is escaped: controls, marks of writing direction, zero-width characters, surrogates.
     """
     if text.isprintable():
         return text
@@ -40,9 +40,9 @@ def visible(text: str, keep: str = "") -> str:
 
 
 def shortened(text: str, most: int = 300, keep: str = "") -> str:
-    """Return a text from outside in visible characters, the middle left out where it is long.
+    """Return an external text in visible characters; a long text loses its middle.
 
-    `keep` are characters to leave as they are.
+    Characters in `keep` are never escaped.
     """
     half = most // 2
     if len(text) > most:
@@ -51,7 +51,7 @@ def shortened(text: str, most: int = 300, keep: str = "") -> str:
 
 
 def quoted(value: Any) -> str:
-    """Return a value from outside on one line, in printable characters, cut where it is long."""
+    """Return an external value on one line, in printable characters, cut if it is long."""
     text = json.dumps(value, default=str)
     if isinstance(value, str):
         text = "'" + text[1:-1].replace('\\"', '"') + "'"
@@ -59,7 +59,7 @@ def quoted(value: Any) -> str:
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Return a hint that names the nearest of the known words, or all of them."""
+    """Return a hint that names the most similar known word, or all known words."""
     words = list(known)
     close = get_close_matches(word, words, n=1, cutoff=0.5)
     if close:
@@ -68,7 +68,7 @@ def nearest(word: str, known: Iterable[str]) -> str:
 
 
 def data_size(n_bytes: int) -> str:
-    """Return a number of bytes in four digits, such as `256 KiB` or `93.13 GiB`."""
+    """Format a number of bytes with four digits, such as `256 KiB` or `93.13 GiB`."""
     unit, exponent = ("KiB", 10) if n_bytes < 2**20 else ("MiB", 20)
     if n_bytes >= 2**30:
         unit, exponent = "GiB", 30
@@ -76,12 +76,12 @@ def data_size(n_bytes: int) -> str:
 
 
 def counted(number: int, noun: str) -> str:
-    """Return a number of things, such as `1 run` or `2000 runs`."""
+    """Format a count, such as `1 run` or `2000 runs`."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def duration(seconds: float) -> str:
-    """Return a duration in three digits, such as `13.4 µs`, `57 s` or `2.5 hours`."""
+    """Format a duration with three digits, such as `13.4 µs`, `57 s` or `2.5 hours`."""
     if seconds < 1e-3:
         return f"{1e6 * seconds:.3g} µs"
     if seconds < 1.0:

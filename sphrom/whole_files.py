@@ -1,8 +1,8 @@
-"""Read a file whole; replace it whole, by one process at a time, or leave everything as it was.
+"""Read files as a whole, and replace them atomically, by one process at a time.
 
-A new file grows beside its target under a temporary name and takes the target's name once it is
-complete and on disk. Its writer holds a lock on it, which keeps other writers away. The lock of a
-killed process is gone with it, and the next writer begins the temporary file anew.
+A new file is written beside its target under a temporary name. Once it is complete and on disk, it
+is renamed to the target. The writer holds a lock on it, which keeps other writers away. If the
+process is killed, the system releases its lock, and the next writer empties the temporary file.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ if TYPE_CHECKING:
     from _typeshed import ReadableBuffer, WriteableBuffer
 
 TIMES_SIZE = 8
-"""Memory that a file may need while it is read, over its size: words and numbers are objects."""
+"""Memory to read a file, over its size; it is large because words and numbers become objects."""
 
 
 class Unreadable(ValueError):
-    """Why a file is not read, in words that continue `FILE ...`."""
+    """The reason why a file is not read, as a phrase that continues `FILE ...`."""
 
 
 def read_whole(path: Path, most: int) -> bytes:
-    """Return what a file of at most so many bytes holds.
+    """Return the content of a file of at most `most` bytes.
 
     Raises Unreadable when it is no file or too large, OSError when it can't be read.
     """
@@ -44,17 +44,15 @@ def read_whole(path: Path, most: int) -> bytes:
 def require_size(path: Path, most: int) -> None:
     """Raise Unreadable unless the path is a file of at most `most` bytes that fits into memory."""
     size, available = path.stat().st_size, available_ram()
-    if not path.is_file():  # a pipe would be waited for
+    if not path.is_file():  # reading a pipe would wait for its writer
         raise Unreadable("is not a file")
     most = most if available is None else min(most, available // TIMES_SIZE)
     if size > most:
-        raise Unreadable(
-            f"is larger than the {data_size(most)} that are read: it has {data_size(size)}"
-        )
+        raise Unreadable(f"is larger than the limit of {data_size(most)}: it has {data_size(size)}")
 
 
 def open_to_write(path: Path, mode: str) -> io.TextIOWrapper:
-    """Open a file to write text to; a pipe has to have a reader already.
+    """Open a text file for writing; a pipe must have a reader already.
 
     Raises OSError when it can't be written to.
     """
@@ -68,10 +66,10 @@ def open_to_write(path: Path, mode: str) -> io.TextIOWrapper:
 
 
 class TemporaryFile(io.FileIO):
-    """A file in the making, which HDF5 may write to.
+    """An incomplete file that HDF5 may write to.
 
-    HDF5 can't close a file whose disk is full: it tries to write again, and crashes. So the first
-    failure is kept, later writes are dropped, HDF5 closes in peace, and `check` raises the failure.
+    On a full disk HDF5 can't close a file: it tries to write again, and crashes. Therefore this
+    class keeps the first failure and drops later writes, so HDF5 can close; `check` raises it.
     """
 
     def __init__(self, path: Path) -> None:
@@ -86,7 +84,7 @@ class TemporaryFile(io.FileIO):
             raise self._failure
 
     def discard(self) -> None:
-        """Drop every write from here on: the file will not be kept."""
+        """Drop all further writes, because the file will not be kept."""
         self._failure = self._failure or OSError(errno.ECANCELED, "discarded")
 
     @property
@@ -98,18 +96,18 @@ class TemporaryFile(io.FileIO):
             return False
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        """Move the position. HDF5 moves it in a closed file too, which an interrupt left open."""
+        """Move the position; HDF5 also does so after the file is closed, if it was interrupted."""
         return offset if self.closed else super().seek(offset, whence)
 
     def readinto(self, buffer: WriteableBuffer) -> int:
-        """Read at the position; beyond the file's end there are zeros."""
+        """Read at the position; beyond the end of the file, read zeros."""
         view = memoryview(buffer).cast("B")
         count = super().readinto(view) or 0
         view[count:] = bytes(len(view) - count)
         return len(view)
 
     def write(self, data: ReadableBuffer) -> int:
-        """Write all data at the position, or drop them when a write has failed before."""
+        """Write all data at the position, or drop them after an earlier failure."""
         view = memoryview(data).cast("B")
         if self._failure is None and not self.closed:
             try:
@@ -130,7 +128,7 @@ class TemporaryFile(io.FileIO):
         return size or 0
 
     def flush(self) -> None:
-        """Do nothing: nothing is buffered, and HDF5 flushes a file that an interrupt left open."""
+        """Do nothing: the file has no buffer, and HDF5 also flushes closed files."""
 
 
 class GarbageCollectionPaused:
@@ -154,10 +152,10 @@ class GarbageCollectionPaused:
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a file so that a reader finds the old one or the new one, never a part.
+    """Write a file so that a reader finds the old content or the new one, never a part.
 
-    Of two writers at once the later one wins. Raises ArtifactError when it can't be written, or is
-    no file: whoever replaces a device takes it from all programs.
+    Of two simultaneous writers the later one wins. Raises ArtifactError when the file can't be
+    written, or is not a regular file: replacing a device would take it from all programs.
     """
     _require_file(path)
     with locked(path, wait=True) as file:
@@ -166,9 +164,9 @@ def write_whole(path: Path, content: bytes) -> None:
 
 
 def require_writable(path: Path) -> None:
-    """Raise ArtifactError unless `write_whole` can write there: long work may come before it."""
+    """Raise ArtifactError unless `write_whole` can write to a path; call it before long work."""
     _require_file(path)
-    with locked(path):  # which makes a file beside it
+    with locked(path):  # this makes a file in the same folder
         pass
 
 
@@ -176,8 +174,8 @@ def require_writable(path: Path) -> None:
 def replacement(path: Path, *, force: bool) -> Iterator[TemporaryFile]:
     """Open a temporary file that becomes `path` when the block ends without an exception.
 
-    Raises ArtifactError when `path` may not be written: it exists and `force` is not set, it is a
-    link or no file, another process writes it, permission or room is missing.
+    Raises ArtifactError when `path` exists and `force` is not set, when it is a link or no file,
+    when another process writes it, and when permission or disk space is missing.
     """
     with explained(path):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -202,7 +200,7 @@ def _require_file(path: Path) -> None:
 
 
 def _publish(file: TemporaryFile, path: Path) -> None:
-    """Give a file its name, once all of it is on disk."""
+    """Flush a file to disk, then give it its final name."""
     with explained(path):
         file.check()
         os.fsync(file.fileno())
@@ -221,20 +219,20 @@ def explained(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise ArtifactError(
-            f"{path} was not written: {error.strerror or error}; if there is no room or no "
-            "permission, write elsewhere with --out"
+            f"{path} was not written: {error.strerror or error}; --out writes to another folder, "
+            "such as one with free space and permission"
         ) from error
 
 
 @contextlib.contextmanager
 def locked(path: Path, *, wait: bool = False) -> Iterator[TemporaryFile]:
-    """Hold the lock of `path`: its temporary file, which is removed unless it took the name.
+    """Open and lock the temporary file of `path`; remove it at the end unless it was renamed.
 
-    Raises ArtifactError when another process holds it, unless this one is to wait.
+    If another process holds the lock, `wait` for it, or raise ArtifactError.
     """
     with explained(path):
         file = _acquire(path, wait)
-        file.truncate(0)  # a killed process may have left its own
+        file.truncate(0)  # a killed process may have left data
     try:
         yield file
     finally:
@@ -253,15 +251,15 @@ def _acquire(path: Path, wait: bool) -> TemporaryFile:
         except BlockingIOError:
             file.close()
             raise ArtifactError(
-                f"{path} is being written by another process; wait for it, or write elsewhere "
-                "with --out"
+                f"{path} is being written by another process; wait for it, or write to another "
+                "folder with --out"
             ) from None
         except OSError:
-            # There are no locks here. A name of its own keeps the file whole all the same.
+            # Without locks, a temporary name of its own still keeps the file whole.
             file.path.unlink(missing_ok=True)
             file.close()
             return TemporaryFile(path.with_name(f".{path.name}.{os.getpid()}.tmp"))
-        # Whoever held the lock before may have given the file its name, or removed it.
+        # The previous holder of the lock may have renamed or removed the file.
         if file.is_named:
             return file
         file.close()

@@ -61,6 +61,6 @@ def test_case_that_comes_with_the_program_is_written_once(sphrom, tmp_path, monk
     assert result.stdout == "wrote cylinder.yaml; next: sphrom run cylinder.yaml\n"
     assert load_case("cylinder.yaml").name == "cylinder"
     again = sphrom("case", "examples", "cylinder", code=2)
-    assert "cylinder.yaml: is there already; --force writes over it" in again.stderr
+    assert "cylinder.yaml: exists already; --force overwrites it" in again.stderr
     wrong = sphrom("case", "examples", "cilinder", code=2)
     assert "is called 'cilinder'; did you mean cylinder?" in wrong.stderr

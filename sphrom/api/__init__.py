@@ -4,9 +4,9 @@
     study.run(until="operators")
     result = study.model("fast-m5", reynolds=137).run()
 
-`import sphrom` offers all names below, and loads nothing before one of them is used. Arrays have
-the axes snapshot, point, component or mode last; units are SI. What the command line refuses is
-refused here in the same words, as an error of `sphrom.errors`.
+`import sphrom` provides all names below, and loads each when it is first used. Arrays have the axes
+snapshot, point, and last component or mode; units are SI. Invalid input raises the errors of
+`sphrom.errors`, with the messages of the command line.
 """
 
 from sphrom.api.model import Model as Model

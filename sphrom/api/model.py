@@ -1,4 +1,4 @@
-"""Reduced models of a study: run at any parameters, or taken as equations for one's own methods."""
+"""Reduced models of a study, to run at any parameters or to use as systems of equations."""
 
 from __future__ import annotations
 
@@ -49,15 +49,15 @@ AnyModel = TypeVar("AnyModel", bound=ReferenceModel | SurfaceModelAt)
 
 
 class Model:
-    """A reduced model at a parameter point; made by `Study.model`.
+    """A reduced model at a parameter point, as returned by `Study.model`.
 
-    One that is evaluated by operators is a set of equations da/dt = f(a, t) in its generalized
-    coordinates a. Only such a model has a `start`, `rates`, a `jacobian`, `steady` states,
-    `measures` of coordinates, `sensitivities` and a `fit`.
+    A model with `evaluation: operators` is a system of equations da/dt = f(a, t) for its
+    generalized coordinates a. Only such a model has a `start`, `rates`, a `jacobian`, `steady`
+    states, `measures` of coordinates, `sensitivities` and a `fit`.
 
-    Methods raise CaseError for arguments that can't be (unknown parameters, arrays of another shape
-    or not finite, times between snapshots), UnstableError when a run became unstable, and
-    ArtifactError when artifacts that they need are missing, damaged, or of another case.
+    Methods raise CaseError for invalid arguments (unknown parameters, arrays of another shape or
+    not finite, times between snapshots), UnstableError when a run became unstable, and
+    ArtifactError when necessary artifacts are missing, damaged, or of another case.
     """
 
     _point: ParameterPoint
@@ -73,7 +73,7 @@ class Model:
             self._fast = fast_model(self._workspace, section)
 
     def _points(self, rows: Iterable[Mapping[str, float]]) -> list[ParameterPoint]:
-        """Return points of the model by their values; warn of the first that extrapolates."""
+        """Return the points with some values; warn of the first one that extrapolates."""
         case = self._workspace.case
         points = [parameter_point(case, values) for values in rows]
         for point in points:
@@ -90,22 +90,22 @@ class Model:
 
     @property
     def name(self) -> str:
-        """The model's name in the case."""
+        """The name of the model in the case."""
         return self._section.name
 
     @property
     def parameters(self) -> dict[str, float]:
-        """The values of the parameters, by name."""
+        """The parameter values, by name."""
         return self._point.as_dict()
 
     @property
     def start(self) -> Array:
-        """The coordinates (n_modes,) that a run starts from."""
+        """The initial coordinates (n_modes,) of runs."""
         return self._without_particles("start")[1].start.copy()
 
     @guarded()
     def at(self, **parameters: float) -> Model:
-        """Return the same model at other parameter values; nothing is read again."""
+        """Return the same model at other parameter values, without reading files again."""
         other = copy(self)
         (other._point,) = self._points([parameters])
         other._reduced = None if self._fast is None else self._fast.at(other._point)
@@ -115,17 +115,17 @@ class Model:
     def run(self, final_time: float | None = None) -> Result:
         """Run the model, and estimate its error.
 
-        A model on the reference points writes no file. One on particles writes its trajectory into
-        the study's folder, as `sphrom rom` does, or reads it where it is there.
+        A model on the reference points writes no file. A model on particles writes its trajectory
+        into the study's folder, like `sphrom rom`, or reads an existing one.
 
         Parameters
         ----------
-        final_time : [s], a whole number of snapshot intervals after the first snapshot; by default
-            the case's. For models on the reference points.
+        final_time : [s], a whole number of snapshot intervals after the first snapshot, for models
+            on the reference points; by default the final time of the case.
         """
         if self._fast is None:
             if final_time is not None:
-                raise CaseError("final_time: is for models on the reference points")
+                raise CaseError("final_time: needs a model on the reference points")
             return self._run_on_particles()
         fast, reduced = self._without_particles("run")
         longer = self._lengthened(reduced, final_time)
@@ -147,21 +147,21 @@ class Model:
 
     @guarded()
     def run_many(self, points: Mapping[str, ArrayLike]) -> xarray.Dataset:
-        """Run the model at many points, and return what the case measures with estimated errors.
+        """Run the model at many points, and return the measurements with estimated errors.
 
         Parameters
         ----------
         points : values (n_runs,) by parameter, in a dictionary, or a table of pandas or xarray; a
-            number is for all runs.
+            single number applies to all runs.
 
         Returns
         -------
-        The variables of `Result.measures` with a first axis `run`, along which the parameters are
-        coordinates; their estimated errors, such as `error_estimate_drag_force`, where the model
-        estimates any; `error_estimate_velocity` and `error_estimate_pressure` (run), of the fields
-        over their root mean squares [%]; `error_estimate_extrapolated` (run), one outside of what
-        the model was trained on, else zero; and `status` (run). A run that became `unstable` has
-        NaN for its values.
+        A dataset with the variables of `Result.measures`, with a first axis `run` and the
+        parameters as coordinates. If the model estimates errors, it also has those of the
+        measurements, such as `error_estimate_drag_force`; `error_estimate_velocity` and
+        `error_estimate_pressure` (run), relative to root mean squares of the fields [%]; and
+        `error_estimate_extrapolated` (run), one outside of the trained range, else zero. `status`
+        (run) is `complete` or `unstable`; values of unstable runs are NaN.
         """
         fast, _ = self._without_particles("run_many")
         at = self._points(rows_of(points))
@@ -171,40 +171,40 @@ class Model:
     def sensitivities(
         self, *names: str, final_time: float | None = None, step_factor: float = 1.0
     ) -> Sensitivities:
-        """Run the model, and differentiate the run by parameters.
+        """Run the model, and compute the derivatives of the run by parameters.
 
-        The derivatives follow from the model's own equations, ds/dt = J s + df/dp, in the same
-        exponential steps as the run, and cost about two runs for each parameter. After a spin-up
-        the start counts as fixed, and a warning says so: runs start from the end of the nearest
-        spin-up, which is known at the trained values alone.
+        The derivatives follow from the model's equations, ds/dt = J s + df/dp, with the same
+        exponential steps as the run, at the cost of about two runs per parameter. In cases with a
+        spin-up, the initial state counts as constant, because spin-ups exist only at the trained
+        values; a warning says so.
 
         Parameters
         ----------
         names : parameters, such as `"reynolds", "lid"`; by default all that vary in the case.
         final_time : as for `run`.
-        step_factor : length of the steps over that of automatic ones.
+        step_factor : length of the time steps over that of automatic ones.
         """
         case, (fast, reduced) = self._workspace.case, self._by_operators("sensitivities")
         self._require_names(names)
         if not (np.isfinite(step_factor) and step_factor > 0.0):
             raise CaseError(f"step_factor: must be above zero; got {step_factor:g}")
         if case.time.spin_up > 0.0:
-            self._warn("derivatives leave out how the spin-up changes")
+            self._warn("derivatives do not include changes of the spin-up")
         longer = self._lengthened(reduced, final_time)
         wanted = tuple(dict.fromkeys(names)) or case.plan.parameter_names
-        found = tangents(fast, self._point, wanted, longer, step_factor)
+        slopes = tangents(fast, self._point, wanted, longer, step_factor)
 
         def changes(points: Array) -> Samples:
-            mean, run = reduced.mean_density_fluctuation, found.run
-            moved = zip(run + found.coordinates, mean + found.mean_changes, strict=True)
-            sampled = partial(fast.at_point(self._point).sampled, points, found.time)
+            mean, run = reduced.mean_density_fluctuation, slopes.run
+            moved = zip(run + slopes.coordinates, mean + slopes.mean_changes, strict=True)
+            sampled = partial(fast.at_point(self._point).sampled, points, slopes.time)
             own, *others = (sampled(*state) for state in ((run, mean), *moved))
             velocity = np.stack([each.velocity - own.velocity for each in others])
             pressure = np.stack([each.pressure - own.pressure for each in others])
             return Samples(own.time, velocity, pressure)
 
         own: Any = {"model": self.name, "at": self.parameters}
-        return Sensitivities(**vars(found), **own, _labels=self._labels, _sample=changes)
+        return Sensitivities(**vars(slopes), **own, _labels=self._labels, _sample=changes)
 
     @guarded()
     def fit(
@@ -213,21 +213,21 @@ class Model:
         *names: str,
         noise: float | str | None = None,
     ) -> Fit:
-        """Estimate parameters from measured histories, as `sphrom fit` does, and write nothing.
+        """Estimate parameters from measured histories, like `sphrom fit`, without writing files.
 
         Parameters
         ----------
         measurements : a CSV file, or its columns by name in a dictionary or a table of pandas;
             see `sphrom.fit.measurements`.
-        names : the parameters to look for; others have this model's values. By default those that
-            the case's section `fit` leaves free, with the values that it has.
-        noise : standard deviation over each history's range, such as `"1%"` or 1.0, where the
-            measurements say none; by default the case's.
+        names : the free parameters; others have the values of this model. By default, the section
+            `fit` of the case determines free parameters and fixed values.
+        noise : standard deviation over each history's range, such as `"1%"` or 1.0, if the
+            measurements have none; by default the case's.
 
         Returns
         -------
-        Estimates with 95 % intervals, in which the model's own errors count beside the noise:
-        `found["reynolds"].value`, `.low`, `.high`, and `found.problems` to read first.
+        Estimates with 95 % intervals that include the noise and the model's own errors, such as
+        `fit["reynolds"].value`, `.low` and `.high`; read the warnings `fit.problems` first.
         """
         case, section = self._workspace.case, self._section
         fast, _ = self._without_particles("fit")
@@ -255,7 +255,7 @@ class Model:
 
         Parameters
         ----------
-        time : [s], for what drives the flow, where that changes; by default the end of the run.
+        time : [s], for a body force or walls that change with time; by default the final time.
         """
         reduced, state, amplitude, _ = self._at("rates", coordinates, time)
         return reduced.polynomial(state, amplitude)
@@ -263,17 +263,17 @@ class Model:
     def jacobian(self, coordinates: ArrayLike, time: float | None = None) -> Array:
         """Return the derivative (n_modes, n_modes) [1/s] of the rates at coordinates (n_modes,).
 
-        Entry (i, j) is that of rate i by coordinate j. Parameters are those of `rates`.
+        Entry (i, j) is the derivative of rate i by coordinate j. Parameters are those of `rates`.
         """
         reduced, state, amplitude, _ = self._at("jacobian", coordinates, time)
         return reduced.polynomial.jacobian(state, amplitude)
 
     def steady(self, coordinates: ArrayLike) -> SteadyState:
-        """Look for a steady state by Newton's method, from coordinates (n_modes,).
+        """Search for a steady state by Newton's method, starting from coordinates (n_modes,).
 
-        Returns its `coordinates` (n_modes,), the `residual` (norm of the rates there, [1/s]),
-        `n_steps`, and whether it has `converged`. Whether the flow stays there is told by the
-        eigenvalues of the Jacobian. There is none where the body force changes with time.
+        Returns its `coordinates` (n_modes,), the `residual` (norm of the rates, [1/s]), `n_steps`,
+        and whether it has `converged`. The eigenvalues of the Jacobian determine its stability.
+        There is none if the body force changes with time.
         """
         reduced, state, amplitude, _ = self._at("steady", coordinates)
         if (problem := steady_problem(self._workspace.case)) is not None:
@@ -282,39 +282,39 @@ class Model:
 
     @guarded()
     def measures(self, coordinates: ArrayLike, time: float | None = None) -> xarray.Dataset:
-        """Return what the case measures in a state, from its coordinates (n_modes,) alone.
+        """Return the measurements of a state with coordinates (n_modes,), within microseconds.
 
-        That costs microseconds. `model.measures(model.steady(a).coordinates)` measures a steady
-        state. Variables are those of `Result.measures`, at one snapshot.
+        `model.measures(model.steady(a).coordinates)` measures a steady state. Variables are those
+        of `Result.measures`, at one snapshot.
 
         Parameters
         ----------
-        time : [s], for what drives the flow, where that changes; by default the end of the run.
+        time : [s], for a body force or walls that change with time; by default the final time.
         """
         reduced, state, _, at = self._at("measures", coordinates, time)
         times = np.array([at])
-        found = quantities_of(self._workspace.case, reduced, times, state[None])
+        measured = quantities_of(self._workspace.case, reduced, times, state[None])
         about = {"model": self.name, **self.parameters}
-        return self._labels.dataset(found, times, about)
+        return self._labels.dataset(measured, times, about)
 
-    def _by_operators(self, what: str) -> tuple[FastModel, ReferenceModel]:
-        fast, reduced = self._without_particles(what)
+    def _by_operators(self, method: str) -> tuple[FastModel, ReferenceModel]:
+        fast, reduced = self._without_particles(method)
         if isinstance(fast, SurfaceModel) or isinstance(reduced, SurfaceModelAt):
-            raise CaseError(f"{what}: is not for models of a free surface")
+            raise CaseError(f"{method}: is not for models of a free surface")
         return fast, reduced
 
     def _without_particles(
-        self, what: str
+        self, method: str
     ) -> tuple[FastModel | SurfaceModel, ReferenceModel | SurfaceModelAt]:
         if self._fast is None or self._reduced is None:
             raise CaseError(
-                f"{what}: {self.name} is evaluated on particles, and has no equations in its "
-                "coordinates alone; choose a model with evaluation: operators"
+                f"{method}: {self.name} is evaluated on particles, so it is no system of equations "
+                "for its coordinates; choose a model with evaluation: operators"
             )
         return self._fast, self._reduced
 
     def _lengthened(self, reduced: AnyModel, final_time: float | None) -> AnyModel:
-        """Return the model with the snapshots of a run that ends at another time [s]."""
+        """Return the model with the snapshots of a run with another final time [s]."""
         if final_time is None:
             return reduced
         steps = self._workspace.case.plan.steps
@@ -325,10 +325,10 @@ class Model:
         return replace(reduced, output_times=times)
 
     def _at(
-        self, what: str, coordinates: ArrayLike, time: float | None = None
+        self, method: str, coordinates: ArrayLike, time: float | None = None
     ) -> tuple[ReferenceModel, Array, float, float]:
-        """Return the model, coordinates as an array, and amplitude and time of what drives it."""
-        _, reduced = self._by_operators(what)
+        """Return the model, coordinates as an array, amplitude of the driving, and time [s]."""
+        _, reduced = self._by_operators(method)
         state, shape = finite_array(coordinates, "coordinates"), reduced.start.shape
         if state.shape != shape:
             raise CaseError(f"coordinates: must have the shape {shape}; got {state.shape}")

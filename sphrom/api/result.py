@@ -1,4 +1,4 @@
-"""What a run of a reduced model gave."""
+"""Results of runs of reduced models, as arrays and labelled datasets."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ if TYPE_CHECKING:
     import xarray
 
 Variable = tuple[object, ...]
-"""Axes, values and attributes."""
+"""Axes, values and attributes of a variable of xarray."""
 Measured = Mapping[str, Quantities]
-"""Quantities of each measurement by its name."""
+"""Quantities of measurements, by the name of the measurement."""
 
 
 def labelled(dims: str, values: Array, units: str, meaning: str) -> Variable:
-    """Return a variable as xarray takes it; `dims` has spaces between axes."""
+    """Return a variable for xarray; `dims` has the names of axes, separated by spaces."""
     return dims.split(), values, {"units": units, "long_name": meaning}
 
 
 ERROR = "error_estimate_"
-"""Begins the names of estimated errors."""
+"""Prefix of the names of estimated errors."""
 
 
 class Labels:
-    """What variables of a case's measurements are called, with their axes and coordinates."""
+    """The names, axes and coordinates of variables for a case's measurements."""
 
     def __init__(self, case: Case) -> None:
         self.case = case
@@ -51,7 +51,7 @@ class Labels:
     def dataset(
         self, measured: Measured, time: Array, about: Mapping[str, Any], axes: str = "snapshot"
     ) -> xarray.Dataset:
-        """Return what is measured at times (n_snapshots,) [s], with some axes in front."""
+        """Return a dataset of measurements at times (n_snapshots,) [s], with leading `axes`."""
         import xarray
 
         variables = {}
@@ -64,18 +64,19 @@ class Labels:
                     values = np.squeeze(values, axis=-1 - is_vector)
                 dims, meaning = f"{axes}{line}{' component' * is_vector}", f"{quantity} of {of}"
                 unit = UNITS.get(quantity)
-                if unit is None:  # a figure of an oscillation: one of a run
+                if unit is None:  # an oscillation has one figure per run
                     dims, values = axes.removesuffix("snapshot"), values[..., 0]
                     unit = self.case.scene.oscillations[own].units_of(quantity)
                 variables[f"{name}_{quantity}"] = labelled(dims, values, unit, meaning)
         if (key := time.tobytes()) not in self._known:
-            known = axes_of(time)
+            coordinates = axes_of(time)
             for name, measure in field_measures(self.case).items():
                 if measure.normal is None:
                     dims = f"{self._lines.get(name, '')} component"
                     where = measure.position if name in self._lines else measure.position[0]
-                    known[f"{name}_position"] = labelled(dims, where, "m", f"position of {name}")
-            self._known = {key: xarray.Dataset(coords=known).set_xindex("time").coords}
+                    where = labelled(dims, where, "m", f"position of {name}")
+                    coordinates[f"{name}_position"] = where
+            self._known = {key: xarray.Dataset(coords=coordinates).set_xindex("time").coords}
         return xarray.Dataset(variables, self._known[key], dict(about))
 
     def fields(
@@ -86,7 +87,7 @@ class Labels:
         about: Mapping[str, Any],
         axes: str = "snapshot",
     ) -> xarray.Dataset:
-        """Return fields at points (n_points, 2) [m]; raise CaseError where they are not."""
+        """Return fields at points (n_points, 2) [m]; raise CaseError outside of the fluid."""
         import xarray
 
         position, domain = finite_array(points, "points"), self.case.scene.domain
@@ -100,8 +101,8 @@ class Labels:
             "velocity": labelled(f"{dims} component", samples.velocity, "m/s", "velocity"),
             "pressure": labelled(dims, samples.pressure, "Pa", "pressure"),
         }
-        known = axes_of(time) | {"position": where}
-        return xarray.Dataset(variables, known, dict(about)).set_xindex("time")
+        coordinates = axes_of(time) | {"position": where}
+        return xarray.Dataset(variables, coordinates, dict(about)).set_xindex("time")
 
     def runs(
         self,
@@ -109,7 +110,7 @@ class Labels:
         points: Sequence[Mapping[str, float]],
         model: str,
     ) -> xarray.Dataset:
-        """Return what runs at points measured, with estimated errors: NaN where one is unstable."""
+        """Return the measurements of runs with estimated errors; NaN for unstable runs."""
         n_runs, measured, time = len(points), dict[str, dict[str, Array]](), np.zeros(0)
         status, errors = np.full(n_runs, "unstable"), np.full((3, n_runs), np.nan)
         for k, run in enumerate(runs):
@@ -121,13 +122,13 @@ class Labels:
                 errors[:, k] = own.velocity_percent, own.pressure_percent, own.extrapolated
             own_errors = measured_errors(run) if isinstance(run, FastRun) else {}
             estimates = {f"{ERROR}{name}": each for name, each in own_errors.items()}
-            found = run.measured | self.case.scene.oscillations.of(time, run.measured)
-            for name, quantities in (found | estimates).items():
-                known = measured.setdefault(name, {})
+            own_values = run.measured | self.case.scene.oscillations.of(time, run.measured)
+            for name, quantities in (own_values | estimates).items():
+                stacked = measured.setdefault(name, {})
                 for quantity, values in quantities.items():
-                    if quantity not in known:
-                        known[quantity] = np.full((n_runs, *values.shape), np.nan)
-                    known[quantity][k] = values
+                    if quantity not in stacked:
+                        stacked[quantity] = np.full((n_runs, *values.shape), np.nan)
+                    stacked[quantity][k] = values
         names = ("velocity", "%"), ("pressure", "%"), ("extrapolated", "1")
         figures = {
             f"{ERROR}{name}": labelled("run", each, unit, f"estimated error: {name}")
@@ -139,14 +140,14 @@ class Labels:
 
 
 def rows_of(points: Mapping[str, ArrayLike]) -> list[dict[str, float]]:
-    """Return the points of a table with a column (n_runs,), or a number, for each parameter."""
+    """Return the points of a table with a column (n_runs,) or a number per parameter."""
     try:
         columns = {str(name): finite_array(each, str(name)) for name, each in dict(points).items()}
         rows = np.stack(np.broadcast_arrays(*columns.values()), axis=-1).reshape(-1, len(columns))
     except (TypeError, ValueError) as error:
-        raise CaseError("points: must be values by parameter, as many of each") from error
+        raise CaseError("points: must be values by parameter, of equal lengths") from error
     if not len(rows):
-        raise CaseError("points: there are none")
+        raise CaseError("points: are empty")
     return [dict(zip(columns, row, strict=True)) for row in rows.tolist()]
 
 
@@ -158,21 +159,21 @@ def axes_of(time: Array) -> dict[str, Variable]:
 
 @dataclass(frozen=True, repr=False, kw_only=True)
 class Result:
-    """A run of a reduced model; made by `Model.run`."""
+    """A run of a reduced model, as returned by `Model.run`."""
 
     model: str
     """Name of the model."""
     parameters: dict[str, float]
-    """Values of the run's parameters."""
+    """Parameter values of the run."""
     time: Array
-    """(n_snapshots,) [s]."""
+    """(n_snapshots,) times of snapshots [s]."""
     coordinates: Array
     """(n_snapshots, n_modes) generalized coordinates, in units of the basis's inner product."""
     correction: Array | None = None
-    """(n_snapshots, n_modes) the part of the coordinates that is added because training runs differ
-    from the model's own; None of a model without. The rest is what its rates integrate to."""
+    """(n_snapshots, n_modes) part of the coordinates that corrects errors of the model at training
+    runs; None for a model without correction. The rest is the integral of its rates."""
     time_step: float
-    """[s]."""
+    """Time step [s]."""
     _labels: Labels
     _sample: Callable[[Array], Samples]
     _measured: Callable[[], Measured]
@@ -185,28 +186,25 @@ class Result:
     @property
     @guarded()
     def error_estimate(self) -> ErrorEstimate | None:
-        """The estimated errors of the run.
-
-        None where the case wants none, and for models that are evaluated otherwise than by
-        operators.
-        """
+        """The estimated errors of the run; None if the case has no estimates, or on particles."""
         return self._estimate()
 
     @property
     @guarded()
     def measures(self) -> xarray.Dataset:
-        """What the case measures, over time.
+        """The measurements of the case, over time.
 
-        Variables are called by the measurement and the quantity: `drag_force` (snapshot, component)
-        [N/m] and `drag_torque` (snapshot) [N], `flux_flow_rate` (snapshot) [m2/s], of a probe
-        `wake_velocity` (snapshot, component) [m/s] and `wake_pressure` (snapshot) [Pa], and of a
-        line the same with an axis `profile_place`. Places are in `wake_position` [m]. Oscillations
-        have one `shedding_frequency` [Hz], NaN where there is none, and so on.
+        The name of a variable is the measurement with the quantity: `drag_force` (snapshot,
+        component) [N/m], `drag_torque` (snapshot) [N], `flux_flow_rate` (snapshot) [m2/s], for a
+        probe `wake_velocity` (snapshot, component) [m/s] and `wake_pressure` (snapshot) [Pa], and
+        for a line the same with an axis `profile_place`. The coordinate `wake_position` [m] is the
+        place. Oscillations have one value per run, such as `shedding_frequency` [Hz], NaN without
+        an oscillation.
         """
         about = {"model": self.model, **self.parameters}
-        labels, found = self._labels, dict(self._measured())
-        found |= labels.case.scene.oscillations.of(self.time, found)
-        return labels.dataset(found, self.time, about)
+        labels, measured = self._labels, dict(self._measured())
+        measured |= labels.case.scene.oscillations.of(self.time, measured)
+        return labels.dataset(measured, self.time, about)
 
     @guarded()
     def fields(self, points: ArrayLike) -> xarray.Dataset:
@@ -222,16 +220,16 @@ class Result:
         [Pa], with the coordinates `time` (snapshot) [s] and `position` (point, component) [m].
 
         Raises CaseError when points have another shape, or one is not in the fluid; ArtifactError
-        when artifacts that the run was made from have changed since.
+        when artifacts that the run depends on have changed since.
         """
         about = {"model": self.model, **self.parameters}
         return self._labels.fields(points, self._sample, self.time, about)
 
 
-def finite_array(given: ArrayLike, name: str) -> Array:
-    """Return a copy as an array of finite numbers; raise CaseError for anything else."""
+def finite_array(data: ArrayLike, name: str) -> Array:
+    """Return a copy as an array of finite numbers. Raises CaseError for other data."""
     try:
-        values = np.array(given, dtype=np.float64)
+        values = np.array(data, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise CaseError(f"{name}: must be numbers; {error}") from error
     if not np.isfinite(values).all():
@@ -241,12 +239,12 @@ def finite_array(given: ArrayLike, name: str) -> Array:
 
 @dataclass(frozen=True, repr=False, kw_only=True)
 class Sensitivities(Tangents):
-    """The derivatives of a run; made by `Model.sensitivities`. Each is per unit of a parameter."""
+    """The derivatives of a run per unit of a parameter, as returned by `Model.sensitivities`."""
 
     model: str
     """Name of the model."""
     at: dict[str, float]
-    """Values of the run's parameters."""
+    """Parameter values of the run."""
     _labels: Labels
     _sample: Callable[[Array], Samples]
 
@@ -259,8 +257,8 @@ class Sensitivities(Tangents):
     def measures(self) -> xarray.Dataset:
         """The derivatives of `Result.measures`, with a first axis `parameter`."""
         about = {"model": self.model, **self.at}
-        found = self._labels.dataset(self.measured, self.time, about, "parameter snapshot")
-        return self._by_parameter(found)
+        measures = self._labels.dataset(self.measured, self.time, about, "parameter snapshot")
+        return self._by_parameter(measures)
 
     @guarded()
     def fields(self, points: ArrayLike) -> xarray.Dataset:
@@ -269,10 +267,10 @@ class Sensitivities(Tangents):
         Parameters, errors and result are those of `Result.fields`, with a first axis `parameter`.
         """
         about, axes = {"model": self.model, **self.at}, "parameter snapshot"
-        found = self._labels.fields(points, self._sample, self.time, about, axes)
-        return self._by_parameter(found)
+        fields = self._labels.fields(points, self._sample, self.time, about, axes)
+        return self._by_parameter(fields)
 
-    def _by_parameter(self, found: xarray.Dataset) -> xarray.Dataset:
-        for values in found.values():
+    def _by_parameter(self, dataset: xarray.Dataset) -> xarray.Dataset:
+        for values in dataset.values():
             values.attrs["units"] += " per unit"
-        return found.assign_coords(parameter=list(self.parameters))
+        return dataset.assign_coords(parameter=list(self.parameters))

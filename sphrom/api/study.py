@@ -1,4 +1,4 @@
-"""A case with the folder of its artifacts: run its stages, take models, open artifacts."""
+"""A case with the folder of its artifacts: run stages, get models, open artifacts."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ if TYPE_CHECKING:
 
 
 class Study:
-    """A case, and the folder of its artifacts, which the command line reads and writes as well.
+    """A case with the folder of its artifacts, which it shares with the command line.
 
     Parameters
     ----------
-    case : a case file, or a case's content as a mapping.
-    set : values by dotted key, such as `{"rom.0.n_modes": 5}`; what `--set` does.
-    out : folder of the artifacts, by default `runs/<name of the case>` in the working directory.
-    force : write over artifacts, and insist on a step beyond its limit.
-    threads : threads to compute on; None is all cores.
-    quiet : print warnings and results only.
-    report : a function that takes each line that is told, in place of the standard output.
-    keys : values by a key's last segment, such as `resolution=50`, where only one key of the case
-        has it, or by a key at the top, such as `name="coarse"`.
+    case : a case file, or the content of a case as a mapping.
+    set : values by dotted key, such as `{"rom.0.n_modes": 5}`, like `--set`.
+    out : folder of the artifacts, by default `runs/CASE` in the working directory.
+    force : whether to overwrite artifacts and to accept a time step above its limit.
+    threads : number of threads; by default all cores.
+    quiet : whether to print warnings and results only.
+    report : a function that takes each line of output, instead of the standard output.
+    keys : values by the last segment of a key, such as `resolution=50`, if it is unique in the
+        case, or by a key at the top level, such as `name="coarse"`.
 
-    Raises CaseError with a line for each problem of the case or of arguments; of a key or a name
-    that is unknown or ambiguous, with those that may be meant. ArtifactError when an artifact is
-    missing, damaged, or of another case and may not be written over, UnstableError when a run
-    became unstable, ResourceError when the case would not fit this machine.
+    Raises CaseError with one line per problem of the case or of arguments, and with suggestions for
+    unknown or ambiguous keys and names; ArtifactError when an artifact is missing, damaged, or of
+    another case and may not be overwritten; UnstableError when a run became unstable; ResourceError
+    when the case does not fit this machine.
     """
 
     @guarded()
@@ -58,7 +58,7 @@ class Study:
         if threads is not None and not (isinstance(threads, int) and threads >= 1):
             raise CaseError(f"--threads: must be a whole number from 1 on; got {quoted(threads)}")
         if out is not None and not os.fspath(out):
-            raise CaseError("out: is empty: give a folder")
+            raise CaseError("out: is empty; give a folder")
         self._context = stages.context_of(
             load_case(case, {**(set or {}), **keys}, force),
             Reporter(quiet=quiet, write=report),
@@ -67,7 +67,7 @@ class Study:
             threads=threads,
         )
 
-        # The last one, by its name and how many artifacts had been written: each may change it.
+        # The last model, by name and number of written artifacts, each of which may change it.
         self._models: dict[tuple[str, int], Model] = {}
 
     def __repr__(self) -> str:
@@ -75,12 +75,12 @@ class Study:
 
     @property
     def case(self) -> Case:
-        """The checked case, with every default filled in."""
+        """The checked case, with all defaults filled in."""
         return self._context.case
 
     @property
     def folder(self) -> Path:
-        """Where the artifacts are."""
+        """The folder of the artifacts."""
         return self._context.out
 
     @property
@@ -92,15 +92,15 @@ class Study:
     def run(
         self, until: str | None = None, *, resume: bool = False, checkpoint_every: float = 60.0
     ) -> None:
-        """Run all stages that are needed, keeping what is there and valid; as `sphrom run`.
+        """Run all stages that the case needs, keeping valid artifacts, like `sphrom run`.
 
-        Stopped by an interrupt, long runs leave checkpoints, and continue with `resume=True`.
+        Long runs that are interrupted leave checkpoints, and continue with `resume=True`.
 
         Parameters
         ----------
-        until : the last stage to run: fom, map, pod, fit-psi, operators, rom or compare, the
-            default.
-        checkpoint_every : seconds from one checkpoint of a run to the next.
+        until : the last stage to run: fom, map, pod, fit-psi, operators, rom, or by default
+            compare.
+        checkpoint_every : time between checkpoints [s].
         """
         context = stages.with_checkpoints(self._context, resume=resume, every=checkpoint_every)
         stages.run_all(context, until)
@@ -115,38 +115,37 @@ class Study:
         checkpoint_every: float = 60.0,
         **options: Any,
     ) -> None:
-        """Run one stage as its command does, such as `run_stage("sweep", workers=2)`.
+        """Run one stage like its command, such as `run_stage("sweep", workers=2)`.
 
         Parameters
         ----------
         stage : fom, map, pod, fit-psi, operators, rom, compare, trade, sweep, train, fit, export,
             report or check.
         only : parameter values to run at, such as `["reynolds=100"]`, or `["lid=0.8"]` for all
-            points with that value; of rom also names of models.
-        options : what else the command can be told: `tolerance` of trade and train; `workers` and
+            points with that value; for rom also names of models.
+        options : the command's own options: `tolerance` of trade and train; `workers` and
             `scheduler` of sweep and train; `shard` and `collect` of sweep; `budget` and
             `write_case` of train; `measurements`, `noise` and `name` of fit; `to`, `into` and `at`
             of export.
         """
-        known = [name for name in stages.STAGES if name != "import"]
+        names = [name for name in stages.STAGES if name != "import"]
         name = stage.replace("_", "-")
-        if name not in known:
-            raise CaseError(f"no stage is called {quoted(stage)}; {nearest(name, known)}")
+        if name not in names:
+            raise CaseError(f"no stage is called {quoted(stage)}; {nearest(name, names)}")
         context = stages.with_checkpoints(self._context, resume=resume, every=checkpoint_every)
         context = stages.selected(context, name, only)
         stages.run_stage(name, context, **options)
 
     @guarded()
     def model(self, name: str, **parameters: float) -> Model:
-        """Return a reduced model at parameter values, which need not be trained.
+        """Return a reduced model at parameter values, which may differ from the trained ones.
 
-        A model on the reference points needs the operators: `run(until="operators")`.
+        A model on the reference points needs the operators, from `run(until="operators")`.
 
         Parameters
         ----------
-        name : of a model in the case's section `rom`.
-        parameters : the value of each parameter, such as `reynolds=137`; one that isn't given has
-            the scene's own value.
+        name : name of a model in the case's section `rom`.
+        parameters : parameter values, such as `reynolds=137`; by default, the scene's own values.
         """
         sections = {section.name: section for section in self.case.rom}
         if name not in sections:
@@ -162,17 +161,17 @@ class Study:
 def open(path: str | os.PathLike[str], group: str = "") -> xarray.Dataset:
     """Open an artifact, or a group of one such as `bases/all`, as a dataset with named axes.
 
-    Variables are called as in `sphrom/artifacts.md`, `_` in place of `/`, and carry their units
-    and meaning. Snapshots can be selected by time: `run.velocity.sel(time=0.1, method="nearest")`.
-    The attribute `groups` lists the groups of an artifact that has some; a group comes with what
-    belongs to all of them.
+    Variables have the names of `sphrom/artifacts.md`, with `_` instead of `/`, and attributes with
+    units and meaning. Select snapshots by time with `run.velocity.sel(time=0.1, method="nearest")`.
+    The attribute `groups` lists the groups of an artifact, if any; each group includes the
+    variables that are common to all groups.
 
-    Opening checks that the file is a whole artifact, and verifies datasets of up to 1 MiB. A larger
-    one is verified, block by block, when values of it are first used. Values are read when they
-    are used, so the file stays open until the dataset is closed; use `with`, or `load`.
+    Opening checks that the artifact is complete, and verifies datasets of up to 1 MiB. Larger ones
+    are verified block by block at the first use of their values. Values are read when they are
+    used, so the file stays open until the dataset is closed; use `with`, or `load`.
 
-    Raises ArtifactError when the file is missing, damaged or no artifact, CaseError when it has no
-    such group.
+    Raises ArtifactError when the file is missing, damaged or not an artifact, CaseError when it has
+    no such group.
     """
     from sphrom.artifacts.labelled import open_labelled
 

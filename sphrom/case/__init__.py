@@ -1,1 +1,1 @@
-"""The case file: what may stand in it, reading it, and what follows from it."""
+"""The case file: its keys, reading and checking it, and the quantities derived from it."""

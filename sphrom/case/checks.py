@@ -1,7 +1,6 @@
-"""What must hold between the sections of a case; each section checks itself.
+"""Checks of the rules between sections of a case; each section checks its own keys.
 
-`case_problems` is the way in: the loader calls it. A check yields a key, such as `rom.0.basis`, and
-what is wrong with it.
+The loader calls `case_problems`. A check yields a key, such as `rom.0.basis`, and its problem.
 """
 
 from __future__ import annotations
@@ -40,9 +39,9 @@ from sphrom.text import exact, nearest, repeated
 Found = Iterator[tuple[str, str]]
 
 WITHIN_WALL = 0.1
-"""How far a place may be in the solid, over the particles' spacing: a circle is a polygon."""
+"""Tolerated depth of a place in a solid, over the particle spacing, as circles are polygons."""
 PER_SPACING = 4
-"""Places along a segment that are looked at, for each spacing of the particles."""
+"""Places to check along a segment, per particle spacing."""
 MOST_LOOKED_AT = 100_000
 SURFACE_KEYS: Mapping[str, tuple[object, ...]] = {
     "evaluation": ("operators",),
@@ -54,18 +53,18 @@ SURFACE_KEYS: Mapping[str, tuple[object, ...]] = {
     "output": ("none",),
     "steady": (False,),
 }
-"""The values that keys of a reduced model may have where the fluid has a free surface."""
+"""The values of keys that reduced models of a free surface may have."""
 COARSEST = 8
-"""The least resolution."""
+"""The lowest resolution."""
 
 
 def case_problems(case: Case, *, force: bool = False) -> list[Problem]:
-    """Return what makes a case invalid; `force` insists on an unstable time step."""
+    """Return the problems of a case; `force` accepts an unstable time step."""
     limits = () if force else (_check_limits,)
-    # Points can be listed once names are known, snapshots once steps and points make sense.
+    # Later checks need valid names, and then valid steps and points.
     for checks in ((_check_names,), (*_CHECKS, *limits), _SNAPSHOT_CHECKS):
-        if found := [problem for check in checks for problem in check(case)]:
-            return [Problem(_path(key), reason) for key, reason in found]
+        if problems := [problem for check in checks for problem in check(case)]:
+            return [Problem(_path(key), reason) for key, reason in problems]
     return []
 
 
@@ -74,7 +73,7 @@ def _path(key: str) -> tuple[str | int, ...]:
 
 
 def _check_names(case: Case) -> Found:
-    """Check that the names that sections refer to are those of something in the case."""
+    """Check that all names that sections refer to exist in the case."""
     for key, kind, names, known in _references(case):
         for name in names:
             if name is not None and name not in known:
@@ -83,13 +82,13 @@ def _check_names(case: Case) -> Found:
     if len(train.reynolds) > 1 and not all(
         REYNOLDS in each for each in (*train.named, *test.named)
     ):
-        yield f"parameters.test.{REYNOLDS}", "is missing, and parameters.train has several: name it"
+        yield f"parameters.test.{REYNOLDS}", "is missing, and parameters.train has several; give it"
     for name, reason in case.scene.parameter_problems(case.plan.parameter_names):
         yield f"parameters.{name}", f"can't vary: {reason}"
 
 
 def _references(case: Case) -> Iterator[tuple[str, str, Collection[str | None], Collection[str]]]:
-    """Yield a key, the kind of its names, these names, and those that there are."""
+    """Yield a key, the kind of its names, these names, and the existing names."""
     models = [model.name for model in case.rom]
     fast = [model.name for model in case.rom if model.from_operators]
     bases, parameters, varied = (ALL, *case.basis.subsets), "parameter", "parameter that varies"
@@ -111,8 +110,8 @@ def _references(case: Case) -> Iterator[tuple[str, str, Collection[str | None], 
             names = list(dict.fromkeys(name for row in figure.runs for name in row))
             yield f"compare.figures.{i}.runs", "run", names, known
     for name, measured in case.scene.measure.items():
-        if (given := measured.frequency) is not None:
-            yield f"scene.measure.{name}.frequency.of", "history", [given.of], case.scene.columns
+        if (section := measured.frequency) is not None:
+            yield f"scene.measure.{name}.frequency.of", "history", [section.of], case.scene.columns
     yield "trade.measure", "quantity of scene.measure", [case.trade.measure], case.scene.measure
     yield "sweep.model", "model", [case.sweep.model], [FULL, *models]
     yield "sweep", varied, case.sweep.names, varying
@@ -123,7 +122,7 @@ def _references(case: Case) -> Iterator[tuple[str, str, Collection[str | None], 
 
 
 def _check_points(case: Case) -> Found:
-    """Check that full runs are of different values, and that each can be made."""
+    """Check that full runs differ in their values, and that each is possible."""
     train, test = case.plan.train_points, case.plan.test_points
     for key, points in (("parameters.train", train), ("parameters.test", test)):
         yield from _check_repeated(key, points)
@@ -135,19 +134,19 @@ def _check_points(case: Case) -> Found:
                 yield key, f"{values}: {error}"
                 break
     for point in filter(set(train).__contains__, test):
-        yield "parameters.test", f"{point.label} is trained on; test elsewhere"
+        yield "parameters.test", f"{point.label} is a training value; test other values"
 
 
 def _check_repeated(key: str, points: Iterable[ParameterPoint]) -> Found:
     for label in repeated(point.label for point in points):
-        yield key, f"{label} stands more than once"
+        yield key, f"{label} is listed more than once"
 
 
 def _check_geometry(case: Case) -> Found:
     domain, length = case.scene.domain, case.scene.resolved_length
     plan, section = case.plan, case.discretization
     if domain.narrowest_gap <= 0.0:
-        yield "scene", "its lengths are so far apart that the smallest gets lost"
+        yield "scene", "its lengths differ so much that the smallest one is lost in rounding"
     elif not domain.fits_lattice(plan.particle_spacing):
         reason = f"a spacing of {plan.particle_spacing:g} m doesn't divide all lengths of the scene"
         nearest_one = nearest_fitting_resolution(case) or "none that is near"
@@ -178,7 +177,7 @@ def _check_geometry(case: Case) -> Found:
             yield f"discretization.walls.{key}", f"{along_axes} is for walls that follow the axes"
     gap, solid = domain.narrowest_gap, domain.thinnest_solid
     most, narrow = min(0.5 * gap, solid), f"half of the narrowest fluid, {gap:g} m wide"
-    what = f"the thinnest solid, {solid:g} m thick" if most == solid else narrow
+    limit = f"the thinnest solid, {solid:g} m thick" if most == solid else narrow
     own, mapped = plan.smoothing_length, plan.reference_smoothing_length
     radius = SUPPORT_RATIO * max(own, mapped)
     if gap > 0.0 and radius > most * (1.0 + ROUNDING):
@@ -186,13 +185,13 @@ def _check_geometry(case: Case) -> Found:
         fits = (n for n in range(least, 2 * least) if domain.fits_lattice(length / n))
         yield (
             f"{'reference' if mapped > own else 'discretization'}.smoothing_length_ratio",
-            f"a support of radius {radius:g} m is larger than {what}: "
+            f"a support of radius {radius:g} m is larger than {limit}: "
             f"discretization.resolution: {next(fits, least)} would do",
         )
 
 
 def nearest_fitting_resolution(case: Case) -> int | None:
-    """Return the nearest resolution at which walls fit the lattice, None if none is near."""
+    """Return the nearest resolution at which walls fit the lattice, or None if none is near."""
     domain, length = case.scene.domain, case.scene.resolved_length
     resolution, half = case.discretization.resolution, case.discretization.resolution // 2
     near = range(resolution - half + 1, resolution + half)
@@ -201,7 +200,7 @@ def nearest_fitting_resolution(case: Case) -> int | None:
 
 
 def coarser_resolution(case: Case) -> int | None:
-    """Return half the resolution, or None where particles would not fit the scene then."""
+    """Return half the resolution, or None if particles would not fit the scene."""
     half = case.discretization.resolution // 2
     fits = half >= COARSEST and not any(_check_geometry(at_resolution(case, half)))
     return half if fits else None
@@ -233,7 +232,7 @@ def _check_steps(case: Case) -> Found:
 
 
 def _not_whole(duration: float, step: float) -> str | None:
-    """Return that a duration is not a whole number of steps, and which step would fit, or None."""
+    """Return a problem with the nearest step if a duration is no whole number of steps, or None."""
     number = duration / step
     whole = max(1, round(number))
     if number <= MAX_STEPS and abs(number - round(number)) <= WHOLE_STEPS_TOLERANCE * number:
@@ -245,11 +244,11 @@ def _not_whole(duration: float, step: float) -> str | None:
 
 
 def beyond_limits(case: Case) -> Iterator[str]:
-    """Yield which limits the time step is beyond."""
-    step, known = case.time.step, case.plan.limits
+    """Yield the limits that the time step exceeds."""
+    step, stable = case.time.step, case.plan.limits
     limits = {
-        "acoustic": (known.acoustic, "1.5 h / c0, Eq. 2.19"),
-        "viscous": (known.viscous, "0.125 h^2 / nu, beside walls at most 0.22 h dx / nu"),
+        "acoustic": (stable.acoustic, "1.5 h / c0, Eq. 2.19"),
+        "viscous": (stable.viscous, "0.125 h^2 / nu, beside walls at most 0.22 h dx / nu"),
     }
     for name, (limit, formula) in limits.items():
         if step != "auto" and step > limit * (1.0 + WHOLE_STEPS_TOLERANCE):
@@ -258,7 +257,7 @@ def beyond_limits(case: Case) -> Iterator[str]:
 
 def _check_limits(case: Case) -> Found:
     for reason in beyond_limits(case):
-        yield "time.step", f"{reason}; --force insists on it"
+        yield "time.step", f"{reason}; --force accepts it"
 
 
 def _check_scene(case: Case) -> Found:
@@ -275,7 +274,7 @@ def _measure_problem(case: Case, measured: MeasureSection) -> str | None:
         names = case.scene.domain.wall_names
         missing = f"there is no such wall; the walls are {', '.join(names) or 'none'}"
         if measured.force_on in getattr(case.scene, "porous", ()):
-            missing = "is a porous body, which has no wall that a force is on"
+            missing = "is a porous body, which has no wall to measure a force on"
         return None if measured.force_on in names else missing
     if measured.frequency is not None:
         late = measured.frequency.from_time >= case.time.final_time
@@ -288,7 +287,7 @@ def _measure_problem(case: Case, measured: MeasureSection) -> str | None:
     start, end = np.array(measured.segment)
     length = math.dist(start, end)
     if not length > 0.0:
-        return "its ends are one place"
+        return "its ends are the same place"
     number = min(2 + math.ceil(PER_SPACING * length / case.plan.particle_spacing), MOST_LOOKED_AT)
     return outside_fluid(case, start + np.linspace(0.0, 1.0, number)[:, None] * (end - start))
 
@@ -296,7 +295,7 @@ def _measure_problem(case: Case, measured: MeasureSection) -> str | None:
 def _surface_problem(case: Case, measured: MeasureSection) -> str | None:
     scene, periodic = case.scene, case.scene.domain.periodic
     if not scene.has_surface:
-        return "is for fluid with a free surface; scene.fluid gives it one"
+        return "needs fluid with a free surface; set scene.fluid"
     if measured.of_fluid == "centre_of_mass" and any(periodic):
         return "fluid in a periodic box has no centre of mass; take of_fluid: energy"
     if measured.elevation is None:
@@ -309,7 +308,7 @@ def _surface_problem(case: Case, measured: MeasureSection) -> str | None:
 
 
 def outside_fluid(case: Case, place: Array) -> str | None:
-    """Return which of some places (n_places, 2) is out of the box or in a solid, in words."""
+    """Return a problem if one of some places (n_places, 2) is out of the box or in a solid."""
     domain = case.scene.domain
     beyond = (place < np.array(domain.lower)) | (place > np.array(domain.upper))
     for x, y in place[beyond.any(axis=1)][:1]:
@@ -336,15 +335,15 @@ def _check_bases(case: Case) -> Found:
 
 
 def _check_splines(case: Case) -> Found:
-    """Refuse B-splines where points are no lattice that fills a box."""
+    """Refuse B-splines unless the reference points are a lattice that fills a box."""
     if not case.plan.lattice_splines:
         return
     if not case.scene.domain.fills_box:
-        yield "psi.kind", "B-splines are for fluid that fills a box; set psi.kind: polyharmonic"
+        yield "psi.kind", "B-splines need fluid that fills the box; set psi.kind: polyharmonic"
     elif not case.plan.reference_lattice:
-        yield "psi.kind", "B-splines are for points of a lattice; set reference.points: lattice"
+        yield "psi.kind", "B-splines need points of a lattice; set reference.points: lattice"
     if case.psi.order != type(case.psi).model_fields["order"].default:
-        yield "psi.order", "is only for kind: polyharmonic, which auto is not here"
+        yield "psi.order", "is only for kind: polyharmonic, and auto means b-spline here"
 
 
 def _check_models(case: Case) -> Found:
@@ -372,44 +371,44 @@ def _model_problems(case: Case, model: ReducedModelSection) -> Found:
         yield from _check_repeated("parameters", points)
         for point in () if model.from_operators else points:
             if point not in plan.points:
-                known = nearest_point(point, plan.points).label
-                yield "parameters", f"{point.label} has no full run; the nearest is {known}"
+                closest = nearest_point(point, plan.points).label
+                yield "parameters", f"{point.label} has no full run; the nearest is {closest}"
     if not model.from_operators:
         return
     alone = [name for name in bases if len(plan.bases[name]) == 1]
     if model.corrected is True and alone:
-        yield "corrected", f"the basis {alone[0]} learns from one run; two or more are needed"
+        yield "corrected", f"the basis {alone[0]} has one training run; two or more are needed"
     predicts = model.integrated_modes != AUTO and model.integrated_modes < model.size
     if predicts and not all(plan.is_corrected(model, name) for name in bases):
-        reason = "training runs predict the other modes where a model is corrected: it needs"
-        yield "integrated_modes", f"{reason} corrected: auto and bases of two runs or more"
+        reason = "only corrected models predict their other modes from training runs: it needs"
+        yield "integrated_modes", f"{reason} corrected: auto and bases of two or more runs"
 
 
 def steady_problem(case: Case) -> str | None:
-    """Return why a case has no steady states, or None."""
+    """Return the reason why a case has no steady states, or None."""
     force = case.plan.flow(case.plan.points[0]).body_force
     if force is None or not force.changes:
         return None
-    return "the scene's body force changes with time: there is no steady state"
+    return "the body force changes with time, so there is no steady state"
 
 
 def _check_fixed_points(case: Case) -> Found:
-    """Refuse readings of the paper that models on the reference points don't have."""
+    """Refuse variants of the equations that models on the reference points don't support."""
     section = case.discretization
     fast = (model.name for model in case.rom if model.from_operators)
     name = None if case.scene.has_surface else next(fast, None)
-    for key, given, needed in (
+    for key, value, needed in (
         ("viscosity", section.viscosity, "laplacian"),
         ("walls.continuity", section.walls.continuity, "adjoint"),
         ("walls.no_slip", section.walls.no_slip, "linear"),
     ):
-        if name is not None and given != needed:
+        if name is not None and value != needed:
             reason = f"must be {needed} for models with evaluation: operators, such as {name}"
-            yield f"discretization.{key}", f"{reason}; got {given}"
+            yield f"discretization.{key}", f"{reason}; got {value}"
 
 
 def _check_surface(case: Case) -> Found:
-    """Refuse scenes and keys that reduced models of a free surface don't have."""
+    """Refuse scenes and keys that reduced models of a free surface don't support."""
     scene, domain = case.scene, case.scene.domain
     if not (scene.has_surface and case.rom):
         return
@@ -442,7 +441,7 @@ def _yaml(value: object) -> str:
 
 def _check_modes(case: Case) -> Found:
     plan = case.plan
-    # A model that isn't listed is made to fit.
+    # The default model of a case without `rom` is adjusted later.
     listed = case.rom if "rom" in case.model_fields_set else ()
     asked: list[tuple[str, Any, list[str]]] = [("basis.n_modes", case.basis.n_modes, [ALL])]
     asked += [(f"rom.{i}.n_modes", m.n_modes, plan.bases_for(m)) for i, m in enumerate(listed)]
@@ -492,8 +491,8 @@ def _check_compare(case: Case) -> Found:
     for name in repeated(figure.name.casefold() for figure in section.figures):
         yield "compare.figures", f"two figures have the name {name}"
     for i, figure in enumerate(section.figures):
-        found = _figure_problems(case, figure)
-        yield from ((f"compare.figures.{i}.{key}", reason) for key, reason in found)
+        problems = _figure_problems(case, figure)
+        yield from ((f"compare.figures.{i}.{key}", reason) for key, reason in problems)
 
 
 def _figure_problems(case: Case, figure: OfModes | OfRuns) -> Found:
@@ -507,13 +506,13 @@ def _figure_problems(case: Case, figure: OfModes | OfRuns) -> Found:
             yield "runs", f"{' and '.join(names)}: not run {at}beside a full run"
     if not isinstance(figure, ErrorFigure) and not start <= figure.time <= end:
         within = f"{exact(start)} s to {exact(end)} s"
-        yield "time", f"must be within what is recorded, {within}; got {exact(figure.time)}"
+        yield "time", f"must be within the recorded time, {within}; got {exact(figure.time)}"
 
 
 def _check_trade(case: Case) -> Found:
     section, plan = case.trade, case.plan
     if (size := max(section.n_modes or (0,))) > plan.n_modes:
-        reason = f"the basis keeps {plan.n_modes} modes; got {size}; basis.n_modes keeps more"
+        reason = f"must be at most basis.n_modes, {plan.n_modes}; got {size}"
         yield "trade.n_modes", reason
     for resolution in section.resolutions or ():
         for _, reason in _check_geometry(at_resolution(case, resolution)):
@@ -523,7 +522,7 @@ def _check_trade(case: Case) -> Found:
 def _check_sweep(case: Case) -> Found:
     model, points, steps = sweep_model(case), sweep_points(case), case.plan.steps
     if case.sweep.sensitivities and (model is None or not model.from_operators):
-        reason = "is for models with evaluation: operators, which have equations to differentiate"
+        reason = "needs a model with evaluation: operators, whose equations can be differentiated"
         yield "sweep.sensitivities", reason
     yield from _check_repeated("sweep", points)
     if model is None and points:
@@ -550,17 +549,17 @@ def _check_training(case: Case) -> Found:
     for name in plan.parameter_names:
         several = len({point.as_dict()[name] for point in plan.train_points}) > 1
         if name not in section.ranges and (several or name != REYNOLDS):
-            yield "training", f"{name} varies in parameters: give its range too, or one value there"
+            yield "training", f"{name} varies in parameters; give its range, too, or one value"
     if (least := len(Region(case).starts(())) + 1) > section.budget:
         reason = f"training starts from {least - 1} full runs, and tests its model at one more"
         yield "training.budget", f"must be at least {least}: {reason}; got {section.budget}"
     if model is None:
-        yield "training", "is for models with evaluation: operators, and rom has none"
+        yield "training", "needs a model with evaluation: operators, and rom has none"
     elif not plan.ends_with_case(model):
-        reason = "has runs that end at another time than full runs: leave out until"
+        reason = "has runs that end at another time than full runs; leave out until"
         yield "training", f"{model.name} {reason}"
     elif case.operators.error_estimate is False:
-        reason = "false leaves training nothing to go by: leave it out, or set true"
+        reason = "training needs error estimates; leave it out, or set true"
         yield "operators.error_estimate", reason
 
 

@@ -1,7 +1,8 @@
-"""The scene of kind custom: a box with solids of any shape, driven as the case says.
+"""The scene of kind custom: a box with solids of any shape, moving walls and a body force.
 
-Walls and the force have to be affine in what varies: operators are projected once for all values,
-and each parameter that drives the flow has a part of its own, which its value multiplies.
+Walls' velocities and the force must be affine in the parameters, because operators are projected
+once for all values: each parameter that drives the flow has its own operators, which its value
+multiplies.
 """
 
 from __future__ import annotations
@@ -42,64 +43,64 @@ from sphrom.sph.resistance import Resistance, Strip
 from sphrom.text import shortened
 
 N_SAMPLES = 200
-"""Points along each edge of the box, or along a wall, at which expressions are looked at."""
+"""Points along each edge of the box, or along a wall, at which expressions are checked."""
 N_INSTANTS = 50
-"""Times of a run at which a body force is looked at."""
+"""Times of a run at which a body force is checked."""
 ALONG = 0.02
-"""Share of its largest speed that a wall may move across itself: a circle is a polygon."""
+"""Largest normal speed of a wall over its speed; it is not zero because circles are polygons."""
 TOUCHING = 1e-6
-"""How far a wall may be from the edge of the fluid, over its length."""
+"""Tolerated distance of a wall from the edge of the fluid, over its length."""
 MOST_KNOWN = 4000
-"""Values of the parameters at which a scene is kept."""
+"""Most values of the parameters with a cached scene."""
 BODY_FORCE, INFLOW = "body_force", "inflow"
-"""What their factors are called as parameters."""
+"""The names of their factors as parameters."""
 KEYS = {BODY_FORCE: "body_force", INFLOW: "inflow.velocity"}
-"""The keys that they have."""
+"""The keys of the parameters."""
 OTHER_UNIT = 100.0
-"""A solid so many times as wide as the box, or as narrow, may be in another unit."""
+"""Ratio of the widths of a solid and the box, or its inverse, that suggests another unit."""
 MOST_AREAS = 4
-"""Areas of parts of the fluid that a warning names."""
+"""Most areas that a warning about separate parts of the fluid lists."""
 N_TIMES = 4096
-"""Times whose amplitude of the body force is kept."""
+"""Most times with a cached amplitude of the body force."""
 
 
 class BoxSection(Section):
-    """The box that the flow is in."""
+    """The box that contains the flow."""
 
-    lower: Place = key((0.0, 0.0), "its lower left corner", unit="m")
-    upper: Place = key((1.0, 1.0), "its upper right corner", unit="m")
-    periodic: tuple[Literal["x", "y"], ...] = key((), "axes along which the flow repeats")
+    lower: Place = key((0.0, 0.0), "lower left corner", unit="m")
+    upper: Place = key((1.0, 1.0), "upper right corner", unit="m")
+    periodic: tuple[Literal["x", "y"], ...] = key((), "periodic axes")
 
 
 class MovingWallSection(Section):
-    """How a wall slides along itself."""
+    """The motion of a wall along itself."""
 
-    velocity: Vector | None = key(None, "its velocity, numbers or expressions in x, y", unit="m/s")
+    velocity: Vector | None = key(None, "velocity, numbers or expressions in x, y", unit="m/s")
     rotation: Coordinate | None = key(
-        None, "its rate of rotation about its centroid, anticlockwise", unit="rad/s"
+        None, "rate of rotation about its centroid, anticlockwise", unit="rad/s"
     )
 
 
 class InitialSection(Section):
-    """The fields that a run starts with: numbers or expressions in x, y, or a file of points."""
+    """The initial fields of runs: numbers or expressions in x, y, or a file of points."""
 
     u: Value = key(0.0, "velocity along x", unit="m/s")
     v: Value = key(0.0, "velocity along y", unit="m/s")
     p: Value = key(0.0, "pressure", unit="Pa")
     file: str | None = key(
         None,
-        "a CSV file with columns x, y, u, v and perhaps p, in place of expressions; linear between "
-        "its points, the nearest one's values beyond",
+        "a CSV file with columns x, y, u, v and optionally p, instead of expressions; fields are "
+        "linear between its points, and beyond them those of the nearest point",
     )
-    sha256: str | None = key(None, "digest of that file; taken from it unless it is given")
+    sha256: str | None = key(None, "digest of that file; computed if it is missing")
 
     @model_validator(mode="before")
     @classmethod
     def _with_digest(cls, values: Any, info: ValidationInfo) -> Any:
-        """Add the digest of the file, so that the case says what it held."""
+        """Add the digest of the file, so that the case identifies its content."""
         name = values.get("file") if isinstance(values, dict) else None
         folder = (info.context or {}).get("folder")
-        # A case that an artifact holds is read without its files; it starts no run.
+        # The case in an artifact is read without its files, and does not start runs.
         if not isinstance(name, str) or (folder is None and values.get("sha256") is not None):
             return values
         digest = read_start(Path(folder or "") / name)
@@ -110,12 +111,12 @@ class InitialSection(Section):
     @model_validator(mode="after")
     def _file_alone(self) -> InitialSection:
         if self.file is not None and any(value != 0.0 for value in (self.u, self.v, self.p)):
-            raise ValueError("file takes the place of u, v and p; give one or the other")
+            raise ValueError("file can't be combined with u, v and p; give one or the other")
         return self
 
 
 class CustomScene(SceneSection):
-    """A flow of one's own: a box less solids, with walls that slide, a body force and a start."""
+    """A flow of your own: a box without solids, with moving walls, a force and initial fields."""
 
     title: ClassVar[str] = "A flow of your own"
     defaults: ClassVar[Defaults] = {
@@ -123,13 +124,13 @@ class CustomScene(SceneSection):
         "discretization": {"smoothing_length_ratio": 2.0, "resolution": 20},
     }
 
-    kind: Literal["custom"] = key(..., "which flow")
-    box: BoxSection = key(BoxSection(), "the box that the flow is in")
+    kind: Literal["custom"] = key(..., "kind of flow")
+    box: BoxSection = key(BoxSection(), "the box that contains the flow")
     solids: dict[SafeName, ShapeSection] = key({}, "solids in the box, by name")
     walls: dict[SafeName, MovingWallSection] = key(
-        {}, "walls that move: sides of the box (left, right, bottom, top) and solids, by name"
+        {}, "moving walls: sides of the box (left, right, bottom, top) and solids, by name"
     )
-    constants: dict[SafeName, Coordinate] = key({}, "numbers that expressions may name")
+    constants: dict[SafeName, Coordinate] = key({}, "constants for expressions, by name")
     body_force: Vector = key(
         (0.0, 0.0), "acceleration, numbers or expressions in x, y, t", unit="m/s2"
     )
@@ -138,11 +139,11 @@ class CustomScene(SceneSection):
     )
     slip: Literal["none", "free"] = key("none", "whether fluid sticks to the walls or slips freely")
     resistance: Rate = key(
-        0.0, "rate at which it slows the fluid, a number or an expression in x, y", unit="1/s"
+        0.0, "rate of resistance to the flow, a number or an expression in x, y", unit="1/s"
     )
     porous: dict[SafeName, PorousSection] = key({}, "porous bodies in the box, by name")
-    inflow: InflowSection | None = key(None, "what flows in, where the box is open")
-    initial: InitialSection = key(InitialSection(), "the fields that a run starts with")
+    inflow: InflowSection | None = key(None, "inflow of an open box")
+    initial: InitialSection = key(InitialSection(), "initial fields of runs")
     reference_length: Positive | None = key(
         None, "L of the Reynolds number; null is the width of the box", unit="m"
     )
@@ -151,19 +152,19 @@ class CustomScene(SceneSection):
 
     @model_validator(mode="after")
     def _consistent(self) -> CustomScene:
-        """Build what the keys describe once, so that what can't be built is refused."""
+        """Refuse inconsistent keys, and scenes that can't be built."""
         for name in self.constants:
             if name in ("x", "y", "t", *CONSTANTS, *FUNCTIONS):
-                raise ValueError(f"constants.{name}: the name means something else; take another")
+                raise ValueError(f"constants.{name}: the name is reserved; choose another")
         for name, wall in self.walls.items():
             if (wall.velocity is None) == (wall.rotation is None):
                 raise ValueError(f"walls.{name}: give velocity or rotation")
             if name not in self.domain.wall_names:
-                known = ", ".join(self.domain.wall_names) or "none"
-                raise ValueError(f"walls.{name}: there is no such wall; the walls are {known}")
+                names = ", ".join(self.domain.wall_names) or "none"
+                raise ValueError(f"walls.{name}: there is no such wall; the walls are {names}")
         _ = self.domain
         if self.slip == "free" and self.walls:
-            raise ValueError("slip: walls that move drag fluid along; set slip: none")
+            raise ValueError("slip: moving walls need friction; set slip: none")
         if self.fluid is not None:
             if self.inflow is not None:
                 raise ValueError("inflow: is not for fluid with a free surface; leave it out")
@@ -194,13 +195,13 @@ class CustomScene(SceneSection):
         return float(self._at(values)._expression("fluid.level", self.fluid.level)())
 
     def fill(self, particle_spacing: float, values: Mapping[str, float] = NONE) -> Array:
-        """Return where particles on a lattice start (n_particles, 2) [m]."""
+        """Return the initial positions of particles on a lattice (n_particles, 2) [m]."""
         if self.fluid is None:
             return super().fill(particle_spacing, values)
         return self.fluid.fill(self.domain, particle_spacing, self.level_at(values))
 
     def _check_surface(self) -> None:
-        """Raise ValueError where the fluid with a free surface isn't in the box."""
+        """Raise ValueError unless the fluid with a free surface is in the box."""
         if self.fluid is None:
             return
         low, high = self.domain.lower[1], self.domain.upper[1]
@@ -229,7 +230,7 @@ class CustomScene(SceneSection):
         periodic = ("x" in self.box.periodic, "y" in self.box.periodic)
         if not self.solids:
             return BoxDomain(*corners, periodic)
-        # It loads the kernels that other scenes' fast runs don't need.
+        # Imported late, because it loads kernels that other scenes do not need.
         from sphrom.sph.polygon_domain import PolygonDomain
 
         try:
@@ -239,7 +240,7 @@ class CustomScene(SceneSection):
             raise ValueError(f"{error}{hints}") from error
 
     def _odd_units(self) -> Iterator[tuple[str, str]]:
-        """Yield solids whose coordinates look like another unit than those of the box, and why."""
+        """Yield solids whose coordinates seem to have another unit than the box, with reasons."""
         width = max(high - low for low, high in zip(self.box.lower, self.box.upper, strict=True))
         for name, shape in self._shapes.items():
             ratio = max(np.subtract(shape.bounds[2:], shape.bounds[:2])) / width
@@ -247,14 +248,14 @@ class CustomScene(SceneSection):
                 yield name, f"is {ratio:.2g} times as wide as the box; `scale` changes units"
 
     def warnings(self) -> Iterator[tuple[str, str]]:
-        """Warn of solids in another unit, and of fluid that they cut apart."""
+        """Warn of solids in another unit, and of solids that divide the fluid."""
         yield from ((f"solids.{name}", hint) for name, hint in self._odd_units())
         if len(areas := self.domain.separate_areas) > 1:
             sizes = ", ".join(f"{area:.4g}" for area in areas[:MOST_AREAS])
-            yield "solids", f"they cut the fluid into {len(areas)} parts, of {sizes} m2"
+            yield "solids", f"divide the fluid into {len(areas)} parts, of {sizes} m2"
         if (strip := self._strip) is None:
             return
-        # Solids may go straight through the strip, as walls do.
+        # Solids may cross the strip if their width is constant, like walls.
         ends = np.tile(np.array([self.domain.lower, self.domain.upper]), (N_SAMPLES + 1, 1, 1))
         ends[..., strip.axis] = np.linspace(strip.start, strip.end, N_SAMPLES + 1)[:, None]
         for name, shape in self._shapes.items():
@@ -265,7 +266,7 @@ class CustomScene(SceneSection):
     def flow(self, scales: Scales) -> Scene:
         """Return the flow."""
         here = self._at(scales.values)
-        # What a run starts with is looked at when one starts: it may be any function of constants.
+        # Initial fields are evaluated when a run starts; they may be any function of constants.
         return CustomFlow(
             here.domain,
             {name: here._wall_velocity(name) for name in here.walls},
@@ -275,7 +276,7 @@ class CustomScene(SceneSection):
         )
 
     def _begin(self, density: float) -> Callable[[Array], Array]:
-        """Return what runs start with, given the density of the fluid [kg/m3]."""
+        """Return the initial fields of runs, for a density of the fluid [kg/m3]."""
         level = self.level_at(self._values)
         if self.fluid is None or math.isinf(level):
             return lambda at: self._initial(at)
@@ -284,15 +285,15 @@ class CustomScene(SceneSection):
 
     @cached_property
     def _known(self) -> Callable[[tuple[tuple[str, float], ...]], CustomScene]:
-        """Returns the scene at values of the parameters: cases ask again and again."""
+        """Returns the scene at values of the parameters, from a cache."""
         return lru_cache(MOST_KNOWN)(lambda values: self._changed(dict(values)))
 
     def _at(self, values: Mapping[str, float]) -> CustomScene:
-        """Return the scene at values of its parameters, its own where none is given."""
+        """Return the scene at values of its parameters, by default its own."""
         return self._known(tuple(values.items())) if values else self
 
     def _changed(self, values: Mapping[str, float]) -> CustomScene:
-        # They are the same, and needn't be built again.
+        # Build the parts that do not depend on parameters, so that copies share them.
         _ = self.domain, self._shapes, self._resistance
         other = self.model_copy()
         other._values = values
@@ -301,17 +302,17 @@ class CustomScene(SceneSection):
         return other
 
     def parameters(self, reference_speed: float) -> dict[str, float]:
-        """Return constants, rates of rotation, and factors of velocities and of the body force."""
+        """Return constants, rates of rotation, and factors of velocities and the body force."""
         own = {name: 1.0 if w.rotation is None else w.rotation for name, w in self.walls.items()}
         return {**self.constants, **own, **dict.fromkeys(self._factor, 1.0)}
 
     @property
     def _factor(self) -> tuple[str, ...]:
-        """What the factor of all that pushes the fluid is called; none where two things do."""
+        """The name of the factor of the driving, empty unless either force or inflow drives."""
         return tuple(self._pushes) if len(self._pushes) == 1 else ()
 
     def parameter_problems(self, names: Collection[str]) -> Iterator[tuple[str, str]]:
-        """Yield constants in which walls or the force aren't affine, and names of two things."""
+        """Yield constants in which walls or the force aren't affine, and ambiguous names."""
         varied = [name for name in names if name in self.constants]
         slowed = self._expression("resistance", self.resistance, "x", "y")
         for name in (name for name in varied if slowed.degree_in([name]) > 0.0):
@@ -320,21 +321,21 @@ class CustomScene(SceneSection):
             if name in (*self.walls, BODY_FORCE, INFLOW):
                 yield name, "is a constant's name and a wall's or the force's; rename the constant"
         for where, factor, expression in self._drives():
-            found = [one for one in varied if expression.degree_in([one]) > 0.0]
+            used = [one for one in varied if expression.degree_in([one]) > 0.0]
             if expression.degree_in(varied) + (factor in names) <= 1.0:
                 continue
-            if found and factor in names:
-                yield found[0], f"multiplies {factor}, which varies too, in {where}; vary one"
-            elif found:
+            if used and factor in names:
+                yield used[0], f"multiplies {factor}, which also varies, in {where}; vary only one"
+            elif used:
                 text = shortened(expression.text, MOST_QUOTED)
                 yield (
-                    found[0],
-                    f"{where} must be a constant part plus multiples of {', '.join(found)}, for "
+                    used[0],
+                    f"{where} must be a constant part plus multiples of {', '.join(used)}, because "
                     f"operators are projected once for all values; got '{text}'",
                 )
 
     def driving(self, names: Collection[str]) -> tuple[str, ...]:
-        """Return those of some parameters that walls' velocities or the force's field depend on."""
+        """Return the parameters among `names` that change walls' velocities or the force field."""
         drives = [expression for _, _, expression in self._drives()]
         return tuple(
             name
@@ -343,7 +344,7 @@ class CustomScene(SceneSection):
         )
 
     def _drives(self) -> Iterator[tuple[str, str, Expression]]:
-        """Yield the key, the parameter that multiplies it, if any, and each driving expression."""
+        """Yield all driving expressions, with their key and the parameter that multiplies them."""
         for name, wall in self.walls.items():
             for value in wall.velocity or ():
                 where = f"walls.{name}.velocity"
@@ -352,7 +353,7 @@ class CustomScene(SceneSection):
             yield from ((KEYS[name], "", field) for field in push.fields)
 
     def check_at(self, values: Mapping[str, float]) -> None:
-        """Raise ValueError where the scene can't be had with some values of its parameters."""
+        """Raise ValueError if the scene is impossible with some values of its parameters."""
         here = self._at(values)
         for name in here.walls:
             here._check_along(name)
@@ -362,11 +363,11 @@ class CustomScene(SceneSection):
     def largest_wall_speed(self, values: Mapping[str, float]) -> float:
         """Return the largest speed of walls and the inflow [m/s], at values of the parameters."""
         here = self._at(values)
-        found = [here._wall_velocity(name)(here._edge(name)) for name in here.walls]
+        velocities = [here._wall_velocity(name)(here._edge(name)) for name in here.walls]
         if here.inflow is not None and (strip := here._strip) is not None:
             inside = here._samples[strip.contains(here._samples.T)].T
-            found.append(here._values.get(INFLOW, 1.0) * here._pushes[INFLOW](inside).T)
-        return max((float(np.linalg.norm(each, axis=1).max()) for each in found), default=0.0)
+            velocities.append(here._values.get(INFLOW, 1.0) * here._pushes[INFLOW](inside).T)
+        return max((float(np.linalg.norm(each, axis=1).max()) for each in velocities), default=0.0)
 
     @property
     def resolved_length(self) -> float:
@@ -378,7 +379,7 @@ class CustomScene(SceneSection):
         try:
             constants = {name: self._values.get(name, own) for name, own in self.constants.items()}
             expression = Expression(text, variables, constants)
-            # Without a surface, those that change with time are used in parts: space and time.
+            # Without a surface, expressions in t are split into factors of space and time.
             apart = "t" in variables and not self.has_surface
             parts = expression.separated("t") if apart else (expression,)
             _ = [part.compiled for part in parts]
@@ -388,8 +389,8 @@ class CustomScene(SceneSection):
 
     @cached_property
     def _samples(self) -> Array:
-        """Points (n_points, 2) of the fluid, all over the box [m]."""
-        # Expressions like 1/x aren't finite on the edge of the box, if anywhere.
+        """Sample points (n_points, 2) of the fluid all over the box [m]."""
+        # Points on the edge of the box are included, where expressions like 1/x aren't finite.
         axes = [
             np.linspace(low, high, N_SAMPLES + 1)
             for low, high in zip(self.domain.lower, self.domain.upper, strict=True)
@@ -400,12 +401,12 @@ class CustomScene(SceneSection):
     @cached_property
     def _start(self) -> dict[str, Expression]:
         """The expressions of u, v and p."""
-        given = {name: getattr(self.initial, name) for name in ("u", "v", "p")}
-        return {n: self._expression(f"initial.{n}", v, "x", "y") for n, v in given.items()}
+        values = {name: getattr(self.initial, name) for name in ("u", "v", "p")}
+        return {n: self._expression(f"initial.{n}", v, "x", "y") for n, v in values.items()}
 
     @cached_property
     def _initial(self) -> Callable[[Array], Array]:
-        """Returns u, v [m/s] and p [Pa] (n_points, 3) at positions (n_points, 2) [m]."""
+        """A function for u, v [m/s] and p [Pa] (n_points, 3) at positions (n_points, 2) [m]."""
         if self.initial.file is not None:
             return partial(start_fields, self.initial.file, str(self.initial.sha256))
 
@@ -418,7 +419,7 @@ class CustomScene(SceneSection):
         return at
 
     def starts_by(self, name: str) -> bool:
-        """Return whether the start of runs depends on a parameter beside the viscosity."""
+        """Return whether the initial state of runs depends on a parameter of the scene."""
         level = None if self.fluid is None else self.fluid.level
         starts = (*self._start.values(), self._expression("fluid.level", level or 0.0))
         return any(part.degree_in([name]) > 0.0 for part in starts)
@@ -441,7 +442,7 @@ class CustomScene(SceneSection):
         return velocity
 
     def _edge(self, name: str) -> Array:
-        """Return places (n_points, 2) [m] along a wall where fluid touches it, but for corners."""
+        """Return points (n_points, 2) [m] of a wall that touch the fluid, except corners."""
         if name in self._shapes:
             edge = self._shapes[name].boundary
         else:
@@ -463,7 +464,7 @@ class CustomScene(SceneSection):
     def _check_along(self, name: str) -> None:
         """Raise ValueError unless a wall's velocity is finite and along the wall."""
         if name not in self._shapes and self.walls[name].rotation is not None:
-            raise ValueError(f"walls.{name}.rotation: a side of the box can't turn")
+            raise ValueError(f"walls.{name}.rotation: a side of the box can't rotate")
         place = self._edge(name)
         velocity = self._wall_velocity(name)(place)
         _require_finite(f"walls.{name}.velocity", velocity, place)
@@ -473,34 +474,34 @@ class CustomScene(SceneSection):
         if across[worst] > ALONG * float(np.max(np.linalg.norm(velocity, axis=1))):
             x, y = place[worst]
             raise ValueError(
-                f"walls.{name}: at ({x:g}, {y:g}) m it would move across itself, at "
-                f"{across[worst]:.3g} m/s; walls may only slide along themselves"
+                f"walls.{name}: its velocity at ({x:g}, {y:g}) m has a normal component of "
+                f"{across[worst]:.3g} m/s; walls may only move along themselves"
             )
 
     def _in_box(self, position: Array) -> Array:
-        """Return positions (2, n_positions) [m] in the box: periodic axes may have been left."""
+        """Return positions (2, n_positions) [m], wrapped into the box along periodic axes."""
         low, high = (np.array(end)[:, None] for end in (self.domain.lower, self.domain.upper))
         left = ((position < low) | (position > high)).any(axis=0)
         return np.where(left, self.domain.wrap(position.T).T, position) if left.any() else position
 
     @cached_property
     def _pushes(self) -> dict[str, _Push]:
-        """What pushes the fluid, by what its factor is called as a parameter."""
+        """The body force and the inflow, by the names of their factors as parameters."""
         if self.has_surface:
-            return {}  # its components needn't have one amplitude
-        found, inflow = {}, () if self.inflow is None else self.inflow.velocity
+            return {}  # components may have different amplitudes
+        pushes, inflow = {}, () if self.inflow is None else self.inflow.velocity
         for name, values in {BODY_FORCE: self.body_force, INFLOW: inflow}.items():
             if any(value != 0.0 for value in values):
                 wholes = [self._expression(KEYS[name], value, "x", "y", "t") for value in values]
                 parts = [whole.separated("t") for whole in wholes]
-                # A component that is zero has any amplitude.
+                # Zero components fit any amplitude.
                 moving = {a.text: a for v, (_, a) in zip(values, parts, strict=True) if v != 0.0}
-                found[name] = _Push([field for field, _ in parts], moving)
-        return found
+                pushes[name] = _Push([field for field, _ in parts], moving)
+        return pushes
 
     @cached_property
     def _force(self) -> BodyForce | None:
-        """What pushes the fluid: a field times an amplitude, of which parameters give a factor."""
+        """The body force: a field times an amplitude, with a factor that may be a parameter."""
         if self.fluid is not None:
             parts = [self._expression(BODY_FORCE, v, "x", "y", "t") for v in self.body_force]
             return SurfaceForce.of(tuple(parts), self.fluid.gravity)
@@ -517,26 +518,27 @@ class CustomScene(SceneSection):
 
         def field(position: Array) -> Array:
             place = self._in_box(position)
-            found = [
+            fields = [
                 push(place) if strip is None or name != INFLOW else strip.forcing(place, push)
                 for name, push in pushes.items()
             ]
-            return np.sum(found, axis=0) if len(found) > 1 else found[0]
+            return np.sum(fields, axis=0) if len(fields) > 1 else fields[0]
 
         for name, push in pushes.items():
             _require_finite(KEYS[name], push(self._samples.T).T, self._samples)
         factor = next((self._values.get(name, 1.0) for name in self._factor), 1.0)
         share = partial(ramp_share, self.inflow_ramp)
-        # All runs of a case ask for it at the same snapshots.
+        # Cached, because all runs of a case use the same times.
         at = lru_cache(N_TIMES)(lambda t: factor * float(share(t)) * float(amplitude(t=t)))
-        changes = bool(amplitude.depends_on)
-        return BodyForce(
-            field, at, lambda times: factor * (share(times) * amplitude(t=times)), changes
-        )
+
+        def series(times: Array) -> Array:
+            return factor * (share(times) * amplitude(t=times))
+
+        return BodyForce(field, at, series, changes=bool(amplitude.depends_on))
 
     @cached_property
     def _strip(self) -> Strip | None:
-        """The strip of the inflow, which no parameter changes."""
+        """The strip of the inflow, which does not depend on parameters."""
         if self.inflow is None:
             return None
         if INFLOW not in self._pushes:
@@ -545,7 +547,7 @@ class CustomScene(SceneSection):
 
     @cached_property
     def inflow_ramp(self) -> float:
-        """How long the inflow takes to come up to speed [s]; 0 without one."""
+        """The time in which the inflow reaches its speed [s]; 0 without an inflow."""
         if self.inflow is None or (strip := self._strip) is None:
             return 0.0
         from_rest = self.initial == InitialSection()
@@ -554,14 +556,14 @@ class CustomScene(SceneSection):
 
     @cached_property
     def _resistance(self) -> Resistance | None:
-        """What slows the fluid, which no parameter changes."""
+        """The resistance to the flow, which does not depend on parameters."""
         own, shapes = None, _geometries("porous", self.porous)
         solid = shapely.union_all(list(self._shapes.values()))
         fluid = shapely.box(*self.box.lower, *self.box.upper).difference(solid)
         for name, shape in shapes.items():
             if not fluid.intersection(shape).area > 0.0:
                 raise ValueError(
-                    f"porous.{name}: no fluid is in it; it is in solids or out of the box"
+                    f"porous.{name}: contains no fluid; it is in solids or out of the box"
                 )
         if self.resistance != 0.0:
             expression = self._expression("resistance", self.resistance, "x", "y")
@@ -580,23 +582,23 @@ class CustomScene(SceneSection):
         return Resistance(own, inverse, self._strip, self._in_box)
 
     def largest_resistance(self, viscosity: float) -> float:
-        """Return the largest rate that slows the fluid [1/s], at a viscosity [m2/s]."""
+        """Return the largest rate of resistance [1/s], at a viscosity [m2/s]."""
         resistance = self._resistance
         return 0.0 if resistance is None else resistance.largest(self._samples.T, viscosity)
 
     @property
     def porous_way(self) -> float:
-        """The least integral of 1/k along any line through the box [1/m], of x or y the larger."""
+        """The least integral of 1/k along lines through the box [1/m], the larger of x and y."""
         if self._resistance is None or (inverse := self._resistance.inverse_permeability) is None:
             return 0.0
-        found, ways = inverse(self._samples.T), []
+        inverses, ways = inverse(self._samples.T), []
         for across, length in zip(self._samples.T[::-1], self.domain.lengths, strict=True):
             line = np.unique(across, return_inverse=True)[1]
-            ways.append(length * float((np.bincount(line, found) / np.bincount(line)).min()))
+            ways.append(length * float((np.bincount(line, inverses) / np.bincount(line)).min()))
         return max(ways)
 
     def largest_head(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
-        """Return what the body force's head along the box doesn't exceed until a time [m2/s2]."""
+        """Return a bound of the body force's head along the box until a time [m2/s2]."""
         here = self._at(values)
         times = np.linspace(0.0, final_time, N_INSTANTS)
         if here.has_surface and here._force is not None:
@@ -606,19 +608,19 @@ class CustomScene(SceneSection):
             largest = float(np.max(pulls @ reach))
             return largest if math.isfinite(largest) else 0.0
         drive, push = here._force, here._pushes.get(BODY_FORCE)
-        if drive is None or push is None:  # an inflow is forced no more than it falls short
+        if drive is None or push is None:  # the forcing of an inflow only makes up its deficit
             return 0.0
         field = push(self._samples.T)
         if self.domain.fills_box:
             rows = field.reshape(2, N_SAMPLES + 1, -1)
-            for axis in np.flatnonzero(self.domain.periodic):  # a mean presses on nothing there
+            for axis in np.flatnonzero(self.domain.periodic):  # a mean adds no pressure there
                 rows[axis] -= rows[axis].mean(axis=1 - axis, keepdims=True)
         largest = float(np.dot(self.domain.lengths, np.abs(field).max(axis=1, initial=0.0)))
         largest *= float(np.abs([drive.amplitude(t) for t in times]).max())
-        return largest if math.isfinite(largest) else 0.0  # else `problems` says so
+        return largest if math.isfinite(largest) else 0.0  # `problems` refuses other values
 
     def problems(self, final_time: float) -> Iterator[tuple[str, str]]:
-        """Refuse what pushes the fluid where it isn't finite at some time, or up to speed."""
+        """Refuse a driving that isn't finite at all times, and an inflow that ramps too long."""
         if self.inflow_ramp >= final_time:
             yield "inflow.ramp", f"takes {self.inflow_ramp:g} s, until time.final_time or longer"
         if self._force is not None:
@@ -636,7 +638,7 @@ class CustomScene(SceneSection):
 
 @dataclass(frozen=True)
 class _Push:
-    """What pushes the fluid: a field, and its amplitudes in time by their texts."""
+    """A body force or inflow: a field, with its amplitudes in time by their texts."""
 
     fields: list[Expression]
     amplitudes: dict[str, Expression]
@@ -647,7 +649,7 @@ class _Push:
 
 
 def _geometries(where: str, sections: Mapping[str, ShapeSection]) -> dict[str, BaseGeometry]:
-    """Return the shapes of sections by name. Raises ValueError, which names the one it is for."""
+    """Return the shapes of sections by name. Raises ValueError with the name of the section."""
     shapes = {}
     for name, section in sections.items():
         try:
@@ -658,7 +660,7 @@ def _geometries(where: str, sections: Mapping[str, ShapeSection]) -> dict[str, B
 
 
 def _require_finite(where: str, values: Array, position: Array) -> None:
-    """Raise ValueError where values (n_points, ...) at positions aren't finite."""
+    """Raise ValueError if values (n_points, ...) at positions aren't finite."""
     finite = np.isfinite(values)
     bad = np.flatnonzero(~finite.all(axis=tuple(range(1, finite.ndim))))
     if bad.size:

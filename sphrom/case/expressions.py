@@ -1,6 +1,6 @@
-"""Expressions of a case file, such as `0.1*sin(2*pi*y)`: checked, then evaluated without Python.
+"""Expressions of a case file, such as `0.1*sin(2*pi*y)`, evaluated without running Python code.
 
-The text is parsed and may hold numbers, known names and functions only; numexpr evaluates it.
+The text is parsed and may contain numbers, known names and functions only; numexpr evaluates it.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from sphrom.arrays import Array
 from sphrom.text import shortened
 
 MAX_DEPTH = 50
-"""Levels of brackets and operators within each other."""
+"""Most levels of nested brackets and operators."""
 MOST_QUOTED = 80
-"""Characters of an expression that a message quotes."""
+"""Most characters of an expression that a message quotes."""
 FUNCTIONS = {
     "abs": 1, "arccos": 1, "arcsin": 1, "arctan": 1, "arctan2": 2, "cos": 1, "cosh": 1, "exp": 1,
     "log": 1, "log10": 1, "sin": 1, "sinh": 1, "sqrt": 1, "tan": 1, "tanh": 1, "where": 3,
 }  # fmt: skip
-"""Functions, and how many arguments each takes."""
+"""Functions, with their numbers of arguments."""
 CONSTANTS = {"pi": math.pi}
 _OPERATORS = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.USub, ast.UAdd)
 _COMPARISONS = (ast.Lt, ast.LtE, ast.Gt, ast.GtE)
@@ -37,14 +37,14 @@ class Expression:
     Parameters
     ----------
     text : the expression.
-    variables : names that are given with each evaluation.
+    variables : names whose values each evaluation passes.
     constants : values of further names.
 
     Attributes
     ----------
     depends_on : the variables that the value depends on.
 
-    Raises ValueError, with what is wrong, when the text is no expression of these names.
+    Raises ValueError when the text is not an expression of these names.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class Expression:
     @cached_property
     def compiled(self) -> Callable[..., Any]:
         """The compiled expression. Raises ValueError where it can't be evaluated."""
-        import numexpr  # few scenes need it
+        import numexpr  # late, because few scenes need it
 
         numexpr.set_num_threads(1)
         tree = _Plain(self._constants).visit(_parsed(self.text))
@@ -75,25 +75,25 @@ class Expression:
         return compiled
 
     def __call__(self, **variables: Array | float) -> Array:
-        """Return the values, of the shape that the variables broadcast to."""
+        """Return the values, in the shape to which the variables broadcast."""
         shape = np.broadcast_shapes(*(np.shape(value) for value in variables.values()))
-        given = [np.atleast_1d(variables[name]).astype(float) for name in sorted(self.depends_on)]
+        inputs = [np.atleast_1d(variables[name]).astype(float) for name in sorted(self.depends_on)]
         with np.errstate(all="ignore"):
-            value = self.compiled(*given)
+            value = self.compiled(*inputs)
         values = np.asarray(value, dtype=np.float64)
         return np.broadcast_to(values, shape) if shape else values.reshape(())
 
     def degree_in(self, names: Collection[str]) -> float:
-        """Return the degree of the polynomial of some names that this is, infinite for no such.
+        """Return the degree as a polynomial in some names, infinite if it is not a polynomial.
 
-        A degree of one or zero is affine in them; zero does not depend on them.
+        Degree one means affine in these names, and degree zero independent of them.
         """
         return _degree(self._tree.body, names)
 
     def separated(self, variable: str) -> tuple[Expression, Expression]:
-        """Return a factor without and one with nothing but a variable, whose product it is.
+        """Split the expression into a factor without a variable and one with this variable alone.
 
-        Raises ValueError when it is no such product.
+        Raises ValueError when it is not a product of two such factors.
         """
         without: list[str] = []
         alone: list[str] = []
@@ -132,7 +132,7 @@ def _degree(node: ast.AST, names: Collection[str]) -> float:
 
 
 def _factors(node: ast.expr, inverse: bool = False) -> Iterator[tuple[ast.expr, bool]]:
-    """Yield the factors of a product, and whether each is divided by."""
+    """Yield the factors of a product, each with whether it is a divisor."""
     if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult | ast.Div):
         yield from _factors(node.left, inverse)
         yield from _factors(node.right, inverse != isinstance(node.op, ast.Div))
@@ -144,7 +144,7 @@ def _factors(node: ast.expr, inverse: bool = False) -> Iterator[tuple[ast.expr, 
 
 
 class _Plain(ast.NodeTransformer):
-    """Writes constants as numbers, and all numbers as floats: `9**9**9` is no work then."""
+    """Replaces constants by numbers, and all numbers by floats, so that `9**9**9` overflows."""
 
     def __init__(self, constants: Mapping[str, float]) -> None:
         self._constants = constants
@@ -158,7 +158,7 @@ class _Plain(ast.NodeTransformer):
 
 
 def _parsed(text: str) -> ast.Expression:
-    """Return the tree of a text, which has few enough levels to walk it recursively."""
+    """Return the syntax tree of a text, with at most MAX_DEPTH levels, safe for recursion."""
     try:
         tree = ast.parse(text.strip(), mode="eval")
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
@@ -167,7 +167,7 @@ def _parsed(text: str) -> ast.Expression:
     for _ in range(MAX_DEPTH):
         level = [part for node in level for part in ast.iter_child_nodes(node)]
     if level:
-        raise ValueError(f"an expression may be {MAX_DEPTH} levels deep at most")
+        raise ValueError(f"an expression may have at most {MAX_DEPTH} nested levels")
     return tree
 
 
@@ -180,9 +180,9 @@ def _short(node: ast.expr) -> str:
 
 
 def _check(whole: ast.expr, known: tuple[str, ...]) -> None:
-    """Raise ValueError unless an expression holds numbers, known names and functions only."""
+    """Raise ValueError unless an expression has only numbers, known names and functions."""
     parts = [whole]
-    for node in parts:  # grows while it is walked
+    for node in parts:  # the list grows during the loop
         if isinstance(node, ast.Call) and not node.keywords:
             parts += _arguments(node)
         elif isinstance(node, ast.BinOp) and isinstance(node.op, _OPERATORS):
@@ -191,7 +191,7 @@ def _check(whole: ast.expr, known: tuple[str, ...]) -> None:
             parts.append(node.operand)
         elif isinstance(node, ast.Name):
             if node.id not in known:
-                raise ValueError(f"{_short(node)} is no known name; these are: {', '.join(known)}")
+                raise ValueError(f"{_short(node)} is not a known name; use {', '.join(known)}")
         elif not (isinstance(node, ast.Constant) and type(node.value) in (int, float)):
             raise ValueError(
                 f"'{_short(node)}' is not allowed: use numbers, + - * / **, {', '.join(known)} and "
@@ -202,11 +202,11 @@ def _check(whole: ast.expr, known: tuple[str, ...]) -> None:
 
 
 def _arguments(node: ast.Call) -> list[ast.expr]:
-    """Return the arguments of a call, a condition's both sides in its place."""
+    """Return the arguments of a call; a condition is replaced by its two sides."""
     name = node.func.id if isinstance(node.func, ast.Name) else _short(node.func)
     if name not in FUNCTIONS:
         known = ", ".join(FUNCTIONS)
-        raise ValueError(f"{_short(node.func)} is no known function; these are: {known}")
+        raise ValueError(f"{_short(node.func)} is not a known function; use {known}")
     if len(node.args) != FUNCTIONS[name]:
         raise ValueError(f"{name} takes {FUNCTIONS[name]} arguments; got {len(node.args)}")
     if name != "where":
@@ -214,5 +214,5 @@ def _arguments(node: ast.Call) -> list[ast.expr]:
     condition, *others = node.args
     one = isinstance(condition, ast.Compare) and len(condition.ops) == 1
     if not one or not isinstance(condition.ops[0], _COMPARISONS):  # type: ignore[attr-defined]
-        raise ValueError("where takes a comparison first, such as where(y > 1, u, 0)")
+        raise ValueError("where needs a comparison first, such as where(y > 1, u, 0)")
     return [condition.left, *condition.comparators, *others]  # type: ignore[attr-defined]

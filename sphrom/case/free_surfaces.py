@@ -1,4 +1,4 @@
-"""Fluid with a free surface: where it is at rest, and the accelerations that act on it."""
+"""Fluid with a free surface: its shape at rest, and the accelerations that act on it."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from sphrom.sph.domain import Domain
 def surface_defaults(slip_along_axes: bool) -> dict[str, Any]:
     """Return defaults of other sections for scenes with a free surface.
 
-    A lattice under pressure resists shear like a solid, by as much as the kernel's sums are off
-    when it is strained: at h = 2 dx waves are 0.6 % too fast. Only the viscous forces along pairs
-    are consistent at the surface (Colagrossi et al., Phys. Rev. E 84, 2011). Walls that return the
-    flux into them turn fluid that slides past their ghosts into noise; others need a damper, which
-    is weak because sums over a cut support see a divergence at the surface.
+    A lattice under pressure resists shear like a solid, because the kernel's sums are inexact on a
+    strained lattice: at h = 2 dx waves are 0.6 % too fast. Only viscous forces along pairs are
+    consistent at the surface (Colagrossi et al., Phys. Rev. E 84, 2011). Walls that return the flux
+    into them turn fluid that slides past their ghosts into noise. Other walls need a damper; it is
+    weak, because sums over an incomplete support have a divergence at the surface.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def surface_defaults(slip_along_axes: bool) -> dict[str, Any]:
 
 
 SHAPES = "level", "circle", "rectangle", "polygon"
-"""The keys that say where the fluid is, of which a case has one."""
+"""The keys for the shape of the fluid; a case has exactly one."""
 
 
 class SurfaceFluidSection(Section):
@@ -58,7 +58,7 @@ class SurfaceFluidSection(Section):
     circle: CircleSection | None = key(None, "a circle that fluid fills")
     rectangle: RectangleSection | None = key(None, "a rectangle along the axes that fluid fills")
     polygon: Annotated[tuple[Place, ...], Field(min_length=3)] | None = key(
-        None, "corners of a polygon that fluid fills, in their order", unit="m"
+        None, "corners of a polygon that fluid fills, in order", unit="m"
     )
     gravity: Duration = key(9.81, "acceleration along -y", unit="m/s2")
 
@@ -68,16 +68,16 @@ class SurfaceFluidSection(Section):
         return self
 
     def geometry(self) -> BaseGeometry:
-        """Return the polygon of a shape [m]. Raises ValueError where it is none."""
+        """Return the polygon of a shape [m]. Raises ValueError if it is not a polygon."""
         kind = only_one(self, SHAPES)
         return ShapeSection.model_validate({kind: getattr(self, kind)}).geometry()
 
     def fill(self, domain: Domain, particle_spacing: float, level: float) -> Array:
-        """Return the points (n_particles, 2) [m] of the domain's lattice that fluid is at.
+        """Return the points (n_particles, 2) [m] of the domain's lattice in the fluid.
 
         Parameters
         ----------
-        level : of the surface at rest [m]; not used for a shape.
+        level : height of the surface at rest [m]; not used for a shape.
         """
         points = domain.fill(particle_spacing)
         if self.level is not None:
@@ -87,7 +87,7 @@ class SurfaceFluidSection(Section):
 
 @dataclass(frozen=True)
 class SurfaceForce(BodyForce):
-    """Gravity and a body force whose components change with time in their own ways.
+    """Gravity and a body force whose components may change differently with time.
 
     `field` is its value at the start, and `amplitude` is one.
     """
@@ -95,13 +95,13 @@ class SurfaceForce(BodyForce):
     parts: tuple[Expression, ...] = ()
     """Components of the body force, in x, y and t."""
     gravity: float = 0.0
-    """Along -y [m/s2]."""
+    """Acceleration along -y [m/s2]."""
 
     @classmethod
     def of(cls, parts: tuple[Expression, ...], gravity: float) -> SurfaceForce:
-        """Return the acceleration of a body force's components and of gravity [m/s2]."""
-        found = cls(lambda at: found(at, 0.0), lambda time: 1.0, None, True, parts, gravity)
-        return found
+        """Return the acceleration by the components of a body force and by gravity [m/s2]."""
+        force = cls(lambda at: force(at, 0.0), lambda time: 1.0, None, True, parts, gravity)
+        return force
 
     @property
     def varies_in_space(self) -> bool:
@@ -109,9 +109,9 @@ class SurfaceForce(BodyForce):
         return any(part.depends_on & {"x", "y"} for part in self.parts)
 
     def uniform(self, times: Array) -> Array:
-        """Return a body force that is the same everywhere (2, n_times) [m/s2], without gravity."""
-        found = [part(x=0.0, y=0.0, t=times) for part in self.parts]
-        return np.stack([np.broadcast_to(one, times.shape) for one in found])
+        """Return a uniform body force at times (2, n_times) [m/s2], without gravity."""
+        values = [part(x=0.0, y=0.0, t=times) for part in self.parts]
+        return np.stack([np.broadcast_to(one, times.shape) for one in values])
 
     def __call__(self, position: Array, time: float) -> Array:
         """Return the acceleration (2, n_particles) [m/s2]."""
@@ -125,11 +125,11 @@ class SurfaceForce(BodyForce):
 def hydrostatic(
     start: Callable[[Array], Array], level: float, weight: float
 ) -> Callable[[Array], Array]:
-    """Return a start whose pressure has that of fluid at rest below a level [m] added to it.
+    """Return initial conditions with the hydrostatic pressure below a level [m] added.
 
     Parameters
     ----------
-    start : from positions (n_points, 2) [m], velocity and pressure (n_points, 3).
+    start : returns velocity and pressure (n_points, 3) at positions (n_points, 2) [m].
     weight : density times gravity [N/m3].
     """
 

@@ -1,4 +1,4 @@
-"""The sections of a case file that say how its full model is discretised and run."""
+"""The sections of a case file for the discretisation and the run of its full model."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from sphrom.text import exact
 
 
 class FluidSection(Section):
-    """The fluid, and the scales that make it weakly compressible."""
+    """The fluid, and the scales of its weak compressibility."""
 
     reference_density: Positive = key(1000.0, "density at zero pressure", unit="kg/m3")
     reference_speed: Positive = key(1.0, "largest speed of the flow, U_max", unit="m/s")
     mach_number: Number = key(
         0.1,
-        "U_max over the speed of sound, which it decides, unless the body force or friction asks "
-        "for a higher one; up to 0.3 a flow is weakly compressible",
+        "U_max over the speed of sound; a large body force or friction raises the speed of sound "
+        "above this ratio. A flow is weakly compressible up to 0.3",
         unit="-",
         ge=1e-3,
         le=0.3,
@@ -26,54 +26,56 @@ class FluidSection(Section):
 
 
 class PackingSection(Section):
-    """How particles are packed before the run."""
+    """The packing of particles before the run."""
 
     seed: Whole = key(0, "seed of the random start", ge=0, le=2**32 - 1)
-    tolerance: Number = key(1e-3, "unevenness at which packing is done", unit="-", ge=1e-12, le=1.0)
+    tolerance: Number = key(
+        1e-3, "unevenness of particles at which packing stops", unit="-", ge=1e-12, le=1.0
+    )
 
 
 class ShiftingSection(Section):
     """Particle shifting inside the equations (Eq. 2.13-2.14)."""
 
-    enabled: Flag = key(True, "whether particles are shifted at all")
+    enabled: Flag = key(True, "whether to shift particles")
     amplitude: Number = key(
-        1.0, "chi of Eq. 2.14; the paper's 0.2 leaves more noise", unit="-", ge=0.0, le=10.0
+        1.0, "chi of Eq. 2.14; the paper uses 0.2, with more noise", unit="-", ge=0.0, le=10.0
     )
     form: Literal["sun", "paper"] = key(
-        "sun", "the bracket of Eq. 2.14, with xi = 4: after Sun et al. 2017, or as printed"
+        "sun", "bracket of Eq. 2.14, with xi = 4: as in Sun et al. 2017, or as printed"
     )
     transport: Literal["advective", "paper"] = key(
         "advective",
-        "what shifting carries in Eq. 2.6-2.7: differences from neighbours, by a particle's own "
+        "advection by shifting in Eq. 2.6-2.7: differences to neighbours with a particle's own "
         "shifting velocity, or the terms as printed",
     )
 
 
 class WallSection(Section):
-    """How the ghost particles of walls take their fields from the fluid (Eq. 2.15-2.16)."""
+    """The fields of the ghost particles of walls (Eq. 2.15-2.16)."""
 
     no_slip: Literal["linear", "whole", "paper"] = key(
         "linear",
-        "ghosts' velocity: extrapolated from each particle through the wall (Morris et al. 1997), "
-        "or of the interpolated velocity u 2 U_wall - u as a whole vector (Adami et al. 2012), or "
-        "the tangential part of u turned round, as printed",
+        "velocity of ghosts: linear, extrapolated from each particle through the wall (Morris et "
+        "al. 1997); whole, 2 U_wall - u of the interpolated velocity u (Adami et al. 2012); paper, "
+        "u with its tangential part reversed, as printed",
     )
     continuity: Literal["adjoint", "normal", "paper"] = key(
         "adjoint",
-        "walls in continuity: minus the transpose of their pressure force, or ghosts' velocities "
-        "across the wall only, or those as if ghosts were fluid",
+        "walls in continuity: adjoint, minus the transpose of their pressure force; normal, the "
+        "normal part of ghosts' velocities only; paper, ghosts count like fluid",
     )
     layers: Annotated[Whole, Field(ge=1, le=32)] | None = key(
-        None, "layers of ghosts; null takes as many as the kernel reaches"
+        None, "layers of ghosts; null means as many as the kernel reaches"
     )
 
 
 class DiscretizationSection(Section):
-    """How the fluid is cut into particles."""
+    """The discretisation of the fluid into particles."""
 
     resolution: Whole = key(
         100,
-        "particles along the scene's length, of the open cavity its channel's",
+        "particles along the scene's length, for the open cavity the length of the channel",
         ge=8,
         le=100_000,
     )
@@ -85,43 +87,43 @@ class DiscretizationSection(Section):
     )
     acoustic_damping: Number = key(
         1.0,
-        "alpha of the acoustic damper, a bulk viscosity of alpha h c0 (Sun et al. 2023); 0 for "
-        "none, as in the paper",
+        "alpha of the acoustic damper, a bulk viscosity of alpha h c0 (Sun et al. 2023); the paper "
+        "has none, 0",
         unit="-",
         ge=0.0,
         le=10.0,
     )
     viscosity: Literal["laplacian", "paper"] = key(
-        "laplacian", "viscous operator: the velocity's Laplacian, or Eq. 2.12 as printed"
+        "laplacian", "viscous operator: the Laplacian of the velocity, or Eq. 2.12 as printed"
     )
     initial_particles: Literal["auto", "packed", "lattice"] = key(
         "auto",
-        "where particles start: packed, or on a lattice, which breaks up noisily, but fits walls "
-        "along the axes; auto takes the lattice for these alone",
+        "initial positions: packed, or on a lattice, which fits walls along the axes but breaks up "
+        "with noise; auto means lattice in scenes with walls along the axes only, else packed",
     )
-    packing: PackingSection = key(PackingSection(), "how particles are packed before the run")
+    packing: PackingSection = key(PackingSection(), "packing of particles before the run")
     fixed_volume: Flag = key(
-        True, "whether the mean of continuity is taken out, so that volumes keep filling the domain"
+        True, "whether to subtract the mean of continuity, so that the total volume is conserved"
     )
     shifting: ShiftingSection = key(ShiftingSection(), "particle shifting (Eq. 2.13-2.14)")
     walls: WallSection = key(WallSection(), "ghost particles, where the scene has walls")
 
 
 class TimeSection(Section):
-    """How long, and in which steps, the full model runs."""
+    """The duration and the time step of full runs."""
 
     spin_up: Duration = key(
-        0.0, "time before which nothing is recorded, while the flow develops", unit="s"
+        0.0, "time at which recording starts, after the flow has developed", unit="s"
     )
-    final_time: Positive = key(1.0, "time at which every run ends", unit="s")
+    final_time: Positive = key(1.0, "time at which runs end", unit="s")
     step: Positive | Literal["auto"] = key(
-        "auto", "time step; auto takes it from the Courant number and the other limits", unit="s"
+        "auto", "time step; auto derives it from the Courant number and the other limits", unit="s"
     )
     # Up to the limit, errors against exact and independent solutions hardly depend on it.
     courant_number: Number = key(
         1.2,
-        "c0 dt / h of the automatic step, 1.5 at most (Eq. 2.19); it takes the same share of the "
-        "other limits",
+        "c0 dt / h of the automatic step, at most 1.5 (Eq. 2.19); the step uses the same share of "
+        "the other limits",
         unit="-",
         ge=1e-6,
         le=1.5,
@@ -136,6 +138,6 @@ class TimeSection(Section):
 
 
 class SnapshotSection(Section):
-    """Which instants are kept."""
+    """The snapshots to store."""
 
-    every: Whole = key(10, "steps from one snapshot to the next", ge=1, le=1_000_000_000)
+    every: Whole = key(10, "number of steps between snapshots", ge=1, le=1_000_000_000)

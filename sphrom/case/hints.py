@@ -1,4 +1,4 @@
-"""Warnings of a valid case, which nothing refuses."""
+"""Warnings about a valid case."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from sphrom.case.studies import Region, sweep_model, sweep_points
 from sphrom.sph.fluid import ROUNDING
 
 SNAPSHOTS_PER_MODE = 2
-"""Fewer snapshots are few for so many modes."""
+"""Least number of snapshots per mode without a warning."""
 LEAST_STRIP = 20.0
-"""Least width of a strip, over the spacing: its rate falls within two spacings then."""
+"""Least width of a strip, over the spacing; its rate then falls within two spacings."""
 
 
 def case_warnings(case: Case) -> list[str]:
-    """Return what a user should know about a valid case."""
+    """Return the warnings about a valid case."""
     return [
         *(f"scene.{key}: {reason}" for key, reason in case.scene.warnings()),
         *(f"time.step: {reason}" for reason in beyond_limits(case)),
@@ -35,16 +35,16 @@ def _of_strip(case: Case) -> Iterator[str]:
     if strip is not None and (width := strip.end - strip.start) < least * (1.0 - ROUNDING):
         resolution = math.ceil(case.discretization.resolution * least / width)
         yield (
-            f"scene.inflow.strip: is {width:.3g} m wide, and its forcing is too steep for the "
-            f"particles; {least:.3g} m or discretization.resolution: {resolution} would do"
+            f"scene.inflow.strip: is {width:.3g} m wide, so its forcing is too steep for the "
+            f"particles; use {least:.3g} m, or discretization.resolution: {resolution}"
         )
 
 
 def _extrapolations(case: Case, key: str, points: Iterable[ParameterPoint]) -> Iterator[str]:
-    # In its region `train` chooses what is learnt from.
-    known = Region(case).contains if case.training.ranges else case.plan.train_points.__contains__
-    found = (extrapolation(case, point) for point in points if not known(point))
-    yield from (f"{key}: {warning}" for warning in found if warning)
+    # Within its region, `train` chooses the training runs.
+    trained = Region(case).contains if case.training.ranges else case.plan.train_points.__contains__
+    reasons = (extrapolation(case, point) for point in points if not trained(point))
+    yield from (f"{key}: {reason}" for reason in reasons if reason)
 
 
 def _of_models(case: Case) -> Iterator[str]:
@@ -57,18 +57,18 @@ def _of_models(case: Case) -> Iterator[str]:
         for point in unseen:
             if (start := case.plan.start_point(point)) != point:
                 yield (
-                    f"rom.{i}.parameters: {point.label} has no spin-up: its run starts from the "
-                    f"end of that at {start.label}, the nearest trained"
+                    f"rom.{i}.parameters: {point.label} has no spin-up of its own, so its run "
+                    f"starts from the spin-up of the nearest training run, {start.label}"
                 )
 
 
 def beyond_training(trained_until: float) -> str:
-    """Return a warning for a run that goes on after the trained time [s]."""
+    """Return a warning for a run that continues after the trained time [s]."""
     return f"after {trained_until:g} s the run is beyond the trained time"
 
 
 def extrapolation(case: Case, point: ParameterPoint) -> str | None:
-    """Return a warning where a point is outside of the trained range, else None."""
+    """Return a warning if a point is outside of the trained range, else None."""
     beyond = outside(point, case.plan.train_points)
     if not beyond:
         return None
@@ -81,8 +81,8 @@ def _of_numerics(case: Case) -> Iterator[str]:
     plan, steps, psi = case.plan, case.plan.steps, case.psi
     if plan.reference_bases and case.basis.inner_product == "raw":
         yield (
-            "basis.inner_product: in the raw product operators on the reference points let sound "
-            "grow; in the acoustic one they can't"
+            "basis.inner_product: with the raw product, sound may grow in models on the reference "
+            "points; with the acoustic product it can't"
         )
     if steps.n_steps % steps.every:
         last = f"the last snapshot is at {steps.end_time:g} s"
@@ -90,38 +90,38 @@ def _of_numerics(case: Case) -> Iterator[str]:
     least = (psi.order - 1) // 2 if psi.order % 2 else psi.order // 2
     if psi.polynomial_degree < least and not plan.lattice_splines:
         yield (
-            f"psi.polynomial_degree: splines of order {psi.order} are sure to exist from degree "
-            f"{least} on; got {psi.polynomial_degree}"
+            f"psi.polynomial_degree: splines of order {psi.order} need degree {least} or more to "
+            f"exist for all points; got {psi.polynomial_degree}"
         )
 
 
 def few_snapshots(case: Case) -> Iterator[str]:
-    """Warn where a basis keeps most of what its snapshots hold: the last modes are their noise."""
-    how = "with a lower snapshots.every" if case.plan.steps.every > 1 else "of more training runs"
+    """Yield warnings of bases with few snapshots per mode, whose last modes fit noise."""
+    how = "with a lower snapshots.every" if case.plan.steps.every > 1 else "with more training runs"
     needed = max((model.size for model in case.rom if model.n_modes != AUTO), default=0)
     for name in dict.fromkeys(name for m in case.rom for name in case.plan.bases_for(m)):
         number = case.plan.n_basis_snapshots(name)
         if number < SNAPSHOTS_PER_MODE * needed:
             yield (
-                f"snapshots.every: {needed} modes from {number} snapshots (basis {name}): the last "
-                f"modes fit what is particular to these snapshots; keep {SNAPSHOTS_PER_MODE} a "
-                f"mode or more, {how}, or ask for fewer modes"
+                f"snapshots.every: basis {name} has {needed} modes from {number} snapshots, so its "
+                f"last modes fit noise; store at least {SNAPSHOTS_PER_MODE} snapshots per mode "
+                f"{how}, or use fewer modes"
             )
 
 
 def slow_sweep(case: Case) -> str | None:
-    """Return a warning where a sweep makes full runs because the case has no faster model."""
+    """Return a warning if a sweep makes full runs because the case has no faster model."""
     if case.sweep.model is not None or sweep_model(case) is not None:
         return None
     return (
-        "sweep.model: no model of the case is on the reference points, so that every run of the "
-        "sweep is a full one; add {name: fast, evaluation: operators} to rom for runs of "
-        "milliseconds, or say model: full"
+        "sweep.model: the case has no model on the reference points, so all runs of the sweep are "
+        "full runs; add {name: fast, evaluation: operators} to rom for runs of milliseconds, or "
+        "set sweep.model: full"
     )
 
 
 def sweep_beyond_training(case: Case) -> str | None:
-    """Return how many points of a reduced sweep lie outside of the trained range, in words."""
+    """Return a warning with the number of points of a reduced sweep beyond the trained range."""
     model, points = sweep_model(case), sweep_points(case)
     beyond = [point for point in points if outside(point, case.plan.train_points)]
     if model is None or not beyond:

@@ -1,4 +1,4 @@
-"""The start of a run from a CSV file: velocity and pressure at scattered points."""
+"""Initial conditions from a CSV file with velocity and pressure at scattered points."""
 
 from __future__ import annotations
 
@@ -16,38 +16,38 @@ from sphrom.text import shortened, visible
 from sphrom.whole_files import read_whole
 
 COLUMNS = ("x", "y", "u", "v", "p")
-"""Of these the last may lack."""
+"""The columns of a file; the last is optional."""
 MOST_BYTES = 16 * 1024 * 1024
-"""The largest file that is read."""
+"""Largest size of a file [bytes]."""
 MOST_POINTS = 200_000
-"""Triangulating them takes seconds."""
+"""Largest number of points, whose triangulation takes seconds."""
 
 
-_KNOWN: dict[str, Callable[[Array], Array]] = {}
-"""Fields of files that were read, by their digests: copies of a case know no folder."""
+_FIELDS: dict[str, Callable[[Array], Array]] = {}
+"""A cache of fields by the digests of their files, because copies of a case have no folder."""
 
 
 def start_fields(name: str, digest: str, position: Array) -> Array:
-    """Return u, v [m/s] and p [Pa] (n_points, 3) of a file that has a digest.
+    """Return u, v [m/s] and p [Pa] (n_points, 3) from the file with a digest.
 
-    Raises CaseError without it.
+    Raises CaseError when the file is missing or has changed.
     """
     try:
-        if digest not in _KNOWN and read_start(Path(name)) != digest:
+        if digest not in _FIELDS and read_start(Path(name)) != digest:
             raise ValueError(f"{visible(name)} has changed since the case was read")
-        return _KNOWN[digest](position)
+        return _FIELDS[digest](position)
     except ValueError as error:
         raise CaseError(f"scene.initial.file: {error}") from error
 
 
 def read_start(path: Path) -> str:
-    """Read u, v [m/s] and p [Pa] at points, keep them, and return the SHA-256 of their file.
+    """Read u, v [m/s] and p [Pa] at points, cache them, and return the SHA-256 of their file.
 
-    Fields are linear between the points, and beyond them those of the nearest point.
+    Fields are linear between the points. Outside, they have the values of the nearest point.
 
-    Raises ValueError where the file can't be read, or holds no such fields.
+    Raises ValueError where the file can't be read, or is not such a table.
     """
-    # Few cases start from files.
+    # Imported late, because few cases start from files.
     from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
     from scipy.spatial import QhullError
 
@@ -60,7 +60,7 @@ def read_start(path: Path) -> str:
     except OSError as error:
         raise ValueError(f"{visible(str(path))}: can't be read: {error.strerror}") from error
     except QhullError as error:
-        raise ValueError(f"{name}: all its points lie on a line") from error
+        raise ValueError(f"{name}: all points lie on one line") from error
     except (csv.Error, ValueError) as error:
         raise ValueError(f"{name}: {shortened(str(error))}") from error
 
@@ -71,7 +71,7 @@ def read_start(path: Path) -> str:
         return values
 
     digest = hashlib.sha256(content).hexdigest()
-    _KNOWN[digest] = fields
+    _FIELDS[digest] = fields
     return digest
 
 
@@ -86,7 +86,7 @@ def _points(text: str) -> Array:
     columns = [names.index(name) for name in COLUMNS if name in names]
     values = np.loadtxt(rows, delimiter=",", usecols=columns, ndmin=2, skiprows=1, comments=None)
     values = np.pad(values, ((0, 0), (0, 5 - len(columns))))
-    if not np.all(np.abs(values) <= LARGEST):  # NaN isn't either
+    if not np.all(np.abs(values) <= LARGEST):  # also refuses NaN
         raise ValueError(f"values must be numbers up to {LARGEST:g}")
     if len(np.unique(values[:, :2], axis=0)) < len(values):
         raise ValueError("a point appears twice")

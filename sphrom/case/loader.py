@@ -27,10 +27,10 @@ from sphrom.text import nearest, quoted
 from sphrom.whole_files import read_whole
 
 MAX_BYTES = 256 * 1024
-"""The largest case file that is read."""
+"""Largest size of a case file [bytes]."""
 OVERRIDE = "--set"
 CONTENT = "case"
-"""The name of a case without a file in messages."""
+"""The name of a case without a file, in messages."""
 _REYNOLDS, _OTHER = TypeAdapter[float](Positive), TypeAdapter[float](Coordinate)
 
 
@@ -39,22 +39,22 @@ def load_case(
     overrides: Sequence[str] | Mapping[str, Any] = (),
     force: bool = False,
 ) -> Case:
-    """Load and check a case file, or a case's content.
+    """Load and check a case file, or the content of one.
 
     Parameters
     ----------
-    overrides : keys to change, each `path.to.key=value`, or values by key as `key_named` knows
-        them; checked like those of the file.
-    force : insist on a time step beyond its limits.
+    overrides : changed keys, as texts `path.to.key=value`, or as values by a name that `key_named`
+        accepts; they are checked like those of the file.
+    force : accept a time step above its limits.
 
-    Raises CaseError with one line for each problem: file, line, key, and what is allowed.
+    Raises CaseError with one line per problem: file, line, key, and the allowed values.
     """
-    name, document, changed = _given(source, overrides)
+    name, document, changed = _content(source, overrides)
     try:
         case = Case.model_validate(document.value, context={"folder": FilePath(name).parent})
         problems = case_problems(case, force=force)
-        given = document.value.get("parameters") or {}
-        if not problems and case.training.ranges and "train" not in given:
+        parameters = document.value.get("parameters") or {}
+        if not problems and case.training.ranges and "train" not in parameters:
             case = trained_at(case, Region(case).starts(()))
             problems = case_problems(case, force=force)
     except ValidationError as error:
@@ -62,32 +62,32 @@ def load_case(
     if problems:
         cause = ""
         if changed:
-            with suppress(CaseError):  # what is wrong without the changes isn't their fault
+            with suppress(CaseError):  # problems of the unchanged case are not due to the changes
                 load_case(source, (), force)
                 cause = f"because of {OVERRIDE} {', '.join(map(show_path, changed))}: "
         raise _error(name, document, problems, changed, cause)
     if "rom" in case.model_fields_set:
         return case
-    # The model of a case that lists none has no more modes than there are snapshots.
+    # The default model has at most as many modes as there are snapshots.
     (model,) = case.rom
     most = min(model.size, case.basis.n_modes or model.size, case.plan.n_basis_snapshots(ALL))
     return case.model_copy(update={"rom": (model.model_copy(update={"n_modes": most}),)})
 
 
 def given_keys(source: FilePath, overrides: Sequence[str], folder: FilePath) -> dict[str, Any]:
-    """Return the keys that a case file gives, some changed, unchecked, for a file in a folder.
+    """Return the unchecked keys of a case file, with overrides, for a case file in `folder`.
 
-    Raises CaseError.
+    Raises CaseError when the file can't be read.
     """
-    return dict(moved(_given(source, overrides)[1].value, source.parent, folder))
+    return dict(moved(_content(source, overrides)[1].value, source.parent, folder))
 
 
 def case_of_text(text: str, folder: str | os.PathLike[str] | None = None) -> Case:
-    """Return the case whose resolved text was written by this program.
+    """Return the case of a resolved text that this program has written.
 
-    Files that it names are read from a folder; without one it starts no run.
+    Files that the case names are read from `folder`. Without a folder, the case can't start runs.
 
-    Raises CaseError when such a file is gone, or is another one by now.
+    Raises CaseError when such a file is missing or has changed.
     """
     data = read_yaml(text).value
     try:
@@ -96,10 +96,10 @@ def case_of_text(text: str, folder: str | os.PathLike[str] | None = None) -> Cas
         raise _error(CONTENT, Document(data), problems_of(error, data)) from error
 
 
-def _given(
+def _content(
     source: str | os.PathLike[str] | Mapping[str, Any], overrides: Sequence[str] | Mapping[str, Any]
 ) -> tuple[str, Document, list[Path]]:
-    """Return a case's name in messages, its content with keys changed, and the paths of these."""
+    """Return a case's name for messages, its content with overrides, and the changed paths."""
     if isinstance(source, Mapping):
         name, document = CONTENT, Document(plain_values(source, CONTENT))
     else:
@@ -113,14 +113,14 @@ def _given(
 
 
 def _read(path: FilePath) -> Document:
-    """Return what a case file holds, which is a mapping. Raises CaseError."""
+    """Return the content of a case file. Raises CaseError unless it is a mapping."""
     if path.is_dir():
         raise CaseError(f"{path}: is a directory, not a case file")
     try:
         content = read_whole(path, MAX_BYTES)
     except FileNotFoundError as error:
         raise CaseError(f"{path}: there is no such case file") from error
-    except (OSError, ValueError) as error:  # ValueError: too large, or a null character in its name
+    except (OSError, ValueError) as error:  # ValueError: too large, or a null character in the name
         raise CaseError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
     try:
         document = read_yaml(content.decode("utf-8-sig"))
@@ -136,7 +136,7 @@ def _read(path: FilePath) -> Document:
 
 
 def _override(data: dict[str, Any], override: str) -> Path:
-    """Change one key of the data as `path.to.key=value` says, and return its path."""
+    """Apply an override `path.to.key=value` to the data, and return the path of the key."""
     name, equals, text = override.partition("=")
     if not equals:
         raise CaseError(f"{OVERRIDE}: must be path.to.key=value; got {quoted(override)}")
@@ -163,7 +163,7 @@ def _assign(data: dict[str, Any], name: str, value: Any) -> Path:
 
 
 def _key_in(container: Any, segment: str, path: Path) -> str | int:
-    """Return the key or the place in a list that a segment names in what is at a path."""
+    """Return the key or list index that a segment names in the container at a path."""
     if isinstance(container, dict) and (container or not schema.is_list(path)):
         return segment
     if isinstance(container, list) and segment in map(str, range(len(container))):
@@ -171,7 +171,7 @@ def _key_in(container: Any, segment: str, path: Path) -> str | int:
     where = f"{OVERRIDE}: {show_path((*path, segment))}: {show_path(path)}"
     if isinstance(container, list):
         raise CaseError(f"{where} is a list of {len(container)}, counted from 0")
-    raise CaseError(f"{where} holds no keys; got {quoted(container)}")
+    raise CaseError(f"{where} has no keys; got {quoted(container)}")
 
 
 def _error(
@@ -196,11 +196,11 @@ def _line(name: str, document: Document, problem: Problem, changed: Sequence[Pat
 
 
 def plain_values(value: Any, where: str) -> Any:
-    """Return a copy of a value as YAML would give it: dicts, lists, texts, numbers.
+    """Return a copy of a value in the types of YAML: dicts, lists, texts, numbers.
 
-    Tuples, ranges, numpy's arrays and its numbers become lists and numbers.
+    Tuples, ranges, and numpy's arrays and numbers become lists and numbers.
 
-    Raises CaseError, naming the place, for anything else.
+    Raises CaseError, with the place `where`, for other types.
     """
     try:
         return json.loads(json.dumps(value, default=_plain))
@@ -219,30 +219,30 @@ def _plain(value: Any) -> Any:
 
 
 def key_named(data: Mapping[str, Any], name: str) -> str:
-    """Return the dotted key that a name stands for in a case with some data.
+    """Return the dotted key that a name means in a case with some data.
 
-    A dotted key stands for itself, and so does a key at the top, such as `name` or `rom`. Any other
-    name is the last segment of a key, and has to be that of one alone.
+    Dotted keys and keys at the top level, such as `rom`, mean themselves. Any other name is the
+    last segment of a dotted key, and must be unique.
 
-    Raises CaseError, naming the candidates, where there are several keys or none.
+    Raises CaseError, with the candidates, if several keys or none have this name.
     """
     if "." in name or name in schema.known_keys(()):
         return name
     paths = list(schema.key_paths(kind=kind_of(data)))
-    found = [show_path(path) for path in paths if path[-1] == name]
-    if not found:
+    keys = [show_path(path) for path in paths if path[-1] == name]
+    if not keys:
         hint = nearest(name, dict.fromkeys(str(path[-1]) for path in paths))
         raise CaseError(f"{quoted(name)}: the case has no such key; {hint}")
-    if len(found) > 1 or ".0." in found[0]:
-        remedy = f"name one, such as set={{'{found[0]}': ...}}"
-        raise CaseError(f"{quoted(name)}: may be {' or '.join(found)}; {remedy}")
-    return found[0]
+    if len(keys) > 1 or ".0." in keys[0]:
+        remedy = f"name one, such as set={{'{keys[0]}': ...}}"
+        raise CaseError(f"{quoted(name)}: may be {' or '.join(keys)}; {remedy}")
+    return keys[0]
 
 
 def parameter_point(case: Case, values: Mapping[str, Any]) -> ParameterPoint:
-    """Return the parameter point of values by name; others are the scene's own.
+    """Return the parameter point with values by name; missing ones are the scene's own.
 
-    Raises CaseError where one is unknown or out of range, or there is no Reynolds number.
+    Raises CaseError for unknown names, values out of range, and a missing Reynolds number.
     """
     names = case.plan.parameter_names
     for name in values:

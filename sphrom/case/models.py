@@ -1,7 +1,7 @@
-"""The case file as one frozen pydantic model, written in full, and as the inputs of stages.
+"""The case file as one frozen pydantic model, its resolved text, and the digests of its sections.
 
-A section checks its own keys; `sphrom.case.checks` has the rules between sections. Use
-`sphrom.case.loader.load_case` to have both. `sphrom.case.plan` is what follows from the keys.
+A section checks its own keys, and `sphrom.case.checks` has the rules between sections.
+`sphrom.case.loader.load_case` applies both. `sphrom.case.plan` has the derived quantities.
 """
 
 from __future__ import annotations
@@ -40,24 +40,24 @@ from sphrom.case.sweep_section import SweepSection
 from sphrom.case.yaml_reader import dump_yaml
 
 MOST_MODELS = 100
-"""Reduced models of one case; `trade` weighs others beside them."""
+"""Most reduced models of one case; `trade` may add others."""
 
 
 class Case(Section):
-    """A case of sphrom: one flow, its full runs, and the reduced models made from them."""
+    """A case of sphrom: one flow, its full runs, and its reduced models."""
 
-    name: SafeName = key(..., "what its folder under runs/ is called")
+    name: SafeName = key(..., "name of the case, and of its folder under runs/")
     scene: AnyScene = key(
         ..., "geometry with initial and boundary conditions", discriminator="kind"
     )
     fluid: FluidSection = key(FluidSection(), "the fluid")
     discretization: DiscretizationSection = key(
-        DiscretizationSection(), "how the fluid is cut into particles"
+        DiscretizationSection(), "discretisation of the fluid into particles"
     )
-    time: TimeSection = key(TimeSection(), "how long, and in which steps, the full model runs")
-    snapshots: SnapshotSection = key(SnapshotSection(), "which instants are kept")
+    time: TimeSection = key(TimeSection(), "duration and time step of full runs")
+    snapshots: SnapshotSection = key(SnapshotSection(), "snapshots to store")
     parameters: ParameterSection = key(
-        ParameterSection(), "values of the parameters to learn from and to predict"
+        ParameterSection(), "parameter values for training and for testing"
     )
     reference: ReferenceSection = key(
         ReferenceSection(), "points that snapshots are mapped onto (Eq. 3.13-3.15)"
@@ -65,7 +65,7 @@ class Case(Section):
     basis: BasisSection = key(BasisSection(), "the trial basis (Eq. 3.16)")
     psi: SplineSection = key(SplineSection(), "splines of the modes (Eq. 3.17-3.20)")
     operators: OperatorSection = key(
-        OperatorSection(), "the projected operators of models on the reference points"
+        OperatorSection(), "projected operators of models on the reference points"
     )
     rom: tuple[ReducedModelSection, ...] = key(
         (ReducedModelSection(name="fast", evaluation="operators"),),
@@ -73,131 +73,128 @@ class Case(Section):
         max_length=MOST_MODELS,
     )
     compare: CompareSection = key(
-        CompareSection(), "how reduced and full runs are compared (Eq. 4.1-4.3)"
+        CompareSection(), "comparison of reduced and full runs (Eq. 4.1-4.3)"
     )
     trade: TradeSection = key(
-        TradeSection(), "the models that `sphrom trade` weighs, speed against accuracy"
+        TradeSection(), "models whose speed and accuracy `sphrom trade` compares"
     )
     sweep: SweepSection = key(
-        SweepSection(), "the values at which `sphrom sweep` runs one model, one or thousands"
+        SweepSection(), "parameter values at which `sphrom sweep` runs one model"
     )
-    fit: FitSection = key(
-        FitSection(), "the parameters that `sphrom fit` looks for, given measurements"
-    )
+    fit: FitSection = key(FitSection(), "parameters that `sphrom fit` estimates from measurements")
     training: TrainingSection = key(
         TrainingSection(),
-        "the region of parameters that `sphrom train` makes a model for; every other key is a "
+        "region of parameters for which `sphrom train` makes a model; every other key is a "
         "parameter with its least and greatest value, such as reynolds: [50, 1000]",
     )
 
     @model_validator(mode="before")
     @classmethod
     def _with_defaults(cls, values: Any) -> Any:
-        """Put the defaults of the kind of scene where no value is given; null gives none."""
+        """Fill missing values, and null, with the defaults of the kind of scene."""
         if not isinstance(values, Mapping):
             return values
-        given = {name: value for name, value in values.items() if value is not None}
-        given.setdefault("scene", {})
-        if isinstance(given["scene"], Mapping) and given["scene"].get("fluid") is not None:
-            scene = given["scene"]
+        filled = {name: value for name, value in values.items() if value is not None}
+        filled.setdefault("scene", {})
+        if isinstance(filled["scene"], Mapping) and filled["scene"].get("fluid") is not None:
+            scene = filled["scene"]
             along_axes = scene.get("slip") == "free" and not scene.get("solids")
-            given = with_defaults(given, surface_defaults(along_axes))
-        return with_defaults(given, DEFAULTS.get(kind_of(values), {}))
+            filled = with_defaults(filled, surface_defaults(along_axes))
+        return with_defaults(filled, DEFAULTS.get(kind_of(values), {}))
 
     @model_validator(mode="after")
     def _with_folder(self, info: ValidationInfo) -> Case:
-        # A process may change its own folder, and another one has its own.
+        # The path is absolute, because the current folder may change and differs in workers.
         self.__dict__["folder"] = Path((info.context or {}).get("folder", Path())).absolute()
         return self
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Case:
-        """Return a copy with keys changed, and with a plan of its own."""
+        """Return a copy with changed keys, and with a plan of its own."""
         copied = super().model_copy(update=update, deep=deep)
-        for worked_out in ("plan", "text"):
-            copied.__dict__.pop(worked_out, None)
+        for cached in ("plan", "text"):
+            copied.__dict__.pop(cached, None)
         return copied
 
     @cached_property
     def folder(self) -> Path:
-        """The folder of the case's file, which files that it names are relative to."""
+        """The folder of the case file; files that it names are relative to this folder."""
         return Path().absolute()
 
     @cached_property
     def plan(self) -> Plan:
-        """What follows from the keys."""
+        """The quantities that follow from the keys."""
         return Plan(self)
 
     @cached_property
     def text(self) -> str:
-        """The case as `resolved_yaml` has it."""
+        """The case as resolved YAML."""
         return resolved_yaml(self)
 
 
 VERSIONS: Mapping[str, int] = {
     "compare": 2, "discretization": 2, "fluid": 2, "operators": 4, "psi": 2, "rom": 3, "trade": 2
 }  # fmt: skip
-"""Of sections in which a default has changed, or the meaning of a key: what was made before is then
-of another case. A key that is new needs none, as long as its default is what was done without it.
-"""
+"""Versions of sections, raised when a default or the meaning of a key changes: older artifacts then
+belong to another case. A new key needs none if its default keeps the earlier behaviour."""
 
 
 FILE = "file"
-"""The key that names a file; what the file held is in keys beside it, and it may lie anywhere."""
+"""The key that names a file. Keys beside it hold the file's content, so its place is irrelevant."""
 
 
 def resolved_yaml(case: Case, folder: Path | None = None) -> str:
-    """Return the case as YAML with every default filled in; it loads back to an equal case.
+    """Return the case as YAML with all defaults filled in; it loads back to an equal case.
 
-    With a folder, files that the case names are found from there.
+    With a folder, the paths of files are relative to it.
     """
     values = case.model_dump(mode="json")
     return dump_yaml(values if folder is None else moved(values, case.folder, folder))
 
 
 def moved(values: Any, source: Path, folder: Path | None) -> Any:
-    """Return keys of a case in the folder `source` for a case in another folder, None for any.
+    """Return the keys of a case in the folder `source` for a case in `folder`, None for any.
 
-    In a folder outlines are in their files alone: a case is smaller than they may be.
+    With a folder, outlines are left to their files, which may be larger than a case.
     """
     if isinstance(values, list):
         return [moved(one, source, folder) for one in values]
     if not isinstance(values, dict):
         return values
-    found = {name: moved(one, source, folder) for name, one in values.items()}
+    keys = {name: moved(one, source, folder) for name, one in values.items()}
     if isinstance(name := values.get(FILE), str):
-        # Links are followed, as `..` behind one leads elsewhere.
-        found[FILE] = os.path.realpath(source / name)
+        # Resolve links, because `..` after a link leads to the parent of its target.
+        keys[FILE] = os.path.realpath(source / name)
         if folder is not None:
-            found.pop("wkt", None)
-            found[FILE] = os.path.relpath(found[FILE], os.path.realpath(folder))
-    return found
+            keys.pop("wkt", None)
+            keys[FILE] = os.path.relpath(keys[FILE], os.path.realpath(folder))
+    return keys
 
 
 def section_inputs(case: Case, sections: Iterable[str]) -> dict[str, object]:
-    """Return what the given sections of a case say, by section: `stated`, and in which version."""
+    """Return the `stated` values of some sections of a case, and the versions of the sections."""
     names = set(sections)
-    found = {name: stated(getattr(case, name)) for name in names}
+    values = {name: stated(getattr(case, name)) for name in names}
     versions = {f"{name} version": VERSIONS[name] for name in names & VERSIONS.keys()}
-    # Defaults differ from scene to scene.
-    return {"scene": case.scene.kind if names else ""} | found | versions
+    # The kind of scene is part of it, because defaults depend on it.
+    return {"scene": case.scene.kind if names else ""} | values | versions
 
 
 def stated(value: object) -> object:
-    """Return what of a value isn't its section's default, as JSON has it.
+    """Return a value as JSON, without the keys of sections that have their default.
 
-    So a key that is new and not given makes no difference to what is older than it.
+    Therefore a new key with its default does not change the digests of older artifacts.
     """
     if isinstance(value, BaseModel):
         fields = type(value).model_fields.items()
         usual = {name: field.get_default(call_default_factory=True) for name, field in fields}
-        given = ((name, getattr(value, name)) for name in usual if name != FILE)
-        return {name: stated(one) for name, one in given if one != usual[name]}
+        values = ((name, getattr(value, name)) for name in usual if name != FILE)
+        return {name: stated(one) for name, one in values if one != usual[name]}
     if isinstance(value, Mapping):
         return {str(key): stated(one) for key, one in value.items()}
     return [stated(one) for one in value] if isinstance(value, tuple | list) else value
 
 
 def inputs_digest(inputs: Mapping[str, object]) -> str:
-    """Return a SHA-256 of what something is made from, by name."""
+    """Return the SHA-256 of named inputs."""
     canonical = json.dumps(inputs, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(canonical.encode()).hexdigest()

@@ -1,8 +1,8 @@
-"""The plan of a case: what follows from its keys, each part worked out once.
+"""The plan of a case, `case.plan`: the quantities that follow from its keys, each computed once.
 
-`case.plan` is a case's plan. Lengths, speeds and limits of time steps follow from the scene and the
-discretization; points, bases and reduced runs from the parameters. A part is worked out when it is
-first asked for, so that the checks of a case can use the parts that don't depend on a wrong key.
+Lengths, speeds and limits of time steps follow from the scene and the discretization; points, bases
+and reduced runs follow from the parameters. Each quantity is computed at its first use, so checks
+of a case can use those that do not depend on a wrong key.
 """
 
 from __future__ import annotations
@@ -35,31 +35,31 @@ if TYPE_CHECKING:
 MOST_TRIED = 12
 """The largest number of modes that `n_modes: auto` tries where the fluid has a free surface."""
 SURFACE_CHANGE = 0.01
-"""Largest change of the density by its own weight, where the fluid has a free surface."""
+"""Largest relative change of the density by the fluid's weight, if there is a free surface."""
 DENSITY_CHANGE = 0.03
-"""Largest change of the density, over its own, by the body force or by friction at walls."""
+"""Largest relative change of the density by the body force or by friction at walls."""
 CORNER_PRESSURE = 2.5
-"""The largest at a distance r from where a wall slides off another, over mu U / r (Taylor 1962)."""
+"""Largest pressure over mu U / r, at a distance r from where walls slide apart (Taylor 1962)."""
 BEYOND = 1e-6
-"""How far beyond walls their velocity is asked for, over the spacing."""
+"""Distance beyond walls at which their velocity is evaluated, over the spacing."""
 MLS_SMOOTHING_LENGTH_RATIO = 2.0
-"""Smoothing length of moving least squares over the spacing: they need no wider support."""
+"""Smoothing length of moving least squares over the spacing; they need no wider support."""
 MODES_WITHOUT_ROM = 10
-"""Modes to keep when no reduced model asks for any."""
+"""Number of modes to keep without reduced models."""
 MOST_CHOSEN = 20
-"""Modes to keep when a reduced model asks for as many as are best."""
+"""Number of modes to keep when a reduced model chooses its number."""
 MAX_STEPS = 1e9
-"""Steps of one run beyond which a case is a slip of the pen."""
+"""Number of steps of one run beyond which a case is taken for a typing error."""
 WHOLE_STEPS_TOLERANCE = 1e-6
-"""How far, relatively, a duration may be from a whole number of steps."""
+"""Relative tolerance for a duration to be a whole number of steps."""
 LARGEST_DENOMINATOR = 1000
-"""Of the spin-up over the recorded time, so that one automatic step fits both."""
+"""Largest denominator of spin-up over recorded time, so that one automatic step fits both."""
 MOST_ESTIMATED_MODES = 30
-"""Of a basis whose errors are estimated unasked: the work grows with their fourth power."""
+"""Largest basis with error estimates by default; their work grows with its fourth power."""
 
 
 class Plan:
-    """What follows from the keys of one case."""
+    """The quantities that follow from the keys of one case."""
 
     def __init__(self, case: Case) -> None:
         self._case = case
@@ -85,7 +85,7 @@ class Plan:
 
     @cached_property
     def n_particles(self) -> int:
-        """The number of particles that the scene is filled with."""
+        """The number of fluid particles; with a free surface, the largest of all points."""
         scene = self._case.scene
         if scene.has_surface:
             return max(len(scene.fill(self.particle_spacing, v)) for v in self._settings)
@@ -98,18 +98,18 @@ class Plan:
 
     @cached_property
     def n_wall_layers(self) -> int:
-        """Layers of ghosts behind walls: as asked for, or as far as the kernel reaches."""
+        """Layers of ghosts behind walls, by default as far as the kernel reaches."""
         return self._case.discretization.walls.layers or self.discretization.n_layers
 
     @cached_property
     def walls_fit_lattice(self) -> bool:
-        """Whether the scene has walls that only a lattice of particles fits."""
+        """Whether all walls of the scene lie along the axes, so that a lattice fits them."""
         domain = self._case.scene.domain
         return isinstance(domain, BoxDomain) and domain.has_walls
 
     @cached_property
     def packed(self) -> bool:
-        """Whether particles are packed before they start, not on a lattice."""
+        """Whether particles start packed rather than on a lattice."""
         asked = self._case.discretization.initial_particles
         if self._case.scene.has_surface:
             return asked == "packed"
@@ -123,46 +123,46 @@ class Plan:
 
     @cached_property
     def lattice_splines(self) -> bool:
-        """Whether modes are B-splines on a lattice, and not polyharmonic splines by cell."""
+        """Whether modes are B-splines on a lattice rather than polyharmonic splines in cells."""
         if self._case.psi.kind != "auto":
             return self._case.psi.kind == "b-spline"
         return self.reference_lattice and self._case.scene.domain.fills_box
 
     @cached_property
     def separate_mean_density(self) -> bool:
-        """Whether the mean of the density fluctuation is carried apart from the basis."""
+        """Whether the mean density fluctuation is a variable apart from the basis."""
         basis = self._case.basis
         if basis.mean_density != "auto":
             return basis.mean_density == "separate"
-        closed = not any(self._case.scene.domain.periodic)
-        steady = closed or self._case.discretization.fixed_volume
+        walled = not any(self._case.scene.domain.periodic)
+        steady = walled or self._case.discretization.fixed_volume
         return steady and basis.inner_product == "acoustic"
 
     @cached_property
     def probe_line(self) -> float:
-        """x of the vertical line that runs are compared along [m]."""
+        """x of the vertical line on which runs are compared [m]."""
         line = self._case.compare.line
         return self._case.scene.probe_line if line is None else line
 
     @cached_property
     def max_speed(self) -> float:
-        """The largest speed of the flow at any point: the reference, or that of a varied wall."""
+        """The largest speed at all points: the reference speed, or the speed of a varied wall."""
         walls = (self._case.scene.largest_wall_speed(v) for v in self._settings if v)
         return max(self._case.fluid.reference_speed, *walls, 0.0)
 
     @cached_property
     def sound_speed(self) -> float:
-        """c0 [m/s], the same at all points: that of the Mach number, or more for larger heads."""
+        """c0 [m/s], the same at all points: from the Mach number, or larger for large heads."""
         change = SURFACE_CHANGE if self._case.scene.has_surface else DENSITY_CHANGE
         least = math.sqrt(self.largest_head / change)
         return max(self.max_speed / self._case.fluid.mach_number, least)
 
     @cached_property
     def largest_head(self) -> float:
-        """About the largest head in any run [m2/s2]: of the force, in gaps, bodies, at corners."""
+        """Estimate of the largest head of all runs [m2/s2]: by forces, and in gaps and corners."""
         scene, end = self._case.scene, self._case.time.final_time
         domain, viscosity = scene.domain, max(map(self.kinematic_viscosity, self.points))
-        gap = domain.narrowest_gap or math.inf  # a check refuses none
+        gap = domain.narrowest_gap or math.inf  # a check refuses a gap of zero
         in_gaps = self.max_speed * (max(domain.lengths) / gap**2 + scene.porous_way)
         at_corners = CORNER_PRESSURE * self._largest_jump / self.particle_spacing
         of_force = max(scene.largest_head(end, values) for values in self._settings)
@@ -170,7 +170,7 @@ class Plan:
 
     @cached_property
     def _largest_jump(self) -> float:
-        """The largest change of walls' velocity around the box, within a spacing [m/s]."""
+        """The largest change of the walls' velocity around the box within a spacing [m/s]."""
         domain, dx = self._case.scene.domain, self.particle_spacing
         edge = shapely.box(*domain.lower, *domain.upper).buffer(BEYOND * dx, join_style="mitre")
         place = shapely.get_coordinates(shapely.segmentize(edge.exterior, dx))
@@ -192,7 +192,7 @@ class Plan:
 
     @cached_property
     def largest_viscosity(self) -> float:
-        """The largest kinematic viscosity that is trained on [m2/s]."""
+        """The largest kinematic viscosity of training runs [m2/s]."""
         return max(map(self.kinematic_viscosity, self.train_points))
 
     def kinematic_viscosity(self, point: ParameterPoint) -> float:
@@ -212,7 +212,7 @@ class Plan:
 
     @cached_property
     def discretization(self) -> Discretization:
-        """How the fluid is cut into particles."""
+        """The parameters of the discretisation."""
         section = self._case.discretization
         return Discretization(
             particle_spacing=self.particle_spacing,
@@ -238,6 +238,14 @@ class Plan:
         area = len(scene.fill(self.particle_spacing, values)) * self.particle_spacing**2
         return area / scene.domain.lengths[0]
 
+    def weight_at(self, point: ParameterPoint, position: Array) -> Array | None:
+        """Return the pressure at rest (n_positions,) [Pa] below a level; None without a surface."""
+        scene = self._case.scene
+        if not scene.has_surface:
+            return None
+        level = scene.domain.lower[1] + self.depth(point)
+        return self._case.fluid.reference_density * scene.gravity * (level - position[:, 1])
+
     def flow(self, point: ParameterPoint) -> Scene:
         """Return the flow at a parameter point."""
         fluid = self._case.fluid
@@ -248,7 +256,7 @@ class Plan:
 
     @cached_property
     def strip(self) -> Strip | None:
-        """The strip of an open flow's inflow; None where nothing flows in."""
+        """The strip of the inflow; None without an inflow."""
         resistance = self.flow(self.points[0]).resistance
         return None if resistance is None else resistance.strip
 
@@ -264,10 +272,10 @@ class Plan:
 
     @cached_property
     def _sharpest_corner(self) -> float:
-        """How sharp the sharpest corner is that juts into the fluid, 0 where none does."""
+        """The sharpness of the sharpest corner that points into the fluid, 0 without corners."""
         domain = self._case.scene.domain
-        found = jutting_corners(domain.fluid_with_images, self.particle_spacing)[1]
-        return float(found.max(initial=0.0))
+        sharpness = jutting_corners(domain.fluid_with_images, self.particle_spacing)[1]
+        return float(sharpness.max(initial=0.0))
 
     @cached_property
     def limits(self) -> StepLimits:
@@ -276,14 +284,14 @@ class Plan:
 
     @cached_property
     def recorded_time(self) -> float:
-        """How long a run is recorded [s]."""
+        """The recorded time of a run [s]."""
         return self._case.time.final_time - self._case.time.spin_up
 
     @cached_property
     def step_target(self) -> float:
-        """The time step [s] that the case asks for, before it is made to fit the durations.
+        """The time step of the case [s], before it is adjusted to fit the durations.
 
-        The automatic one takes the same share of all limits.
+        The automatic step is the same share of all limits.
         """
         time = self._case.time
         if time.step != "auto":
@@ -293,16 +301,16 @@ class Plan:
 
     @cached_property
     def spin_up_ratio(self) -> Fraction:
-        """The spin-up over the recorded time, or the nearest ratio that steps can have."""
+        """The spin-up over the recorded time, or the nearest ratio that whole steps allow."""
         ratio = Fraction(self._case.time.spin_up / self.recorded_time)
         return ratio.limit_denominator(LARGEST_DENOMINATOR)
 
     @cached_property
     def steps(self) -> TimeSteps:
-        """The steps of every full run: the same at all points, so that snapshots coincide.
+        """The steps of all full runs, the same at all points so that snapshots coincide.
 
-        An automatic step is shortened, so that the first snapshot falls on the end of the spin-up,
-        and the last on the final time.
+        An automatic step is shortened so that the first snapshot is at the end of the spin-up and
+        the last one at the final time.
         """
         every, step = self._case.snapshots.every, self._case.time.step
         if step != "auto":
@@ -317,18 +325,18 @@ class Plan:
         return TimeSteps(step, n_steps, every, int(ratio * n_steps) * step)
 
     def model_steps(self, model: ReducedModelSection) -> TimeSteps:
-        """Return the steps of full runs that are as long as a reduced model's.
+        """Return the steps of full runs that end when the runs of a reduced model end.
 
-        Raises CaseError where its final time is none that `lengthened` allows.
+        Raises CaseError when `lengthened` does not allow the model's final time.
         """
         return self.steps if model.until is None else lengthened(self.steps, model.until)
 
     def ends_with_case(self, model: ReducedModelSection) -> bool:
-        """Return whether a model's runs end when full runs do, so that they can be compared."""
+        """Return whether a model's runs end with the full runs, so that they can be compared."""
         return self.model_steps(model) == self.steps
 
     def compared_at(self, point: ParameterPoint) -> list[ReducedModelSection]:
-        """Return the reduced models whose runs at a point are compared with the full one."""
+        """Return the reduced models whose runs at a point are compared with the full run."""
         models = filter(self.ends_with_case, self._case.rom)
         return [model for model in models if point in self.rom_points(model)]
 
@@ -336,57 +344,58 @@ class Plan:
 
     @cached_property
     def parameter_names(self) -> tuple[str, ...]:
-        """The parameters that points have a value of, the Reynolds number first."""
+        """The names of the parameters of all points, the Reynolds number first."""
         section = self._case.parameters
         return tuple(dict.fromkeys((REYNOLDS, *section.train.names, *section.test.names)))
 
     @cached_property
     def driving(self) -> tuple[str, ...]:
-        """The parameters that move walls or shape the body force: operators have a part of each."""
+        """The parameters that move walls or scale the body force; operators have a part of each."""
         return self._case.scene.driving(self.parameter_names[1:])
 
     @cached_property
     def own_values(self) -> dict[str, float]:
-        """The values that parameters have where a point doesn't name them."""
+        """The default values of parameters, for points that do not name them."""
         return {
             REYNOLDS: self._case.parameters.train.reynolds[0],
             **self._case.scene.parameters(self._case.fluid.reference_speed),
         }
 
     def point(self, values: Values) -> ParameterPoint:
-        """Return the point of some values by name; others are the scene's own."""
-        given = values if isinstance(values, dict) else {REYNOLDS: values}
+        """Return the point with values by name; missing ones are the scene's own."""
+        named = values if isinstance(values, dict) else {REYNOLDS: values}
         own, names = self.own_values, self.parameter_names
-        reynolds, *others = [float(given.get(name, own.get(name, 0.0))) for name in names]
+        reynolds, *others = [float(named.get(name, own.get(name, 0.0))) for name in names]
         return ParameterPoint(reynolds, tuple(zip(names[1:], others, strict=True)))
 
-    def _points_of(self, given: GivenPoints) -> tuple[ParameterPoint, ...]:
-        return tuple(map(self.point, given.values(self._case.parameters.train.reynolds)))
+    def _points_of(self, section: GivenPoints) -> tuple[ParameterPoint, ...]:
+        return tuple(map(self.point, section.values(self._case.parameters.train.reynolds)))
 
     @cached_property
     def train_points(self) -> tuple[ParameterPoint, ...]:
-        """Where the full model is run to learn from."""
+        """The points of training runs."""
         return self._points_of(self._case.parameters.train)
 
     @cached_property
     def test_points(self) -> tuple[ParameterPoint, ...]:
-        """Where the full model is run only to check predictions."""
+        """The points of test runs, which only check predictions."""
         return self._points_of(self._case.parameters.test)
 
     @cached_property
     def points(self) -> tuple[ParameterPoint, ...]:
-        """Every point at which the full model is run."""
+        """All points of full runs."""
         return self.train_points + self.test_points
 
     @cached_property
     def _settings(self) -> list[dict[str, float]]:
-        """The values of all parameters but the Reynolds number, each combination once."""
+        """The values of all parameters except the Reynolds number, each combination once."""
         return [dict(others) for others in dict.fromkeys(point.others for point in self.points)]
 
     def start_point(self, point: ParameterPoint) -> ParameterPoint:
-        """Return the point whose start a run has: its own, or of the nearest trained spin-up.
+        """Return the point whose initial state a run has.
 
-        A spin-up is run where the full model is; without one the scene is the start anywhere.
+        Points of full runs have a spin-up of their own; others use that of the nearest training
+        run. Without a spin-up, each point starts from the initial conditions of the scene.
         """
         if self._case.time.spin_up == 0.0 or point in self.points:
             return point
@@ -396,12 +405,12 @@ class Plan:
 
     @cached_property
     def bases(self) -> dict[str, tuple[ParameterPoint, ...]]:
-        """The points that each basis learns from, by the basis' name."""
-        subsets = {name: self._learnt(subset) for name, subset in self._case.basis.subsets.items()}
-        return {ALL: self.train_points, **subsets}
+        """The training points of each basis, by name."""
+        subsets = self._case.basis.subsets
+        return {ALL: self.train_points, **{n: self._training_points(s) for n, s in subsets.items()}}
 
-    def _learnt(self, subset: SubsetSection) -> tuple[ParameterPoint, ...]:
-        """Return the training points of a subset; those that aren't there stand for themselves."""
+    def _training_points(self, subset: SubsetSection) -> tuple[ParameterPoint, ...]:
+        """Return the training points of a subset, including listed ones without a full run."""
         trained = self.train_points
         if subset.box is not None:
             bounds = subset.bounds.items()
@@ -413,13 +422,13 @@ class Plan:
         return tuple(point for point in trained if point.reynolds in values)
 
     def local_bases(self, point: ParameterPoint) -> list[str]:
-        """Return the subsets in whose boxes a point lies.
+        """Return the subsets whose boxes contain a point.
 
-        Intervals are half-open, [low, high); those that end highest of all hold their end too.
+        Intervals are half-open, [low, high); only those with the highest end include their end.
         """
         boxes = {name: subset.bounds for name, subset in self._case.basis.subsets.items()}
         ends = (end for bounds in boxes.values() for end in bounds.items())
-        # Of equal names the highest comes last.
+        # In sorted order, the highest end of each name comes last.
         top = dict(sorted((name, high) for name, (low, high) in ends if low < high))
         at = point.as_dict()
         return [
@@ -433,25 +442,25 @@ class Plan:
 
     @cached_property
     def largest_values(self) -> Array:
-        """The largest size of each parameter (n_parameters,) that is trained."""
+        """The largest absolute trained value of each parameter (n_parameters,)."""
         return np.abs([[*p.as_dict().values()] for p in self.train_points]).max(axis=0)
 
     @cached_property
     def n_modes(self) -> int:
-        """Modes to keep of each basis, as far as its snapshots allow."""
+        """Number of modes to keep of each basis, unless it has fewer snapshots."""
         asked = (MOST_CHOSEN if m.n_modes == AUTO else m.size for m in self._case.rom)
         return self._case.basis.n_modes or max(asked, default=MODES_WITHOUT_ROM)
 
     def basis_size(self, name: str) -> int:
-        """Return the number of modes to keep of a basis: as asked, or as its snapshots allow."""
+        """Return the number of modes of a basis, which is limited by its snapshots."""
         return min(self.n_modes, self.n_basis_snapshots(name))
 
     def n_basis_snapshots(self, name: str) -> int:
-        """Return the number of snapshots that a basis learns from."""
+        """Return the number of training snapshots of a basis."""
         return len(self.bases[name]) * self.steps.n_snapshots
 
     def has_error_estimate(self, name: str) -> bool:
-        """Return whether errors of a basis's models on the reference points are estimated."""
+        """Return whether the errors of a basis's models on the reference points are estimated."""
         if self._case.scene.has_surface:
             return False
         wanted = self._case.operators.error_estimate
@@ -471,22 +480,22 @@ class Plan:
     def basis_for(self, model: ReducedModelSection, point: ParameterPoint) -> str:
         """Return the name of the basis that a reduced model uses at a parameter point.
 
-        Raises CaseError when it is to be the local one, and there isn't exactly one.
+        Raises CaseError unless a model with a local basis has exactly one there.
         """
         if model.basis != LOCAL:
             return model.basis
-        found = self.local_bases(point)
-        if len(found) != 1:
-            where = f"the intervals of {' and '.join(found)}" if found else "no subset's interval"
-            raise CaseError(f"{point.label} lies in {where}, so it has no local basis")
-        return found[0]
+        names = self.local_bases(point)
+        if len(names) != 1:
+            where = f"the intervals of {' and '.join(names)}" if names else "no subset's interval"
+            raise CaseError(f"{point.label} lies in {where}, so it has no unique local basis")
+        return names[0]
 
     def bases_for(self, model: ReducedModelSection) -> list[str]:
         """Return the names of the bases that a reduced model uses at its points, each once."""
         return list(dict.fromkeys(self.basis_for(model, point) for point in self.rom_points(model)))
 
     def is_corrected(self, model: ReducedModelSection, basis: str) -> bool:
-        """Return whether a model's coordinates in a basis are corrected by its training runs."""
+        """Return whether training runs correct a model's coordinates in a basis."""
         if model.corrected == "auto":
             several = len(self.bases[basis]) > 1
             return model.from_operators and several and not model.settles_on_cycles
@@ -494,28 +503,28 @@ class Plan:
 
     @cached_property
     def _used(self) -> list[tuple[ReducedModelSection, str]]:
-        """Every reduced model with each basis that it uses."""
+        """All pairs of a reduced model and a basis that it uses."""
         return [(model, basis) for model in self._case.rom for basis in self.bases_for(model)]
 
     @cached_property
     def reference_bases(self) -> tuple[str, ...]:
-        """The bases that some model on the reference points uses, by name."""
+        """The names of the bases of models on the reference points."""
         return self._in_order(basis for model, basis in self._used if model.from_operators)
 
     @cached_property
     def models_by_speed(self) -> tuple[ReducedModelSection, ...]:
-        """The reduced models, those that are fast by their kind first."""
+        """The reduced models, with those of the faster kind first."""
         return tuple(sorted(self._case.rom, key=lambda model: not model.from_operators))
 
     @cached_property
     def memory_models(self) -> tuple[tuple[str, int], ...]:
-        """The basis and the modes of every APG model on the reference points, each once."""
-        found = {
+        """The basis and number of modes of all APG models on the reference points, each once."""
+        pairs = {
             (basis, model.size)
             for model, basis in self._used
             if model.from_operators and model.has_memory and model.n_modes != AUTO
         }
-        return tuple(sorted(found))
+        return tuple(sorted(pairs))
 
     @cached_property
     def corrected_bases(self) -> tuple[str, ...]:
@@ -546,14 +555,14 @@ class Plan:
         return self._in_order(basis for model, basis in self._used if model.n_modes == AUTO)
 
     def _in_order(self, used: Iterable[str]) -> tuple[str, ...]:
-        found = set(used)
-        return tuple(name for name in self.bases if name in found)
+        names = set(used)
+        return tuple(name for name in self.bases if name in names)
 
 
 def lengthened(steps: TimeSteps, final_time: float) -> TimeSteps:
-    """Return steps whose last snapshot is at another time [s], earlier or later.
+    """Return steps with the last snapshot at another time [s], earlier or later.
 
-    Raises CaseError where that is no whole number of snapshot intervals after the first snapshot.
+    Raises CaseError unless this is a whole number of snapshot intervals after the first snapshot.
     """
     intervals = (final_time - steps.start_time) / steps.snapshot_interval
     whole = round(intervals) if 0.5 <= intervals <= MAX_STEPS / steps.every else 0

@@ -1,8 +1,8 @@
 """Parameter points, and the section `parameters` of a case that lists them.
 
-A point has the values of the scene's parameters at which one run is made. Points are a grid of
-lists, such as `{reynolds: [50, 200], lid: [0.5, 1]}`, a list of points, or a sample of a box. All
-three name parameters freely: `sphrom.case.checks` checks the names.
+A point has the parameter values of one run. Points are a grid of lists, such as
+`{reynolds: [50, 200], lid: [0.5, 1]}`, a list of points, or a sample of a box. All three accept any
+names of parameters; `sphrom.case.checks` checks them.
 """
 
 from __future__ import annotations
@@ -33,32 +33,32 @@ from sphrom.case.fields import (
 from sphrom.text import exact
 
 REYNOLDS = "reynolds"
-"""The parameter that every point has: it gives the viscosity."""
+"""The parameter that every point has; it determines the viscosity."""
 Values = float | dict[str, float]
-"""The values of a point as a case gives them; a number is a Reynolds number."""
+"""The values of a point in a case file; a number is a Reynolds number."""
 
 
 @dataclass(frozen=True, order=True)
 class ParameterPoint:
-    """The values that tell one run of a case from another."""
+    """The parameter values of one run of a case."""
 
     reynolds: float
     others: tuple[tuple[str, float], ...] = ()
-    """Name and value of what varies beside the viscosity, in the case's order."""
+    """Names and values of the parameters other than the Reynolds number, in the case's order."""
 
     @property
     def label(self) -> str:
-        """How a person reads it, such as `reynolds=100, lid=0.8`: no two points have the same."""
+        """The unique label in messages, such as `reynolds=100, lid=0.8`."""
         return ", ".join(f"{name}={exact(value)}" for name, value in self.as_dict().items())
 
     @property
     def file_label(self) -> str:
-        """How file names spell it, such as `reynolds100-lid0.8`: no two points have the same."""
+        """The unique label in file names, such as `reynolds100-lid0.8`."""
         return "-".join(f"{name}{exact(value)}" for name, value in self.as_dict().items())
 
     @property
     def factors(self) -> dict[str, float]:
-        """The values by name of what varies beside the viscosity."""
+        """The values of the parameters other than the Reynolds number, by name."""
         return dict(self.others)
 
     def as_dict(self) -> dict[str, float]:
@@ -67,7 +67,7 @@ class ParameterPoint:
 
 
 def nearest_point(point: ParameterPoint, known: Iterable[ParameterPoint]) -> ParameterPoint:
-    """Return the known point nearest to a point; each parameter counts over its largest value."""
+    """Return the known point nearest to a point, with parameters over their largest values."""
     rows = {other: other.as_dict().values() for other in known}
     sizes = [max(map(abs, column)) or 1.0 for column in zip(*rows.values(), strict=True)]
 
@@ -79,29 +79,29 @@ def nearest_point(point: ParameterPoint, known: Iterable[ParameterPoint]) -> Par
 
 
 def outside(point: ParameterPoint, trained: Iterable[ParameterPoint]) -> dict[str, str]:
-    """Return the parameters of a point that are beyond the trained values, with their ranges."""
-    points, found = [other.as_dict() for other in trained], {}
+    """Return the trained ranges of those parameters of a point that are outside of them."""
+    points, ranges = [other.as_dict() for other in trained], {}
     for name, value in point.as_dict().items():
         low, high = min(p[name] for p in points), max(p[name] for p in points)
         if not low <= value <= high:
-            found[name] = exact(low) if low == high else f"{exact(low)} to {exact(high)}"
-    return found
+            ranges[name] = exact(low) if low == high else f"{exact(low)} to {exact(high)}"
+    return ranges
 
 
 MAX_RUNS = 1000
-"""Full runs of one case, and values of one reduced model; sweeps have more."""
+"""Most full runs of one case, and most points of one reduced model; sweeps allow more."""
 DIGITS = 6
-"""Of sampled values: they name files."""
+"""Digits of sampled values, which are part of file names."""
 
 ReynoldsValues = Annotated[tuple[Positive, ...], Field(min_length=1)]
 REYNOLDS_WORDS = (
-    "Reynolds numbers U_max L / nu, L the scene's length, of the open cavity its cavity's"
+    "Reynolds numbers U_max L / nu, with L the scene's length, for the open cavity its cavity's"
 )
 OtherValues = Annotated[tuple[Coordinate, ...], Field(min_length=1)]
 
 
 def ordered(values: Sequence[float], *, strict: bool = False) -> Sequence[float]:
-    """Return some values. Raises ValueError where they fall, or don't rise and have to."""
+    """Return the values. Raises ValueError where they fall or, if `strict`, are equal."""
     if any(low > high or (strict and low == high) for low, high in pairwise(values)):
         raise ValueError(f"must rise; got {', '.join(map(exact, values))}")
     return values
@@ -111,9 +111,9 @@ rising = partial(ordered, strict=True)
 
 
 def viscous(values: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return numbers, or lists of them, by parameter.
+    """Return numbers, or lists of them, by parameter, unchanged.
 
-    Raises ValueError unless each Reynolds number is positive: the viscosity has to be.
+    Raises ValueError unless all Reynolds numbers, and so all viscosities, are positive.
     """
     for value in np.ravel(values.get(REYNOLDS, 1.0)):
         if not SMALLEST <= value <= LARGEST:
@@ -123,14 +123,14 @@ def viscous(values: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 Interval = Annotated[Place, AfterValidator(ordered)]
-"""The least and the greatest value, which may be one."""
+"""The least and the greatest value, which may be equal."""
 Range = Annotated[Place, AfterValidator(rising), Field(description="a range [low, high]")]
 """The least value, and a greater one."""
 
 PointValues = Annotated[dict[SafeName, Coordinate], AfterValidator(viscous)]
-"""The values of one point by name; one that isn't named has the scene's own value."""
+"""The values of one point by name; parameters without a value have the scene's own."""
 Listed = Annotated[tuple[Positive | PointValues, ...], Field(min_length=1, max_length=MAX_RUNS)]
-"""Points one by one; a number is a Reynolds number."""
+"""A list of points; a number is a Reynolds number."""
 
 
 class SampleSection(Section):
@@ -139,11 +139,11 @@ class SampleSection(Section):
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Range] = Field(init=False)
 
-    count: Whole = key(..., "how many points", ge=1, le=100_000)
+    count: Whole = key(..., "number of points", ge=1, le=100_000)
     method: Literal["sobol", "halton", "latin-hypercube"] = key(
-        "sobol", "the sequence; of sobol and halton the first points stay where more are asked for"
+        "sobol", "sequence of points; a larger count keeps earlier points of sobol and halton"
     )
-    seed: Whole = key(0, "seed of its random shifts", ge=0, le=2**32 - 1)
+    seed: Whole = key(0, "seed of the random shift", ge=0, le=2**32 - 1)
 
     @model_validator(mode="after")
     def _of_a_parameter(self) -> SampleSection:
@@ -154,7 +154,7 @@ class SampleSection(Section):
 
     @property
     def entries(self) -> Mapping[str, Any]:
-        """What is given of each parameter, such as its least and greatest value."""
+        """The entry of each parameter, such as its least and greatest value."""
         return self.__pydantic_extra__ or {}
 
     @cached_property
@@ -171,14 +171,14 @@ class SampleSection(Section):
 
 
 def unit_sample(method: str, count: int, seed: int, n_parameters: int) -> NDArray[np.float64]:
-    """Return points (count, n_parameters) of a unit cube."""
+    """Return points (count, n_parameters) in the unit cube."""
     if method == "random":
         return np.random.default_rng(seed).random((count, n_parameters))
-    from scipy.stats import qmc  # it takes long to load
+    from scipy.stats import qmc  # late, because it takes long to load
 
     kinds = {"sobol": qmc.Sobol, "halton": qmc.Halton, "latin-hypercube": qmc.LatinHypercube}
     with warnings.catch_warnings():
-        # Counts other than powers of two are less balanced, which is no harm here.
+        # Sequences warn if the count is not a power of two; less balance does no harm here.
         warnings.simplefilter("ignore", UserWarning)
         return np.asarray(kinds[method](n_parameters, rng=seed).random(count))
 
@@ -191,27 +191,27 @@ class GivenPoints(Section):
 
     reynolds: tuple[Positive, ...] = key((), REYNOLDS_WORDS, unit="-")
     points: tuple[PointValues, ...] = key(
-        (), "points one by one, each its values by name, in place of a grid of lists by name"
+        (), "list of points, each with its values by name, instead of a grid of lists"
     )
-    sample: SampleSection | None = key(None, "points that fill a box, in place of a grid")
+    sample: SampleSection | None = key(None, "points that fill a box, instead of a grid")
 
     @model_validator(mode="after")
     def _one_way(self) -> GivenPoints:
         if self.points and self.sample is not None:
-            raise ValueError("sample: is in place of points; give one of the two")
+            raise ValueError("sample: can't be combined with points; give one of the two")
         if (self.points or self.sample) and self.__pydantic_extra__:
             other = next(iter(self.__pydantic_extra__))
-            raise ValueError(f"{other}: is a list of a grid; leave out points and sample, or it")
+            raise ValueError(f"{other}: can't be combined with points or sample; leave one out")
         return self
 
     @property
     def lists(self) -> dict[str, tuple[float, ...]]:
-        """The lists of a grid by parameter, the Reynolds numbers first."""
+        """The lists of a grid by parameter, Reynolds numbers first."""
         return {REYNOLDS: self.reynolds, **(self.__pydantic_extra__ or {})}
 
     @property
     def named(self) -> list[list[str]]:
-        """The parameters that each point, or all of a sample or a grid, name."""
+        """The names of parameters of each point; a sample or a grid is one entry."""
         if self.sample is not None:
             return [list(self.sample.entries)]
         grid = [name for name, values in self.lists.items() if values]
@@ -219,11 +219,11 @@ class GivenPoints(Section):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The parameters that are named, in order."""
+        """The names of all parameters, in order."""
         return tuple(dict.fromkeys(name for names in self.named for name in names))
 
     def values(self, reynolds: tuple[float, ...]) -> list[dict[str, float]]:
-        """Return the values of all points; a grid without Reynolds numbers has those given."""
+        """Return the values of all points; a grid without Reynolds numbers uses `reynolds`."""
         if self.sample is not None:
             return self.sample.points
         if self.points:
@@ -235,7 +235,7 @@ class GivenPoints(Section):
 
     @property
     def n_points(self) -> int:
-        """How many points there are, without listing them."""
+        """The number of points, without listing them."""
         if self.sample is not None:
             return self.sample.count
         lists = self.lists
@@ -243,27 +243,27 @@ class GivenPoints(Section):
 
 
 class TrainValues(GivenPoints):
-    """Where the full model is run to learn from."""
+    """The parameter values of training runs."""
 
     reynolds: ReynoldsValues = key((100.0,), REYNOLDS_WORDS, unit="-")
 
 
 class TestValues(GivenPoints):
-    """Where the full model is run only to check predictions."""
+    """The parameter values of test runs, which only check predictions."""
 
-    __test__ = False  # pytest would take it for a test
+    __test__ = False  # keeps pytest from collecting it as a test
 
 
 class ParameterSection(Section):
-    """The values of the parameters to learn from and to predict."""
+    """The parameter values for training and for testing."""
 
     train: TrainValues = key(
-        TrainValues(), "values to learn from; every other key is a parameter with its values"
+        TrainValues(), "values of training runs; every other key is a parameter with its values"
     )
     test: TestValues = key(
         TestValues(),
-        "values to predict, with a full run to compare with; every other key is a parameter with "
-        "its values",
+        "values of full runs that only check predictions; every other key is a parameter with its "
+        "values",
     )
 
     @model_validator(mode="after")

@@ -1,4 +1,4 @@
-"""What every kind of scene tells the rest of the program, beside its keys."""
+"""The base class of all kinds of scene, with the properties that the program needs of them."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ OF_WALLS: Defaults = {
     "psi": {"polynomial_degree": 3},
     "compare": {"exact": False},
 }
-"""Defaults of other sections for scenes that have walls."""
+"""Defaults of other sections for scenes with walls."""
 
 
 class SceneSection(Section):
-    """A kind of scene: a base of the sections that a case may have."""
+    """A kind of scene, the base class of the sections that a case may have."""
 
     title: ClassVar[str]
     """The scene's name in a report."""
@@ -42,7 +42,7 @@ class SceneSection(Section):
 
     @cached_property
     def domain(self) -> Domain:
-        """Where the fluid is, which no scale of the fluid changes."""
+        """The domain of the fluid, which does not depend on the fluid's scales."""
         return self.flow(Scales(speed=0.0, density=1.0, kinematic_viscosity=1.0)).domain
 
     @abstractmethod
@@ -51,7 +51,7 @@ class SceneSection(Section):
 
     @property
     def resolved_length(self) -> float:
-        """The length that discretization.resolution counts particles along [m]."""
+        """The length that discretization.resolution divides into particles [m]."""
         return self.domain.lengths[0]
 
     @property
@@ -61,40 +61,40 @@ class SceneSection(Section):
 
     @property
     def probe_line(self) -> float:
-        """x of the vertical line that runs are compared along [m]."""
+        """x of the vertical line on which runs are compared [m]."""
         return 0.5 * (self.domain.lower[0] + self.domain.upper[0])
 
     def parameters(self, reference_speed: float) -> dict[str, float]:
-        """Return what may vary beside the viscosity, and its values here [of each its own unit].
+        """Return the scene's parameters apart from the Reynolds number, with their own values.
 
-        `reference_speed` is the fluid's [m/s].
+        `reference_speed` is that of the fluid [m/s].
         """
         return {}
 
     def driving(self, names: Collection[str]) -> tuple[str, ...]:
-        """Return those of some parameters that walls' velocities or the force's field depend on."""
+        """Return the parameters among `names` that change walls' velocities or the force field."""
         return ()
 
     def parameter_problems(self, names: Collection[str]) -> Iterator[tuple[str, str]]:
-        """Yield those of some parameters in which operators would not be affine, and why."""
+        """Yield the parameters in which operators would not be affine, with the reasons."""
         yield from ()
 
     def check_at(self, values: Mapping[str, float]) -> None:
-        """Raise ValueError where the scene can't be had with some values of its parameters."""
+        """Raise ValueError if the scene is impossible with some values of its parameters."""
 
     def largest_wall_speed(self, values: Mapping[str, float]) -> float:
-        """Return the largest speed of walls that vary, at values of the parameters [m/s]."""
+        """Return the largest speed of varied walls at values of the parameters [m/s]."""
         return 0.0
 
     def largest_head(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
-        """Return what the body force's head along the fluid doesn't exceed until a time [m2/s2].
+        """Return a bound of the body force's head along the fluid until a time [m2/s2].
 
-        `values` are those of the parameters; without any they are the scene's own.
+        `values` are those of the parameters, by default the scene's own.
         """
         return 0.0
 
     def largest_resistance(self, viscosity: float) -> float:
-        """Return the largest rate that slows the fluid [1/s], at a viscosity [m2/s]."""
+        """Return the largest rate of resistance [1/s], at a viscosity [m2/s]."""
         return 0.0
 
     @property
@@ -110,7 +110,7 @@ class SceneSection(Section):
     def level_at(self, values: Mapping[str, float] = NONE) -> float:
         """Return the height y of a level free surface at rest [m], else infinity.
 
-        `values` are those of the parameters; without any they are the scene's own.
+        `values` are those of the parameters, by default the scene's own.
         """
         return math.inf
 
@@ -120,26 +120,26 @@ class SceneSection(Section):
         return False
 
     def fill(self, particle_spacing: float, values: Mapping[str, float] = NONE) -> Array:
-        """Return where particles on a lattice start (n_particles, 2) [m], at parameters' values."""
+        """Return the initial positions of particles on a lattice (n_particles, 2) [m]."""
         return self.domain.fill(particle_spacing)
 
     @property
     def porous_way(self) -> float:
-        """The integral of 1/k along the fluid's way through porous bodies [1/m]."""
+        """The integral of 1/k along the path of the fluid through porous bodies [1/m]."""
         return 0.0
 
     def stations(self, line: float) -> Array:
-        """Return where histories are kept (n_stations, 2) [m], given x of the compared line [m]."""
+        """Return the points of histories (n_stations, 2) [m], for x of the compared line [m]."""
         return np.empty((0, 2))
 
     @property
     def channel(self) -> Channel | None:
-        """A channel whose bulk velocity is measured, or None where there is none."""
+        """The channel whose bulk velocity is measured, or None."""
         return None
 
     @property
     def measured_walls(self) -> Mapping[str, str]:
-        """The walls on which forces are measured, by the names of the measurements."""
+        """The walls with measured forces, by the names of the measurements."""
         return {name: m.force_on for name, m in self.measure.items() if m.force_on is not None}
 
     @property
@@ -154,85 +154,85 @@ class SceneSection(Section):
 
     @property
     def recorded(self) -> Measures:
-        """The measurements that runs record: all but frequencies, which follow from others."""
+        """The measurements that runs record: all except frequencies, which follow from others."""
         return {name: m for name, m in self.measure.items() if m.frequency is None}
 
     @property
     def oscillations(self) -> Oscillations:
-        """What oscillates, by the names of the measurements of its frequency."""
-        given = ((name, m.frequency) for name, m in self.measure.items() if m.frequency is not None)
+        """The oscillating quantities, by the names of the measurements of their frequency."""
+        pairs = ((name, m.frequency) for name, m in self.measure.items() if m.frequency is not None)
         columns = self.columns
         return Oscillations(
-            {name: Oscillating(**vars(columns[f.of]), from_time=f.from_time) for name, f in given}
+            {name: Oscillating(**vars(columns[f.of]), from_time=f.from_time) for name, f in pairs}
         )
 
     @property
     def columns(self) -> dict[str, Column]:
-        """What is recorded over time, by the names of columns."""
-        found: dict[str, Column] = {}
+        """The recorded histories, by column name."""
+        columns: dict[str, Column] = {}
         for name, measured in self.recorded.items():
-            found |= Column.named(name, measured.quantities)
-        return found
+            columns |= Column.named(name, measured.quantities)
+        return columns
 
     def starts_by(self, name: str) -> bool:
-        """Return whether the start of runs depends on a parameter beside the viscosity."""
+        """Return whether the initial state of runs depends on a parameter of the scene."""
         return False
 
     def reference_profiles(
         self, reynolds: float, reference_speed: float
     ) -> tuple[ReferenceProfile, ...]:
-        """Return the profiles of the flow that independent solutions give."""
+        """Return the profiles of independent solutions of the flow."""
         return ()
 
     def problems(self, final_time: float) -> Iterator[tuple[str, str]]:
-        """Yield keys of the scene that don't fit the final time [s], and why."""
+        """Yield keys of the scene that don't fit the final time [s], with the reasons."""
         yield from ()
 
     def warnings(self) -> Iterator[tuple[str, str]]:
-        """Yield keys of the scene that a user should look at again, and why."""
+        """Yield keys of the scene that a user should check, with the reasons."""
         yield from ()
 
 
 class SegmentSection(Section):
     """A straight segment in the fluid; its ends may be on walls."""
 
-    # `from` is a word of Python's.
+    # `from` is a keyword of Python.
     model_config = ConfigDict(serialize_by_alias=True)
 
-    start: Place = key(..., "where it starts", unit="m", alias="from")
-    end: Place = key(..., "where it ends", unit="m", alias="to")
+    start: Place = key(..., "start of the segment", unit="m", alias="from")
+    end: Place = key(..., "end of the segment", unit="m", alias="to")
 
 
 class LineSection(SegmentSection):
-    """Places at equal distances along a segment, both ends among them."""
+    """Points at equal distances along a segment, including its ends."""
 
-    points: Annotated[Whole, Field(ge=2, le=10_000)] = key(101, "how many places")
+    points: Annotated[Whole, Field(ge=2, le=10_000)] = key(101, "number of points")
 
 
 class FrequencySection(Section):
     """A history whose oscillation is measured."""
 
-    of: SafeName = key(..., "what oscillates, as columns of a sweep are called: `lift_force_y`")
-    from_time: Duration = key(0.0, "the first instant that counts", unit="s")
+    of: SafeName = key(..., "oscillating history, named as in tables of a sweep: `lift_force_y`")
+    from_time: Duration = key(0.0, "time from which the history counts", unit="s")
 
 
 class MeasureSection(Section):
     """One measurement at every snapshot: exactly one of its keys."""
 
     force_on: SafeName | None = key(
-        None, "a wall: its force, and the torque about its centroid, or the box's centre for a side"
+        None, "wall: its force, and its torque about its centroid; for a side, the box's centre"
     )
     flow_rate: SegmentSection | None = key(
         None,
-        "a segment: the flow rate through it, positive from the left to the right of the way along "
-        "it, so that one that goes up counts flow along x",
+        "segment: the flow rate through it, positive from its left to its right side; a segment "
+        "that goes up counts flow along x as positive",
     )
-    probe: Place | None = key(None, "a place: velocity and pressure there", unit="m")
-    line: LineSection | None = key(None, "a segment: velocity and pressure along it")
+    probe: Place | None = key(None, "point: its velocity and pressure", unit="m")
+    line: LineSection | None = key(None, "segment: velocity and pressure along it")
     elevation: Coordinate | None = key(
         None,
-        "x of a vertical line: height y of the free surface there, of the fluid that stands on the "
-        "floor, without drops above it",
+        "x of a vertical line: height y of the free surface of the fluid on the floor, without "
+        "drops above it",
         unit="m",
     )
     of_fluid: Literal["centre_of_mass", "energy"] | None = key(
@@ -241,7 +241,7 @@ class MeasureSection(Section):
         "at rest (in a shape without level: at the floor)",
     )
     frequency: FrequencySection | None = key(
-        None, "what another measurement gives: frequency, amplitude and mean of its oscillation"
+        None, "history of another measurement: frequency, amplitude and mean of its oscillation"
     )
 
     @model_validator(mode="after")
@@ -251,7 +251,7 @@ class MeasureSection(Section):
 
     @property
     def quantities(self) -> tuple[str, ...]:
-        """What is recorded over time, by `sphrom.metrics.measures.UNITS`; along a line nothing."""
+        """The quantities over time, keys of `sphrom.metrics.measures.UNITS`; none for a line."""
         if self.force_on is not None:
             return ("force", "torque")
         if self.flow_rate is not None:
@@ -265,17 +265,17 @@ class MeasureSection(Section):
 
     @property
     def of_surface(self) -> bool:
-        """Whether only scenes with a free surface have it."""
+        """Whether it needs a scene with a free surface."""
         return self.elevation is not None or self.of_fluid is not None
 
     @property
     def segment(self) -> tuple[Place, Place] | None:
-        """The ends of the section or the line [m]; None for a probe and a force."""
-        given = self.flow_rate or self.line
-        return None if given is None else (given.start, given.end)
+        """The ends of the segment [m]; None for measurements without one."""
+        section = self.flow_rate or self.line
+        return None if section is None else (section.start, section.end)
 
 
 Measures = dict[SafeName, MeasureSection]
 """Measurements by name."""
-MEASURE: Any = key({}, "what is measured over time, by name")
-"""The key of a scene for them."""
+MEASURE: Any = key({}, "measurements over time, by name")
+"""The key of a scene for its measurements."""

@@ -1,4 +1,4 @@
-"""The scene section of a case: a kind of flow and its geometry, and the defaults right for each."""
+"""The scene section of a case: the kinds of flow, with their geometry and their defaults."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from sphrom.sph.fluid import NONE
 from sphrom.text import exact
 
 PROBE_SHARE = 0.625
-"""Where in the open cavity's channel profiles are taken: at 0.25 m of the paper's 0.4 m."""
+"""Place of the open cavity's profiles along its channel: at 0.25 m of the paper's 0.4 m."""
 
 
 class TaylorGreenScene(SceneSection):
@@ -36,7 +36,7 @@ class TaylorGreenScene(SceneSection):
 
     title: ClassVar[str] = "The Taylor-Green vortex"
 
-    kind: Literal["taylor-green"] = key(..., "which flow")
+    kind: Literal["taylor-green"] = key(..., "kind of flow")
     length: Positive = key(1.0, "side of the periodic square", unit="m")
     pressure_sign: Literal["exact", "paper"] = key(
         "exact", "sign of the initial pressure: exact, or as printed in Eq. 4.4"
@@ -64,16 +64,16 @@ class LidDrivenCavityScene(SceneSection):
         "parameters": {"train": {"reynolds": [100.0]}},
     }
 
-    kind: Literal["lid-driven-cavity"] = key(..., "which flow")
+    kind: Literal["lid-driven-cavity"] = key(..., "kind of flow")
     length: Positive = key(1.0, "side of the box", unit="m")
     lid: Literal["regularised", "uniform"] = key(
         "regularised",
-        "the lid's velocity: falling to zero at its ends, or fluid.reference_speed all along",
+        "velocity of the lid: falling to zero at its ends, or fluid.reference_speed everywhere",
     )
     lid_ramp: Duration = key(
         0.0,
-        "how long the lid takes to come up to speed: 0 starts it at once, as in the paper, and "
-        "sound with it; 3 length / c0 is silent",
+        "time in which the lid reaches its speed: 0 is an impulsive start, as in the paper, which "
+        "also makes sound; 3 length / c0 makes none",
         unit="s",
     )
     measure: Measures = MEASURE
@@ -88,7 +88,7 @@ class LidDrivenCavityScene(SceneSection):
         return {"lid": reference_speed}
 
     def driving(self, names: Collection[str]) -> tuple[str, ...]:
-        """Return the lid, if it varies: the wall's velocity depends on it."""
+        """Return the lid, if its speed is a parameter."""
         return tuple(name for name in names if name == "lid")
 
     def largest_wall_speed(self, values: Mapping[str, float]) -> float:
@@ -98,12 +98,12 @@ class LidDrivenCavityScene(SceneSection):
     def reference_profiles(
         self, reynolds: float, reference_speed: float
     ) -> tuple[ReferenceProfile, ...]:
-        """Return the profiles for the kind of lid; transient ones if it starts at once."""
-        known = profiles_for(self.kind, self.lid, reynolds)
-        return known if self.lid_ramp == 0.0 else tuple(p for p in known if p.time is None)
+        """Return the profiles for this lid; transient ones only if it starts at once."""
+        profiles = profiles_for(self.kind, self.lid, reynolds)
+        return profiles if self.lid_ramp == 0.0 else tuple(p for p in profiles if p.time is None)
 
     def problems(self, final_time: float) -> Iterator[tuple[str, str]]:
-        """Refuse a lid that is not up to speed at the end."""
+        """Refuse a lid that does not reach its speed before the end."""
         if self.lid_ramp >= final_time:
             end, ramp = exact(final_time), exact(self.lid_ramp)
             yield "lid_ramp", f"must end before time.final_time, {end} s; got {ramp}"
@@ -117,14 +117,15 @@ class BodyForceSection(Section):
     switch_time: Positive = key(LogisticForce.switch_time, "f0", unit="s")
     sustained_share: Number = key(
         LogisticForce.sustained_share,
-        "k0, the share of b0 that acts all the time",
+        "k0, the share of b0 that always acts",
         unit="-",
         ge=0.0,
         le=1.0,
     )
     form: Literal["kick", "ramp-up"] = key(
         LogisticForce.form,
-        "kick: b0 until f0, as Eq. 4.5 prints it; ramp-up: b0 from f0 on, the sign of k turned",
+        "kick: b0 until f0, as printed in Eq. 4.5; ramp-up: b0 from f0 on, with the sign of k "
+        "reversed",
     )
 
 
@@ -136,14 +137,14 @@ class OpenCavityScene(SceneSection):
         **OF_WALLS,
         "fluid": {"reference_density": 1.0, "reference_speed": 2.0},
         "discretization": {"smoothing_length_ratio": 2.0, "resolution": 200},
-        # Vortices are shed: another step gives another flow, and what was measured is of this one.
+        # Vortices are shed, so another step gives another flow; published figures use this one.
         "time": {"spin_up": 5.0, "final_time": 6.0, "courant_number": 0.75},
         "parameters": {"train": {"reynolds": [2400.0]}},
     }
 
-    kind: Literal["open-cavity"] = key(..., "which flow")
+    kind: Literal["open-cavity"] = key(..., "kind of flow")
     body_force: BodyForceSection = key(
-        BodyForceSection(), "what drives the flow, above the cavity (Eq. 4.5)"
+        BodyForceSection(), "body force above the cavity, which drives the flow (Eq. 4.5)"
     )
     measure: Measures = MEASURE
 
@@ -156,7 +157,7 @@ class OpenCavityScene(SceneSection):
         return LogisticForce(**{**own, "magnitude": values.get("body_force", own["magnitude"])})
 
     def flow(self, scales: Scales) -> Scene:
-        """Return the cavity; its force decides how fast it flows."""
+        """Return the cavity; the body force determines the speed of its flow."""
         return replace(self._cavity, force=self._force(scales.values))
 
     def parameters(self, reference_speed: float) -> dict[str, float]:
@@ -165,12 +166,12 @@ class OpenCavityScene(SceneSection):
 
     @property
     def length_scale(self) -> float:
-        """L of the Reynolds number, the cavity's length [m]."""
+        """L of the Reynolds number, the length of the cavity [m]."""
         return self._cavity.cavity_length
 
     @property
     def probe_line(self) -> float:
-        """x of the vertical line that runs are compared along [m]."""
+        """x of the vertical line on which runs are compared [m]."""
         return PROBE_SHARE * self._cavity.channel_length
 
     def largest_head(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
@@ -184,7 +185,7 @@ class OpenCavityScene(SceneSection):
 
     @property
     def channel(self) -> Channel:
-        """The channel beside the cavity: above it, part of its flow comes back below."""
+        """The channel beside the cavity; above the cavity, part of the flow turns back below."""
         cavity = self._cavity.cavity
 
         def beside(position: Array) -> NDArray[np.bool_]:
@@ -197,7 +198,7 @@ class OpenCavityScene(SceneSection):
     def reference_profiles(
         self, reynolds: float, reference_speed: float
     ) -> tuple[ReferenceProfile, ...]:
-        """Return the profiles of the flow that the scene's defaults drive."""
+        """Return the profiles of the flow with the default body force; none with another."""
         if self.body_force != BodyForceSection() or reference_speed != OPEN_CAVITY_SPEED:
             return ()
         return profiles_for(self.kind, None, reynolds)
@@ -208,31 +209,31 @@ AnyScene = TaylorGreenScene | LidDrivenCavityScene | OpenCavityScene | CustomSce
 
 
 def kind_of_section(section: type[SceneSection]) -> str:
-    """Return the kind that a section is of."""
+    """Return the kind of flow of a section."""
     return str(get_args(section.model_fields["kind"].annotation)[0])
 
 
 DEFAULTS: Mapping[str, Defaults] = {
     kind_of_section(section): section.defaults for section in get_args(AnyScene)
 }
-"""Defaults, by kind of scene, that differ from those of the sections themselves."""
+"""Defaults by kind of scene, where they differ from those of the sections."""
 
 
-def with_defaults(given: Any, defaults: Defaults) -> Any:
-    """Return the values of a mapping with defaults where none is given, section by section."""
-    if not isinstance(given, Mapping):
-        return given
-    merged = dict(given)
+def with_defaults(values: Any, defaults: Defaults) -> Any:
+    """Return a mapping with missing values filled by defaults, section by section."""
+    if not isinstance(values, Mapping):
+        return values
+    merged = dict(values)
     for name, default in defaults.items():
         if isinstance(default, Mapping):
-            merged[name] = with_defaults(given.get(name, {}), default)
+            merged[name] = with_defaults(values.get(name, {}), default)
         else:
             merged.setdefault(name, default)
     return merged
 
 
 def kind_of(case: Any) -> str:
-    """Return the kind of scene that a case's plain values ask for, or nothing."""
+    """Return the kind of scene in a case's plain values, or an empty text."""
     scene = case.get("scene") if isinstance(case, Mapping) else None
     kind = scene.get("kind") if isinstance(scene, Mapping) else None
     return kind if isinstance(kind, str) else ""

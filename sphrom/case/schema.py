@@ -1,6 +1,6 @@
-"""The JSON schema of a case file, and what it says of a key, and of a wrong value, in words.
+"""The JSON schema of a case file, and sentences about keys and wrong values derived from it.
 
-Messages, the commented template and an editor's completion all come from this one schema.
+Messages, the commented template and the completion of editors all use this schema.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from sphrom.text import nearest, quoted
 Node = Mapping[str, Any]
 
 MAX_PROBLEMS = 20
-"""Problems that are shown at once."""
+"""Most problems that one message lists."""
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 NAME_WORDS = "a name of at most 64 letters, digits, _ - or . that does not begin with - or ."
 _KIND_OF_SCENE = {"union_tag_not_found": "missing", "union_tag_invalid": "literal_error"}
-"""Complaints about the kind of scene, and what they are called of other keys."""
+"""Pydantic's errors about the kind of scene, with the names of the same errors for other keys."""
 _KINDS = {
     "integer": "a whole number",
     "number": "a number",
@@ -39,7 +39,7 @@ _KINDS = {
 def json_schema() -> dict[str, Any]:
     """Return the JSON schema of a case file.
 
-    It names no default for keys whose defaults depend on the kind of scene.
+    It has no default for keys whose defaults depend on the kind of scene.
     """
     schema = {"$schema": DIALECT, **Case.model_json_schema()}
     for defaults in DEFAULTS.values():
@@ -48,7 +48,7 @@ def json_schema() -> dict[str, Any]:
 
 
 def _forget(schema: dict[str, Any], section: dict[str, Any], defaults: Defaults) -> None:
-    """Take the defaults of some keys out of a section, and those of the sections they are in."""
+    """Remove the defaults of some keys from a section, and of the sections that contain them."""
     for key, value in defaults.items():
         node = section["properties"][key]
         node.pop("default", None)
@@ -57,13 +57,13 @@ def _forget(schema: dict[str, Any], section: dict[str, Any], defaults: Defaults)
 
 
 def resolve(node: Node) -> Node:
-    """Follow a node's reference to the definition it stands for."""
+    """Return the definition that a node refers to, or the node."""
     reference = node.get("$ref")
     return json_schema()["$defs"][reference.rsplit("/", 1)[1]] if reference else node
 
 
 def branches(node: Node) -> Iterator[Node]:
-    """Yield the alternatives of a node, itself where there is one only."""
+    """Yield the alternatives of a node, or the node if there are none."""
     node = resolve(node)
     alternatives = node.get("anyOf") or node.get("oneOf")
     for alternative in alternatives or ():
@@ -73,19 +73,19 @@ def branches(node: Node) -> Iterator[Node]:
 
 
 def node_at(path: Path, kind: str = "") -> Node | None:
-    """Return the schema of the value at a path, or None where there can be none.
+    """Return the schema of the value at a path, or None if no value is possible there.
 
-    In a case with a given kind of scene, or with any.
+    `kind` is the kind of scene of the case; by default, it is any.
     """
     node: Node | None = _root(kind)
     for segment in path:
-        found = [] if node is None else list(_children(node, segment))
-        node = {"anyOf": found} if len(found) > 1 else next(iter(found), None)
+        nodes = [] if node is None else list(_children(node, segment))
+        node = {"anyOf": nodes} if len(nodes) > 1 else next(iter(nodes), None)
     return node
 
 
 def _root(kind: str) -> Node:
-    """Return the schema of a case with a kind of scene, or with any where there is no such kind."""
+    """Return the schema of a case with a kind of scene, or with any if there is no such kind."""
     schema = json_schema()
     scene = schema["properties"]["scene"]
     reference = scene["discriminator"]["mapping"].get(kind)
@@ -108,18 +108,18 @@ def _children(node: Node, segment: str | int) -> Iterator[Node]:
 
 
 def is_section(node: Node) -> bool:
-    """Whether a node stands for a mapping with keys of its own."""
+    """Return whether a node describes a mapping with keys of its own."""
     return any(branch.get("type") == "object" for branch in branches(node))
 
 
 def is_list(path: Path) -> bool:
-    """Whether the value at a path has to be a list."""
+    """Return whether the value at a path must be a list."""
     node = node_at(path)
     return node is not None and all("items" in branch for branch in branches(node))
 
 
 def known_keys(path: Path, kind: str = "") -> list[str]:
-    """Return the keys that the section at a path may hold."""
+    """Return the keys that the section at a path may have."""
     node = node_at(path, kind)
     return [] if node is None else _keys(branches(node))
 
@@ -129,7 +129,7 @@ def _keys(nodes: Iterable[Node]) -> list[str]:
 
 
 def key_paths(path: Path = (), kind: str = "") -> Iterator[Path]:
-    """Yield the path of every key of fixed name below `path`, of lists in their first entry."""
+    """Yield the paths of all keys with fixed names below `path`, in lists for entry 0."""
     below = (*path, 0) if is_list(path) else path
     for key in known_keys(below, kind):
         yield (*below, key)
@@ -137,20 +137,20 @@ def key_paths(path: Path = (), kind: str = "") -> Iterator[Path]:
 
 
 def words(node: Node) -> list[str]:
-    """Return the words that a value may be."""
-    found = list(branches(node))
-    return [word for b in found for word in b.get("enum", [b["const"]] if "const" in b else [])]
+    """Return the words that are allowed as a value."""
+    nodes = list(branches(node))
+    return [word for b in nodes for word in b.get("enum", [b["const"]] if "const" in b else [])]
 
 
 def allowed(node: Node) -> str:
-    """Return what a value may be, in words, such as `a whole number from 8 to 100`."""
-    found = list(branches(node))
-    if len(found) > 1 and all("properties" in branch for branch in found):
-        return f"a mapping of keys ({', '.join(_keys(found))})"
-    if len(found) > 1 and len(known := words(node)) == len(found):
+    """Describe the allowed values, such as `a whole number from 8 to 100`."""
+    nodes = list(branches(node))
+    if len(nodes) > 1 and all("properties" in branch for branch in nodes):
+        return f"a mapping of keys ({', '.join(_keys(nodes))})"
+    if len(nodes) > 1 and len(known := words(node)) == len(nodes):
         return "one of " + ", ".join(known)
-    # Words such as auto stand last.
-    texts = dict.fromkeys(map(_allowed_branch, found))
+    # Words such as auto come last.
+    texts = dict.fromkeys(map(_allowed_branch, nodes))
     return " or ".join(sorted(texts, key=lambda text: " " not in text))
 
 
@@ -189,44 +189,44 @@ def _number(value: Any) -> str:
 
 
 def problems_of(error: ValidationError, data: Any) -> list[Problem]:
-    """Return pydantic's complaints about `data`, in words that name what is allowed.
+    """Return pydantic's errors about `data` as problems that name the allowed values.
 
-    Those beyond `MAX_PROBLEMS` are counted by whoever shows them: they have no words.
+    Problems beyond `MAX_PROBLEMS` have no text, because a message only counts them.
     """
-    found: dict[Path, tuple[Any, str]] = {}
+    errors: dict[Path, tuple[Any, str]] = {}
     scene = kind_of(data)
-    for complaint in error.errors(include_url=False, include_context=False, include_input=False):
-        location, kind = complaint["loc"], complaint["type"]
+    for entry in error.errors(include_url=False, include_context=False, include_input=False):
+        location, kind = entry["loc"], entry["type"]
         if kind in _KIND_OF_SCENE:
             location, kind = (*location, "kind"), _KIND_OF_SCENE[kind]
         if location[-1:] == ("[key]",):
             kind = "name"
         path, value = _locate(location, kind, data)
         if kind == "value_error":
-            text = complaint["msg"].removeprefix("Value error, ")
+            text = entry["msg"].removeprefix("Value error, ")
             path, reason = _place_named(path, text, value, scene)
-            found[path] = (reason, kind)
-        found.setdefault(path, (value, kind))
-    # A value that fits none of several kinds fails for each; the complaint that goes deepest tells.
-    parents = {path[:depth] for path in found for depth in range(len(path))}
-    told = [path for path in found if path not in parents]
+            errors[path] = (reason, kind)
+        errors.setdefault(path, (value, kind))
+    # A value that fits none of several types has one error per type; the deepest path is reported.
+    parents = {path[:depth] for path in errors for depth in range(len(path))}
+    deepest = [path for path in errors if path not in parents]
     return [
-        Problem(path, _reason(path, *found[path], scene) if n < MAX_PROBLEMS else "")
-        for n, path in enumerate(told)
+        Problem(path, _reason(path, *errors[path], scene) if n < MAX_PROBLEMS else "")
+        for n, path in enumerate(deepest)
     ]
 
 
 def _place_named(path: Path, text: str, section: Any, scene: str) -> tuple[Path, str]:
-    """Return the path that a section's own complaint begins with, and the rest of it."""
+    """Split a section's own error message into the path that it begins with, and the rest."""
     place, colon, reason = text.partition(": ")
-    given = section if isinstance(section, dict) else {}
-    if not colon or place.partition(".")[0] not in {*known_keys(path, scene), *given}:
+    own = section if isinstance(section, dict) else {}
+    if not colon or place.partition(".")[0] not in {*known_keys(path, scene), *own}:
         return path, text
     return (*path, *place.split(".")), reason
 
 
 def _locate(location: tuple[int | str, ...], kind: str, data: Any) -> tuple[Path, Any]:
-    """Drop from pydantic's location what names a kind of value rather than a key."""
+    """Remove the names of types from pydantic's location, and return the path and its value."""
     path: list[str | int] = []
     for i, segment in enumerate(location):
         try:
@@ -239,14 +239,14 @@ def _locate(location: tuple[int | str, ...], kind: str, data: Any) -> tuple[Path
 
 
 def _reason(path: Path, value: Any, kind: str, scene: str) -> str:
-    """Return what is wrong with a value, in a case with a kind of scene."""
+    """Describe the error of a value, in a case with a kind of scene."""
     if kind == "value_error":
         return str(value)
     if kind == "extra_forbidden":
         word = str(path[-1])
         elsewhere = (other for other in key_paths(kind=scene) if other[-1] == word)
-        if (found := next(elsewhere, None)) is not None:
-            return f"unknown key; did you mean {show_path(found)}?"
+        if (similar := next(elsewhere, None)) is not None:
+            return f"unknown key; did you mean {show_path(similar)}?"
         return f"unknown key; {nearest(word, known_keys(path[:-1], scene))}"
     if kind == "name":
         return f"must be {NAME_WORDS}"

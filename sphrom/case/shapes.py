@@ -1,7 +1,7 @@
-"""The shapes of solids in a case file, and the polygons that they mean.
+"""The shapes of solids in a case file, and their polygons.
 
-A shape is one of circle, rectangle, polygon, file, wkt, union, intersection, difference or buffer;
-it may be scaled about the origin, turned about its centroid and moved, in this order.
+A shape is one of circle, rectangle, polygon, file, wkt, union, intersection, difference or buffer.
+It may be scaled about the origin, rotated about its centroid and translated, in this order.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from sphrom.text import quoted, shortened, visible
 from sphrom.whole_files import read_whole
 
 MOST_BYTES = 4 * 1024 * 1024
-"""The largest file of an outline that is read."""
+"""Largest size of an outline's file [bytes]."""
 MOST_CORNERS = 20_000
-"""Corners of an outline; more are finer than any particles."""
+"""Most corners of an outline; more are finer than any particles."""
 QUADRANT_CORNERS = 64
-"""Corners of a rounded corner of a right angle."""
+"""Corners of the polygon that rounds a right angle."""
 MOST_BRACKETS = 8
-"""Brackets within each other in well-known text; several polygons with holes have three."""
+"""Most nested brackets of well-known text; several polygons with holes have three."""
 
 COMBINATIONS: dict[str, Callable[[list[BaseGeometry]], BaseGeometry]] = {
     "union": shapely.union_all,
@@ -42,8 +42,8 @@ COMBINATIONS: dict[str, Callable[[list[BaseGeometry]], BaseGeometry]] = {
 class CircleSection(Section):
     """A circle."""
 
-    centre: Place = key(..., "its centre", unit="m")
-    radius: Positive = key(..., "its radius", unit="m")
+    centre: Place = key(..., "centre", unit="m")
+    radius: Positive = key(..., "radius", unit="m")
 
     def geometry(self) -> BaseGeometry:
         """Return the circle's polygon [m]."""
@@ -53,11 +53,11 @@ class CircleSection(Section):
 class RectangleSection(Section):
     """A rectangle along the axes."""
 
-    lower: Place = key(..., "its lower left corner", unit="m")
-    upper: Place = key(..., "its upper right corner", unit="m")
+    lower: Place = key(..., "lower left corner", unit="m")
+    upper: Place = key(..., "upper right corner", unit="m")
 
     def geometry(self) -> BaseGeometry:
-        """Return the rectangle [m]. Raises ValueError where its corners are the wrong way round."""
+        """Return the rectangle [m]. Raises ValueError unless `upper` is above `lower`."""
         if not all(low < high for low, high in zip(self.lower, self.upper, strict=True)):
             raise ValueError("upper must be above lower along both axes")
         return shapely.box(*self.lower, *self.upper)
@@ -67,45 +67,45 @@ Shapes = Annotated[tuple["ShapeSection", ...], Field(min_length=1)]
 
 
 class BufferSection(Section):
-    """A shape that is grown, or shrunk by a negative distance; corners are rounded."""
+    """A shape that grows, or shrinks by a negative distance, with rounded corners."""
 
     shape: ShapeSection = key(..., "the shape")
-    distance: Coordinate = key(..., "how far it grows", unit="m")
+    distance: Coordinate = key(..., "distance by which it grows", unit="m")
 
     def geometry(self) -> BaseGeometry:
-        """Return the polygon [m]. Raises ValueError where it would have too many corners."""
+        """Return the polygon [m]. Raises ValueError if it would have too many corners."""
         shape = self.shape.geometry()
         if (corners := _rounding_corners(shape, self.distance)) > MOST_CORNERS:
-            raise ValueError(f"its rounded corners have {corners:.0f} corners: simplify it")
+            raise ValueError(f"rounding would make {corners:.0f} corners; simplify the shape")
         return shapely.buffer(shape, self.distance, quad_segs=QUADRANT_CORNERS)
 
 
 class ShapeSection(Section):
-    """A shape: exactly one kind, and how it is scaled, turned and moved."""
+    """A shape of exactly one kind, with its scale, rotation and translation."""
 
     circle: CircleSection | None = key(None, "a circle")
     rectangle: RectangleSection | None = key(None, "a rectangle along the axes")
     polygon: Annotated[tuple[Place, ...], Field(min_length=3)] | None = key(
-        None, "corners in their order; the last is joined to the first", unit="m"
+        None, "corners in order; the last is joined to the first", unit="m"
     )
     file: str | None = key(
-        None, "a file with polygons: GeoJSON or WKT, by how its name ends; read into wkt"
+        None, "a file with polygons, .geojson, .json or .wkt; its content becomes the key wkt"
     )
     wkt: str | None = key(None, "polygons as well-known text")
-    union: Shapes | None = key(None, "shapes taken together")
-    intersection: Shapes | None = key(None, "what shapes share")
+    union: Shapes | None = key(None, "the union of shapes")
+    intersection: Shapes | None = key(None, "the intersection of shapes")
     difference: Shapes | None = key(None, "the first shape without the others")
-    buffer: BufferSection | None = key(None, "a shape that is grown or shrunk")
-    scale: Positive = key(1.0, "factor on all coordinates, such as 1e-3 from millimetres")
+    buffer: BufferSection | None = key(None, "a shape that grows or shrinks")
+    scale: Positive = key(1.0, "factor on all coordinates, such as 1e-3 for millimetres")
     rotate: Annotated[Number, Field(ge=-360.0, le=360.0)] = key(
-        0.0, "angle about the centroid, anticlockwise", unit="deg"
+        0.0, "angle of rotation about the centroid, anticlockwise", unit="deg"
     )
-    translate: Place = key((0.0, 0.0), "how far it is moved", unit="m")
+    translate: Place = key((0.0, 0.0), "translation", unit="m")
 
     @model_validator(mode="before")
     @classmethod
     def _with_outline(cls, values: Any, info: ValidationInfo) -> Any:
-        """Read the outline of a file, so that the case says what it held."""
+        """Read the outline of a file into `wkt`, so that the case contains it."""
         name = values.get("file") if isinstance(values, dict) else None
         if not isinstance(name, str) or values.get("wkt") is not None:
             return values
@@ -114,28 +114,28 @@ class ShapeSection(Section):
 
     @model_validator(mode="after")
     def _one_kind(self) -> ShapeSection:
-        # What a file held is in `wkt` too.
+        # A shape from a file has both `file` and `wkt`.
         only_one(self, [kind for kind in KINDS if self.file is None or kind != "wkt"])
         return self
 
     def geometry(self) -> BaseGeometry:
         """Return the polygon, or polygons, of the shape [m].
 
-        Raises ValueError when it is empty, crosses itself, or is no area.
+        Raises ValueError when it is empty, crosses itself, or has no area.
         """
         kind = only_one(self, [kind for kind in KINDS if kind != "file"])
-        given = getattr(self, kind)
+        value = getattr(self, kind)
         try:
             if kind == "polygon":
-                shape = shapely.Polygon(given)
+                shape = shapely.Polygon(value)
             elif kind == "wkt":
-                shape = _parsed(given)
+                shape = _parsed(value)
             elif kind in COMBINATIONS:
-                shape = COMBINATIONS[kind](_combinable(each.geometry() for each in given))
+                shape = COMBINATIONS[kind](_combinable(each.geometry() for each in value))
             else:
-                shape = given.geometry()
+                shape = value.geometry()
         except shapely.errors.ShapelyError as error:
-            raise ValueError(f"is no polygon: {error}") from error
+            raise ValueError(f"is not a polygon: {error}") from error
         shape = affinity.scale(checked(shape), self.scale, self.scale, origin=(0.0, 0.0))
         shape = affinity.rotate(shape, self.rotate, origin="centroid")
         shape = affinity.translate(shape, self.translate[0], self.translate[1])
@@ -146,13 +146,13 @@ KINDS = [name for name, field in ShapeSection.model_fields.items() if field.defa
 
 
 def checked(shape: BaseGeometry) -> BaseGeometry:
-    """Return a shape that is one or more polygons.
+    """Return a shape of one or more polygons, unchanged.
 
-    Raises ValueError when it is empty, crosses itself, is no area, or lies beyond all numbers.
+    Raises ValueError when it is empty, crosses itself, has no area, or a coordinate is too large.
     """
     if (corners := shapely.get_num_coordinates(shape)) > MOST_CORNERS:
         raise ValueError(f"an outline of {corners} corners; at most {MOST_CORNERS}: simplify it")
-    if not np.all(np.abs(shapely.get_coordinates(shape)) <= LARGEST):  # NaN isn't either
+    if not np.all(np.abs(shapely.get_coordinates(shape)) <= LARGEST):  # also refuses NaN
         raise ValueError(f"a coordinate must be a number from -{LARGEST:g} to {LARGEST:g}")
     if shape.is_empty:
         raise ValueError("the shape is empty")
@@ -168,16 +168,16 @@ def checked(shape: BaseGeometry) -> BaseGeometry:
 
 
 def _combinable(shapes: Iterable[BaseGeometry]) -> list[BaseGeometry]:
-    """Return shapes that are combined within seconds. Raises ValueError where they are not."""
-    found = list(shapes)
-    if np.sum(shapely.get_num_coordinates(found)) > MOST_CORNERS:
+    """Return the shapes. Raises ValueError when it would take long to combine them."""
+    listed = list(shapes)
+    if np.sum(shapely.get_num_coordinates(listed)) > MOST_CORNERS:
         raise ValueError(f"shapes of more than {MOST_CORNERS} corners together: simplify them")
-    require_few_crossings(found)
-    return found
+    require_few_crossings(listed)
+    return listed
 
 
 def _rounding_corners(shape: BaseGeometry, distance: float) -> float:
-    """Return the number of corners that a shape gets where its own are rounded."""
+    """Return the number of corners that rounding adds to a shape."""
     turned = 0.0
     for ring in shapely.get_rings(shapely.orient_polygons(shapely.get_parts(shape))):
         side = np.diff(shapely.get_coordinates(ring), axis=0)
@@ -190,7 +190,7 @@ def _rounding_corners(shape: BaseGeometry, distance: float) -> float:
 def read_outline(path: Path) -> BaseGeometry:
     """Read polygons from a file.
 
-    Raises ValueError when it can't be read, is too large, or holds anything but polygons.
+    Raises ValueError when it can't be read, is too large, or has other content than polygons.
     """
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
@@ -204,7 +204,7 @@ def read_outline(path: Path) -> BaseGeometry:
     except json.JSONDecodeError as error:
         reason = f"is not valid JSON: {error}"
     except (shapely.errors.ShapelyError, RecursionError, LookupError) as error:
-        reason = f"holds no polygon: {error}"
+        reason = f"has no polygon: {error}"
     except (ValueError, TypeError) as error:
         reason = str(error)
     raise ValueError(f"{visible(path.name)}: {shortened(reason)}")
@@ -216,7 +216,7 @@ def _geojson(content: bytes) -> BaseGeometry:
 
 
 def _geometries(document: Any) -> Iterator[BaseGeometry]:
-    """Yield the geometries of a GeoJSON document, which may be a feature or several."""
+    """Yield the geometries of a GeoJSON document with one or more features."""
     kind = document.get("type") if isinstance(document, dict) else None
     if kind == "FeatureCollection":
         for feature in document["features"]:
@@ -227,27 +227,27 @@ def _geometries(document: Any) -> Iterator[BaseGeometry]:
         try:
             shape = shapely.geometry.shape(document)
         except (TypeError, ValueError, LookupError, ArithmeticError) as error:
-            raise ValueError("holds no polygon: give rings of points [x, y]") from error
+            raise ValueError("has no polygon; give rings of points [x, y]") from error
         yield checked(shape)
     else:
-        raise ValueError(f"must hold polygons; got {kind or quoted(document)}")
+        raise ValueError(f"must contain polygons; got {kind or quoted(document)}")
 
 
 def _parsed(text: str) -> BaseGeometry:
     """Return the geometry of well-known text.
 
-    Raises ValueError when it is of no kind that is known, or so deep that to parse it could crash.
+    Raises ValueError when its kind is unknown, or it nests so deeply that parsing could crash.
     """
     depth = np.cumsum([(letter == "(") - (letter == ")") for letter in text])
     if depth.max(initial=0) > MOST_BRACKETS:
-        raise ValueError(f"has more than {MOST_BRACKETS} brackets within each other")
+        raise ValueError(f"has more than {MOST_BRACKETS} nested brackets")
     try:
         with np.errstate(all="ignore"):
             return shapely.from_wkt(text)
     except (shapely.errors.ShapelyError, NotImplementedError) as error:
         fault = str(error).removeprefix("ParseException: ") if text.strip() else "it is empty"
         fault += "; name a file with `file:`" * (Path(text).suffix.lower() in _READERS)
-        raise ValueError(f"is no WKT of polygons with straight sides: {fault}") from error
+        raise ValueError(f"is not WKT of polygons with straight sides: {fault}") from error
 
 
 _READERS = {

@@ -1,5 +1,4 @@
-"""What the studies of a case ask for: models, points and ranges of its figures and its sections
-trade, sweep, fit and training."""
+"""Models, points and ranges of the studies of a case: figures, trade, sweep, fit and training."""
 
 from __future__ import annotations
 
@@ -21,10 +20,10 @@ from sphrom.text import quoted
 
 Ranges = dict[str, tuple[float, float]]
 Row = tuple[tuple[ReducedModelSection | None, ...], tuple[ParameterPoint, ...]]
-"""The models of a row of panels, None for the full one, and the points at which all are run."""
+"""The models of a row of panels, None for the full one, and the points at which all have runs."""
 
 DIGITS = 4
-"""Of the values of candidates: they name files."""
+"""Digits of the values of candidates, which are part of file names."""
 
 
 def rows_of(case: Case, figure: OfRuns) -> list[Row]:
@@ -33,8 +32,8 @@ def rows_of(case: Case, figure: OfRuns) -> list[Row]:
     rows = []
     for names in figure.runs:
         row = tuple(None if name == FULL else models[name] for name in names)
-        made = [case.plan.points if model is None else case.plan.rom_points(model) for model in row]
-        points = tuple(p for p in case.plan.points if all(p in some for some in made))
+        runs = [case.plan.points if model is None else case.plan.rom_points(model) for model in row]
+        points = tuple(p for p in case.plan.points if all(p in some for some in runs))
         if figure.reynolds is not None:
             points = tuple(p for p in points if p.reynolds in figure.reynolds)
         rows.append((row, points))
@@ -48,18 +47,18 @@ def at_resolution(case: Case, resolution: int) -> Case:
 
 
 def fast_section(case: Case, name: str | None = None) -> ReducedModelSection | None:
-    """Return the reduced model of a name, or the first, that has operators; None without any."""
+    """Return the first reduced model with operators, or that with a name; None if there is none."""
     models = (model for model in case.rom if model.from_operators and name in (None, model.name))
     return next(models, None)
 
 
 def place_of(case: Case, name: str) -> int:
-    """Return which of the case's reduced models has a name, counted from 0."""
+    """Return the index of the reduced model with a name."""
     return [model.name for model in case.rom].index(name)
 
 
 def sweep_model(case: Case) -> ReducedModelSection | None:
-    """Return the reduced model of a case's sweep, None where it is the full one."""
+    """Return the reduced model of a case's sweep, None for the full model."""
     name = case.sweep.model
     named = next((model for model in case.rom if model.name == name), None)
     return fast_section(case) if name is None else named
@@ -72,7 +71,7 @@ def sweep_name(case: Case) -> str:
 
 
 def sweep_points(case: Case) -> tuple[ParameterPoint, ...]:
-    """Return where a case's sweep runs its model, in order; nowhere where no values are given."""
+    """Return the points of a case's sweep, in order; empty if the case has no values for it."""
     section, grid = case.sweep, case.sweep.grid
     points: Iterable[dict[str, float]] = section.points
     if section.sample is not None:
@@ -83,78 +82,78 @@ def sweep_points(case: Case) -> tuple[ParameterPoint, ...]:
 
 
 def require_basis(case: Case, model: ReducedModelSection, point: ParameterPoint) -> None:
-    """Raise CaseError where a model has no basis at a point, or none with operators."""
+    """Raise CaseError unless a model has a basis at a point, and operators if it needs them."""
     basis = case.plan.basis_for(model, point)
     if model.basis == LOCAL and model.from_operators and basis not in case.plan.reference_bases:
         raise CaseError(
-            f"{point.label} has the local basis {basis}, at none of whose values {model.name} is "
-            "run, so that it has no operators"
+            f"{point.label} has the local basis {basis}, which has no operators, because "
+            f"{model.name} is run at none of its values"
         )
 
 
 def fit_ranges(case: Case, model: ReducedModelSection) -> Ranges:
-    """Return the ranges of the parameters that are looked for, by name."""
-    given = case.fit.parameters
-    looked_for = {k: given.get(k, trained) for k, trained in trained_ranges(case, model).items()}
-    return {k: (v[0], v[1]) for k, v in looked_for.items() if isinstance(v, tuple)}
+    """Return the ranges of the free parameters of a fit, by name."""
+    listed = case.fit.parameters
+    entries = {k: listed.get(k, trained) for k, trained in trained_ranges(case, model).items()}
+    return {k: (v[0], v[1]) for k, v in entries.items() if isinstance(v, tuple)}
 
 
 def fit_values(case: Case) -> dict[str, float]:
-    """Return the values of the parameters that are known, by name."""
+    """Return the values of the fixed parameters of a fit, by name."""
     return {k: float(v) for k, v in case.fit.parameters.items() if not isinstance(v, tuple)}
 
 
 def trained_ranges(case: Case, model: ReducedModelSection) -> Ranges:
-    """Return the least and the greatest trained value of each parameter, by name."""
+    """Return the trained range of each parameter, by name."""
     rows = [point.as_dict() for point in case.plan.bases.get(model.basis, case.plan.train_points)]
     names = case.plan.parameter_names
     return {k: (min(row[k] for row in rows), max(row[k] for row in rows)) for k in names}
 
 
-def percent(given: str | float, option: str) -> float:
-    """Return a percentage such as `1%`. Raises CaseError, naming the option, for anything else."""
+def percent(value: str | float, option: str) -> float:
+    """Return the number of a percentage such as `1%`. Raises CaseError, with the option's name."""
     try:
-        return percentage(given)
+        return percentage(value)
     except ValueError as error:
-        raise CaseError(f"{option}: {error}; got {quoted(given)}") from error
+        raise CaseError(f"{option}: {error}; got {quoted(value)}") from error
 
 
 @dataclass(frozen=True)
 class Box:
-    """Ranges of parameters as the unit box, and the values of others."""
+    """Ranges of free parameters, mapped to the unit box, and values of fixed parameters."""
 
     ranges: Ranges
     fixed: Mapping[str, float]
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The free parameters."""
+        """The names of the free parameters."""
         return tuple(self.ranges)
 
     def values(self, place: Array) -> dict[str, float]:
-        """Return the values by name of all parameters at a place (n_free,).
+        """Return the values of all parameters at a place (n_free,) in the unit box, by name.
 
-        Reynolds numbers are spread by their logarithm, like viscosities.
+        Reynolds numbers are spaced logarithmically, as viscosities are.
         """
         free = {n: self.value(n, x) for n, x in zip(self.names, place.tolist(), strict=True)}
         return {**self.fixed, **free}
 
     def value(self, name: str, share: float) -> float:
-        """Return the value of a free parameter at its place."""
+        """Return the value of a free parameter at its coordinate in the unit box."""
         low, high = self.ranges[name]
         if name == REYNOLDS:
             return low * (high / low) ** share
         return low + (high - low) * share
 
     def share(self, name: str, value: float) -> float:
-        """Return the place of a value of a free parameter."""
+        """Return the coordinate in the unit box of a free parameter's value."""
         low, high = self.ranges[name]
         if name == REYNOLDS:
             return math.log(value / low) / math.log(high / low)
         return (value - low) / (high - low)
 
     def slopes(self, place: Array) -> Array:
-        """Return the derivatives (n_free,) of the free values by their places."""
+        """Return the derivatives (n_free,) of the free values by their coordinates."""
         values, ends = self.values(place), self.ranges.items()
         return np.array(
             [values[n] * math.log(h / low) if n == REYNOLDS else h - low for n, (low, h) in ends]
@@ -162,11 +161,11 @@ class Box:
 
 
 class Region:
-    """The box of a case's training.
+    """The region of a case's training, a box of parameters.
 
     Attributes
     ----------
-    names : the parameters of all points, the Reynolds number first.
+    names : names of the parameters of all points, the Reynolds number first.
     """
 
     def __init__(self, case: Case) -> None:
@@ -176,7 +175,7 @@ class Region:
         self.names = tuple(dict.fromkeys((REYNOLDS, *ranges)))
 
     def point(self, place: Array) -> ParameterPoint:
-        """Return the point at a place (n_parameters,) of the unit box, to a few digits."""
+        """Return the point at a place (n_parameters,) in the unit box, rounded to a few digits."""
         values = self._box.values(place)
         for (name, ends), share in zip(self._box.ranges.items(), place, strict=True):
             inside = min(max(float(f"{values[name]:.{DIGITS}g}"), ends[0]), ends[1])
@@ -185,7 +184,7 @@ class Region:
         return ParameterPoint(values[REYNOLDS], others)
 
     def places(self, points: Sequence[ParameterPoint]) -> Array:
-        """Return where points are (n_points, n_parameters), in the unit box if in the region."""
+        """Return the coordinates of points (n_points, n_parameters), in [0, 1] in the region."""
         ranges = self._box.ranges
         rows = [[self._box.share(n, p.as_dict()[n]) for n in ranges] for p in points]
         return np.array(rows).reshape(len(points), -1)
@@ -193,8 +192,8 @@ class Region:
     def contains(self, point: ParameterPoint) -> bool:
         """Return whether a point lies in the region."""
         values = point.as_dict()
-        known = {name: (value, value) for name, value in self._box.fixed.items()}
-        ends = {**known, **self._box.ranges}
+        fixed = {name: (value, value) for name, value in self._box.fixed.items()}
+        ends = {**fixed, **self._box.ranges}
         return values.keys() == ends.keys() and all(
             low <= values[name] <= high for name, (low, high) in ends.items()
         )
@@ -204,35 +203,35 @@ class Region:
         places = candidate_places(N_CANDIDATES, len(self._box.ranges), self._case.training.seed)
         return list(dict.fromkeys(map(self.point, places)))
 
-    def starts(self, known: Sequence[ParameterPoint]) -> list[ParameterPoint]:
-        """Return the points that training starts from: corners, and known ones.
+    def starts(self, existing: Sequence[ParameterPoint]) -> list[ParameterPoint]:
+        """Return the first points of training: corners of the region, and existing points.
 
-        So many corners that no further point of the region changes the steps of full runs, or the
-        speed of sound.
+        The corners suffice that no further point of the region changes the time steps of full runs,
+        or the speed of sound.
         """
         number = len(self._box.ranges)
         corners = [self.point(place) for place in first_corners(number)]
-        found = list(dict.fromkeys((*corners, *known)))
+        points = list(dict.fromkeys((*corners, *existing)))
         if number > MOST_CORNERED:
-            return found
+            return points
 
         def settings(points: Sequence[ParameterPoint]) -> tuple[object, float]:
             plan = trained_at(self._case, points).plan
             return plan.steps, plan.sound_speed
 
         every = [self.point(np.array(place)) for place in product((0.0, 1.0), repeat=number)]
-        everywhere = settings([*found, *every])
+        everywhere = settings([*points, *every])
         for corner in every:
-            if settings(found) == everywhere:
+            if settings(points) == everywhere:
                 break
-            found = list(dict.fromkeys((*found, corner)))
-        return found
+            points = list(dict.fromkeys((*points, corner)))
+        return points
 
 
 def trained_at(case: Case, points: Sequence[ParameterPoint]) -> Case:
-    """Return a case that is trained at some points, not checked."""
+    """Return a case with other training points, unchecked."""
     if points[0].others:
-        # Test points that name no Reynolds number have the first of these.
+        # Test points without a Reynolds number use the first of these.
         own = case.parameters.train.reynolds[:1]
         train = TrainValues(points=tuple(point.as_dict() for point in points), reynolds=own)
     else:

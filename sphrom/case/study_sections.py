@@ -1,4 +1,4 @@
-"""The sections `trade`, `fit` and `training` of a case, and the figures that it asks for."""
+"""The sections `trade`, `fit` and `training` of a case, and those of its figures."""
 
 from __future__ import annotations
 
@@ -14,59 +14,61 @@ Resolution = Annotated[Whole, Field(ge=8, le=100_000)]
 
 
 class TradeSection(Section):
-    """The models with operators that are weighed."""
+    """The models with operators whose speed and accuracy are compared."""
 
     n_modes: Modes | None = key(
-        None, "their modes; null is 2, 5, 10, 20, 50, as far as the basis goes, and all it has"
+        None,
+        "numbers of modes of the models; null means 2, 5, 10, 20 and 50, up to the size of the "
+        "basis, and the whole basis",
     )
     full_runs: Flag = key(
         True,
-        "whether full runs are made that the case doesn't have: at other steps and resolutions, "
-        "and with --extremes at other parameters, Mach numbers and h/dx",
+        "whether to make further full runs: at other time steps and resolutions, and with "
+        "--extremes at other parameters, Mach numbers and h/dx",
     )
     resolutions: Annotated[tuple[Resolution, ...], Field(min_length=1)] | None = key(
-        None, "resolutions of further full runs; null is the case's, and half of it where it fits"
+        None, "resolutions of further full runs; null is the case's, and half of it if possible"
     )
     probes: Literal["line", "field"] = key(
-        "field", "place of the relative L2 error over points and time by which models are judged"
+        "field", "points of the relative L2 error over points and time that ranks the models"
     )
     measure: SafeName | None = key(
         None,
-        "a name of scene.measure: models are judged by the relative L2 error of this force, flow "
-        "rate, velocity and pressure, or frequency and amplitude, instead of the fields'",
+        "a name of scene.measure: the relative L2 error of this force, flow rate, velocity and "
+        "pressure, or frequency and amplitude ranks the models, instead of that of the fields",
     )
-    repeats: Whole = key(5, "how often a run is timed; the least time counts", ge=1, le=1000)
+    repeats: Whole = key(5, "number of timings of a run; the least time counts", ge=1, le=1000)
 
 
 LEAST_PERCENT, MOST_PERCENT = 1e-6, 1e3
-"""Noise over a history's range."""
+"""Bounds of the noise, in percent of a history's range."""
 
 
 class FitSection(Section):
-    """Parameters of a reduced model from measured histories."""
+    """The parameters of a reduced model that are fitted to measured histories."""
 
     model: SafeName | None = key(
-        None, "a reduced model with evaluation: operators; null is the first"
+        None, "a reduced model with evaluation: operators; null is the first one"
     )
     parameters: Annotated[dict[SafeName, Coordinate | Range], AfterValidator(viscous)] = key(
         {},
-        "by name the range [low, high] to look for a parameter in, or its known value; others that "
-        "vary in the case are looked for in their trained range",
+        "parameters by name: a range [low, high] for a free parameter, or a fixed value; other "
+        "parameters of the case are free in their trained range",
         unit="as the parameter",
     )
     noise: Annotated[Number, Field(ge=LEAST_PERCENT, le=MOST_PERCENT)] | None = key(
         None,
-        "standard deviation of the noise over the range of each history, where the measurements "
-        "say none",
+        "standard deviation of the noise over the range of each history, if the measurements have "
+        "none",
         unit="%",
     )
-    starts: Whole = key(8, "how many starts the search has, spread over the ranges", ge=1, le=1000)
+    starts: Whole = key(8, "number of starts of the search, spread over the ranges", ge=1, le=1000)
 
 
-def percentage(given: str | float) -> float:
+def percentage(text: str | float) -> float:
     """Return the number of a percentage such as `1%`. Raises ValueError for anything else."""
     try:
-        value = float(str(given).strip().removesuffix("%"))
+        value = float(str(text).strip().removesuffix("%"))
     except ValueError:
         value = 0.0
     if not LEAST_PERCENT <= value <= MOST_PERCENT:
@@ -75,29 +77,30 @@ def percentage(given: str | float) -> float:
     return value
 
 
-# No percentage is zero, so that the text is returned.
+# The text is returned, because no percentage is zero.
 _valid = AfterValidator(lambda text: percentage(text) and text)
 Percentage = Annotated[str, Field(strict=True, examples=["1%"]), _valid]
 N_CANDIDATES = 100
-"""Points of a region at which training estimates the model's error, beside corners."""
+"""Points of a region at which training estimates the model's error, besides corners."""
 
 
 class TrainingSection(Section):
-    """A region of the parameters, and the error allowed of a model anywhere in it."""
+    """A region of the parameters, and the allowed error of a model in all of it."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Range] = Field(init=False)
 
     tolerance: Percentage = key(
-        "1%", "error allowed of the model, over the field's size, root mean squares over a run"
+        "1%", "allowed error of the model: root mean square of the error over that of the field"
     )
-    quantity: Literal["velocity", "pressure", "both"] = key("velocity", "whose error is meant")
+    quantity: Literal["velocity", "pressure", "both"] = key(
+        "velocity", "field whose error is limited"
+    )
     budget: Annotated[Whole, Field(ge=2, le=N_CANDIDATES)] = key(
-        8, "most full runs to learn from, those that are there already too"
+        8, "largest number of training runs, including existing ones"
     )
     model: SafeName | None = key(
-        None,
-        "the model by its name, of those with evaluation: operators; null is the first of these",
+        None, "name of a reduced model with evaluation: operators; null is the first one"
     )
     seed: Whole = key(
         0, "seed of the points at which the model's error is estimated", ge=0, le=2**32 - 1
@@ -110,28 +113,28 @@ class TrainingSection(Section):
 
     @property
     def ranges(self) -> dict[str, tuple[float, float]]:
-        """The least and the greatest value of each parameter, none where there is no region."""
+        """The least and the greatest value of each parameter; empty without a region."""
         return {name: (ends[0], ends[1]) for name, ends in (self.__pydantic_extra__ or {}).items()}
 
     @property
     def fields(self) -> tuple[int, ...]:
-        """Which of velocity, 0, and pressure, 1, count."""
+        """The indices of the limited fields: 0 for velocity, 1 for pressure."""
         return {"velocity": (0,), "pressure": (1,), "both": (0, 1)}[self.quantity]
 
 
 FULL = "full"
-"""What the full model is called among the runs of a figure."""
+"""The name of the full model among the runs of a figure."""
 Runs = Annotated[tuple[Annotated[tuple[SafeName, ...], Field(min_length=1)], ...],
                  Field(min_length=1)]  # fmt: skip
-_RUNS = "rows of panels, each a list of reduced models by name"
-_VALUES = "Reynolds numbers; null is all at which the row's runs are made"
+_RUNS = "rows of panels, each a list of names of reduced models"
+_VALUES = "Reynolds numbers; null means all at which the row has runs"
 
 
 class _Figure(Section):
-    """What all figures have."""
+    """The keys that all figures have."""
 
     name: SafeName = key(..., "name of its file")
-    caption: str = key("", "what a page says below it")
+    caption: str = key("", "caption on pages that show it")
 
 
 class _OfRuns(_Figure):
@@ -140,49 +143,49 @@ class _OfRuns(_Figure):
     runs: Runs = key(..., _RUNS)
     reynolds: ReynoldsValues | None = key(None, _VALUES, unit="-")
     quantities: Annotated[tuple[Literal["speed", "pressure"], ...], Field(min_length=1)] = key(
-        ("speed", "pressure"), "a column of panels each"
+        ("speed", "pressure"), "quantities, with one column of panels each"
     )
 
 
 class FieldFigure(_OfRuns):
-    """Fields at one instant: particles, or reference points, as they are."""
+    """Fields at one time, drawn at the particles or the reference points."""
 
-    kind: Literal["fields"] = key(..., "fields at an instant")
+    kind: Literal["fields"] = key(..., "fields at one time")
     runs: Runs = key(((FULL,),), f"{_RUNS}, or full")
-    time: Duration = key(..., "the instant; the nearest snapshot is drawn", unit="s")
+    time: Duration = key(..., "time; the nearest snapshot is drawn", unit="s")
 
 
 class LineFigure(_OfRuns):
-    """Profiles along the line of comparison at one instant."""
+    """Profiles along the line of comparison at one time."""
 
-    kind: Literal["lines"] = key(..., "profiles at an instant: full, exact and reduced together")
-    time: Duration = key(..., "the instant; the nearest snapshot is drawn", unit="s")
+    kind: Literal["lines"] = key(..., "profiles of full, exact and reduced solutions at one time")
+    time: Duration = key(..., "time; the nearest snapshot is drawn", unit="s")
 
 
 class ErrorFigure(_OfRuns):
-    """Errors over time by Eq. 4.1, on the line of comparison."""
+    """Errors of Eq. 4.1 on the line of comparison, over time."""
 
-    kind: Literal["errors"] = key(..., "Eq. 4.1 on the line, over time")
+    kind: Literal["errors"] = key(..., "errors of Eq. 4.1 on the line, over time")
     range: Literal["line", "field"] = key(
-        "line", "whether errors are over the range on the line or of the whole field"
+        "line", "range by which errors are divided: on the line, or of the whole field"
     )
 
 
 class SpectrumFigure(_Figure):
-    """Singular values of one basis, and their shares."""
+    """Singular values of one basis, and their cumulative shares."""
 
     kind: Literal["singular-values"] = key(..., "singular values and shares in both spaces")
-    basis: SafeName = key("all", "which basis")
-    modes: Modes = key(..., "numbers of modes whose shares are told")
+    basis: SafeName = key("all", "name of the basis")
+    modes: Modes = key(..., "numbers of modes whose shares are labelled")
 
 
 class ModeFigure(_Figure):
-    """One field of some modes, a row for each space."""
+    """One field of some modes, with a row for each space."""
 
     kind: Literal["modes"] = key(..., "modes in both spaces")
-    basis: SafeName = key("all", "which basis")
-    modes: Modes = key(..., "which modes, from 1")
-    field: Literal["density", "x-velocity", "y-velocity"] = key("density", "which part of them")
+    basis: SafeName = key("all", "name of the basis")
+    modes: Modes = key(..., "numbers of the modes, counted from 1")
+    field: Literal["density", "x-velocity", "y-velocity"] = key("density", "field of the modes")
 
 
 OfRuns = FieldFigure | LineFigure | ErrorFigure

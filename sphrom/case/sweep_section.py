@@ -37,9 +37,9 @@ from sphrom.metrics import draws
 from sphrom.metrics.draws import fewest_runs, saltelli_design
 
 MOST_VALUES = 100_000
-"""Values of one sweep."""
+"""Most points of one sweep."""
 NEVER = 1e-9
-"""Probability of impossible values below which no draw is ever among them."""
+"""Probability of impossible values that is small enough to ignore."""
 
 Share = Annotated[Number, Field(ge=1e-4, le=1.0 - 1e-4)]
 
@@ -47,17 +47,17 @@ Share = Annotated[Number, Field(ge=1e-4, le=1.0 - 1e-4)]
 class SpreadSection(Section):
     """Values that are spread over a range."""
 
-    low: Coordinate = key(..., "the least of the range", unit="as the parameter")
-    high: Coordinate = key(..., "the greatest of the range", unit="as the parameter")
-    count: Whole = key(..., "how many values", ge=1, le=MOST_VALUES)
+    low: Coordinate = key(..., "least value", unit="as the parameter")
+    high: Coordinate = key(..., "greatest value", unit="as the parameter")
+    count: Whole = key(..., "number of values", ge=1, le=MOST_VALUES)
     spacing: Literal["linear", "logarithmic"] = key(
-        "linear", "their spacing: equal steps, or equal factors"
+        "linear", "spacing of the values: equal steps, or equal factors"
     )
 
     @model_validator(mode="after")
     def _rising(self) -> SpreadSection:
         if self.low > self.high or (self.spacing == "logarithmic" and self.low <= 0.0):
-            raise ValueError("low: must not be above high, and above zero for spacing: logarithmic")
+            raise ValueError("low: must be at most high, and above zero for spacing: logarithmic")
         return self
 
     @property
@@ -68,20 +68,20 @@ class SpreadSection(Section):
 
 
 class DistributionSection(Section):
-    """The distribution of a parameter; every other key is an argument of scipy's."""
+    """The distribution of a parameter; every other key is one of its arguments in scipy."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Coordinate] = Field(init=False)
 
     distribution: SafeName = key(
         ...,
-        "its name in scipy.stats, such as norm, uniform, truncnorm, lognorm, triang or beta; every "
+        "name in scipy.stats, such as norm, uniform, truncnorm, lognorm, triang or beta; every "
         "other key is one of its arguments, such as loc and scale",
     )
 
     @property
     def arguments(self) -> dict[str, float]:
-        """The arguments that are given."""
+        """The arguments of the distribution."""
         return dict(self.__pydantic_extra__ or {})
 
     def check(self, parameter: str) -> None:
@@ -93,9 +93,9 @@ class DistributionSection(Section):
         share = draws.share_outside(name, arguments, low, LARGEST)
         if share > NEVER:
             raise ValueError(
-                f"{parameter}: {name} has {100.0 * share:.2g} % of its values where none is "
-                f"possible, below {low:g} or above {LARGEST:g}; truncate it (truncnorm, "
-                "truncexpon), or choose one above zero (uniform, lognorm, beta)"
+                f"{parameter}: {100.0 * share:.2g} % of the values of {name} are below {low:g} or "
+                f"above {LARGEST:g}, which is impossible; truncate it (truncnorm, truncexpon), or "
+                "choose a distribution above zero (uniform, lognorm, beta)"
             )
 
 
@@ -104,12 +104,12 @@ class DrawnSection(SampleSection):
 
     __pydantic_extra__: dict[str, Range | DistributionSection]  # type: ignore[assignment]
 
-    count: Whole = key(..., "how many points; of saltelli, a power of two", ge=1, le=MOST_VALUES)
+    count: Whole = key(..., "number of points; for saltelli, a power of 2", ge=1, le=MOST_VALUES)
     method: Literal["sobol", "halton", "latin-hypercube", "random", "saltelli"] = key(  # type: ignore[assignment]
         "sobol",
         "a sequence that fills the box evenly (sobol, halton), latin-hypercube, independent draws "
         "(random), or saltelli, which makes count (2 + number of parameters) runs for Sobol "
-        "indices; of all but latin-hypercube the first points stay where more are asked for",
+        "indices; except with latin-hypercube, a larger count keeps the earlier points",
     )
 
     @model_validator(mode="after")
@@ -128,13 +128,13 @@ class DrawnSection(SampleSection):
 
     @property
     def is_random(self) -> bool:
-        """Whether its points are draws rather than a sequence that fills a box of ranges."""
+        """Whether its points are random draws rather than a sequence that fills a box."""
         drawn = any(isinstance(entry, DistributionSection) for entry in self.entries.values())
         return drawn or self.method in ("random", "saltelli")
 
     @cached_property
     def points(self) -> list[dict[str, float]]:
-        """The points: draws with all digits, else with six."""
+        """The points: random draws with all digits, others with six."""
         if not self.is_random:
             return super().points
         n_parameters = len(self.entries)
@@ -157,45 +157,44 @@ class DrawnSection(SampleSection):
 class SweepSection(Section):
     """One model, run at many parameter values."""
 
-    name: SafeName | None = key(None, "the name of its files; null is the model's name")
+    name: SafeName | None = key(None, "name of its files; null is the name of the model")
     model: SafeName | None = key(
         None,
-        "full, or the name of a reduced model; null is the first that isn't evaluated on "
-        "particles, or full where there is none",
+        "full, or the name of a reduced model; null is the first with evaluation: operators, or "
+        "full if there is none",
     )
     reynolds: ReynoldsValues | SpreadSection | None = key(
         None,
-        "Reynolds numbers: a list, or a range such as {low: 100, high: 200, count: 1000}; a sweep "
-        "needs some",
+        "Reynolds numbers: a list, or a range such as {low: 100, high: 200, count: 1000}",
         unit="-",
     )
     parameters: dict[SafeName, OtherValues | SpreadSection] = key(
         {},
-        "further parameters by name, each a list or a range, of which with the Reynolds numbers "
-        "every combination is run",
+        "further parameters by name, each a list or a range; all combinations with the Reynolds "
+        "numbers are run",
     )
     points: tuple[PointValues, ...] = key(
-        (), "points one by one, each its values by name, in place of reynolds and parameters"
+        (), "list of points, each with its values by name, instead of reynolds and parameters"
     )
     sample: DrawnSection | None = key(
         None,
-        "points that fill a box or are drawn from distributions, in place of reynolds and "
-        "parameters; quantiles and other statistics of outputs are computed",
+        "points that fill a box or are drawn from distributions, instead of reynolds and "
+        "parameters; the sweep then computes quantiles and other statistics of the outputs",
     )
     quantiles: Annotated[
         tuple[Share, ...], Field(min_length=1, max_length=99), AfterValidator(rising)
-    ] = key((0.05, 0.25, 0.5, 0.75, 0.95), "quantiles of a sample's outputs, rising, such as 0.5")
+    ] = key((0.05, 0.25, 0.5, 0.75, 0.95), "levels of the quantiles of a sample's outputs, rising")
     sensitivities: Flag = key(
         False,
-        "whether to differentiate the kinetic energy, forces, flow rates and probes at the end by "
-        "the parameters, for models with operators",
+        "whether to compute derivatives of the final kinetic energy, forces, flow rates and probes "
+        "by the parameters, for models with operators",
     )
 
     @model_validator(mode="after")
     def _consistent(self) -> SweepSection:
         if bool(self.grid) + bool(self.points) + (self.sample is not None) > 1:
             keys = "reynolds and parameters, points, or sample"
-            raise ValueError(f"give values in one way only: {keys}; null leaves one out")
+            raise ValueError(f"give values in one way only: {keys}; null removes a key")
         if math.prod(map(len, self.grid.values())) > MOST_VALUES:
             raise ValueError(f"parameters: makes more than {MOST_VALUES} combinations")
         viscous(self.grid)
@@ -208,29 +207,29 @@ class SweepSection(Section):
 
     @property
     def of_any_values(self) -> SweepSection:
-        """The same without its values, which say nothing of a single run."""
+        """The section without its values, on which a single run does not depend."""
         values = ("reynolds", "parameters", "points", "sample", "quantiles")
         return SweepSection(**{name: each for name, each in self if name not in values})
 
     @property
     def grid(self) -> Mapping[str, tuple[float, ...]]:
-        """The values of each parameter, of which every combination is run."""
+        """The values of each parameter; all their combinations are run."""
         reynolds = {} if self.reynolds is None else {REYNOLDS: self.reynolds}
         return {
-            name: tuple(given.values.tolist()) if isinstance(given, SpreadSection) else given
-            for name, given in {**reynolds, **self.parameters}.items()
+            name: tuple(entry.values.tolist()) if isinstance(entry, SpreadSection) else entry
+            for name, entry in {**reynolds, **self.parameters}.items()
         }
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The parameters that are named."""
+        """The names of all parameters."""
         drawn = self.sample.entries if self.sample else {}
         listed = (name for point in self.points for name in point)
         return tuple(dict.fromkeys((REYNOLDS, *self.parameters, *listed, *drawn)))
 
     @property
     def levels(self) -> tuple[float, ...]:
-        """The quantiles that are computed: of draws, and of a box with runs enough for them."""
+        """The levels of quantiles to compute; none for a box with too few runs."""
         sample = self.sample
         some = sample and (sample.is_random or sample.count >= fewest_runs(self.quantiles))
         return self.quantiles if some else ()

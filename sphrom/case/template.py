@@ -1,6 +1,6 @@
-"""Cases to start from: those that come with the program, and a commented one of every kind.
+"""Cases to start from: the example cases, and new commented cases for all kinds of scene.
 
-A short case for a kind is a file in `cases/new`; one with every key is made of their descriptions.
+The short case of a kind is a file in `cases/new`; the full one is made from the schema.
 """
 
 from __future__ import annotations
@@ -21,44 +21,43 @@ from sphrom.text import nearest, quoted
 WIDTH = 80
 INDENT = "  "
 NAME = "NAME"
-"""Stands in a path for a key that the case names."""
+"""Placeholder in a path for a key that the user names."""
 FOLDER = FilePath(__file__).parent.parent / "cases"
 _END_OF_CLAUSE = re.compile(r"(?<!et al)\.(?:\s|$)|;")
 _FULL_HEAD = """\
 # yaml-language-server: $schema=sphrom.schema.json
 # A case of sphrom: {kind}.
-# Every key but name and scene.kind may be left out: it then has the value here,
-# except for parameters, rom and sweep, which hold an example. Units are in
+# Only name and scene.kind are required. The values of other keys are defaults,
+# except those of parameters, rom and sweep, which are an example. Units are in
 # brackets. Comments with dots list the keys of sections that are empty here:
 # NAME is a name that you choose, 0 the first entry of a list."""
 
 
 def examples() -> Mapping[str, FilePath]:
-    """Return the case files that come with the program by name, those of the gallery at the end."""
-    found = [*sorted(FOLDER.glob("*.yaml")), *sorted(FOLDER.glob("gallery/*.yaml"))]
-    return {path.stem: path for path in found}
+    """Return the example case files by name, with those of the gallery at the end."""
+    paths = [*sorted(FOLDER.glob("*.yaml")), *sorted(FOLDER.glob("gallery/*.yaml"))]
+    return {path.stem: path for path in paths}
 
 
 def example(name: str) -> FilePath:
-    """Return the case file of a name. Raises CaseError for a name that none has."""
-    known = examples()
-    if name not in known:
-        hint = nearest(name, known)
-        raise CaseError(f"no case that comes with sphrom is called {quoted(name)}; {hint}")
-    return known[name]
+    """Return the example case file with a name. Raises CaseError if there is none."""
+    paths = examples()
+    if name not in paths:
+        raise CaseError(f"no example case is called {quoted(name)}; {nearest(name, paths)}")
+    return paths[name]
 
 
 def title(path: FilePath) -> str:
-    """Return what a case file says of itself in its first clause."""
+    """Return the first clause of the comments of a case file."""
     lines = path.read_text(encoding="utf-8").splitlines()
     comment = " ".join(line.lstrip("# ") for line in lines if line.startswith("#"))
     return _END_OF_CLAUSE.split(comment, maxsplit=1)[0]
 
 
 def new_case(kind: str | None, *, full: bool = False) -> str:
-    """Return a commented case file for a kind of scene: a short one, or with every key.
+    """Return a commented case file for a kind of scene: a short one, or one with every key.
 
-    Raises CaseError, with the kinds, for another one or none.
+    Raises CaseError, with a list of the kinds, for an unknown or missing kind.
     """
     titles = {kind_of_section(section): section.title for section in get_args(AnyScene)}
     if kind not in titles:
@@ -111,10 +110,10 @@ def _section(values: dict[str, Any], path: Path, indent: str, kind: str) -> Iter
 
 
 def _keys_of(path: Path, kind: str, above: tuple[list[str], ...] = ()) -> Iterator[Path]:
-    """Yield what a value may hold that is left out: keys, those below a name, of an entry."""
+    """Yield the paths of keys below an empty value, also below names and list entries."""
     for below in (path, (*path, NAME), (*path, 0)):
         keys = schema.known_keys(below, kind)
-        if keys and keys not in above:  # shapes are made of shapes
+        if keys and keys not in above:  # shapes contain shapes without end
             named = [NAME] if schema.node_at((*below, NAME), kind) and below[-1] != NAME else []
             for key in [*keys, *named]:
                 yield (*below, key)
@@ -124,8 +123,8 @@ def _keys_of(path: Path, kind: str, above: tuple[list[str], ...] = ()) -> Iterat
 
 def _comment(path: Path, indent: str, kind: str, before: str = "") -> Iterator[str]:
     node = schema.node_at(path, kind) or {}
-    told = {each.get("description", "") for each in node.get("anyOf", [node])} - {""}
-    text = before + str(node.get("description", told.pop() if len(told) == 1 else ""))
+    texts = {each.get("description", "") for each in node.get("anyOf", [node])} - {""}
+    text = before + str(node.get("description", texts.pop() if len(texts) == 1 else ""))
     if unit := node.get("unit"):
         text += f" [{unit}]"
     if not schema.is_section(node):

@@ -1,8 +1,8 @@
-"""Read YAML into plain values, remembering the line of every key.
+"""Read YAML into plain values, with the line of every key.
 
-PyYAML by itself reads `1e-5` as text, keeps the last of two equal keys without a word, turns `1:30`
-into 90 and `no` into false, and builds what tags ask for. Here values follow YAML 1.2's core rules,
-equal keys and tags are refused, and nothing a text holds can make it grow.
+By default, PyYAML reads `1e-5` as text, `1:30` as 90 and `no` as false, silently keeps the last of
+two equal keys, and builds Python objects from tags. Here values follow the core rules of YAML 1.2,
+equal keys and tags are refused, and the number of values is limited.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ import yaml
 from sphrom.text import quoted, shortened
 
 Path = tuple[str | int, ...]
-"""The keys that lead to a value, and the places in lists, counted from 0."""
+"""The keys and list indices that lead to a value."""
 MAX_VALUES = 10_000
-"""Values of one file, those behind aliases counted each time they are used."""
+"""Most values of one file; values of aliases count at each use."""
 MAX_DEPTH = 20
 _TAG = "tag:yaml.org,2002:"
 _IMPLICIT = {
@@ -35,7 +35,7 @@ _IMPLICIT = {
 
 @dataclass(frozen=True)
 class Problem:
-    """One thing that is wrong, the path of the key it is about, and its line where it differs."""
+    """A problem of a case: the path of its key, the reason, and the line if it is not the key's."""
 
     path: Path
     reason: str
@@ -46,7 +46,7 @@ class Problem:
 
 
 def show_path(path: Path) -> str:
-    """Return a path as it is written for --set, such as `rom.0.n_modes`."""
+    """Return a path in the form of --set, such as `rom.0.n_modes`."""
     return ".".join(
         shortened(str(segment), 60)
         if re.fullmatch(r"[\w-]+", str(segment), re.ASCII)
@@ -56,13 +56,13 @@ def show_path(path: Path) -> str:
 
 
 class _TooLarge(Exception):
-    """A text nests too deep, or holds too many values: why, and the line."""
+    """A text nests too deeply or has too many values; the arguments are the reason and the line."""
 
 
 class Loader(yaml.SafeLoader):
-    """A loader whose plain values follow YAML 1.2, and that doesn't nest without end."""
+    """A loader of plain values by the rules of YAML 1.2, with limited nesting."""
 
-    yaml_implicit_resolvers = {}  # noqa: RUF012 - PyYAML's own way of being configured
+    yaml_implicit_resolvers = {}  # noqa: RUF012 - PyYAML is configured by this attribute
 
     depth = n_nodes = 0
 
@@ -76,9 +76,9 @@ class Loader(yaml.SafeLoader):
 
 
 class Dumper(yaml.SafeDumper):
-    """A dumper that puts in quotes what the loader would take for another kind of value."""
+    """A dumper that quotes texts which the loader would read as another type."""
 
-    yaml_implicit_resolvers = {}  # noqa: RUF012 - PyYAML's own way of being configured
+    yaml_implicit_resolvers = {}  # noqa: RUF012 - PyYAML is configured by this attribute
 
     def ignore_aliases(self, data: Any) -> bool:
         return True
@@ -93,16 +93,16 @@ def _require_small(depth: int, n_values: int, line: int) -> None:
     if depth > MAX_DEPTH:
         raise _TooLarge(f"nests deeper than {MAX_DEPTH} levels", line)
     if n_values > MAX_VALUES:
-        raise _TooLarge(f"holds more than {MAX_VALUES} values", line)
+        raise _TooLarge(f"has more than {MAX_VALUES} values", line)
 
 
 def dump_yaml(value: Any) -> str:
-    """Return plain values as YAML that `read_yaml` reads back."""
+    """Return plain values as YAML that `read_yaml` can read."""
     return yaml.dump(value, Dumper=Dumper, sort_keys=False, width=100)
 
 
 def read_yaml(text: str) -> Document:
-    """Read one YAML document; what is wrong with it is in its `problems`."""
+    """Read one YAML document; its errors are in `problems`."""
     line, document = None, Document()
     try:
         if (node := Loader(text).get_single_node()) is not None:
@@ -125,14 +125,14 @@ def read_yaml(text: str) -> Document:
 
 @dataclass
 class Document:
-    """What a text holds."""
+    """The content of a YAML text."""
 
     value: Any = None
     lines: dict[Path, int] = field(default_factory=dict)
-    """The line, from 1, of each key and list entry."""
+    """The line of each key and list entry, counted from 1."""
     problems: list[Problem] = field(default_factory=list)
     n_values: int = 0
-    """Values so far, those behind aliases counted each time."""
+    """Number of values so far; values of aliases count at each use."""
 
     def convert(self, node: yaml.Node, path: Path) -> Any:
         """Return a node as plain values."""
@@ -154,7 +154,7 @@ class Document:
             return None if kind == "null" else text == "true"
         try:
             return int(text) if kind == "int" else float(re.sub(r"\.(?=inf|nan)", "", text))
-        except ValueError:  # Python reads no more than some thousand digits
+        except ValueError:  # Python limits the digits of integers
             return self._refuse(path, line, "a number of too many digits")
 
     def _mapping(self, node: yaml.MappingNode, path: Path) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The command line: what help says first, and errors as lines and exit codes."""
+"""The command line: the first help text, and the exit codes of errors."""
 
 from __future__ import annotations
 
@@ -22,17 +22,18 @@ from sphrom.text import shortened
 from sphrom.version import __version__
 
 UsageError: Any = typer.BadParameter.__base__
-"""What typer raises for arguments that it can't take; it exports only some kinds of it."""
+"""The base class of typer's errors for invalid arguments, which typer does not export."""
 
 
 class Commands(TyperGroup):
-    """Shows errors that a user can act on as lines, and turns them into exit codes."""
+    """Prints errors that a user can act on without a traceback, and sets the exit code."""
 
     def make_context(
         self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any
     ) -> Any:
         with _visible_usage():
-            if any(re.fullmatch("(--[a-z-]+=)?", given) for given in args):  # a path: this folder
+            # An empty path would mean the current folder.
+            if any(re.fullmatch("(--[a-z-]+=)?", argument) for argument in args):
                 raise UsageError("an argument is empty; is a variable of the shell not set?")
             return super().make_context(info_name, args, parent, **extra)
 
@@ -52,16 +53,16 @@ class Commands(TyperGroup):
 
 
 def _way_on(command: str) -> str:
-    """Return what is kept of a command that was stopped, and how to go on."""
+    """Return a message that says which files of a stopped command remain, and how to continue."""
     words, kept, does = ["sphrom", *sys.argv[1:]], "complete files are kept", "starts again"
     if command == "case":
         return ""
-    if command in ("trade", "train", "sweep"):  # which start anew if they are forced to
+    if command in ("trade", "train", "sweep"):  # with --force they would start from the beginning
         words = [word for word in words if word != "--force"]
-        kept, does = "finished runs are kept", "goes on"
+        kept, does = "finished runs are kept", "continues"
     elif command in ("fom", "rom", "run"):
         words += ["--resume"] * ("--resume" not in words)
-        kept, does = "finished artifacts and checkpoints are kept", "goes on from them"
+        kept, does = "finished artifacts and checkpoints are kept", "continues from them"
     elif command == "export":
         words += ["--force"] * ("--force" not in words)
     return f"; {kept}: `{shlex.join(words)}` {does}"
@@ -69,7 +70,7 @@ def _way_on(command: str) -> str:
 
 @contextmanager
 def _visible_usage() -> Iterator[None]:
-    """Make visible, and short, what typer's messages about usage repeat of the arguments."""
+    """Escape and shorten the arguments that typer's messages about usage quote."""
     try:
         yield
     except UsageError as error:
@@ -100,11 +101,11 @@ def sphrom(
 ) -> None:
     """Turn a smoothed-particle-hydrodynamics simulation into a reduced model.
 
-    The stages in their order: fom, map, pod, fit-psi, operators, rom, compare; run does all of
-    them. Each reads artifacts (HDF5) from runs/<name of the case> in the current folder, or from
-    the folder that --out names, and writes its own there. The command trade weighs the speed of
-    models against their accuracy, sweep runs one model at thousands of parameter values, fit finds
-    parameters from measurements, and train chooses the full runs that a model is trained on.
+    The stages, in order, are fom, map, pod, fit-psi, operators, rom and compare; `run` runs all of
+    them. Each stage reads and writes HDF5 files, called artifacts, in the folder runs/CASE, or in
+    the folder that --out names. `trade` weighs the speed of models against their accuracy. `sweep`
+    runs one model at thousands of parameter values. `fit` estimates parameters from measurements.
+    `train` chooses the full runs that a model is trained on.
 
     \b
     Example, from a case file to a comparison:
@@ -113,7 +114,7 @@ def sphrom(
       sphrom run vortex.yaml
 
     Exit codes: 0 done, 2 wrong usage or invalid case, 3 an artifact is missing or damaged,
-    4 a run became unstable, 5 it would not fit this machine, 130 interrupted, 143 terminated.
+    4 a run became unstable, 5 a run does not fit this machine, 130 interrupted, 143 terminated.
     """
 
 

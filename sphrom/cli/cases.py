@@ -25,13 +25,13 @@ from sphrom.whole_files import open_to_write
 cases = typer.Typer(
     no_args_is_help=True, rich_markup_mode=None, help="Write, check and describe case files."
 )
-KINDS = "One of taylor-green, lid-driven-cavity, open-cavity, or custom: a flow of your own."
-Output = Annotated[Path | None, option("FILE", "Write there.", "--output", "-o")]
-Force = Annotated[bool, typer.Option("--force", help="Write over a file.")]
+KINDS = "One of taylor-green, lid-driven-cavity, open-cavity, or custom (a flow of your own)."
+Output = Annotated[Path | None, option("FILE", "Write to this file.", "--output", "-o")]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")]
 
 
 def write_new(target: Path | None, text: str, next_step: str, *, force: bool) -> None:
-    """Write a file, over another with `force` only, and tell so; print it where none is named."""
+    """Write a file, an existing one only with `force`, or print the text if no file is named."""
     if target is None:
         print(text, end="")
         return
@@ -39,16 +39,16 @@ def write_new(target: Path | None, text: str, next_step: str, *, force: bool) ->
         with open_to_write(target, "w" if force else "x") as file:
             file.write(text)
     except FileExistsError as error:
-        raise CaseError(f"{target}: is there already; --force writes over it") from error
+        raise CaseError(f"{target}: exists already; --force overwrites it") from error
     tell(f"wrote {target}{next_step}")
 
 
 @stage_command(cases, "check", ("case", "out", "overrides", "force"))
 def check(options: Options) -> None:
-    """Check a case, and tell what it would cost; exit code 5 if it would not fit this machine.
+    """Check a case and estimate its cost; exit code 5 if it does not fit this machine.
 
     \b
-    Example, with a step to try:
+    Example, with another time step:
       sphrom case check cases/taylor_green_demo.yaml --set time.step=1e-3
     """
 
@@ -60,13 +60,13 @@ def draw(
         Path | None,
         option(
             "FILE",
-            "Where to, PNG or SVG by how it ends.  [default: NAME.png, in --out if given]",
+            "The picture, .png or .svg.  [default: NAME.png, in --out if given]",
             "--output",
             "-o",
         ),
     ] = None,
 ) -> None:
-    """Draw a case before it runs: particles, ghosts, walls and their velocities, compared line.
+    """Draw a case before it runs: particles, ghosts, moving walls, the line that is compared.
 
     \b
     Example:
@@ -77,7 +77,7 @@ def draw(
 
 @command(cases, "show", ("case", "overrides", "force"))
 def show(options: Options) -> None:
-    """Print every key of a case with its value, defaults and outlines of files included.
+    """Print every key of a case with its value, including defaults and outlines read from files.
 
     \b
     Example:
@@ -99,11 +99,11 @@ def new(
     ] = None,
     output: Output = None,
     full: Annotated[
-        bool, typer.Option("--full", help="With every key, at its default, and its meaning.")
+        bool, typer.Option("--full", help="Write every key, with its default and its meaning.")
     ] = False,
     force: Force = False,
 ) -> None:
-    """Write a short case file to start from, with a fast model, that runs in a minute or so.
+    """Write a short case file with a fast model to start from; it runs in about a minute.
 
     \b
     Example:
@@ -119,12 +119,12 @@ def new(
 def examples(
     name: Annotated[
         str | None,
-        argument("[NAME]", "The case to write; without it, all are listed."),
+        argument("[NAME]", "The case to write; without a name, list all."),
     ] = None,
     output: Output = None,
     force: Force = False,
 ) -> None:
-    """List the cases that come with sphrom, or write one into a file, by default NAME.yaml.
+    """List the example cases, or write one of them to a file, by default NAME.yaml.
 
     \b
     Example:
@@ -134,9 +134,9 @@ def examples(
     from sphrom.case import template
 
     if name is None:
-        known = template.examples()
-        width = max(map(len, known))
-        for each, path in known.items():
+        paths = template.examples()
+        width = max(map(len, paths))
+        for each, path in paths.items():
             tell(f"{each:{width}}  {template.title(path)}", indent=width + 2)
         return
     source = template.example(name)
@@ -147,13 +147,13 @@ def examples(
 
 @cases.command(cls=Command)
 def schema(output: Output = None, force: Force = False) -> None:
-    """Print the JSON schema of case files, by which editors complete and check them.
+    """Print the JSON schema of case files, for editors that complete and check keys.
 
-    An editor with the YAML language server finds it by a line at the top of a case file, which case
-    new writes: # yaml-language-server: $schema=sphrom.schema.json
+    An editor with the YAML language server finds the schema by the first line of a case file, which
+    `case new` writes: # yaml-language-server: $schema=sphrom.schema.json
 
     \b
-    Example, beside the case files:
+    Example, in the folder of the case files:
       sphrom case schema -o sphrom.schema.json
     """
     from sphrom.case.schema import json_schema

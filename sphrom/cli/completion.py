@@ -1,6 +1,6 @@
-"""What the shell completes, beside commands, options and files: kinds, keys and values.
+"""Shell completion of kinds of scenes, keys of a case, and parameter values.
 
-Nothing is said where there is nothing to complete: a shell that asks wants no errors.
+Errors are silent here, because a message would disturb the line that the user types.
 """
 
 from __future__ import annotations
@@ -9,27 +9,27 @@ import typer
 
 
 def kinds(incomplete: str) -> list[str]:
-    """Return the kinds of scene that begin so."""
+    """Return the kinds of scene that begin with a text."""
     from sphrom.case.scenes import DEFAULTS
 
     return [kind for kind in DEFAULTS if kind.startswith(incomplete)]
 
 
 def keys(incomplete: str) -> list[str]:
-    """Return the keys of a case that begin so, as far as their names are fixed."""
+    """Return the keys of a case with fixed names that begin with a text."""
     from sphrom.case.schema import is_section, key_paths, node_at
 
-    found = (path for path in key_paths() if not is_section(node_at(path) or {}))
-    names = (".".join(map(str, path)) + "=" for path in found)
+    paths = (path for path in key_paths() if not is_section(node_at(path) or {}))
+    names = (".".join(map(str, path)) + "=" for path in paths)
     return [name for name in names if name.startswith(incomplete)]
 
 
 def values(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Return the parameter values and models of the case that is named before, for --only."""
+    """Return the parameter values and models of the case on the command line, for --only."""
     from sphrom.case.loader import load_case
     from sphrom.errors import SphromError
 
-    # A line that ends within an option is not parsed as far as its arguments.
+    # typer has not parsed the arguments yet if the line ends within an option.
     named = ctx.params.get("case") or next(iter(ctx.args), None)
     try:
         case = load_case(named or "")

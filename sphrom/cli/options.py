@@ -1,4 +1,4 @@
-"""The options that several commands have, how a command takes them, and how it runs its stage."""
+"""Options that commands share, and the functions that declare a command and run its stage."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from sphrom.cli import completion
 from sphrom.console import LOG, LogFile, Reporter
 
 WITHOUT_LOG = ("check", "draw")
-"""Stages that leave nothing beside the artifacts."""
+"""Stages that write no log beside the artifacts."""
 
 
 def option(metavar: str, text: str, *names: str, **more: Any) -> Any:
-    """Return an option, by default called as its parameter, with the name of its value and help."""
+    """Return an option; `metavar` stands for its value in the help, `names` replace its own."""
     return typer.Option(*names, metavar=metavar, help=text, **more)
 
 
 def argument(metavar: str, text: str, **more: Any) -> Any:
-    """Return an argument, with its name and help."""
+    """Return an argument; `metavar` stands for its value in the help."""
     return typer.Argument(metavar=metavar, help=text, show_default=False, **more)
 
 
 class Command(TyperCommand):
-    """A command whose summary is a whole sentence in the list of commands."""
+    """A command whose summary is not cut in the list of commands."""
 
     def get_short_help_str(self, limit: int = 0) -> str:
         return super().get_short_help_str(sys.maxsize)
@@ -42,14 +42,14 @@ class Command(TyperCommand):
 
 @dataclass(frozen=True)
 class Options:
-    """The options that several commands have; each is declared here, with its help."""
+    """The options that commands share, each with its help."""
 
     case: Annotated[Path, argument("CASE", "The case file (YAML).")]
     out: Annotated[
         Path | None,
         option(
             "DIR",
-            "Folder of the artifacts.  [default: runs/<name of the case> in the current folder]",
+            "Folder of the artifacts.  [default: runs/CASE in the current folder]",
         ),
     ] = None
     overrides: Annotated[
@@ -62,7 +62,7 @@ class Options:
         ),
     ] = None
     force: Annotated[
-        bool, typer.Option("--force", help="Write over files; insist on a step beyond its limit.")
+        bool, typer.Option("--force", help="Overwrite files; accept a time step above its limit.")
     ] = False
     threads: Annotated[int | None, option("N", "Threads to use.  [default: all cores]", min=1)] = (
         None
@@ -73,40 +73,40 @@ class Options:
         list[str] | None,
         option(
             "NAME=VALUE[,...]",
-            "Only these parameter values; of rom and export also a MODEL. May be repeated.",
+            "Only these parameter values; for rom and export also a MODEL. May be repeated.",
             autocompletion=completion.values,
         ),
     ] = None
     resume: Annotated[
-        bool, typer.Option("--resume", help="Go on from the checkpoints of runs that were stopped.")
+        bool, typer.Option("--resume", help="Continue stopped runs from their checkpoints.")
     ] = False
     checkpoint_every: Annotated[
         float,
         option(
-            "SECONDS", "Least time from one checkpoint to the next; 0 is after every step.", min=0.0
+            "SECONDS", "Least time between checkpoints; 0 writes one after every step.", min=0.0
         ),
     ] = 60.0
 
     @property
     def words(self) -> str:
-        """The arguments by which another command finds the same artifacts."""
+        """The arguments that make another command use the same artifacts."""
         changes = [word for text in self.overrides or () for word in ("--set", text)]
         out = [] if self.out is None else ["--out", str(self.out)]
         return shlex.join([str(self.case), *changes, *out])
 
 
 ALL = tuple(signature(Options).parameters)
-"""The options of a stage whose long runs may be stopped and resumed."""
+"""The options of stages with long runs, which may be stopped and resumed."""
 BY_POINT = ALL[: ALL.index("resume")]
-"""The options of one that may be run at some parameter values only."""
+"""The options of stages that may run at selected parameter values."""
 WHOLE = ALL[: ALL.index("only")]
-"""The options of one that takes the whole case."""
+"""The options of stages that always process the whole case."""
 WITHOUT_THREADS = tuple(name for name in WHOLE if name != "threads")
-"""The options of one whose workers have a thread each."""
+"""The options of stages whose workers have one thread each."""
 
 
 def parameters_of(function: Callable[..., Any]) -> dict[str, Parameter]:
-    """Return the parameters of a function or dataclass, with what typer is told of each."""
+    """Return the parameters of a function or dataclass with their annotations for typer."""
     kinds = get_type_hints(function, include_extras=True)
     return {
         name: parameter.replace(annotation=kinds[name], kind=Parameter.KEYWORD_ONLY)
@@ -122,21 +122,20 @@ def command(
     own: Iterable[Parameter] = (),
     does: Callable[..., None] | None = None,
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a decorator that adds a function as a command, with some common options.
+    """Return a decorator that adds a function as a command; its docstring is the help.
 
-    The function gets these as `Options`, and has the command's own as further parameters. Its
-    docstring is the help.
+    The function takes the shared options as one `Options`, and the command's own as parameters.
 
     Parameters
     ----------
-    taken : the names of fields of Options.
-    own : options of the command that the function gets as further keywords.
-    does : what is called in place of the function.
+    taken : names of the fields of Options that the command has.
+    own : further options, which the function takes as keywords.
+    does : function to call instead of the decorated one.
     """
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
-        def run(**given: Any) -> None:
-            (does or function)(Options(**{name: given.pop(name) for name in taken}), **given)
+        def run(**values: Any) -> None:
+            (does or function)(Options(**{name: values.pop(name) for name in taken}), **values)
 
         common, named = parameters_of(Options), parameters_of(function)
         others = [p for n, p in named.items() if n not in ("options", "own")]
@@ -152,18 +151,18 @@ def command(
 def stage_command(
     app: typer.Typer, name: str, taken: Sequence[str] = WHOLE
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a decorator that adds the command of a stage, which gets all options of its own.
+    """Return a decorator that adds a command which runs a stage.
 
-    The function that it takes has no body: its parameters are the command's own options, and its
-    docstring is the help.
+    The decorated function has no body. Its parameters are the command's own options, which the
+    stage gets, and its docstring is the help.
     """
     return command(app, name, taken, does=partial(run_stage, name))
 
 
 def run_stage(stage: str, options: Options, **asked: object) -> Any:
-    """Load the case, run one stage on it, with what else is asked, and return what it returns.
+    """Load the case, run one stage on it, and return the stage's result.
 
-    Raises SphromError, of which each kind is an exit code.
+    `asked` are the command's own options. Raises SphromError; each kind has its exit code.
     """
     from sphrom.case.loader import load_case
 

@@ -1,4 +1,4 @@
-"""The commands of stages, of studies that run many models, and of import and export."""
+"""The commands that run stages and studies, and those for import and export."""
 
 from __future__ import annotations
 
@@ -33,21 +33,21 @@ Scheduler = Annotated[
 ]
 Workers = Annotated[
     int | None,
-    option("N", "Processes to run at once.  [default: all cores; while train chooses, one]", min=1),
+    option("N", "Number of parallel processes.  [default: all cores; for train, one]", min=1),
 ]
 OF_FILES = ("case", "out", "overrides", "force", "quiet", "only")
-"""The options of commands that take or make other programs' files."""
+"""The options of commands that read or write other programs' files."""
 
 
 @stage_command(stages, "fom", ALL)
 def fom(options: Options) -> None:
     """Run the full model at every parameter value: fom-<parameters>.h5.
 
-    A run that is stopped leaves a checkpoint beside its artifact; --resume continues it, to the
-    same artifact bit for bit. The end of a spin-up is kept in spin-up-<parameters>.h5.
+    A stopped run leaves a checkpoint; --resume continues it, and the artifact is the same bit for
+    bit. The file spin-up-<parameters>.h5 stores the final state of a spin-up.
 
     \b
-    Example, one value, and the same after it was stopped:
+    Example, one value, then the same run resumed after a stop:
       sphrom fom cases/taylor_green_demo.yaml --only reynolds=100
       sphrom fom cases/taylor_green_demo.yaml --only reynolds=100 --resume
     """
@@ -58,7 +58,7 @@ def map_(options: Options) -> None:
     """Map snapshots onto the reference space: map-<parameters>.h5.
 
     \b
-    Example, in a folder that already holds the full runs:
+    Example, with full runs that are already in a folder of their own:
       sphrom map cases/taylor_green_demo.yaml --out runs/demo
     """
 
@@ -68,7 +68,7 @@ def pod(options: Options) -> None:
     """Extract the trial basis from the mapped snapshots: pod.h5.
 
     \b
-    Example, with 20 modes, writing over an earlier basis:
+    Example, with 20 modes, overwriting an earlier basis:
       sphrom pod cases/taylor_green_demo.yaml --set basis.n_modes=20 --force
     """
 
@@ -85,10 +85,10 @@ def fit_psi(options: Options) -> None:
 
 @stage_command(stages, "operators")
 def operators(options: Options) -> None:
-    """Project the right-hand side on the reference points onto the basis: operators.h5.
+    """Project the equations on the reference points onto the basis: operators.h5.
 
-    For reduced models with evaluation: operators; their cost is independent of the number of
-    particles.
+    Reduced models with `evaluation: operators` need this stage. Their cost does not depend on the
+    number of particles.
 
     \b
     Example:
@@ -100,11 +100,11 @@ def operators(options: Options) -> None:
 def rom(options: Options) -> None:
     """Run the reduced models: rom-<name>-<parameters>.h5.
 
-    A model that isn't evaluated on particles may list values in its parameters at which no full
-    run is made.
+    A model that isn't evaluated on particles may also run at parameter values without a full run,
+    which its key `parameters` lists.
 
     \b
-    Example, a value that the basis was not trained on, and one model alone:
+    Example, a parameter value without a full run, then a single model:
       sphrom rom cases/taylor_green_demo.yaml --only reynolds=150
       sphrom rom cases/taylor_green_demo.yaml --only fast-m5
     """
@@ -112,19 +112,19 @@ def rom(options: Options) -> None:
 
 @stage_command(stages, "compare")
 def compare(options: Options) -> None:
-    """Compare reduced with full runs: tables, figures, compare.h5.
+    """Compare reduced runs with full runs: tables, figures, compare.h5.
 
     \b
-    Example, leaving out the start, where the flow settles:
+    Example, without the start-up of the flow:
       sphrom compare cases/taylor_green_demo.yaml --set compare.from_time=0.1
     """
 
 
 @stage_command(stages, "figures")
 def figures(options: Options) -> None:
-    """Draw the figures that a case asks for in compare.figures: figures/<name>.png.
+    """Draw the figures that compare.figures of a case lists: figures/<name>.png.
 
-    Runs and their comparison have to be there.
+    The runs and their comparison must exist already.
 
     \b
     Example, the paper's figures of the Taylor-Green vortex:
@@ -137,8 +137,8 @@ def figures(options: Options) -> None:
 def report(options: Options) -> None:
     """Write one HTML page of a case and its results: report.html.
 
-    It shows what compare found, and trade, train and all sweeps of the folder where they have run;
-    it needs no network to be read.
+    It shows the comparison and, if they have run, trade, train and all sweeps. The page can be read
+    without a network.
 
     \b
     Example:
@@ -149,10 +149,10 @@ def report(options: Options) -> None:
 
 @stage_command(stages, "run", (*WHOLE, "resume", "checkpoint_every"))
 def run(options: Options) -> None:
-    """Run all stages that are needed, keeping what is there and valid.
+    """Run all stages that a case needs, keeping valid artifacts.
 
     \b
-    Example, the whole pipeline with a longer step, in a folder of its own:
+    Example, with a longer time step, into a folder of its own:
       sphrom run cases/taylor_green_demo.yaml --out coarse --set time.step=0.01
     """
 
@@ -163,29 +163,29 @@ def trade(
     tolerance: Annotated[
         str | None,
         option(
-            "PERCENT", "Name the cheapest model within 1%, or 0.5%,3% of velocity and pressure."
+            "PERCENT", "Name the cheapest model within 1%, or within 0.5%,3% (velocity, pressure)."
         ),
     ] = None,
     extremes: Annotated[
-        bool, typer.Option("--extremes", help="Map where models are stable, and where right.")
+        bool, typer.Option("--extremes", help="Map where models are stable and accurate instead.")
     ] = False,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Map the extremes with fewer values and full runs.")
+        bool, typer.Option("--quick", help="With --extremes: fewer values and full runs.")
     ] = False,
 ) -> None:
     """Weigh speed against accuracy: run and time the models that the case lists.
 
-    Writes tables and a plot with the Pareto front into the folder trade beside the artifacts, which
-    have to be there. Further full runs are kept below it: the same command goes on from them.
+    The artifacts of the case must exist. Tables and a plot of the Pareto front go into the folder
+    `trade` beside them, and so do further full runs. After a stop, the same command continues.
 
     \b
-    Example, after a run: the cheapest model that is wrong by at most one percent:
+    Example, the cheapest model with an error of at most one percent:
       sphrom trade cases/taylor_green_demo.yaml --tolerance 1%
     """
     if extremes and tolerance is not None:
-        raise CaseError("--tolerance: is not for --extremes, which weighs no models")
+        raise CaseError("--tolerance: can't be combined with --extremes, which compares no models")
     if quick and not extremes:
-        raise CaseError("--quick: is for --extremes")
+        raise CaseError("--quick: needs --extremes")
     if extremes:
         run_stage("extremes", options, quick=quick)
     else:
@@ -198,30 +198,30 @@ def sweep(
     workers: Workers = None,
     scheduler: Scheduler = None,
     shard: Annotated[
-        str | None, option("I/N", "Make the I-th of N shares only, as one job of a batch.")
+        str | None, option("I/N", "Run the I-th of N shares only, as one job of a batch queue.")
     ] = None,
     collect: Annotated[
-        bool, typer.Option("--collect", help="Make no runs: gather those of the shards.")
+        bool, typer.Option("--collect", help="Run nothing: gather the runs of all shares.")
     ] = False,
 ) -> None:
     """Run one model at many parameter values: sweep-<name>.h5 and sweep-<name>.csv.
 
-    The section sweep of the case names the model and the values. Finished runs are kept: the same
-    command goes on where a sweep was stopped, and with more values makes the new runs only. A run
-    that fails is recorded, and the others go on; exit code 4 says that one became unstable.
+    The section `sweep` of the case names the model and the parameter values. Finished runs are
+    kept, so the same command continues a stopped sweep, and more values add runs. A failed run is
+    recorded and the others continue; exit code 4 means that a run became unstable.
 
-    With --scheduler the workers of a Dask cluster make the runs: `dask scheduler` on one machine,
-    `dask worker ADDRESS --nworkers auto --nthreads 1` on each. With --shard, each of N jobs of a
-    batch queue makes its share, and the last one gathers the results.
+    With --scheduler, the workers of a Dask cluster do the runs: start `dask scheduler` on one
+    machine and `dask worker ADDRESS --nworkers auto --nthreads 1` on each. With --shard, each of N
+    jobs of a batch queue does its share, and the last job gathers the results.
 
     \b
-    Example, a thousand reduced runs after a run of the case:
+    Example, a thousand reduced runs of a case that has run:
       sphrom sweep cases/taylor_green_demo.yaml
     """
     share: tuple[int, ...] | None = None
     if shard is not None:
-        found = re.fullmatch(r"(\d{1,9})/(\d{1,9})", shard)
-        share = tuple(map(int, found.groups())) if found else (0, 0)
+        match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", shard)
+        share = tuple(map(int, match.groups())) if match else (0, 0)
         if not 1 <= share[0] <= share[1]:
             raise CaseError(f"--shard: must be like 1/8, up to 8/8; got {shard!r}")
     run_stage("sweep", options, workers=workers, scheduler=scheduler, shard=share, collect=collect)
@@ -234,26 +234,26 @@ def fit(
         Path,
         argument(
             "MEASUREMENTS",
-            "Measured histories (CSV), a column for each, such as time, drag_force_x.",
+            "Measured histories (CSV), one per column, such as time, drag_force_x.",
         ),
     ],
     noise: Annotated[
         str | None,
-        option("PERCENT", "Standard deviation of the noise over a history's range, such as 1%."),
+        option("PERCENT", "Standard deviation of the noise, in percent of a history's range."),
     ] = None,
     name: Annotated[
         str | None,
-        option("NAME", "Name of the files: fit-NAME.h5.  [default: as the measurements]"),
+        option("NAME", "Name of the results, fit-NAME.h5.  [default: that of the measurements]"),
     ] = None,
 ) -> None:
-    """Find parameters from measured histories: fit-<name>.h5, .csv and .png.
+    """Estimate parameters from measured histories: fit-<name>.h5, .csv and .png.
 
-    A model with evaluation: operators is fitted to histories of probes, forces and flow rates: the
-    case's own (time, wake_velocity_x, drag_force_x, ...), or of any place (time, x, y, velocity_x,
-    ...). The section fit of the case says which parameters are looked for, and in which ranges.
+    A model with `evaluation: operators` is fitted to histories of probes, forces and flow rates.
+    These are the case's own (time, wake_velocity_x, drag_force_x, ...), or velocities at any place
+    (time, x, y, velocity_x, ...). The section `fit` of the case gives the parameters and ranges.
 
     \b
-    Example, with noise of 1 % of each history's range, the lid's speed known:
+    Example, with noise of 1 % of a history's range and a known speed of the lid:
       sphrom fit cavity.yaml probes.csv --noise 1% --set fit.parameters.lid=0.8
     """
 
@@ -261,30 +261,31 @@ def fit(
 @stage_command(stages, "train")
 def train(
     options: Options,
-    tolerance: Annotated[str | None, option("PERCENT", "Error allowed, such as 1%.")] = None,
-    budget: Annotated[int | None, option("N", "Most full runs to learn from.", min=2)] = None,
+    tolerance: Annotated[str | None, option("PERCENT", "Allowed error, such as 1%.")] = None,
+    budget: Annotated[int | None, option("N", "Largest number of training runs.", min=2)] = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
     write_case: Annotated[
         Path | None,
         option(
             "FILE",
-            "The case with the chosen points.  [default: training/case.yaml beside artifacts]",
+            "Case with the chosen runs.  [default: training/case.yaml beside the artifacts]",
         ),
     ] = None,
 ) -> None:
-    """Choose the full runs that a model needs to be within a tolerance anywhere in a region.
+    """Choose training runs until a model is within a tolerance everywhere in a region.
 
-    The section training of the case has the region, such as reynolds: [50, 1000]. The model's
-    error is estimated at many points, the full model is run where it is worst, and the model
-    learns from it, until the estimate is within the tolerance everywhere or the budget is spent.
+    The section `training` of the case gives the region, such as reynolds: [50, 1000]. The error of
+    the model is estimated at many points. The full model runs where the estimate is largest, and
+    the run is added to the training runs, until the estimate is within the tolerance everywhere or
+    the budget is spent.
 
-    The same command goes on where it was stopped, also with another tolerance or budget. The case
-    that it writes has the chosen points: run, sweep and trade go on with it. Exit code 4 says that
-    a full run became unstable.
+    The same command continues after a stop, also with another tolerance or budget. It writes a case
+    with the chosen runs for run, sweep and trade. Exit code 4 means that a full run became
+    unstable.
 
     \b
-    Example, a model that is wrong by at most one percent, from eight full runs:
+    Example, an error of at most one percent from at most eight full runs:
       sphrom train case.yaml --tolerance 1% --budget 8
     """
 
@@ -296,25 +297,25 @@ def import_(
         list[Path],
         argument(
             "FILES",
-            "One file a snapshot: PySPH's .hdf5, .vtu, .vtp, .vtk, .npz; or a .pvd or .vtkhdf.",
+            "One file per snapshot (PySPH's .hdf5, .vtu, .vtp, .vtk, .npz), a .pvd or a .vtkhdf.",
         ),
     ],
     write_case: Annotated[
         Path | None,
         option(
-            "FILE", "Write a case with the files' times and resolution, and import for that one."
+            "FILE", "Write a case with the files' times and resolution, and import into that one."
         ),
     ] = None,
     **own: Any,
 ) -> None:
-    """Take another program's snapshots as a full run: fom-<parameters>.h5.
+    """Import another program's snapshots as a full run: fom-<parameters>.h5.
 
-    The case says what was simulated: scene, fluid, particles, and the instants that are kept; map
-    and the stages after it go on from there. A file at an instant is taken as it is; where there is
-    none, snapshots are interpolated in time.
+    The case describes the simulation: scene, fluid, particles and snapshot times. The stages from
+    map on then use the imported run. A file at a snapshot time is used unchanged; between files,
+    snapshots are interpolated in time.
 
     \b
-    Example, Taylor-Green of PySPH, whose origin is elsewhere; then files in mm:
+    Example, PySPH's Taylor-Green vortex with another origin, then files in mm:
       sphrom import vortex.yaml tg/*.hdf5 --only reynolds=100 --origin=-0.25,-0.25
       sphrom import vortex.yaml *.vtp --write-case theirs.yaml --units length=mm
     """
@@ -323,7 +324,7 @@ def import_(
         from sphrom.exchange.import_ import fitted_case
 
         if write_case.suffix not in (".yaml", ".yml") or write_case.exists() > options.force:
-            raise CaseError(f"{write_case}: must be a new case, or one that --force writes over")
+            raise CaseError(f"{write_case}: must be a new .yaml file; --force overwrites one")
         overrides = options.overrides or []
         text, keys = fitted_case(options.case, overrides, files, about, write_case.parent)
         options = replace(options, overrides=[*overrides, *keys])
@@ -339,22 +340,22 @@ def export(
     options: Options,
     to: Annotated[
         str,
-        option("FORMAT", "vtu: a .pvd that lists files for ParaView; csv: runs at some points."),
+        option("FORMAT", "vtu: files for ParaView and a .pvd list; csv: histories at points."),
     ] = "vtu",
     into: Annotated[
-        Path | None, option("DIR", "Folder of the files.  [default: export, beside the artifacts]")
+        Path | None, option("DIR", "Folder to write to.  [default: export, beside the artifacts]")
     ] = None,
     at: Annotated[
-        list[str] | None, option("X,Y", "A point [m] of csv; may be repeated.  [default: a line]")
+        list[str] | None, option("X,Y", "A point [m] for csv; may be repeated.  [default: a line]")
     ] = None,
 ) -> None:
-    """Write fields into files of their own, for ParaView and other programs.
+    """Export fields to files for ParaView and other programs.
 
-    Any ParaView opens the .pvd files: runs step through their snapshots, pod.pvd through its modes.
-    The fields of runs that store coordinates alone are computed on the way.
+    All versions of ParaView open the .pvd files. Those of runs step through the snapshots, and
+    pod.pvd steps through the modes. Fields that a run does not store are computed from its modes.
 
     \b
-    Example, all that a case has, its runs at a point, and those of one model:
+    Example, all runs of a case, then histories at a point, then one model alone:
       sphrom export cases/taylor_green_demo.yaml
       sphrom export cases/taylor_green_demo.yaml --to csv --at 0.25,0.5
       sphrom export cases/taylor_green_demo.yaml --only fast-m5 --into vtu

@@ -1,6 +1,6 @@
-"""The answer of a case in a few sentences: how far its model is off, how fast, when it pays.
+"""The result of a case in a few sentences: the error, the speed and the break-even of its model.
 
-It comes from the tables of a comparison, and from what artifacts say of their making.
+It comes from the tables of a comparison, and from the costs that artifacts record.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ ROLES = {
     "extrapolated": "which was not simulated for training and lies outside of the trained values",
     "trained": "where it was trained",
 }
-"""What the roles of parameter points are called."""
+"""Phrases for the roles of parameter points."""
 Pair = tuple[float, float]
 """Errors of velocity and pressure [%]."""
 Force = tuple[str, float, float | None, float | None]
@@ -35,20 +35,20 @@ Force = tuple[str, float, float | None, float | None]
 
 @dataclass(frozen=True)
 class Answer:
-    """What a reduced model brings at a parameter point that it was not trained on, if there is one.
+    """Error and cost of a reduced model at a point, preferably one that it was not trained on.
 
-    Where there are several, at the one with the largest error of velocity.
+    Of several such points, it is the one with the largest error of velocity.
     """
 
     row: ErrorRow
-    """That of the model against the full run."""
+    """The comparison of the model with the full run."""
     n_points: int
-    """Points of that role at which the model ran."""
+    """Number of points of the same role at which the model ran."""
     error: Pair
     best: Pair | None
-    """The same of the nearest state in the basis."""
+    """Errors of the nearest state in the basis."""
     estimate: Pair | None
-    """The model's own estimate, for which no full run is needed."""
+    """The model's own estimate, which needs no full run."""
     timing: RunTiming | None
     offline_seconds: float | None
     training_seconds: float | None
@@ -58,27 +58,28 @@ class Answer:
     surface: tuple[float, float | None] | None = None
     """Errors of the free surface's elevation and of the nearest state's [%], if there is one."""
     since: str = ""
-    """From which instant on errors count, in words, where that isn't the first."""
+    """A phrase for the time from which errors count, unless it is the first."""
     doubts: tuple[str, ...] = ()
-    """Sentences that say why imported runs may not be runs of the case."""
+    """Sentences with reasons to doubt that imported runs belong to the case."""
 
     @property
     def pays_from(self) -> int | None:
-        """How many runs make the model cheaper than full ones; None where never, or unknown."""
+        """The number of runs that make the model cheaper; None if never or unknown."""
         timing = self.timing
         if timing is None or timing.speed_up is None or timing.reduced_seconds is None:
             return None
         return break_even(self.offline_seconds, timing.full_seconds, timing.reduced_seconds)
 
     def sentences(self) -> Iterator[str]:
-        """Yield the answer."""
+        """Yield the sentences of the answer."""
         one_of = "" if self.n_points == 1 else f", the worst of {self.n_points} such values"
         yield (
             f"At {self.row.parameters}, {ROLES[self.row.role]}{one_of}, {self.row.compared} "
             f"({counted(self.row.n_modes or 0, 'mode')}) differs from the full run by "
             f"{percent(self.error[0])} in velocity and {percent(self.error[1])} in pressure: "
-            f"the root mean square of the difference, over the whole field and all instants"
-            f"{self.since}, in percent of the full run's own; a pressure is less its mean."
+            f"the root mean square of the difference over the whole field and all times"
+            f"{self.since}, relative to the full run, with pressures less their mean"
+            f"{'' if self.surface is None else ' and their part at rest'}."
         )
         yield from self._compared()
         yield from self._cost()
@@ -102,32 +103,32 @@ class Answer:
         for name, error, best, estimate in self.forces:
             nearest = "" if best is None else f", that of the nearest state by {percent(best)}"
             own = "" if estimate is None else f"; the model estimates {percent(estimate)}"
-            found = f"{percent(error)} over time{nearest}{own}"
-            yield f"The measured force ({name}) differs by {found}."
+            amount = f"{percent(error)} over time{nearest}{own}"
+            yield f"The measured force ({name}) differs by {amount}."
         for each in self.oscillations:
             errors = each.frequency_error, each.amplitude_error, each.phase_error
             frequency, amplitude, phase = (format_figure(error, DIGITS) for error in errors)
             yield (
                 f"The oscillation ({each.measured}) differs by {frequency} % in frequency, "
-                f"{amplitude} % in amplitude and, at the end, {phase} degrees in phase, which all "
-                "errors over time include."
+                f"{amplitude} % in amplitude and, at the end, {phase} degrees in phase; all errors "
+                "over time include this phase."
             )
         yield from self.doubts
 
     def _cost(self) -> Iterator[str]:
         timing = self.timing
         if timing is None or timing.full_seconds is None:
-            yield "How long the full run took is unknown, and so is from when on the model pays."
+            yield "The time of the full run is unknown, and so is the break-even of the model."
             return
         own = f"Undisturbed, on one thread, it takes {duration(timing.reduced_seconds or 0.0)}"
         full = duration(timing.full_seconds)
         if timing.speed_up is None:
-            yield f"{own}. The full run took {full}, as its import says."
-            yield "There is no speed-up: the two times may be of other threads and machines."
+            yield f"{own}. The full run took {full}, as stated at its import."
+            yield "No speed-up is given, because threads and machines of the two times may differ."
             return
         took = f"{own}, the full run {full} at its largest stable step."
         if timing.speed_up <= 1.0:
-            yield f"{took} It is not faster; a model with evaluation: operators is."
+            yield f"{took} It is not faster; use a model with evaluation: operators."
             return
         yield took
         gains = timing.speed_up, timing.least_speed_up, timing.greatest_speed_up
@@ -135,18 +136,18 @@ class Answer:
         spread = "" if gains[1] is None else f" ({low} to {high} over {N_REPEATS} repeats)"
         yield f"That is {times}{spread} times as long."
         if self.offline_seconds is None or self.pays_from is None:
-            yield "What making it took is unknown, and so is from when on it pays."
+            yield "The cost of making the model is unknown, and so is its break-even."
             return
         yield (
-            f"It pays from {counted(self.pays_from, 'run')} on: making it took "
+            f"It pays off from {counted(self.pays_from, 'run')} on: making it took "
             f"{duration(self.offline_seconds)} of processor time on one thread, "
             f"{duration(self.training_seconds or 0.0)} of it for "
-            f"{counted(self.n_training, 'full run')} to learn from."
+            f"{counted(self.n_training, 'training run')}."
         )
 
 
 def percent(value: float) -> str:
-    """Return an error as sentences have it."""
+    """Format an error for a sentence."""
     return f"{format_figure(value, DIGITS)} %"
 
 
@@ -155,20 +156,20 @@ def _both(errors: Pair) -> str:
 
 
 def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
-    """Return the answer of a comparison, None where no model ran to its end."""
+    """Return the answer of a comparison, None if no model ran to its end."""
     plan = workspace.case.plan
     for model in plan.models_by_speed:
         points = {point.label: point for point in plan.rom_points(model)}
-        found = [
+        compared = [
             (error, row)
             for row in tables.errors
             if (row.compared, row.against) == (model.name, "full")
             and row.parameters in points
             and (error := row.in_field) is not None
         ]
-        if not found:
+        if not compared:
             continue
-        unseen = [pair for pair in found if pair[1].role != "trained"] or found
+        unseen = [pair for pair in compared if pair[1].role != "trained"] or compared
         error, worst = max(unseen, key=lambda pair: pair[0][0])
         point = points[worst.parameters]
         basis, n_modes = basis_used(workspace, model, point)
@@ -202,16 +203,16 @@ def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
             ),
             oscillations=tuple(r for r in tables.oscillations if (r.compared, r.parameters) == own),
             forces=tuple(
-                (name, force, forces.get((best, name)), expected.get((compared, name)))
-                for (compared, name), force in forces.items()
-                if compared == model.name
+                (name, force, forces.get((best, name)), expected.get((run, name)))
+                for (run, name), force in forces.items()
+                if run == model.name
             ),
         )
     return None
 
 
 def _doubts(workspace: Workspace) -> Iterator[str]:
-    """Yield a sentence on the reasons why imported runs may not be runs of the case, if any."""
+    """Yield a sentence with reasons to doubt that imported runs belong to the case, if any."""
     runs = {p.label: workspace.imported(workspace.full_run(p)) for p in workspace.case.plan.points}
     said = {at: of["imported/doubts"] for at, of in runs.items() if of.get("imported/doubts")}
     if said:
@@ -223,13 +224,13 @@ def _doubts(workspace: Workspace) -> Iterator[str]:
 def _force_errors(
     tables: Tables, point: str, which: Literal["relative_l2", "estimated"]
 ) -> dict[tuple[str, str], float]:
-    found: dict[tuple[str, str], float] = {}
+    errors: dict[tuple[str, str], float] = {}
     for row in tables.measures:
         error = getattr(row, which)
         if row.parameters == point and row.quantity in ("force_x", "force_y") and error:
             key = (row.compared, row.measured)
-            found[key] = math.hypot(found.get(key, 0.0), error)
-    return found
+            errors[key] = math.hypot(errors.get(key, 0.0), error)
+    return errors
 
 
 def _surface_errors(tables: Tables, row: ErrorRow, best: str) -> tuple[float, float | None] | None:
@@ -243,7 +244,7 @@ def _surface_errors(tables: Tables, row: ErrorRow, best: str) -> tuple[float, fl
 
 
 def tell_answer(workspace: Workspace, tables: Tables) -> None:
-    """Tell the answer, and where tables and pictures are, as the last that a command says."""
+    """Report the answer and the folders of tables and pictures, at the end of a command."""
     report, out = workspace.context.report, workspace.out
     if tables == Tables():
         report.result(
@@ -256,4 +257,4 @@ def tell_answer(workspace: Workspace, tables: Tables) -> None:
         report.prose(sentence)
     pictures = f", pictures in {out / 'plots'}" if (out / "plots").is_dir() else ""
     report.result(f"Tables are in {out / 'tables'}{pictures}.")
-    report.result(f"All of it on one page: sphrom report {workspace.context.words}")
+    report.result(f"To see all results on one page: sphrom report {workspace.context.words}")

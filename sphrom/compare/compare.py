@@ -1,4 +1,4 @@
-"""Stage `compare`: reduced against full runs, full against exact ones, and the share of the map."""
+"""Stage `compare`: compare reduced with full runs, full runs with exact solutions, and the map."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from sphrom.compare.references import compare_with_references
 from sphrom.compare.stored_comparison import ComparisonWriter
 from sphrom.errors import CaseError
 from sphrom.metrics.histories import compare
-from sphrom.metrics.samples import Samples
+from sphrom.metrics.samples import Samples, without_weight
 from sphrom.metrics.series import exponential_rate, kinetic_energy
 from sphrom.online.surface_model import SurfaceModel, SurfaceRun
 from sphrom.scenes.flows import TaylorGreen
@@ -55,9 +55,9 @@ from sphrom.store.workspace import Workspace
 
 
 def run(context: StageContext) -> None:
-    """Compare all runs of the case, write artifact, tables and plots, and tell the answer.
+    """Compare all runs of the case, write artifact, tables and plots, and report the answer.
 
-    Raises ArtifactError where a run is missing, or tables that were made before are damaged.
+    Raises ArtifactError when a run is missing, or existing tables are damaged.
     """
     workspace, case = Workspace(context), context.case
     if not (case.rom or case.scene.domain.has_walls or _exact_flows(case)):
@@ -110,7 +110,7 @@ def _tell_unseen(workspace: Workspace) -> None:
 
 
 class _PointComparison:
-    """The comparisons at one parameter point, in the order in which tables show them."""
+    """The comparisons at one parameter point, in the order of the tables."""
 
     def __init__(self, workspace: Workspace, writer: ComparisonWriter, tables: Tables) -> None:
         self.workspace, self.case, self.point = workspace, workspace.case, writer.point
@@ -154,7 +154,7 @@ class _PointComparison:
         with workspace.open(workspace.mapped(self.point)) as mapped:
             self._add(sample_mapped(case, mapped, sampler(case, self.probes.all)), "map")
             self._measure("map", measured_of_map(case, mapped))
-            # Models from operators measure in the coordinates alone.
+            # Models with operators compute measurements from their coordinates.
             last = sorted(self.models, key=lambda model: model.evaluation == "operators")
             used = {basis_used(workspace, model, self.point): model for model in last}
             for (name, size), model in sorted(used.items(), key=lambda each: each[0]):
@@ -163,8 +163,8 @@ class _PointComparison:
                 self._add(both, best, basis=name, n_modes=size)
                 self._add(alone, f"{ALONE}, {name} M={size}", basis=name, n_modes=size)
                 if model.evaluation == "operators" and case.scene.measure:
-                    found = measured_of_best(workspace, model, self.point, mapped)
-                    self._measure(best, found, name, size)
+                    measured = measured_of_best(workspace, model, self.point, mapped)
+                    self._measure(best, measured, name, size)
 
     def _compare_surface_limits(self) -> None:
         """Compare the nearest states of each basis, and models that are not calibrated."""
@@ -194,7 +194,7 @@ class _PointComparison:
             run = StoredRun(workspace, trajectory, point, model)
             reduced = self._sampled(model.name, run)
             self._describe_flow(model.name, run, reduced)
-            if status == "complete":  # a run that stopped early has no estimates, and no speed-up
+            if status == "complete":  # a run that stopped early has no estimates and no speed-up
                 about, begin = self._described(model.name, basis), case.compare.from_time
                 estimate = estimate_row(trajectory, reduced, self.full, self.probes, begin, **about)
                 if estimate is not None:
@@ -215,7 +215,7 @@ class _PointComparison:
             return run.sampled(self.probes.all, advance=advance)
 
     def _describe_flow(self, name: str, run: StoredRun, samples: Samples) -> None:
-        """Describe the flow of a run in a scene with walls; one that failed at once has none."""
+        """Describe the flow of a run in a scene with walls, unless the run has no snapshots."""
         if self.case.scene.domain.has_walls and len(samples.time):
             row = flow_row(self.case, name, self.point, run, samples, self.probes)
             self.tables.flow.append(row)
@@ -228,11 +228,11 @@ class _PointComparison:
         n_modes: int | None = None,
         estimates: Measured | None = None,
     ) -> None:
-        counted, about = self.full.time >= self.case.compare.from_time, self._described(name, basis)
+        late, about = self.full.time >= self.case.compare.from_time, self._described(name, basis)
         rows = measure_rows(
             measured,
             self.measured,
-            counted,
+            late,
             estimates or {},
             with_weight=self.case.scene.has_surface,
             n_modes=n_modes,
@@ -240,7 +240,7 @@ class _PointComparison:
         )
         runs = self.full.time, measured, self.measured
         self.tables.oscillations.extend(oscillation_rows(self.case, *runs, name, self.point.label))
-        for row in rows:  # those of one quantity adjoin
+        for row in rows:  # grouped by quantity
             self.measures[row.measured, row.quantity].append(row)
 
     def _described(self, name: str, basis: str | None) -> dict[str, str]:
@@ -257,11 +257,14 @@ class _PointComparison:
         status: str = "complete",
     ) -> None:
         begin, period = self.case.compare.from_time, self.case.plan.longest_sound_period
-        history = compare(samples, self.references[against], self.probes, begin, period)
+        both = samples, self.references[against]
+        if (weight := self.case.plan.weight_at(self.point, self.probes.all)) is not None:
+            both = without_weight(*both, weight)
+        history = compare(*both, self.probes, begin, period)
         if status == "complete" and len(history.time) == 0:
             raise CaseError(
-                "compare.line_points, compare.grid, compare.from_time: there is no snapshot in "
-                f"which the {against} solution varies over the probes"
+                "compare.line_points, compare.grid, compare.from_time: the "
+                f"{against} solution varies over the probes in no snapshot"
             )
         row = error_row(
             history, status, n_modes, against=against, **self._described(compared, basis)

@@ -1,7 +1,7 @@
-"""The figures that `compare` draws of every case, from what runs and comparison have stored.
+"""The figures that `compare` draws for every case, from stored runs and comparisons.
 
-At each parameter point they are fields, lines, errors, reference profiles and measurements; of each
-basis singular values and modes. Figures that a case asks for by name share their parts.
+For each parameter point there are fields, lines, errors, reference profiles and measurements, and
+for each basis singular values and modes. Figures listed in a case share their parts.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ LABELS = {
 }
 QUANTITIES = ("speed", "pressure")
 FLAT = 0.4
-"""Height over width below which pictures stand under one another."""
+"""Height over width below which pictures are placed below each other."""
 ERRORS = (
     {
         "velocity_field_relative_l2": "velocity, field: relative L2 [%]",
@@ -57,16 +57,16 @@ ERRORS = (
         "pressure_line_eq41_by_line_range": "pressure, line: mean error over range (Eq. 4.1) [%]",
     },
 )
-"""The errors that are drawn, a row of velocities and one of pressures, and their labels."""
+"""The errors to draw, with their labels: a row of velocities and one of pressures."""
 
 
 def draw_comparison(workspace: Workspace, tables: Tables, *, again: bool) -> None:
-    """Draw the figures of a comparison into the folder `plots`: all `again`, or those not there."""
+    """Draw the figures of a comparison into the folder `plots`, missing ones or all `again`."""
     folder = workspace.folder("plots")
     with StoredComparison.of(workspace) as comparison:
         figures = list(_figures(workspace, tables, comparison))
         named = {folder / f"{name}.png" for name, _ in figures}
-        for point in workspace.case.plan.points:  # of what was compared before, and is no more
+        for point in workspace.case.plan.points:  # remove figures of earlier comparisons
             for old in {*folder.glob(f"*-{point.file_label}.png")} - named:
                 old.unlink()
         with workspace.context.report.details.progress("pictures", len(figures)) as advance:
@@ -92,7 +92,7 @@ def _figures(
 
 
 class _PointFigures:
-    """The figures of one parameter point, and how the names of their files begin."""
+    """The figures of one parameter point, with the prefixes of their file names."""
 
     def __init__(
         self, workspace: Workspace, tables: Tables, stored: StoredComparison, point: ParameterPoint
@@ -128,16 +128,16 @@ class _PointFigures:
 
     @cached_property
     def _pictures(self) -> dict[str, dict[str, Array]]:
-        """Pictures of the full run and of all reduced ones half-way through, by quantity."""
-        found = {}
+        """Pictures of the full run and of reduced runs at half time, by run and quantity."""
+        pictures = {}
         for model in (None, *self.complete):
             with StoredRun.opened(self.workspace, self.point, model) as run:
                 samples = run.sampled(self.probes.grid, [self.middle])
             wet = (samples.speed[0] != 0.0) | (samples.pressure[0] != 0.0)
             fields = (np.where(wet, getattr(samples, q)[0], np.nan) for q in QUANTITIES)
             values = dict(zip(QUANTITIES, map(self.probes.picture, fields), strict=True))
-            found[FULL if model is None else model.name] = values
-        return found
+            pictures[FULL if model is None else model.name] = values
+        return pictures
 
     @property
     def _scales(self) -> dict[str, tuple[float, float]]:
@@ -158,7 +158,7 @@ class _PointFigures:
     def _overview(self) -> Figure:
         fastest = next(m for m in self.case.plan.models_by_speed if m in self.complete)
         complete = {m.name: self._errors[m.name] for m in self.complete}
-        label = "velocity, field, at all instants: relative L2 [%]"
+        label = "velocity, field, over time: relative L2 [%]"
         errors = _error_panel(self.case, "velocity_field_relative_l2", label, complete)
         frame, fields = frame_of(self.case), self._beside(fastest.name, "speed")
         flat = np.ptp(frame.extent[2:]) < FLAT * np.ptp(frame.extent[:2])
@@ -167,7 +167,7 @@ class _PointFigures:
 
     @cached_property
     def _errors(self) -> dict[str, Series]:
-        """Errors over time of all models that have some."""
+        """The errors over time of models, by name."""
         each = {m.name: self.comparison.errors(m.name, self.point) for m in self.models}
         return {name: series for name, series in each.items() if series is not None}
 
@@ -188,7 +188,7 @@ class _PointFigures:
         return draw_grid(rows, title=f"{self.point.label}, over the field and {line}")
 
     def _profiles(self) -> Figure:
-        """Return the full run beside every reference that it can match, by quantity."""
+        """Draw the full run beside all references that it can match, by quantity."""
         panels: dict[tuple[str, str], dict[str, Curve]] = {}
         for row in self.references:
             profile = self.comparison.profile(row, self.point)
@@ -198,18 +198,18 @@ class _PointFigures:
                 when = f"mean over {row.from_time:.3g} s to {row.time:.3g} s"
             quantity, _, axis = row.profile.split()
             labels = f"{axis} / L [–]", f"{quantity} / {'ρ U²' if quantity == 'p' else 'U'} [–]"
-            at, known = profile.coordinate, profile.reference_value
+            at, expected = profile.coordinate, profile.reference_value
             curves = [
                 Curve(f"full, {when}", at, profile.value, "full"),
-                Curve(f"{row.source}, {state}", at, known, "reference"),
+                Curve(f"{row.source}, {state}", at, expected, "reference"),
             ]
-            # Several references at one time share the full run's line.
+            # References at the same time share the curve of the full run.
             panels.setdefault(labels, {}).update({curve.label: curve for curve in curves})
         row_of_panels = [Panel("", *names, list(some.values())) for names, some in panels.items()]
         return draw_grid([row_of_panels], title=self.point.label)
 
     def _measured(self, name: str) -> Figure:
-        """Return a measurement over time, or at the end along a line, a panel per component."""
+        """Draw a measurement over time, or along a line at the end, with a panel per component."""
         title, x_label, x = f"{name}, {self.point.label}", "time [s]", self.time
         measure = field_measures(self.case).get(name)
         is_line = measure is not None and measure.normal is None and len(measure.position) > 1
@@ -223,7 +223,7 @@ class _PointFigures:
             for quantity, values in quantities.items():
                 for component, one in components(quantity, values).items():
                     label = f"{component.replace('_', ' ')} [{UNITS[quantity]}]"
-                    # A flow rate is over time alone, a probe's fields are at one place.
+                    # Flow rates and probes have a single place.
                     shown = one[-1] if is_line else one.reshape(len(x))
                     curve = _curve(self.case, FULL if model is None else model.name, x, shown)
                     panels.setdefault(label, []).append(curve)
@@ -233,15 +233,15 @@ class _PointFigures:
         x, y = self.probes.stations[0]
         curves = []
         for name in (None, *(model.name for model in self.complete)):
-            found = self.comparison.samples(name, self.point, "stations")[1]
-            if len(found.time):
-                curves.append(_curve(self.case, name or FULL, found.time, found.velocity[:, 0, 1]))
+            run = self.comparison.samples(name, self.point, "stations")[1]
+            if len(run.time):
+                curves.append(_curve(self.case, name or FULL, run.time, run.velocity[:, 0, 1]))
         title = f"{self.point.label}, at x = {x:.4g} m, y = {y:.4g} m"
         return draw_grid([[Panel("", "time [s]", "v [m/s]", curves)]], title=title)
 
 
 def side_by_side(name: str, quantity: str, full: Array, reduced: Array) -> list[Field]:
-    """Return a quantity of the full run, of a reduced one, and their difference, as pictures."""
+    """Return pictures of a quantity in the full run, in a reduced run, and of the difference."""
     label, unit = LABELS[quantity], LABELS[quantity].partition("[")[2]
     return [
         Field(f"{quantity}, full", label, full),
@@ -263,18 +263,21 @@ def _error_panel(
     models: Mapping[str, Series],
     others: Sequence[tuple[str, Role, Series | None]] = (),
 ) -> Panel:
-    """Return one error of reduced models over time: at a start from rest it is the largest."""
+    """Return a panel with one error of reduced models over time, on a logarithmic axis.
+
+    The axis is logarithmic because errors are largest at a start from rest.
+    """
 
     def error(series: Series) -> tuple[Array, Array]:
         return series.time, {**series.relative_l2, **series.eq41}[name]
 
-    curves = [Curve(told, *error(each), role) for told, role, each in others if each is not None]
+    curves = [Curve(name, *error(each), role) for name, role, each in others if each is not None]
     curves += [_curve(case, model, *error(series)) for model, series in models.items()]
     return Panel("", "time [s]", label, curves, "logarithmic")
 
 
 def lettered(quantities: Sequence[str], quantity: str, title: str) -> str:
-    """Return the title of a panel, with the letter of its quantity where there are several."""
+    """Return the title of a panel, with a letter for its quantity if there are several."""
     letter = ascii_lowercase[quantities.index(quantity)]
     return f"({letter}) {title}" if len(quantities) > 1 else title
 
@@ -286,10 +289,10 @@ def draw_lines(
     time: float,
     quantities: Sequence[str],
 ) -> Figure:
-    """Return profiles on the line at the snapshot nearest to an instant [s]: a row for each point.
+    """Draw profiles on the line at the snapshot nearest to a time [s], with a row per point.
 
-    Full, exact and reduced runs are drawn together; `quantities` are keys of LABELS. The title of
-    a panel names the models that were unstable before.
+    Full, exact and reduced runs share panels; `quantities` are keys of LABELS. The title of a panel
+    names models that became unstable earlier.
     """
     panels, where = [], np.empty((0, 2))
     for models, points in rows:
@@ -299,7 +302,7 @@ def draw_lines(
             time, y, row = float(full.time[index]), where[:, 1], []
             lines = {m.name: comparison.samples(m.name, point)[1] for m in models if m is not None}
             for quantity in quantities:
-                curves, told = [], lettered(quantities, quantity, point.label)
+                curves, title = [], lettered(quantities, quantity, point.label)
                 if (flow := case.plan.flow(point).exact) is not None:
                     exact = exact_samples(flow, where, full.time[index : index + 1])
                     curves.append(Curve("exact", y, _along(exact, quantity)[0], "exact"))
@@ -308,21 +311,21 @@ def draw_lines(
                         curves.append(_curve(case, name, y, _along(line, quantity)[index]))
                         continue
                     before = f"after {line.time[-1]:.3g} s" if len(line.time) else "at the start"
-                    told += f"\nnot shown: {name}, unstable {before}"
-                row.append(Panel(told, "y [m]", LABELS[quantity], curves))
+                    title += f"\nnot shown: {name}, unstable {before}"
+                row.append(Panel(title, "y [m]", LABELS[quantity], curves))
             panels.append(row)
     return draw_grid(panels, title=f"x = {where[0, 0]:.4g} m, t = {time:.4g} s")
 
 
 def exact_samples(flow: TaylorGreen, points: Array, times: Array) -> Samples:
-    """Return an exact solution at points (n_points, 2) [m], at instants [s]."""
+    """Return an exact solution at points (n_points, 2) [m] and times [s]."""
     fields = [(flow.velocity(points, t), flow.pressure(points, t)) for t in times.tolist()]
     velocity, pressure = map(np.array, zip(*fields, strict=True))
     return Samples(times, velocity, pressure)
 
 
 def _along(line: Samples, quantity: str) -> Array:
-    """Return a key of LABELS (n_snapshots, n_points)."""
+    """Return the values (n_snapshots, n_points) of a quantity, a key of LABELS."""
     if quantity == "pressure less its mean":
         return without_mean(line.pressure)
     return line.speed if quantity == "speed" else line.pressure

@@ -1,4 +1,4 @@
-"""The tables of a comparison: their rows, how errors become rows, files, and the terminal."""
+"""The tables of a comparison: their rows, their files, and their output in the terminal."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ FILE = "compare.json"
 Cells = Mapping[str, Any]
 Cell = str | Callable[[Cells], str]
 Column = tuple[str, Cell]
-"""A heading, and the name of a figure or a function that gives the cell."""
+"""A heading, with the name of a figure or a function that returns the cell."""
 
 BEST, ALONE = "best possible", "each field alone"
 AT_END = tuple(f"{quantity}_field_relative_l2_end" for quantity in QUANTITIES)
@@ -58,23 +58,23 @@ WITHOUT_SOUND = tuple(
 
 
 def best_name(basis: str, n_modes: int) -> str:
-    """Return what tables call the full run's projection onto so many modes of a basis."""
+    """Return the name of the projection of full runs onto so many modes of a basis."""
     return f"{BEST}, {basis} M={n_modes}"
 
 
 @dataclass(frozen=True)
 class ErrorRow:
-    """One comparison; a run that became unstable has no errors."""
+    """One comparison; an unstable run has no errors."""
 
     compared: str
     against: str
     parameters: str
     n_modes: int | None
     role: str
-    """`trained` where the parameter was trained on, else `predicted`."""
+    """`trained` at points of training runs, else `predicted`."""
     status: str
     errors: Errors = field(metadata=columns((*ERRORS, *AT_END, *WITHOUT_SOUND), "%"))
-    """At the last instant with `_end`; pressures averaged over sound with `_without_sound`."""
+    """Errors by name; `_end` means at the last time, `_without_sound` averaged over sound."""
 
     @property
     def in_field(self) -> tuple[float, float] | None:
@@ -85,13 +85,12 @@ class ErrorRow:
 
 @dataclass(frozen=True)
 class EstimateRow:
-    """Estimated and true errors of one reduced run, over time, relative to the full run's field."""
+    """Estimated and true errors of one reduced run over time, relative to the full run's fields."""
 
     compared: str
     parameters: str
     role: str
-    """`trained` where the parameter was trained on, `predicted` between trained ones, and
-    `extrapolated` outside of them."""
+    """`trained` at points of training runs, `predicted` between them, `extrapolated` outside."""
     figures: dict[str, float] = field(metadata={"columns": EFFECTIVITY})
 
 
@@ -105,14 +104,14 @@ class SpectrumRow:
     n_modes: int
     singular_value: float
     share: float = field(metadata={"unit": "%"})
-    """Eq. 4.3 as printed, sums of singular values."""
+    """Eq. 4.3 as printed, with sums of singular values."""
     energy: float = field(metadata={"unit": "%"})
-    """The same with their squares."""
+    """The same share with sums of squares."""
 
 
 @dataclass(frozen=True)
 class DecayRow:
-    """The decay of the full run's kinetic energy, against the exact solution's."""
+    """The decay of kinetic energy in a full run and in the exact solution."""
 
     parameters: str
     fitted_rate: float = field(metadata={"unit": "1/s"})
@@ -122,7 +121,7 @@ class DecayRow:
 
 @dataclass(frozen=True)
 class Tables:
-    """The rows of each table: each is `tables/NAME.csv`, and all are in `compare.json`."""
+    """The rows of all tables; each is written to `tables/NAME.csv`, and all to `compare.json`."""
 
     errors: list[ErrorRow] = field(default_factory=list)
     reference: list[ReferenceRow] = field(default_factory=list)
@@ -137,15 +136,15 @@ class Tables:
 
     @classmethod
     def read(cls, workspace: Workspace) -> tuple[Tables, Mapping[str, Any]]:
-        """Return the tables of a comparison that was made before, and what they say of its making.
+        """Return the tables of an existing comparison, and their metadata.
 
         Raises ArtifactError when `compare.json` is missing or damaged.
         """
-        found = read_json(workspace.out / FILE, workspace.comparison().made_by, RECORDS)
-        return cls(**{name: found[name] for name in RECORDS if name in found}), found["about"]
+        content = read_json(workspace.out / FILE, workspace.comparison().made_by, RECORDS)
+        return cls(**{name: content[name] for name in RECORDS if name in content}), content["about"]
 
     def write(self, workspace: Workspace) -> None:
-        """Write every table that has rows."""
+        """Write all tables that have rows."""
         tables = {name: rows for name in RECORDS if (rows := getattr(self, name))}
         for name, rows in tables.items():
             write_csv(workspace.folder("tables") / f"{name}.csv", rows)
@@ -155,13 +154,13 @@ class Tables:
 RECORDS: Mapping[str, type[DataclassInstance]] = {
     name: get_args(rows)[0] for name, rows in get_type_hints(Tables).items()
 }
-"""The record of the rows of each table."""
+"""The records of the rows, by table."""
 
 
 def error_row(
     history: History, status: str = "complete", n_modes: int | None = None, **described: str
 ) -> ErrorRow:
-    """Summarise the history of a comparison that is `described` as in its row."""
+    """Return the row of a comparison from its history; `described` are other fields of the row."""
     errors = dict[str, float | None].fromkeys((*ERRORS, *AT_END, *WITHOUT_SOUND))
     if status == "complete" and len(history.time):
         errors |= errors_of(history)
@@ -180,7 +179,7 @@ def estimate_row(
     from_time: float,
     **described: str,
 ) -> EstimateRow | None:
-    """Return how good a run's estimates are; None where it has none, or no errors."""
+    """Return a run's estimates beside its errors; None if it has no estimates or no errors."""
     if "error_estimate/velocity" not in artifact:
         return None
     estimates = np.stack([artifact.read(f"error_estimate/{name}") for name in QUANTITIES], axis=1)
@@ -188,12 +187,12 @@ def estimate_row(
         described["role"] = "extrapolated"
     time = reference.time
     late = time[0] + LEFT_OUT * (time[-1] - time[0])
-    found = effectivity(estimates, run, reference, probes, from_time, late)
-    return None if found is None else EstimateRow(**described, figures=found)
+    figures = effectivity(estimates, run, reference, probes, from_time, late)
+    return None if figures is None else EstimateRow(**described, figures=figures)
 
 
 def show(report: Reporter, tables: Tables) -> None:
-    """Show errors, estimates and measurements; costs and more as details."""
+    """Show errors, estimates and measurements, and other tables as details."""
     errors = [r for r in tables.errors if "full" in (r.against, r.compared)]
     _show(report, errors, *NORMS)
     _show(report, tables.estimates, *ESTIMATES)
@@ -204,18 +203,18 @@ def show(report: Reporter, tables: Tables) -> None:
         change = max(r.last_change or 0.0 for r in unsettled)
         report.info(
             f"{where}: the flow still changed over the last tenth of the run, by up to "
-            f"{format_figure(100.0 * change)} % of U or rho U^2: no steady profile is shown"
+            f"{format_figure(100.0 * change)} % of U or rho U^2, so no steady profile is shown"
         )
     settled = [r for r in tables.reference if r.settled]
     oscillations = sorted(tables.oscillations, key=lambda row: row.measured)
     whole: tuple[tuple[str, Sequence[DataclassInstance]], ...] = (
-        ("oscillations; errors, and phases at the end, beside full runs", oscillations),
-        ("full runs against reference solutions, means over the time from and to", settled),
-        ("the flow", tables.flow),
+        ("oscillations, with errors, and phases at the end, relative to full runs", oscillations),
+        ("full runs and reference solutions, means over a time window", settled),
+        ("flow of each run", tables.flow),
         ("decay of the full run's kinetic energy", tables.decay),
-        ("cost of the time steps, writing left out", tables.timings),
+        ("cost of the time steps, without writing", tables.timings),
     )
-    for title, rows in whole:  # all columns, as their files have them
+    for title, rows in whole:  # with all columns of their files
         if rows:
             names = (heading.replace("_", " ") for heading in headings(type(rows[0])))
             shown = report if rows is oscillations else report.details
@@ -234,7 +233,7 @@ def _show(
 
 
 def _norm(name: str) -> Callable[[Cells], str]:
-    """Return the cell of an error over all instants / at the worst one."""
+    """Return the cell of an error: over all times / at the worst time."""
 
     def cell(r: Cells) -> str:
         pair = (r[name], r[f"{name}_peak"])
@@ -251,7 +250,7 @@ def _effectivity(quantity: str) -> Callable[[Cells], str]:
 
 RUN: tuple[Column, ...] = (("run", "compared"), ("parameters", "parameters"))
 NORMS: tuple[str, tuple[Column, ...]] = (
-    "errors: relative L2 norm in %, over sampled points and time / at the worst instant; pressure "
+    "errors: relative L2 norm in %, over sampled points and time / at the worst time; pressure "
     "less its mean",
     (
         ("run", "compared"),
@@ -266,7 +265,7 @@ NORMS: tuple[str, tuple[Column, ...]] = (
     ),
 )
 ESTIMATES: tuple[str, tuple[Column, ...]] = (
-    "estimated errors, root mean squares over fields and time in % of the full run's; effectivity "
+    "estimated errors: root mean squares over fields and time, in % of the full run; effectivity "
     "is estimate over error, after the first tenth of the run: mean (least to largest)",
     (
         *RUN,
@@ -280,8 +279,8 @@ ESTIMATES: tuple[str, tuple[Column, ...]] = (
     ),
 )
 MEASURES: tuple[str, tuple[Column, ...]] = (
-    "measured over time and along lines; relative L2 errors in % of the full run's, of a component "
-    "in % of the whole force's or velocity's, over all / at the worst instant",
+    "measurements over time and along lines: relative L2 errors in % of the full run, for a "
+    "component in % of the whole force or velocity, over all times / at the worst time",
     (
         ("measured", "measured"),
         ("quantity", lambda r: f"{r['quantity'].replace('_', ' ')} [{r['unit']}]"),

@@ -1,4 +1,4 @@
-"""The cost of stages, of full and reduced runs, and of making a reduced model."""
+"""The costs of stages, of full and reduced runs, and of making a reduced model."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ from sphrom.online.fast_model import fast_model
 from sphrom.online.particle_runs import build_model, close
 from sphrom.setup import particles
 from sphrom.sph.time_loop import Model, runge_kutta_step
-from sphrom.store.trained_models import memory_timing
+from sphrom.store.trained_models import basis_used, memory_timing
 from sphrom.store.trajectory import snapshot_fields
 from sphrom.store.workspace import Target, Workspace
 
 SECONDS = {"unit": "s"}
 N_REPEATS = 5
-"""How often each run is timed, in turns: the least time counts, all of them give the spread."""
+"""Number of timings of each run, in turns; the least counts, and all give the spread."""
 N_TIMED_STEPS = 10
-"""Steps that are timed at once: neighbours are searched in some of them only."""
+"""Number of steps per timing, because only some steps search for neighbours."""
 
 
 @dataclass(frozen=True)
 class RunTiming:
-    """One reduced run against the full one at its largest stable step, without their spin-up.
+    """The times of a reduced run and of the full run at its largest stable step, without spin-up.
 
-    Seconds are processor time on one thread, of the steps alone, the least of several repeats in
-    which all runs took turns. Only such times are divided: an imported run has at most the seconds
-    that its import states, of unknown threads and machine, and so no speed-up.
+    Seconds are processor time on one thread for the steps only, the least of several repeats in
+    which all runs take turns. Only such times are divided. An imported run has at most the time
+    stated at its import, from unknown threads and an unknown machine, and therefore no speed-up.
     """
 
     model: str
@@ -55,16 +55,16 @@ class RunTiming:
     reduced_seconds: float | None = field(metadata=SECONDS)
     speed_up: float | None
     compression_factor: float
-    """Eq. 4.2 the right way up."""
+    """Eq. 4.2 as N_d / M, the inverse of the printed ratio."""
     field_compression_factor: float
     least_speed_up: float | None = None
-    """Of one repeat; the greatest likewise."""
+    """The least speed-up of a single repeat; likewise the greatest."""
     greatest_speed_up: float | None = None
 
 
 @dataclass(frozen=True)
 class StageTiming:
-    """The wall-clock of one artifact."""
+    """The wall-clock time to make one artifact."""
 
     artifact: str
     stage: str
@@ -73,14 +73,14 @@ class StageTiming:
 
 
 def largest_step(case: Case) -> float:
-    """Return the largest stable step of the full model [s], or the case's where that is larger."""
+    """Return the largest stable step of the full model [s], or the case's step if it is larger."""
     return max(case.plan.limits.least, case.plan.steps.time_step)
 
 
 def taking_turns(timed: Mapping[Any, Callable[[], float]], repeats: int) -> dict[Any, Array]:
-    """Return the seconds (n_repeats,) that functions return in turns, on one thread.
+    """Return the seconds (n_repeats,) of functions that are called in turns, on one thread.
 
-    They are called once before, for all to be compiled.
+    A first round is ignored, because it includes compilation.
     """
     threads = asked_for()
     ask_for_threads(1)
@@ -92,10 +92,10 @@ def taking_turns(timed: Mapping[Any, Callable[[], float]], repeats: int) -> dict
 
 
 def full_run_timer(workspace: Workspace, point: ParameterPoint, step: float) -> Callable[[], float]:
-    """Return what times steps of the full model, as seconds of a run in steps of a length [s].
+    """Return a function that measures the seconds of a full run with a time step [s].
 
-    They are the case's own steps from half-way through a run; what one costs depends neither on its
-    length nor on parameters.
+    It times some of the case's own steps in the middle of a run, because the cost of a step depends
+    neither on its length nor on parameters.
     """
     with workspace.open(workspace.full_run(point)) as run:
         position, *fields = snapshot_fields(run, run.length("time") // 2)
@@ -119,21 +119,23 @@ def _steps_timer(
 
 
 def run_timings(workspace: Workspace) -> Iterator[RunTiming]:
-    """Time the reduced runs that ran to their end, and full ones beside them, and yield them.
+    """Yield the timings of complete reduced runs, with those of full runs.
 
-    Steps on particles cost the same at all points, and are timed once for each model.
+    Steps on particles cost the same at all points, so they are timed once per model.
     """
-    case, plan, found = workspace.case, workspace.case.plan, []
+    case, plan, runs = workspace.case, workspace.case.plan, []
     timers: dict[object, Callable[[], float]] = {}
     fast = {m.name: fast_model(workspace, m) for m in case.rom if m.from_operators}
     for point, model in ((p, m) for p in plan.points for m in plan.compared_at(p)):
         with workspace.open(workspace.full_run(point)) as run:
-            known = known_seconds(run) if (imported := is_imported(run)) else None
+            stated = known_seconds(run) if (imported := is_imported(run)) else None
         with workspace.open(workspace.reduced_run(model, point)) as run:
             if run.text("status") != "complete":
                 continue
             step, memory_length = run.number("time_step"), _number(run, "memory_length")
             n_modes = int(run.dataset("generalized_coordinates").shape[1])
+        if case.scene.has_surface:  # the surface has coordinates, too
+            n_modes = basis_used(workspace, model, point)[1]
         own = (model.name, model.from_operators and point)
         if not imported and FULL not in timers:
             timers[FULL] = full_run_timer(workspace, point, largest_step(case))
@@ -146,34 +148,34 @@ def run_timings(workspace: Workspace) -> Iterator[RunTiming]:
         factors = compression_factors(plan.n_particles, n_modes)
         longest = None if imported else largest_step(case)
         about = model.name, point.label, n_modes, longest, step, memory_length
-        found.append((about, known, factors, None if imported else FULL, own))
-    seconds = taking_turns(timers, N_REPEATS) if found else {}
-    for about, known, factors, full, own in found:
+        runs.append((about, stated, factors, None if imported else FULL, own))
+    seconds = taking_turns(timers, N_REPEATS) if runs else {}
+    for about, stated, factors, full, own in runs:
         least = float(seconds[own].min())
         if full is None:
-            yield RunTiming(*about, known, least, None, *factors)
+            yield RunTiming(*about, stated, least, None, *factors)
             continue
         whole, gains = float(seconds[full].min()), (seconds[full] / seconds[own]).tolist()
         yield RunTiming(*about, whole, least, whole / least, *factors, min(gains), max(gains))
 
 
 def _number(run: Artifact, name: str) -> float | None:
-    """Return an attribute of a run, None where it has none."""
+    """Return an attribute of a run, or None."""
     return run.number(name) if name in run.attributes else None
 
 
 def is_imported(run: Artifact) -> bool:
-    """Whether another program made a full run."""
+    """Return whether a full run is from another program."""
     return "imported/sha256" in run.attributes
 
 
 def known_seconds(run: Artifact) -> float | None:
-    """Return how long the steps of a run took [s], None where nobody knows, as of imported ones."""
+    """Return the time of a run's steps [s]; None if unknown, as for some imported runs."""
     return _number(run, "timing/integration") or None
 
 
 def stage_timings(workspace: Workspace) -> Iterator[StageTiming]:
-    """Yield the wall-clock of every artifact that the comparison was made from, if it is there."""
+    """Yield the wall-clock times of all existing artifacts that the comparison depends on."""
     targets: dict[Path, Target] = {}
     left = [workspace.comparison()]
     while left:
@@ -192,12 +194,12 @@ def offline_seconds(
     points: Iterable[ParameterPoint],
     full_seconds: float | None,
 ) -> tuple[float | None, float | None]:
-    """Return the cost of making a reduced model [s]: all of it, and the full runs it learns from.
+    """Return the cost of making a reduced model [s], in total and of its training runs.
 
-    Full runs count as one at the largest stable step takes, `full_seconds`, in their own steps with
-    the spin-up; all else with the processor time that it took, compiling left out. Packing counts;
-    the closures of other models, in the same artifact, don't. None where nobody knows, as the cost
-    of an imported run is unknown.
+    The steps of training runs, including the spin-up, count at the cost of those of a full run at
+    its largest stable step, which takes `full_seconds`. All else counts with its processor time,
+    without compilation. Packing counts, and closures of other models in the same artifact do not.
+    Both are None if a cost is unknown, as for imported runs.
     """
     plan = workspace.case.plan
     names = {plan.basis_for(model, point): None for point in points}
@@ -238,9 +240,9 @@ def _computing_seconds(artifact: Artifact) -> float:
 
 
 def break_even(once: float | None, full_seconds: float | None, online_seconds: float) -> int | None:
-    """Return the least number of runs at which a model that costs `once` [s] to make is cheaper.
+    """Return the least number of runs from which a model is cheaper that costs `once` [s] to make.
 
-    None when it never is, or a cost is unknown.
+    Returns None if it never is, or a cost is unknown.
     """
     if once is None or full_seconds is None or full_seconds <= online_seconds:
         return None

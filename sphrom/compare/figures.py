@@ -1,6 +1,6 @@
-"""Command `figures`: the figures that a case asks for by name, from what its runs left.
+"""Command `figures`: draw the figures that a case lists, from its existing artifacts.
 
-Nothing is run: fields come from the runs, lines and errors from the comparison, modes and singular
+No models run: fields come from the runs, lines and errors from the comparison, modes and singular
 values from the bases.
 """
 
@@ -38,36 +38,36 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FOLDER = "figures"
-"""Where the pictures are, beside the artifacts."""
+"""Folder of the figures, beside the artifacts."""
 
 Snapshot = tuple[float, str, Array, dict[str, Array]]
-"""Time [s], what a title says of a run that became unstable before the instant asked for, its
-points (n_points, 2) [m], and there `speed` [m/s] and `pressure` [Pa], if it has a snapshot."""
+"""Time [s], a remark for the title if the run became unstable earlier, points (n_points, 2) [m],
+and their `speed` [m/s] and `pressure` [Pa], if there is a snapshot."""
 
 
 def _snapshot(
     workspace: Workspace, model: ReducedModelSection | None, point: ParameterPoint, time: float
 ) -> Snapshot:
-    """Return the fields of a run nearest to an instant [s]."""
+    """Return the fields of a run at the snapshot nearest to a time [s]."""
     with StoredRun.opened(workspace, point, model) as run:
         if not len(run.time):
             return 0.0, "\nunstable at the start", np.empty((0, 2)), {}
-        index, told = int(np.argmin(np.abs(run.time - time))), ""
+        index, remark = int(np.argmin(np.abs(run.time - time))), ""
         if not run.is_complete and time > run.time[-1]:
-            told = f"\nunstable, its last: t = {run.time[-1]:.3g} s"
+            remark = f"\nunstable, last at t = {run.time[-1]:.3g} s"
         velocity, pressure = run.fields(index)
         values = {"speed": np.hypot(*velocity.T), "pressure": pressure}
-        return float(run.time[index]), told, run.position(index), values
+        return float(run.time[index]), remark, run.position(index), values
 
 
 def run(context: StageContext) -> None:
-    """Draw every figure that the case asks for into the folder `figures`.
+    """Draw all figures that the case lists into the folder `figures`.
 
-    Raises ArtifactError where a run, a basis or the comparison that one shows is missing.
+    Raises ArtifactError when a necessary run, basis or the comparison is missing.
     """
     workspace, wanted = Workspace(context), context.case.compare.figures
     if not wanted:
-        context.report.info("compare.figures asks for no figure")
+        context.report.info("compare.figures lists no figures")
         return
     folder = workspace.folder(FOLDER)
     with (
@@ -98,7 +98,7 @@ def _draw(workspace: Workspace, comparison: StoredComparison, figure: FigureSect
 
 
 def _draw_fields(workspace: Workspace, figure: FieldFigure) -> Figure:
-    """Return fields at an instant, one that has become unstable at its last."""
+    """Draw fields at a time; those of unstable runs are at their last snapshot."""
     rows, frame = rows_of(workspace.case, figure), frame_of(workspace.case)
     points = dict.fromkeys(point for _, some in rows for point in some)
     full = {point: _snapshot(workspace, None, point, figure.time) for point in points}
@@ -108,12 +108,12 @@ def _draw_fields(workspace: Workspace, figure: FieldFigure) -> Figure:
         for quantity, point, model in product(figure.quantities, some, models):
             run = full[point] if model is None else _snapshot(workspace, model, point, figure.time)
             _, unstable, position, fields = run
-            told = f"{FULL if model is None else model.name}\n{point.label}{unstable}"
+            title = f"{FULL if model is None else model.name}\n{point.label}{unstable}"
             picture = np.full((1, 1), np.nan)
             if fields:
                 picture = frame.raster(position)(fields[quantity])
-            told = lettered(figure.quantities, quantity, told)
-            row.append(Field(told, LABELS[quantity], picture, complete=not unstable))
+            title = lettered(figure.quantities, quantity, title)
+            row.append(Field(title, LABELS[quantity], picture, complete=not unstable))
         panels.append(row)
     scales = {}
     for quantity in figure.quantities:
@@ -125,10 +125,10 @@ def _draw_fields(workspace: Workspace, figure: FieldFigure) -> Figure:
 
 
 def _draw_errors(case: Case, comparison: StoredComparison, figure: ErrorFigure) -> Figure:
-    """Return errors over time by Eq. 4.1: a row of panels for each row of runs, all values in it.
+    """Draw errors of Eq. 4.1 over time, with a row of panels per row of runs.
 
-    Errors begin where the recorded time does, whatever `compare.from_time` leaves out of means.
-    Axes are logarithmic, as models of different sizes differ by orders of magnitude.
+    Errors are drawn from the start, also before `compare.from_time`. Axes are logarithmic, because
+    errors of models of different sizes differ by orders of magnitude.
     """
     panels = []
     for models, points in rows_of(case, figure):
@@ -138,15 +138,15 @@ def _draw_errors(case: Case, comparison: StoredComparison, figure: ErrorFigure) 
             for model, (k, point) in product(models, enumerate(points)):
                 if model is not None:
                     time, error = comparison.discrepancy(model.name, point, quantity, figure.range)
-                    found = comparison.errors(model.name, point)
+                    series = comparison.errors(model.name, point)
                     label = f"{model.name}, {point.label}" if len(points) > 1 else model.name
-                    if found is None or found.status != "complete":
+                    if series is None or series.status != "complete":
                         after = f" after {time[-1]:.3g} s" if len(time) else ""
                         label += f" (unstable{after})"
                     look = place_of(case, model.name) + k * len(COLOURS)  # other dashes
                     runs.append(Curve(label, time, error, place=look))
             label = f"mean error over the {figure.range}'s range (Eq. 4.1) [%]"
-            told = lettered(figure.quantities, quantity, quantity)
-            row.append(Panel(told, "time [s]", label, runs, "logarithmic"))
+            title = lettered(figure.quantities, quantity, quantity)
+            row.append(Panel(title, "time [s]", label, runs, "logarithmic"))
         panels.append(row)
     return draw_grid(panels)

@@ -1,6 +1,6 @@
-"""Forces, flow rates, probes and lines over time: maps, bases and reduced runs beside full runs.
+"""Forces, flow rates, probes and lines over time, of reduced runs, maps and bases beside full runs.
 
-The flow of each run is described by figures of its own, such as speeds and a frequency.
+Further figures, such as speeds and a frequency, describe the flow of each run.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from sphrom.store.stored_run import StoredRun
 from sphrom.store.workspace import Workspace
 
 SURFACE = "surface"
-"""What tables call the elevation of the whole surface."""
+"""Name of the elevation of the whole surface in tables."""
 Measured = Mapping[str, Quantities]
-"""Quantities of each measurement by its name (n_snapshots, ...)."""
+"""Quantities (n_snapshots, ...) of measurements, by the name of the measurement."""
 
 
 @dataclass(frozen=True)
 class MeasureRow:
-    """One component of a measured quantity over the run; the full run's own has no errors."""
+    """One component of a measured quantity over a run; that of the full run has no errors."""
 
     measured: str
     quantity: str
@@ -48,22 +48,22 @@ class MeasureRow:
     parameters: str
     n_modes: int | None
     role: str
-    """`trained` where the parameter was trained on, else `predicted`."""
+    """`trained` at points of training runs, else `predicted`."""
     mean: float
-    """Over time, and along a line; least and greatest likewise."""
+    """Mean over time, and along a line; likewise least and greatest."""
     least: float
     greatest: float
     relative_l2: float | None = field(metadata={"unit": "%"})
-    """Root mean square error over time and places, over that of the full run's whole quantity: of
-    both components for a force or a velocity."""
+    """Root mean square error over time and places, over the root mean square of the full run's
+    quantity, with both components of a force or velocity."""
     relative_l2_peak: float | None = field(metadata={"unit": "%"})
-    """At the worst instant."""
+    """The same at the worst time."""
     estimated: float | None = field(metadata={"unit": "%"})
-    """The error that the model itself estimates, over time and places as `relative_l2`."""
+    """The model's own estimate of `relative_l2`."""
 
 
 def measured_of_map(case: Case, mapped: Artifact) -> Measured:
-    """Measure the fields of mapped snapshots, which tell no forces."""
+    """Measure the fields of mapped snapshots, which have no forces."""
     measure = MeasuredFields.of(case)
     if measure is None:
         return {}
@@ -79,7 +79,7 @@ def measured_of_map(case: Case, mapped: Artifact) -> Measured:
 def measured_of_best(
     workspace: Workspace, model: ReducedModelSection, point: ParameterPoint, mapped: Artifact
 ) -> Measured:
-    """Measure the nearest states in the basis of a model, as the model does."""
+    """Measure the nearest states in the basis of a model, with the model's operators."""
     fast, time = FastModel(workspace, model), mapped.read("time")
     reduced = fast.at(point)
     state = mapped.read("density_fluctuation"), mapped.read("velocity")
@@ -89,51 +89,50 @@ def measured_of_best(
 
 
 def measured_estimates(case: Case, run: Artifact) -> Measured:
-    """Read the estimated errors of what a reduced run measured (...), where it has some."""
-    found: dict[str, Quantities] = {}
+    """Read the estimated errors (...) of a reduced run's measurements, if there are any."""
+    estimates: dict[str, Quantities] = {}
     for name in case.scene.recorded:
         stored = vars(read_record(run, MeasuredOnce, f"error_estimate/measure/{name}"))
-        found[name] = {q: np.atleast_1d(v) for q, v in stored.items() if v is not None}
-    return found
+        estimates[name] = {q: np.atleast_1d(v) for q, v in stored.items() if v is not None}
+    return estimates
 
 
 def measure_rows(
     own: Measured,
     full: Measured,
-    counted: NDArray[np.bool_],
+    selected: NDArray[np.bool_],
     estimates: Mapping[str, Any],
     *,
     with_weight: bool,
     **described: Any,
 ) -> Iterator[MeasureRow]:
-    """Yield the rows of a run beside the full one, over the snapshots (n_snapshots,) that count.
+    """Yield the rows of a run beside the full run, over the `selected` snapshots (n_snapshots,).
 
-    `with_weight` says that pressures have a hydrostatic part, which errors are not relative to.
-
-    Compared run, parameters, number of modes and role are `described` as in the rows. Estimated
-    errors are root mean squares over time (...), by measurement and quantity.
+    `described` are other fields of the rows. Estimated errors are root mean squares over time
+    (...), by measurement and quantity. With `with_weight`, errors of pressures are not relative to
+    their hydrostatic part.
     """
     for measured, quantities in own.items():
         for quantity, values in quantities.items():
-            reference = full[measured][quantity][counted]
+            reference = full[measured][quantity][selected]
             square = variation(quantity, reference, with_weight=with_weight)
             others = components(quantity, reference)
-            for component, found in components(quantity, values[counted]).items():
+            for component, part in components(quantity, values[selected]).items():
                 estimated = None
                 if quantity in estimates.get(measured, {}) and square > 0.0:
                     expected = components(quantity, estimates[measured][quantity])
                     estimated = 100.0 * math.sqrt(np.mean(expected[component] ** 2) / square)
                 errors: tuple[float | None, float | None] = (None, None)
                 if own is not full:
-                    errors = errors_of(component, found, others[component], square)
+                    errors = errors_of(component, part, others[component], square)
                 yield MeasureRow(
                     measured=measured,
                     quantity=component,
                     unit=UNITS[quantity],
                     **described,
-                    mean=float(found.mean()),
-                    least=float(found.min()),
-                    greatest=float(found.max()),
+                    mean=float(part.mean()),
+                    least=float(part.min()),
+                    greatest=float(part.max()),
                     relative_l2=errors[0],
                     relative_l2_peak=errors[1],
                     estimated=estimated,
@@ -142,11 +141,11 @@ def measure_rows(
 
 @dataclass(frozen=True, kw_only=True)
 class OscillationRow:
-    """The oscillation of a history in one run; without one, figures are None."""
+    """The oscillation of a history in one run; figures are None without an oscillation."""
 
     measured: str
     unit: str
-    """Of amplitude and mean."""
+    """Unit of amplitude and mean."""
     compared: str
     parameters: str
     frequency: float | None = field(default=None, metadata={"unit": "Hz"})
@@ -156,54 +155,54 @@ class OscillationRow:
     amplitude_scatter: float | None = None
     amplitude_error: float | None = field(default=None, metadata={"unit": "%"})
     phase_error: float | None = field(default=None, metadata={"unit": "deg"})
-    """At the end, positive where the run is ahead."""
+    """Phase error at the end, positive if the run is ahead."""
     mean: float
 
 
 def oscillation_rows(
     case: Case, time: Array, own: Measured, full: Measured, compared: str, parameters: str
 ) -> Iterator[OscillationRow]:
-    """Yield the rows of a run beside the full one, which has no errors."""
+    """Yield the rows of a run beside the full run, which has no errors."""
     for name, each in case.scene.oscillations.items():
-        if each.measure in own:  # as forces are not of mapped snapshots
+        if each.measure in own:  # mapped snapshots have no forces
             reference = None if own is full else full[each.measure]
-            found: dict[str, Any] = each.of(time, own[each.measure], reference)
+            figures: dict[str, Any] = each.of(time, own[each.measure], reference)
             yield OscillationRow(
-                measured=name, unit=each.units, compared=compared, parameters=parameters, **found
+                measured=name, unit=each.units, compared=compared, parameters=parameters, **figures
             )
 
 
 @dataclass(frozen=True)
 class FlowRow:
-    """The flow of one run; of one that became unstable, as far as it came."""
+    """The flow of one run; for an unstable run, until its last snapshot."""
 
     run: str
     parameters: str
     from_time: float = field(metadata={"unit": "s"})
     to_time: float = field(metadata={"unit": "s"})
     largest_speed: float = field(metadata={"unit": "m/s"})
-    """Of all particles, the mean over time."""
+    """Largest speed of all particles, mean over time."""
     kinetic_energy: float = field(metadata={"unit": "J/m"})
-    """The mean over time."""
+    """Mean over time."""
     bulk_velocity: float | None = field(metadata={"unit": "m/s"})
-    """The mean of u over the channel beside a cavity, and over time; None without a channel."""
+    """Mean of u over the channel beside a cavity and over time; None without a channel."""
     mean_pressure_drift: float = field(metadata={"unit": "Pa"})
-    """The largest change of the particles' mean pressure since the first snapshot."""
+    """Largest change of the mean pressure of particles since the first snapshot."""
     pressure_deviation: float = field(metadata={"unit": "Pa"})
-    """The pressure's standard deviation over the particles, its mean over the later half."""
+    """Standard deviation of the pressure over particles, mean over the second half."""
     pressure_drift_ratio: float | None
-    """That drift over that deviation; None for a pressure that is the same everywhere."""
+    """Drift over deviation of the pressure; None for a uniform pressure."""
     dominant_frequency: float | None = field(metadata={"unit": "Hz"})
-    """Of v at the station; None without a station, or an oscillation of two periods or more."""
+    """Frequency of v at the station; None without a station, or with less than two periods."""
 
 
 def _bulk_velocity(case: Case, samples: Samples, probes: Probes) -> float | None:
-    """Return the mean of u over the scene's channel, and over time [m/s]; None without one."""
+    """Return the mean of u over the scene's channel and over time [m/s]; None without a channel."""
     channel = case.scene.channel
     if channel is None or not len(samples.time):
         return None
     inside = channel.contains(probes.grid)
-    # Points on the channel's floor are left out of the grid: fluid is at rest there.
+    # The grid has no points on the channel's floor, where the fluid is at rest.
     step = case.scene.domain.lengths[1] / probes.grid_shape[0]
     height = channel.height * len(np.unique(probes.grid[inside, 0]))
     flux = samples.velocity[:, probes.on_grid][:, inside, 0].sum(axis=1) * step

@@ -24,31 +24,31 @@ SPACES = {
     "reference": ("bases", "reference_position"),
     "Lagrangian": ("lagrangian", "lagrangian_position"),
 }
-"""Spaces of modes, and where the artifact of the bases has their modes and points."""
+"""Spaces of modes, with the groups of their modes and points in the artifact of the bases."""
 COMPONENTS = {"x-velocity": 0, "y-velocity": 1}
 MOST_MODES = 10
-"""Pictures of modes beside each other."""
+"""Most pictures of modes in a row."""
 SMALLEST_RATIO, SMALLEST_SHARE = 1e-12, 1e-10
-"""Singular values over the first, and shares left out [%]: below these they are rounding."""
+"""Singular values over the first, and omitted shares [%], below which they are rounding errors."""
 SPECTRUM = ("singular value, relative to the first [–]", "later singular values, of the sum [%]")
 
 
 def frame_of(case: Case) -> Frame:
-    """Return what of the plane the pictures of a case show."""
+    """Return the part of the plane that pictures of a case show."""
     box = case.scene.domain
     extent = (box.lower[0], box.upper[0], box.lower[1], box.upper[1])
     return Frame(extent, None if box.fills_box else solids_within(box, extent))
 
 
 def model_sizes(workspace: Workspace, basis: str) -> list[int]:
-    """Return how many modes of a basis models use."""
+    """Return the numbers of modes of a basis that models use."""
     case = workspace.case
     used = (basis_used(workspace, m, point) for m in case.rom for point in case.plan.rom_points(m))
     return sorted({size for name, size in used if name == basis})
 
 
 def _spectra(workspace: Workspace) -> Iterator[tuple[str, str, str, Array]]:
-    """Yield space, basis, part and singular values of everything that was decomposed."""
+    """Yield space, basis, part and singular values of all decompositions."""
     with workspace.open(workspace.basis()) as artifact:
         for space, (parent, _) in SPACES.items():
             for name in artifact.datasets:
@@ -68,17 +68,17 @@ def spectrum_rows(workspace: Workspace) -> Iterator[SpectrumRow]:
 def draw_spectrum(
     workspace: Workspace, basis: str, marked: Sequence[int], *, with_shares: bool = False
 ) -> Figure:
-    """Return singular values, and the share that so many modes leave out (Eq. 4.3).
+    """Draw singular values, and the shares of the omitted ones (Eq. 4.3) over the mode number.
 
-    Marked numbers of modes have a line, and the legend has their shares on request.
+    `marked` numbers of modes have a line and, with `with_shares`, their shares in the legend.
     """
     values_of, left_out_of = [], []
     for space, _, part, values in (each for each in _spectra(workspace) if each[1] == basis):
         name = f"{space} space" + ("" if part == "joint" else f", {part}")
         shares = cumulative_singular_value_share(values)
         if with_shares:
-            known = (f"{_share(shares[m - 1])} % (M = {m})" for m in marked if m <= len(shares))
-            name = f"{name}: {', '.join(known)}"
+            texts = (f"{_share(shares[m - 1])} % (M = {m})" for m in marked if m <= len(shares))
+            name = f"{name}: {', '.join(texts)}"
         number = np.arange(1.0, len(values) + 1.0)
         ratio, left_out = values / values[0], 100.0 - shares
         values_of.append(Curve(name, number, np.where(ratio > SMALLEST_RATIO, ratio, 0.0)))
@@ -92,7 +92,7 @@ def draw_spectrum(
 
 
 def _share(share: float) -> str:
-    """Return a share [%] with two digits of what it leaves out."""
+    """Format a share [%] with two significant digits of its difference from 100 %."""
     for digits in range(1, 12):
         if round(100.0 - share, digits) >= 10.0 ** (1 - digits):
             return f"{share:.{digits}f}"
@@ -102,7 +102,7 @@ def _share(share: float) -> str:
 def mode_fields(
     workspace: Workspace, basis: str, field: str, numbers: Sequence[int]
 ) -> dict[str, list[Field]]:
-    """Return one field of modes (from 1) by space; Lagrangian ones are kept where a case asks."""
+    """Return pictures of one field of modes (from 1) by space; Lagrangian ones are optional."""
     fields: dict[str, list[Field]] = {}
     unit = "1/m" if workspace.case.basis.inner_product == "acoustic" else "–"
     with workspace.open(workspace.basis()) as artifact:
@@ -121,12 +121,12 @@ def mode_fields(
 
 
 def draw_modes(workspace: Workspace, basis: str) -> Figure:
-    """Return density and velocity of the first modes that models use, spaces side by side."""
+    """Draw density and velocity of the first modes that models use, with spaces side by side."""
     number, most = max(model_sizes(workspace, basis), default=1), MOST_MODES
     if workspace.case.basis.lagrangian:
         most //= len(SPACES)
     numbers = list(range(1, number + 1))
-    if number > most:  # the first ones, and some of the others
+    if number > most:  # the first modes, and some of the others
         numbers = sorted({round(m) for m in np.geomspace(1, number, most)})
     rows = []
     for field in ("density", *COMPONENTS):

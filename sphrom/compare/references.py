@@ -1,8 +1,8 @@
-"""Full runs against the profiles of reference solutions, where there are any of their flow.
+"""Comparison of full runs with profiles of reference solutions of their flow, if there are any.
 
-An instant of a run has the sound of a weakly compressible model and the noise of particles that
-rearrange, so that errors of one instant change with the output step. Profiles are therefore means
-over a window of time; the scatter of its snapshots stands beside the errors.
+A single snapshot contains sound, because the model is weakly compressible, and noise of particles
+that rearrange, so its errors change with the output step. Therefore profiles are means over a time
+window, and tables have the scatter of its snapshots beside the errors.
 """
 
 from __future__ import annotations
@@ -22,12 +22,9 @@ from sphrom.sph.fluid import ROUNDING
 from sphrom.store.sampling import ON_WALL, sample_run
 
 SETTLED = 0.01
-"""The largest change of a settled flow, over U, or rho U2 for a pressure."""
+"""Largest change of a settled flow, over U, or rho U2 for a pressure."""
 SETTLING_SHARE = 0.1
-"""The part of a run, at its end, over which a steady flow should no longer change.
-
-Unless the case says otherwise, steady profiles are means over it.
-"""
+"""Last part of a run, in which a steady flow must not change; steady profiles are its means."""
 SCALE = {"unit": "U, or rho U2"}
 
 
@@ -40,34 +37,33 @@ class ReferenceRow:
     state: str
     """`steady`, `time average`, or `transient`."""
     from_time: float = field(metadata={"unit": "s"})
-    """Of the first snapshot of the window whose mean is compared."""
+    """Time of the first snapshot in the averaging window."""
     time: float = field(metadata={"unit": "s"})
-    """Of the last one."""
+    """Time of the last snapshot in the window."""
     n_snapshots: int
-    """In the window."""
+    """Number of snapshots in the window."""
     reference_time: float | None = field(metadata={"unit": "s"})
-    """Of a transient reference."""
+    """Time of a transient reference."""
     largest_error: float = field(metadata=SCALE)
-    """Of the mean over the window."""
+    """Largest error of the mean over the window."""
     largest_scatter: float | None = field(metadata=SCALE)
-    """Standard deviation of the window's snapshots, where it is largest; None for one snapshot."""
+    """Largest standard deviation of snapshots in the window; None for one snapshot."""
     rms_error: float = field(metadata=SCALE)
     rms_scatter: float | None = field(metadata=SCALE)
-    """Its root mean square over the points."""
+    """Root mean square of the standard deviation over the points."""
     last_change: float | None = field(metadata=SCALE)
-    """How much the mean changed, at most, over the run's last tenth, if it should be steady."""
+    """Largest change of the mean over the last tenth of the run, for a steady profile."""
     settled: bool
-    """Whether nothing that should be steady changed more than it may."""
+    """Whether all steady profiles changed by at most SETTLED."""
     source: str
 
 
 def window_of(case: Case, reference: ReferenceProfile, times: Array) -> range:
-    """Return the snapshots whose mean is compared with a reference; none for one out of reach.
+    """Return the snapshots to average for a reference; none if the run does not reach its time.
 
-    Those of an average are all. Steady profiles have the last tenth of the run, transient ones
-    a period of the longest sound wave around their instant, in which the flow hardly changes: a
-    window about an instant leaves its linear change out, and is cut on both sides where the run
-    ends.
+    Time averages use all snapshots, and steady profiles the last tenth of the run. Transient
+    profiles use a period of the longest sound wave around their time, in which the flow hardly
+    changes. This window is symmetric, also near the ends of the run, so that linear changes cancel.
     """
     if reference.averaged:
         return range(len(times))
@@ -88,12 +84,12 @@ def window_of(case: Case, reference: ReferenceProfile, times: Array) -> range:
 
 
 def time_scale(case: Case) -> float:
-    """Return the unit of a reference's times [s]."""
+    """Return the unit of time of references [s]."""
     return case.scene.length_scale / case.fluid.reference_speed
 
 
 def profiles_of(case: Case, point: ParameterPoint) -> tuple[ReferenceProfile, ...]:
-    """Return the known profiles of the flow at a parameter point: with the scene's own drive."""
+    """Return the reference profiles at a point, if walls and force have the scene's own values."""
     if any(value != case.plan.own_values[name] for name, value in point.others):
         return ()
     return case.scene.reference_profiles(point.reynolds, case.fluid.reference_speed)
@@ -102,22 +98,21 @@ def profiles_of(case: Case, point: ParameterPoint) -> tuple[ReferenceProfile, ..
 def compare_with_references(
     case: Case, point: ParameterPoint, trajectory: Artifact, probes: Probes
 ) -> list[tuple[ReferenceRow, Profile]]:
-    """Compare a full run with every profile that is known of its flow.
+    """Compare a full run with all reference profiles of its flow.
 
-    A profile of an instant that the run did not reach or record is left out. All steady profiles
-    are marked as unsettled, if a velocity shows that the flow still changed: pressure has noise
-    that never settles.
+    Profiles at times without a snapshot are left out. If a steady velocity still changed, all
+    steady profiles are marked as unsettled; the noise of pressures never settles.
     """
-    times, found, changes = trajectory.read("time"), [], [0.0]
+    times, pairs, changes = trajectory.read("time"), [], [0.0]
     for reference in profiles_of(case, point):
         if window := window_of(case, reference, times):
             row, profile = _comparison(case, point, trajectory, probes, reference, times, window)
-            found.append((row, profile))
+            pairs.append((row, profile))
             if row.last_change is not None and reference.quantity != "p":
                 changes.append(row.last_change)
     if max(changes) <= SETTLED:
-        return found
-    return [(replace(row, settled=row.last_change is None), profile) for row, profile in found]
+        return pairs
+    return [(replace(row, settled=row.last_change is None), profile) for row, profile in pairs]
 
 
 def _comparison(
@@ -129,23 +124,23 @@ def _comparison(
     times: Array,
     window: range,
 ) -> tuple[ReferenceRow, Profile]:
-    """Compare a reference with the mean over a window of snapshots, where it is off the walls."""
+    """Compare a reference with the mean over a window of snapshots, at points off the walls."""
     domain, length, before = case.scene.domain, case.scene.length_scale, range(0)
     state, transient = "time average" if reference.averaged else "steady", None
     if reference.time is not None:
         state, transient = "transient", reference.time * time_scale(case)
-    elif not reference.averaged:  # as many snapshots, a tenth of the run before
+    elif not reference.averaged:  # as many snapshots, a tenth of the run earlier
         earlier = times[-1] - SETTLING_SHARE * (times[-1] - times[0])
         last = min(int(np.searchsorted(times, earlier)), len(times) - 2)
         before = range(max(0, last + 1 - len(window)), max(0, last) + 1)
     across = np.full_like(reference.coordinate, reference.offset)
     columns = (reference.coordinate, across)
     points = length * np.stack(columns if reference.axis == "x" else columns[::-1], axis=1)
-    # On the walls themselves a run has its boundary conditions, not a solution.
+    # On the walls, a run has its boundary conditions rather than a solution.
     off_walls = domain.wall_distance(points) > ON_WALL * case.plan.particle_spacing
     compared = off_walls & domain.contains(points)
     points, number, speed = points[compared], int(compared.sum()), case.fluid.reference_speed
-    if reference.quantity == "p":  # then come the places where its mean is zero
+    if reference.quantity == "p":  # also sample the points whose mean pressure is the datum
         centre = 0.5 * np.add(domain.lower, domain.upper)[None]
         points = np.concatenate((points, probes.grid if reference.datum == "mean" else centre))
     chosen = sorted({*window, *before})

@@ -1,4 +1,4 @@
-"""What `compare` stores of each run, and reads again to draw it: samples and errors over time."""
+"""Samples and errors of runs over time, which `compare` stores and reads to draw figures."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from sphrom.text import exact
 
 
 class ComparisonWriter:
-    """Writes the comparison at one parameter point."""
+    """Writes the comparisons at one parameter point."""
 
     def __init__(self, artifact: ArtifactWriter, point: ParameterPoint, probes: Probes) -> None:
         self.point, self.probes = point, probes
@@ -38,7 +38,7 @@ class ComparisonWriter:
         self._samples(FULL, samples)
 
     def run(self, row: ErrorRow, history: History, samples: Samples) -> None:
-        """Write errors over time and samples of a run; nothing where it has no errors."""
+        """Write the errors over time and the samples of a run, unless it has no errors."""
         if not len(history.time):
             return
         group, places = group_of(row.compared, row.against), history.places.items()
@@ -58,7 +58,7 @@ class ComparisonWriter:
             self._samples(group, samples)
 
     def profile(self, row: ReferenceRow, profile: ReferenceProfile) -> None:
-        """Write the profile of a reference, and the full run's."""
+        """Write the profiles of a reference and of the full run."""
         write_record(self._artifact, profile, f"reference/{_reference_name(row)}/{self._place}")
 
     def _samples(self, name: str, samples: Samples) -> None:
@@ -79,13 +79,13 @@ def _reference_name(row: ReferenceRow) -> str:
 
 
 def group_of(compared: str, against: str = FULL) -> str:
-    """Return an HDF5 group's name for a comparison."""
+    """Return the name of the HDF5 group of a comparison."""
     name = compared.replace(", ", "-").replace(" ", "-").replace("=", "")
     return f"{name}-against-{against}"
 
 
 class StoredComparison:
-    """What `compare` found of a case, opened. Runs have their names, and None is the full one."""
+    """The stored comparisons of a case; runs are selected by name, and None is the full run."""
 
     def __init__(self, artifact: Artifact) -> None:
         self._artifact = artifact
@@ -93,16 +93,16 @@ class StoredComparison:
     @classmethod
     @contextmanager
     def of(cls, workspace: Workspace) -> Iterator[StoredComparison]:
-        """Open the comparison of a case. Raises ArtifactError when it isn't there or valid."""
+        """Open the comparison of a case. Raises ArtifactError when it is missing or not valid."""
         with workspace.open(workspace.comparison()) as artifact:
             yield cls(artifact)
 
     def samples(
         self, run: str | None, point: ParameterPoint, at: Literal["line", "stations"] = "line"
     ) -> tuple[Array, Samples]:
-        """Return where the line or the stations are (n_points, 2) [m], and a run there.
+        """Return the points of the line or the stations (n_points, 2) [m], and a run's samples.
 
-        A run that became unstable has so many instants as it has. One that did at once has none.
+        The samples of an unstable run end at its last snapshot, and may be empty.
         """
         place = "centreline" if at == "line" else at
         group = f"{place}/{FULL if run is None else group_of(run)}/{point.file_label}"
@@ -112,34 +112,34 @@ class StoredComparison:
         return stored.position, Samples(stored.time, stored.velocity, stored.pressure)
 
     def errors(self, run: str, point: ParameterPoint, against: str = FULL) -> Series | None:
-        """Return the errors of a run over time, None where it has none."""
+        """Return the errors of a run over time, or None."""
         group = f"series/{group_of(run, against)}/{point.file_label}"
         if f"{group}/time" not in self._artifact:
             return None
         return read_record(self._artifact, Series, group)
 
     def profile(self, row: ReferenceRow, point: ParameterPoint) -> ReferenceProfile:
-        """Return the profile of a reference, and the full run's."""
+        """Return the profiles of a reference and of the full run."""
         group = f"reference/{_reference_name(row)}/{point.file_label}"
         return read_record(self._artifact, ReferenceProfile, group)
 
     def discrepancy(
         self, run: str, point: ParameterPoint, quantity: str, over: str
     ) -> tuple[Array, Array]:
-        """Return times [s] and Eq. 4.1 [%] of a run's `speed` or `pressure` on the line.
+        """Return times [s] and errors of Eq. 4.1 [%] of a run's `speed` or `pressure` on the line.
 
-        `over` says whose range divides: that of the `line`, or of the whole `field`. Instants at
-        which the full run has no range are left out.
+        Errors are divided by the range on the `line`, or with `over="field"` of the whole field.
+        Times at which the full run has no range are left out.
         """
         full, reduced = self.samples(None, point)[1], self.samples(run, point)[1]
         n_common = len(reduced.time)
         if not n_common:
             return np.empty(0), np.empty(0)
-        expected, found = (getattr(s.at(slice(n_common)), quantity) for s in (full, reduced))
+        expected, actual = (getattr(s.at(slice(n_common)), quantity) for s in (full, reduced))
         ranges = instantaneous_range(expected)
         if over == "field":
             stored = read_record(self._artifact, Ranges, f"ranges/{point.file_label}")
             ranges = getattr(stored, quantity)[:n_common]
-        known = ranges > 0.0
-        errors = relative_discrepancy(found[known], expected[known], ranges[known])
-        return full.time[:n_common][known], errors
+        varied = ranges > 0.0
+        errors = relative_discrepancy(actual[varied], expected[varied], ranges[varied])
+        return full.time[:n_common][varied], errors

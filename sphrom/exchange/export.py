@@ -1,9 +1,9 @@
-"""Command `export`: the fields of artifacts, in files of their own for other programs.
+"""Command `export`: export the fields of artifacts to files for other programs.
 
-Artifacts that hold fields open in ParaView from 5.12 on as they are. Exported files open in older
-versions, need no artifact, and show more: the ghosts of walls, and the fields of runs that store
-coordinates alone. These are computed one snapshot at a time, the same to the last bit as
-`output: snapshots` stores.
+ParaView 5.12 and later opens artifacts with fields directly. Exported files also open in older
+versions, do not need the artifact, and show more: the ghosts of walls, and the fields of runs that
+store only coordinates. These fields are computed one snapshot at a time, and equal bit for bit
+those that `output: snapshots` stores.
 """
 
 from __future__ import annotations
@@ -37,20 +37,20 @@ from sphrom.store.workspace import Target, Workspace, make_folder
 from sphrom.whole_files import replacement
 
 FOLDER = "export"
-"""Where files go unless another folder is named, beside the artifacts."""
+"""Default folder of exported files, beside the artifacts."""
 FIELDS, PROBES = "vtu", "csv"
-"""The formats: fields for ParaView, and tables of runs at some points."""
+"""The formats: fields for ParaView, and tables of histories at points."""
 HEAD = {"time": "s", "x": "m", "y": "m", "velocity_x": "m/s", "velocity_y": "m/s", "pressure": "Pa"}
-"""Columns of a table of a run, with their units: one row for each point and time."""
+"""Columns of a run's table, with their units; the rows are all pairs of a time and a point."""
 POINTS = "reference_position"
 _VERTEX = 1
-"""VTK's number of a cell that is a single point."""
+"""VTK's type of a cell with a single point."""
 _TYPES = {"float64": "Float64", "int64": "Int64", "uint8": "UInt8"}
 
 
 @dataclass(frozen=True)
 class Item:
-    """An artifact of a case: a run of a reduced model at a point, of the full one, or no run."""
+    """An artifact of a case: a reduced run at a point, a full run, or no run."""
 
     target: Target
     point: ParameterPoint | None = None
@@ -62,9 +62,9 @@ class Source:
     """The fields of an artifact, stored or computed."""
 
     shapes: Mapping[str, Shape]
-    """The lengths of the datasets' axes, by name."""
+    """The shapes of the datasets, by name."""
     read: Callable[[str, Any], NDArray[Any]]
-    """Gives one item of a dataset along its first axis, or what else an index selects."""
+    """Returns the part of a dataset that an index selects, such as one snapshot."""
 
 
 def run(
@@ -73,38 +73,39 @@ def run(
     into: Path | None = None,
     at: Sequence[str] | None = None,
 ) -> None:
-    """Export every artifact of a case that is there and holds fields.
+    """Export all existing artifacts of a case that have fields.
 
-    As CSV the runs alone, at points `at`, each like `0.5,0.5`, or along the line of comparison.
+    With `to="csv"`, only runs are exported, at points `at`, each like `0.5,0.5`, or by default
+    along the line of comparison.
 
     Raises ArtifactError when there is none, one does not belong to the case, or a file can't be
-    written; CaseError when there is no such format, or a point is not in the fluid.
+    written; CaseError when the format is unknown, or a point is not in the fluid.
     """
     if to not in (FIELDS, PROBES):
         raise CaseError(f"--to: must be {FIELDS} or {PROBES}; got {to!r}")
     if at and to != PROBES:
-        raise CaseError(f"--at: goes with --to {PROBES}")
+        raise CaseError(f"--at: needs --to {PROBES}")
     workspace, folder = Workspace(context), into or context.out / FOLDER
     write = _write_all if to == FIELDS else partial(_write_tables, at=at or ())
     if write(workspace, folder) == 0:
         raise ArtifactError(
-            f"{context.out}: nothing to export; make runs with `sphrom run {context.words}`"
+            f"{context.out}: has nothing to export; make runs with `sphrom run {context.words}`"
         )
 
 
 def _runs(workspace: Workspace) -> list[Item]:
-    """Return every run of the case that is there, at the points and of the models asked for."""
+    """Return the existing runs of the case at the selected points and of the selected models."""
     case, context = workspace.case, workspace.context
     points = () if context.models else context.chosen(case.plan.points)
-    found = [Item(workspace.full_run(point), point) for point in points]
+    runs = [Item(workspace.full_run(point), point) for point in points]
     for model in context.chosen_models:
         for point in context.chosen(case.plan.rom_points(model)):
-            found.append(Item(workspace.reduced_run(model, point), point, model))
-    return [item for item in found if item.target.path.exists()]
+            runs.append(Item(workspace.reduced_run(model, point), point, model))
+    return [item for item in runs if item.target.path.exists()]
 
 
 def _others(workspace: Workspace) -> list[Item]:
-    """Return the other artifacts of the case that are there and may hold fields."""
+    """Return the other existing artifacts of the case that may have fields."""
     case, targets = workspace.case, [workspace.basis()]
     if case.plan.packed:
         targets.append(workspace.packing())
@@ -116,7 +117,7 @@ def _others(workspace: Workspace) -> list[Item]:
 
 
 def _write_all(workspace: Workspace, folder: Path) -> int:
-    """Write the fields of all artifacts that are there, and return how many views they have."""
+    """Write the fields of all existing artifacts, and return the number of views."""
     context, n_written = workspace.context, 0
     for item in [*_runs(workspace), *([] if context.models else _others(workspace))]:
         with _opened(workspace, item) as source:
@@ -131,7 +132,7 @@ def _write_all(workspace: Workspace, folder: Path) -> int:
 
 @contextmanager
 def _opened(workspace: Workspace, item: Item) -> Iterator[Source]:
-    """Open an artifact; of a reduced run of coordinates alone, with the fields that they give.
+    """Open an artifact; fields of a run that stores only coordinates are computed from them.
 
     Raises ArtifactError when it or its basis is missing, damaged, or of another case.
     """
@@ -164,9 +165,9 @@ def _opened(workspace: Workspace, item: Item) -> Iterator[Source]:
 
 
 def write_vtu(path: Path, source: Source, view: View, *, force: bool) -> None:
-    """Write a view as `path`, a .pvd file, and a .vtu file for each step in a folder beside it.
+    """Write a view as a .pvd file `path`, and a .vtu file per step in a folder beside it.
 
-    Raises ArtifactError when one of them is there and `force` is not set, or can't be written.
+    Raises ArtifactError when one of them exists and `force` is not set, or can't be written.
     """
     times: Sequence[float] = [float(step + 1) for step in range(view.n_steps)] or [0.0]
     if view.times is not None:
@@ -182,12 +183,12 @@ def write_vtu(path: Path, source: Source, view: View, *, force: bool) -> None:
 
 
 def _rows(source: Source, view: View, name: str, step: int) -> NDArray[Any]:
-    """Return a field at one step as VTK has it, (n_points,) or (n_points, 3)."""
+    """Return a field at one step in VTK's shape, (n_points,) or (n_points, 3)."""
     if name not in view.stepped:
         values = source.read(name, ...)
     elif step < source.shapes[name][0]:
         values = source.read(name, step)
-    else:  # a basis of fewer modes than another
+    else:  # this basis has fewer modes than another one
         values = np.zeros(source.shapes[name][1:])
     if values.ndim == 1:
         return values
@@ -195,7 +196,7 @@ def _rows(source: Source, view: View, name: str, step: int) -> NDArray[Any]:
 
 
 def _grid(source: Source, view: View, step: int, time: float) -> str:
-    """Return one step as an unstructured grid whose cells are the points."""
+    """Return one step as an unstructured grid with one cell per point."""
     n = view.n_points
     cells: dict[str, NDArray[Any]] = {
         "connectivity": np.arange(n),
@@ -213,7 +214,7 @@ def _grid(source: Source, view: View, step: int, time: float) -> str:
 
 
 def _array(name: str, values: NDArray[Any]) -> str:
-    """Return an array as its length [bytes] and its bytes, in letters that XML allows."""
+    """Return an XML element with an array: its length [bytes] and its content, in base64."""
     length = np.uint64(values.nbytes).tobytes()
     return _tag(
         "DataArray",
@@ -227,8 +228,8 @@ def _array(name: str, values: NDArray[Any]) -> str:
 
 
 def _tag(name: str, body: str, **attributes: object) -> str:
-    given = "".join(f" {key}={quoteattr(str(value))}" for key, value in attributes.items())
-    return f"<{name}{given}>{body}</{name}>\n"
+    pairs = "".join(f" {key}={quoteattr(str(value))}" for key, value in attributes.items())
+    return f"<{name}{pairs}>{body}</{name}>\n"
 
 
 def _write_xml(path: Path, kind: str, body: str, force: bool) -> None:
@@ -239,9 +240,9 @@ def _write_xml(path: Path, kind: str, body: str, force: bool) -> None:
 
 
 def _write_tables(workspace: Workspace, folder: Path, at: Sequence[str]) -> int:
-    """Write a table of every run at points like `0.5,0.5`, or along the line, and return how many.
+    """Write a table per run at points like `0.5,0.5`, or along the line; return their number.
 
-    A run that became unstable is in its table as far as it went.
+    The table of an unstable run ends at its last snapshot.
     """
     points = np.array([place("at", text) for text in at]) if at else probes_of(workspace.case).line
     outside = points[~workspace.case.scene.domain.contains(points)]
@@ -259,7 +260,7 @@ def _write_tables(workspace: Workspace, folder: Path, at: Sequence[str]) -> int:
         fields = samples.velocity.reshape(-1, 2), samples.pressure.ravel()
         values = np.column_stack((times, np.tile(points, (n_times, 1)), *fields)).tolist()
         rows = [dict(zip(HEAD, row, strict=True)) for row in values]
-        if rows:  # of a run that became unstable at once there are none
+        if rows:  # a run that became unstable immediately has no rows
             make_folder(folder, "--into")
             write_csv(path, rows_of_columns(HEAD, rows))
             workspace.context.report.info(f"wrote {path}: {len(points)} points")

@@ -1,9 +1,10 @@
-"""Snapshots that other programs wrote: PySPH's HDF5 output, VTK files, plain NumPy archives.
+"""Read snapshots of other programs: PySPH's HDF5 output, VTK files, plain NumPy archives.
 
-A file holds one snapshot, but VTK's HDF files may hold many. Fields come back by name as one number
-for each particle; those of a vector `velocity` are `velocity.x`, `velocity.y` and `velocity.z`.
-Nothing in a file is run: archives with pickles are refused, and links out of an HDF5 file. VTK's
-files are read by VTK itself, the extra `vtk`, in a process of its own: see `vtk_process`.
+A file has one snapshot, except VTK's HDF files, which may have many. Fields are returned by name
+with one number per particle; the components of a vector `velocity` are `velocity.x`, `velocity.y`
+and `velocity.z`. No code from a file is run: archives with pickles and HDF5 files with external
+links are refused. VTK files are read by VTK (the extra `vtk`) in a separate process, see
+`vtk_process`.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.arrays import Array
-from sphrom.artifacts.inspection import Fault, damage, inspect, items, open_file
 from sphrom.artifacts.layout import index_not_finite
+from sphrom.artifacts.reader import Fault, damage, inspect, items, open_file
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange import vtk_process
 from sphrom.machine import available_ram
@@ -34,49 +35,49 @@ from sphrom.whole_files import Unreadable, read_whole, require_size
 
 COMPONENTS = ("x", "y", "z")
 TIME_NAMES = ("TimeValue", "time", "t", "TIME")
-"""What files call the time of their snapshot."""
+"""Names of the time in files."""
 COLLECTION = ".pvd"
 MOST_BYTES = 16 * 1024 * 1024
-"""The largest list of files that is read."""
+"""Largest size of a list of files [bytes]."""
 MOST_SNAPSHOT_BYTES = 2**30
-"""Of a snapshot: some six million particles with twenty fields."""
+"""Largest size of a snapshot [bytes], about six million particles with twenty fields."""
 MOST_ARRAYS = 1000
-"""Of one NumPy archive."""
+"""Most arrays of one NumPy archive."""
 MOST_KINDS = 20
-"""Of particles, which a field tells apart."""
+"""Most kinds of particles that the values of a field distinguish."""
 MOST_STEPS = 100_000
-"""Of one file."""
+"""Most snapshots of one file."""
 VTK_SECONDS = (10.0, 1e-7)
-"""Time that VTK is given for one snapshot, and in addition for each byte of the file."""
+"""Time limit of VTK for one snapshot, constant and per byte of the file [s]."""
 VTK_BYTES = (2 * 2**30, 8 * 2**30)
-"""Memory that VTK is given at least, and at most."""
+"""Least and greatest memory limit of VTK [bytes]."""
 PYSPH, NUMPY, STEPPED = (".hdf5", ".h5"), ".npz", (".vtkhdf", ".hdf")
 KINDS = (*PYSPH, NUMPY, ".vtu", ".vtp", ".vtk", *STEPPED)
-"""The endings of files; those of `STEPPED` may hold many snapshots."""
+"""The suffixes of files; those of `STEPPED` may have many snapshots."""
 Read = tuple[float, dict[str, NDArray[Any]]]
-"""The time, nan where a file does not tell it, and the fields."""
+"""The time, NaN if the file does not have it, and the fields."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """Where a snapshot is, and its time."""
+    """The file and the time of a snapshot."""
 
     path: Path
     time: float = math.nan
-    """Not a number where nothing but the snapshot itself may tell."""
+    """NaN if only the snapshot itself may have it."""
     step: int = 0
-    """Of those that the file holds."""
+    """Index among the snapshots of the file."""
 
 
 @dataclass(frozen=True)
 class ForeignSnapshot:
-    """One snapshot as its file has it, in the file's units."""
+    """One snapshot with the names and units of its file."""
 
     path: Path
     time: float
-    """Not a number where the file does not tell."""
+    """NaN if the file does not have it."""
     fields: Mapping[str, Array]
-    """By name, each (n_particles,)."""
+    """Fields (n_particles,) by name."""
 
     @property
     def n_particles(self) -> int:
@@ -84,16 +85,16 @@ class ForeignSnapshot:
         return len(next(iter(self.fields.values()), ()))
 
     def field(self, name: str, option: str) -> Array:
-        """Return a field. Raises ArtifactError, naming the option that asked for it."""
+        """Return a field. Raises ArtifactError, with the option that names it."""
         if name in self.fields:
             return self.fields[name]
-        known = shortened(", ".join(self.fields))
-        raise ArtifactError(f"{self.path}: has no field {name} ({option}); it has {known}")
+        names = shortened(", ".join(self.fields))
+        raise ArtifactError(f"{self.path}: has no field {name} ({option}); it has {names}")
 
 
 @contextmanager
 def _refused(path: Path) -> Iterator[None]:
-    """Turn a Fault into an ArtifactError that names the file, which has to be there."""
+    """Require that a file exists, and turn a Fault into an ArtifactError with its path."""
     try:
         if not path.is_file():
             raise Fault("is missing, or not a file")
@@ -103,7 +104,7 @@ def _refused(path: Path) -> Iterator[None]:
 
 
 def snapshots_in(path: Path) -> list[Source]:
-    """Return the snapshots that a file holds or lists.
+    """Return the snapshots that a file contains or lists.
 
     Raises ArtifactError when it is missing or damaged, or lists none.
     """
@@ -115,7 +116,7 @@ def snapshots_in(path: Path) -> list[Source]:
             return [Source(path)]
         times = _vtk(path, vtk_process.TIMES)[0]["times"]
         if len(times) > MOST_STEPS or not np.isfinite(times).all():
-            raise Fault(f"is damaged: it has {len(times)} times, or one that is no number")
+            raise Fault(f"is damaged: it has {len(times)} times, or one that is not a number")
         return [Source(path, time, step) for step, time in enumerate(times)] or [Source(path)]
 
 
@@ -129,21 +130,21 @@ def _listed(path: Path) -> list[Source]:
     except (ElementTree.ParseError, LookupError, ValueError) as error:
         raise Fault(f"can't be read as a list of VTK files: {error}") from error
     if not listed or not np.isfinite([source.time for source in listed]).all():
-        raise Fault("lists no files, or one at a time that is no number")
+        raise Fault("lists no files, or one with a time that is not a number")
     return listed
 
 
 def read_foreign(source: Source, array: str | None = None) -> ForeignSnapshot:
-    """Read a snapshot, of the set of particles `array` where a file holds several.
+    """Read a snapshot; `array` selects a set of particles.
 
-    In files that aren't PySPH's `array` is a field and its value, such as `Type=3`.
+    In PySPH's files, `array` is a name. In others it is a field with a value, such as `Type=3`.
 
-    Raises ArtifactError when the file is missing, damaged, of an unknown kind, unsafe, or holds
+    Raises ArtifactError when the file is missing, damaged, of an unknown kind, unsafe, or contains
     numbers that are not finite.
     """
     path, suffix = source.path, source.path.suffix.lower()
     if suffix not in KINDS:
-        raise ArtifactError(f"{path}: is of no kind that can be read ({', '.join(KINDS)})")
+        raise ArtifactError(f"{path}: can't be read; the suffix must be one of {', '.join(KINDS)}")
     with _refused(path):
         if suffix in PYSPH:
             time, values = _read_pysph(path, array)
@@ -155,7 +156,7 @@ def read_foreign(source: Source, array: str | None = None) -> ForeignSnapshot:
 
 
 def _chosen(values: Mapping[str, NDArray[Any]], chosen: str) -> dict[str, NDArray[Any]]:
-    """Return the fields of the particles that have a value of a field, such as `Type=3`."""
+    """Return the fields of those particles where a field has a value, such as `Type=3`."""
     few = {name: np.unique(v) for name, v in values.items() if v.ndim == 1}
     kinds = {f"{n}={one:g}": (n, one) for n, v in few.items() if len(v) <= MOST_KINDS for one in v}
     if chosen not in kinds:
@@ -165,19 +166,19 @@ def _chosen(values: Mapping[str, NDArray[Any]], chosen: str) -> dict[str, NDArra
 
 
 def require_snapshot_size(n_bytes: int) -> None:
-    """Raise Fault where a snapshot is larger than any that is read."""
+    """Raise Fault if a snapshot exceeds the largest size."""
     if n_bytes > MOST_SNAPSHOT_BYTES:
         most = data_size(MOST_SNAPSHOT_BYTES)
         raise Fault(f"unpacks to {data_size(n_bytes)}; a snapshot has at most {most}")
 
 
 def _scalars(values: Mapping[str, NDArray[Any]]) -> Iterator[tuple[str, Array]]:
-    """Yield fields of one number a particle, those of vectors by component."""
+    """Yield fields with one number per particle, and the components of vectors."""
     lengths = {name: len(array) for name, array in values.items()}
     if not any(lengths.values()):
-        raise Fault("holds no particles")
+        raise Fault("has no particles")
     if len(set(lengths.values())) > 1:
-        raise Fault(f"is damaged: its fields are of different lengths: {lengths}")
+        raise Fault(f"is damaged: its fields have different lengths: {lengths}")
     for name, array in values.items():
         if (bad := index_not_finite(array)) is not None:
             raise Fault(f"is damaged: {name} of particle {bad[0]} is {array[bad]}")
@@ -196,14 +197,14 @@ def _read_pysph(path: Path, array: str | None) -> Read:
         if array is None and len(sets) == 1:
             (array,) = sets
         if array not in sets:
-            held = ", ".join(sorted(sets)) or "none, as there is no /particles/<name>/arrays"
-            raise Fault(f"needs the name of one of its sets of particles as --array: {held}")
+            listed = ", ".join(sorted(sets)) or "none, because it has no /particles/<name>/arrays"
+            raise Fault(f"needs the name of one of its sets of particles as --array: {listed}")
         prefix = f"particles/{array}/arrays/"
         shapes = {n: shape for n, (shape, _) in contents.datasets.items() if n.startswith(prefix)}
-        # Properties of several numbers a particle are of no use here.
+        # Properties with several numbers per particle are ignored.
         stored = [name for name, shape in shapes.items() if shape == shapes.get(f"{prefix}x")]
         if not stored or len(shapes[stored[0]]) != 1:
-            raise Fault(f"holds no particles of {array}, or no field x of them")
+            raise Fault(f"has no particles of {array}, or no field x for them")
         require_snapshot_size(8 * len(stored) * shapes[stored[0]][0])
         with damage(f"{prefix}..."):
             values = {name.removeprefix(prefix): file[name][...] for name in stored}
@@ -211,21 +212,21 @@ def _read_pysph(path: Path, array: str | None) -> Read:
 
 
 def _read_numpy(path: Path) -> Read:
-    require_size(path, 2 * MOST_SNAPSHOT_BYTES)  # where nothing is compressed, headers add to it
+    require_size(path, 2 * MOST_SNAPSHOT_BYTES)  # headers add to the size of uncompressed arrays
     try:
         with np.load(path, allow_pickle=False) as archive:
             members = archive.zip.infolist()
             if len(members) > MOST_ARRAYS:
-                raise Fault(f"holds {len(members)} arrays; a snapshot has at most {MOST_ARRAYS}")
+                raise Fault(f"has {len(members)} arrays; a snapshot has at most {MOST_ARRAYS}")
             require_snapshot_size(sum(member.file_size for member in members))
             values = {name: np.asarray(archive[name]) for name in archive.files}
-    except (Exception, MemoryError) as error:  # whatever a damaged archive makes of its parsers
+    except (Exception, MemoryError) as error:  # parsers raise all kinds for damaged archives
         if isinstance(error, Fault):
             raise
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise Fault(
-            "is damaged, no archive of numpy.savez, or holds Python objects, which could run code "
-            "and are refused (where h5py is installed, PySPH writes .hdf5, which is read): "
+            "is damaged, is not an archive of numpy.savez, or contains Python objects, which could "
+            "run code and are refused (with h5py installed, PySPH writes .hdf5 instead): "
             f"{reason}"
         ) from error
     numbers = {name: value for name, value in values.items() if value.dtype.kind in "fiu"}
@@ -235,17 +236,17 @@ def _read_numpy(path: Path) -> Read:
 def _read_vtk(path: Path, step: int) -> Read:
     numbers, fields = _vtk(path, step)
     if (points := fields.pop("Points", None)) is None:
-        raise Fault("holds no particles")
+        raise Fault("has no particles")
     return _time_of(numbers), {**fields, **dict(zip(COMPONENTS, points.T, strict=True))}
 
 
 def _vtk(path: Path, step: int) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Return the single numbers of a file, and its arrays on points at a step."""
     if importlib.util.find_spec("vtkmodules") is None:
-        raise CaseError(f"{path}: VTK files are read by VTK: `pip install 'sphrom[vtk]'`")
+        raise CaseError(f"{path}: VTK files need VTK: `pip install 'sphrom[vtk]'`")
     if path.suffix.lower() in STEPPED:
         with open_file(path) as file:
-            list(items(file))  # all of which has to lie in the file itself
+            list(items(file))  # raises for links to other files
     else:
         require_size(path, MOST_SNAPSHOT_BYTES)
     seconds = VTK_SECONDS[0] + VTK_SECONDS[1] * path.stat().st_size
@@ -254,20 +255,20 @@ def _vtk(path: Path, step: int) -> tuple[dict[str, Any], dict[str, NDArray[Any]]
         return _vtk_process().submit(vtk_process.read, *request).result()
     except (MemoryError, OSError, TypeError, ValueError) as error:
         reason = str(error) or type(error).__name__
-        raise Fault(f"is damaged, or no VTK file of points: {reason}") from error
+        raise Fault(f"is damaged, or not a VTK file with points: {reason}") from error
     except BaseException as error:
         _vtk_process.cache_clear()
         for process in multiprocessing.active_children():
             process.kill()
         if isinstance(error, BrokenExecutor):
             limits = f"takes more than {seconds:.0f} s, or needs too much memory"
-            raise Fault(f"is damaged, {limits}: VTK ended at it") from error
+            raise Fault(f"is damaged, {limits}: VTK was stopped") from error
         raise
 
 
 @cache
 def _vtk_process() -> ProcessPoolExecutor:
-    """Start a process for VTK, which ends where a file is too much for it."""
+    """Start a process for VTK, which ends when a file exceeds its limits."""
     least, most = VTK_BYTES
     n_bytes = max(least, min(most, available_ram() or most))
     context = multiprocessing.get_context("spawn")

@@ -1,8 +1,8 @@
-"""Command `import`: snapshots of another program become the full run of a case.
+"""Command `import`: import another program's snapshots as the full run of a case.
 
-From the trajectory that it writes, `map` and all that follows go on as from one of `fom`. The
-case describes the simulation, the options describe the files. Of density and pressure one is read,
-and the other follows by the state equation (Eq. 2.8).
+The trajectory is used by `map` and later stages like one from `fom`. The case describes the
+simulation, and the options describe the files. Either density or pressure is read, and the other
+follows from the equation of state (Eq. 2.8).
 """
 
 from __future__ import annotations
@@ -53,50 +53,50 @@ from sphrom.store.workspace import Target, Workspace
 from sphrom.text import shortened
 
 VELOCITIES = (("u", "v"), ("velocity.x", "velocity.y"))
-"""The names of velocities that are looked for unless --velocity names others."""
+"""Default names of the components of velocity."""
 FLUCTUATION = "density_fluctuation"
-"""The field of files that this program exported: density less its reference value."""
+"""Name of the density less its reference value in files that this program exported."""
 ROUNDING = 1e-6
-"""A third component of velocity up to this share of the largest speed is none."""
+"""Share of the largest speed up to which a third component of velocity counts as zero."""
 FOLLOWED = 0.5
-"""Time for which the case's own model follows an imported run, over that in which the flow crosses
-the scene."""
+"""Time for which the case's own model follows an imported run, over the time in which the flow
+crosses the scene."""
 MODEL_OFF, PER_SPACING, START_OFF = 3.0, 240.0, 20.0
 """Limits of differences in velocity [%]: the least limit of an imported run, the limit over spacing
 per length, and that of its start. A finite-volume solution of the cavity departs by 4.2 and 8.2 %
 (50 and 25 spacings) and is slowed by 4.6 and 8.9 %, with a wrong lid by 28 and 23 %. At 20 spacings
 it is slowed by 16 %, more than the limit of 12 %."""
 LEAST_SPEED, MOST_SPEED = 0.05, 5.0
-"""Over the scene's speed: slower flows are compared relative to the first, and of faster ones the
-unit is doubted."""
+"""Speeds over that of the scene: errors of slower flows are relative to the first, and above the
+second, the unit is probably wrong."""
 Kept = dict[int, tuple[float, Snapshot]]
-"""Snapshots, and their times [s], by number."""
+"""Snapshots with their times [s], by number."""
 COUNT_TOLERANCE = 0.05
-"""How far the number of particles may be from the case's, relatively: edges are filled in many
-ways, but each particle has to stand for about the same area."""
+"""Relative tolerance of the number of particles: programs fill edges differently, but each particle
+must represent about the same area."""
 
 
 def run(context: StageContext, files: Sequence[Path], about: ImportOptions) -> list[str]:
-    """Write the full run at one parameter point from snapshots in files; return points without one.
+    """Write the full run at one point from files; return the points that still have none.
 
-    Raises CaseError when options or the case do not fit what the files hold: the message says what
-    would; ArtifactError when a file is missing, damaged, unsafe or lacks a field, particles come
-    and go, or a run of another origin is there.
+    Raises CaseError when options or the case do not fit the files, with a fitting value;
+    ArtifactError when a file is missing, damaged, unsafe or lacks a field, when the number of
+    particles changes, or a run of another origin exists.
     """
     workspace, case = Workspace(context), context.case
     points = context.chosen(case.plan.points)
     if len(points) != 1:
-        known = ", ".join(point.label for point in points)
-        raise CaseError(f"--only: name the one parameter value that the files belong to: {known}")
+        labels = ", ".join(point.label for point in points)
+        raise CaseError(f"--only: name the parameter value of the files, one of {labels}")
     if case.time.spin_up > 0.0:
         raise CaseError(
-            "time.spin_up: must be 0, as an imported run is recorded from its start: "
-            "--set time.spin_up=0; --start leaves earlier snapshots out"
+            "time.spin_up: must be 0, because an imported run is recorded from its start; use "
+            "--set time.spin_up=0, and --start to leave out earlier snapshots"
         )
     made_by = f"sphrom import {context.words} FILES"
     target = replace(workspace.full_run(points[0]), stage="import", made_by=made_by)
-    found = find_sources(files, about)
-    choices = choose(found, case.plan.steps, about)
+    sources = find_sources(files, about)
+    choices = choose(sources, case.plan.steps, about)
     options = shlex.join([*about.words, f"--only={points[0].label}"])
     named = f"{_named(files)} {options}"
     origin = {"imported/files": named, "imported/sha256": _digest(choices, options)}
@@ -105,18 +105,19 @@ def run(context: StageContext, files: Sequence[Path], about: ImportOptions) -> l
     if target.path.exists() and not (same or context.force):
         before = f"imported from {there['imported/files']}" if there else "computed here"
         raise ArtifactError(
-            f"{target.path} is there, {before}, and not from {named}; `--force` writes over it, "
-            "`--out` names another folder"
+            f"{target.path} exists already, {before}, and not from {named}; `--force` overwrites "
+            "it, `--out` names another folder"
         )
     others = [point for point in case.plan.points if point != points[0]]
     missing = [p.label for p in others if not workspace.full_run(p).path.exists()]
     if not workspace.must_make(target):
         return missing
     read = {source for _, nodes in choices for source in nodes}
-    if left_out := [source for source in found if source not in read]:
+    if left_out := [source for source in sources if source not in read]:
         context.report.warn(
-            f"{len(left_out)} of {len(found)} snapshots left out, at no instant of the case: "
-            f"the last of them {left_out[-1].path.name}, at t = {left_out[-1].time:.6g} s"
+            f"{len(left_out)} of {len(sources)} snapshots left out, because the case has no "
+            f"snapshots at their times; the last is {left_out[-1].path.name}, at "
+            f"t = {left_out[-1].time:.6g} s"
         )
     require_room(case, workspace.out, points)
     converter = Converter(case, about, choices[0][1][0])
@@ -124,12 +125,12 @@ def run(context: StageContext, files: Sequence[Path], about: ImportOptions) -> l
     _write(workspace, target, points[0], choices, converter, origin)
     if between := sum(len(nodes) > 1 for _, nodes in choices):
         context.report.warn(
-            f"{between} of {len(choices)} instants interpolated in time, by cubic polynomials: the "
-            f"files hold {series(found)}"
+            f"{between} of {len(choices)} snapshots interpolated in time, by cubic polynomials; "
+            f"the files have {series(sources)}"
         )
     context.report.info(
         f"{points[0].label}: {len(choices)} snapshots of {converter.n_particles} particles, from "
-        f"{len(found)} in the files; the largest speed is {converter.largest_speed:.4g} m/s, "
+        f"{len(sources)} in the files; the largest speed is {converter.largest_speed:.4g} m/s, "
         f"|rho - rho_0| / rho_0 at most {converter.largest_fluctuation:.2g}"
     )
     return missing
@@ -170,8 +171,8 @@ def _write(
                 advance(1)
         if converter.largest_fluctuation == 0.0:
             raise CaseError(
-                "the density is the reference density everywhere, at all times, so that there is "
-                "no pressure: --density or --pressure names a field that has it"
+                "the density always equals the reference density, so there is no pressure; name a "
+                "field with --density or --pressure"
             )
         writer.finish(None, about.seconds)
         doubts = list(_doubts(workspace, point, model, kept, begin))
@@ -183,12 +184,12 @@ def _write(
 def _doubts(
     workspace: Workspace, point: ParameterPoint, model: Functional, kept: Kept, begin: int
 ) -> Iterator[str]:
-    """Yield reasons why an imported run may not be a run of the case, from some of its snapshots.
+    """Yield reasons to doubt that an imported run belongs to the case, from some of its snapshots.
 
-    The first snapshot is compared with the scene's start. The case's own full model then runs from
-    snapshot number `begin` to the last one. It follows its own runs exactly, and those of other
-    schemes but for their errors. The change from one snapshot to the next shows wrong walls best,
-    the difference at the end shows a wrong viscosity best.
+    The first snapshot is compared with the initial conditions of the scene. Then the case's own
+    full model runs from snapshot `begin` to the last one. It reproduces its own runs exactly, and
+    runs of other schemes within their errors. Wrong walls are clearest in the change over the first
+    interval, a wrong viscosity in the difference at the end.
     """
     case, plan, report = workspace.case, workspace.case.plan, workspace.context.report
     first, (time, state), last, every = kept[0][1], kept[begin], max(kept), plan.steps.every
@@ -203,8 +204,8 @@ def _doubts(
     scene = plan.flow(point).initial_velocity(first.position.T)
     if (start := apart(scene, first.velocity.T)[0]) > START_OFF:
         yield (
-            f"its start is {format_figure(start, 2)} % off the scene's in velocity, with which "
-            "models begin: see --origin, --start, --units and the scene"
+            f"its first velocities differ by {format_figure(start, 2)} % from the initial "
+            "velocities of the scene; check --origin, --start, --units and the scene"
         )
     steps = TimeSteps(plan.steps.time_step, (last - begin) * every, every, time)
     begins = np.vstack((state.position, state.density_fluctuation, state.velocity))
@@ -226,16 +227,16 @@ def _doubts(
     walls = "scene.lid, " * hasattr(case.scene, "lid") or "walls, " * case.scene.domain.has_walls
     if max(departed, abs(added)) > most:
         yield (
-            f"{name} departs from the files by {format_figure(departed, 2)} % in velocity from "
-            f"t = {time:.4g} to {kept[last][0]:.4g} s, and makes the flow "
+            f"from t = {time:.4g} to {kept[last][0]:.4g} s, velocities of {name} come to differ "
+            f"from the files by {format_figure(departed, 2)} %, and at first its flow becomes "
             f"{format_figure(abs(added), 2)} % {'slower' if added < 0.0 else 'faster'} per "
-            f"{crossing:.3g} s at first; with other schemes both are within {most:.2g} %: see "
-            f"{walls}the Reynolds number, the body force, --units and --zero-mean-pressure"
+            f"{crossing:.3g} s; for other schemes both are within {most:.2g} %. Check {walls}the "
+            "Reynolds number, the body force, --units and --zero-mean-pressure"
         )
 
 
 def _named(files: Sequence[Path]) -> str:
-    """Return files as a command line names them, by a pattern where it finds the same ones."""
+    """Return files in the form of a command line, by a pattern if it matches the same files."""
     folder, suffix = files[0].parent, files[0].suffix
     pattern = re.sub(r"\d+(\D*)$", r"*\1", files[0].stem) + suffix
     if len(files) > 1 and set(folder.glob(pattern)) == set(files):
@@ -244,7 +245,7 @@ def _named(files: Sequence[Path]) -> str:
 
 
 def _digest(choices: Sequence[Choice], options: str) -> str:
-    """Return one digest of all files' bytes, in their order, and of the options."""
+    """Return one digest of the content of all files, in order, and of the options."""
     digest = hashlib.sha256(options.encode())
     for path in dict.fromkeys(source.path for _, nodes in choices for source in nodes):
         with path.open("rb") as file:
@@ -255,28 +256,26 @@ def _digest(choices: Sequence[Choice], options: str) -> str:
 def fitted_case(
     source: Path, overrides: Sequence[str], files: Sequence[Path], about: ImportOptions, into: Path
 ) -> tuple[str, list[str]]:
-    """Return a case file that says what another one does, but for keys that don't fit the files.
+    """Return the text of a case fitted to files, and the changed keys as `key=value`.
 
-    It goes into a folder: files that the case names are found from there.
+    The times change and, if the number of particles differs, the resolution. The time step is a
+    whole fraction of the time between two snapshots, as stable as the case requires. Paths in the
+    case are relative to the folder `into`.
 
-    These are the times and, where another number of particles is found, the resolution; they come
-    back as `key=value`. The time step is a whole part of the time between two snapshots, as stable
-    as the case asks for.
-
-    Raises CaseError when the case is not valid, or the files hold fewer than two snapshots;
+    Raises CaseError when the case is not valid, or the files have fewer than two snapshots;
     ArtifactError when a file can't be read.
     """
-    found = find_sources(files, about)
+    sources = find_sources(files, about)
     case, keys = load_case(source, overrides), list[str]()
-    n_found = read_foreign(found[0], about.array).n_particles
-    if (resolution := _fitting_resolution(case, n_found)) is not None:
+    n_foreign = read_foreign(sources[0], about.array).n_particles
+    if (resolution := _fitting_resolution(case, n_foreign)) is not None:
         keys.append(f"discretization.resolution={resolution}")
     if case.time.spin_up > 0.0:
         keys.append("time.spin_up=0")
     case = load_case(source, [*overrides, *keys])
-    plan, apart = case.plan, interval(found)
+    plan, apart = case.plan, interval(sources)
     limit = case.time.courant_number / fluid.COURANT_LIMIT * plan.limits.least
-    every, n = max(1, math.ceil(apart / limit)), int(found[-1].time / apart + TIME_TOLERANCE)
+    every, n = max(1, math.ceil(apart / limit)), int(sources[-1].time / apart + TIME_TOLERANCE)
     keys += [
         f"time.final_time={float(f'{apart * n:.12g}')!r}",
         f"time.step={float(f'{apart / every:.12g}')!r}",
@@ -286,17 +285,17 @@ def fitted_case(
     return f"# {source.name}, fitted to {files[0].name} and others.\n{text}", keys
 
 
-def _fitting_resolution(case: Case, n_found: int) -> int | None:
-    """Return the resolution at which a case has about `n_found` particles; None if it has now."""
-    ratio = n_found / case.plan.n_particles
-    # Lagrangian bases need the very number of particles.
+def _fitting_resolution(case: Case, n_particles: int) -> int | None:
+    """Return the resolution for about so many particles; None if the case has as many already."""
+    ratio = n_particles / case.plan.n_particles
+    # Lagrangian bases need the exact number of particles.
     if abs(ratio - 1.0) <= (0.0 if case.basis.lagrangian else COUNT_TOLERANCE):
         return None
     return round(case.discretization.resolution * ratio**0.5)
 
 
 class Converter:
-    """Reads snapshots in the case's units and frame, checked; keeps their extremes."""
+    """Reads snapshots, checks them, converts them to the case's units and frame, keeps extremes."""
 
     def __init__(self, case: Case, about: ImportOptions, source: Source) -> None:
         self.about = about
@@ -305,8 +304,8 @@ class Converter:
         self._position = pair("position", about.position)
         self._origin = place("origin", about.origin)
         self._scales = about.scales
-        known = next((names for names in VELOCITIES if names[0] in first.fields), VELOCITIES[0])
-        self._velocity = known if about.velocity is None else pair("velocity", about.velocity)
+        usual = next((names for names in VELOCITIES if names[0] in first.fields), VELOCITIES[0])
+        self._velocity = usual if about.velocity is None else pair("velocity", about.velocity)
         self.n_particles = first.n_particles
         self.largest_speed = self.largest_fluctuation = 0.0
         if (fitting := _fitting_resolution(case, self.n_particles)) is not None:
@@ -314,97 +313,97 @@ class Converter:
                 f"discretization.resolution: the case has {case.plan.n_particles} particles, "
                 f"{first.path} has {self.n_particles}: "
                 f"--set discretization.resolution={fitting} is nearest; --write-case FILE sets it"
-                + (", and basis.lagrangian needs the very number" * case.basis.lagrangian)
+                + (", and basis.lagrangian needs the exact number" * case.basis.lagrangian)
             )
 
     def __call__(self, source: Source) -> Snapshot:
-        """Return a snapshot in SI units and the scene's frame, its particles in the box.
+        """Return a snapshot in SI units and the scene's frame, with its particles in the box.
 
-        Raises CaseError or ArtifactError where it does not fit the case or the first one.
+        Raises CaseError or ArtifactError if it does not fit the case or the first snapshot.
         """
-        given = read_foreign(source, self.about.array)
-        order = self._order(given)
-        velocity = np.stack([given.field(name, "--velocity")[order] for name in self._velocity])
+        foreign = read_foreign(source, self.about.array)
+        order = self._order(foreign)
+        velocity = np.stack([foreign.field(name, "--velocity")[order] for name in self._velocity])
         velocity = velocity * self._scales["velocity"]
         self.largest_speed = max(self.largest_speed, float(np.hypot(*velocity).max()))
-        self._require_flat(given)
-        position = self._place(given)[order]
-        scene, found = self._case.plan.max_speed, self.largest_speed
-        is_fast = found > MOST_SPEED * scene
-        fitting = self.about.fitting("velocity", scene / found) if is_fast else ""
-        if fitting or found > self._case.plan.sound_speed:
+        self._require_flat(foreign)
+        position = self._place(foreign)[order]
+        scene, largest = self._case.plan.max_speed, self.largest_speed
+        is_fast = largest > MOST_SPEED * scene
+        fitting = self.about.fitting("velocity", scene / largest) if is_fast else ""
+        if fitting or largest > self._case.plan.sound_speed:
             raise CaseError(
-                f"{given.path}: the largest speed is {found:.4g} m/s, this scene's about "
-                f"{scene:.4g} m/s (fluid.reference_speed){fitting}"
+                f"{foreign.path}: the largest speed is {largest:.4g} m/s, that of the scene is "
+                f"about {scene:.4g} m/s (fluid.reference_speed){fitting}"
             )
-        fluctuation = self._fluctuation(given)[order]
+        fluctuation = self._fluctuation(foreign)[order]
         return Snapshot(np.ascontiguousarray(position.T), fluctuation, velocity)
 
-    def _order(self, given: ForeignSnapshot) -> NDArray[np.intp]:
-        """Return the order in which particles are the same ones in all files."""
-        if given.n_particles != self.n_particles:
+    def _order(self, foreign: ForeignSnapshot) -> NDArray[np.intp]:
+        """Return the order in which particles are the same in all files."""
+        if foreign.n_particles != self.n_particles:
             raise ArtifactError(
-                f"{given.path}: holds {given.n_particles} particles, {self._first.path} "
-                f"{self.n_particles}: particles that enter or leave can't be imported"
+                f"{foreign.path}: has {foreign.n_particles} particles, {self._first.path} has "
+                f"{self.n_particles}; particles that enter or leave can't be imported"
             )
         if self.about.sort_by is None:
             return np.arange(self.n_particles)
-        both = given, self._first
+        both = foreign, self._first
         numbers, firsts = (each.field(self.about.sort_by, "--sort-by") for each in both)
         unique = np.unique(numbers)
         if len(unique) < self.n_particles or not np.array_equal(unique, np.sort(firsts)):
             raise ArtifactError(
-                f"{given.path}: {self.about.sort_by} (--sort-by) does not give each particle a "
-                "number of its own, the same in all files"
+                f"{foreign.path}: {self.about.sort_by} (--sort-by) must be a unique number of each "
+                "particle, the same in all files"
             )
         return np.argsort(numbers)
 
-    def _place(self, given: ForeignSnapshot) -> Array:
+    def _place(self, foreign: ForeignSnapshot) -> Array:
         """Return positions (n_particles, 2) [m] in the scene, checked."""
         domain = self._case.scene.domain
-        columns = [given.field(name, "--position") for name in self._position]
+        columns = [foreign.field(name, "--position") for name in self._position]
         position = (np.stack(columns, axis=1) - self._origin) * self._scales["length"]
         low, high = position.min(axis=0), position.max(axis=0)
         spacing = self._case.plan.particle_spacing
-        # Of the fourth neighbour, which is as near in lattices and, about, where particles pair.
+        # The fourth neighbour is one spacing away in lattices, and nearly so if particles pair.
         apart = float(np.median(KDTree(position).query(position, 5)[0][:, 4]))
         position = domain.wrap(position)
         outside = int(np.sum(~domain.contains(position)))
         if outside or not 0.7 < apart / spacing < 1.9:
             fitting = self.about.fitting("length", spacing / (apart or spacing))
             raise CaseError(
-                f"{given.path}: {outside} of the particles are outside the scene; all span "
-                f"{low[0]:.6g} to {high[0]:.6g} m and {low[1]:.6g} to {high[1]:.6g} m, {apart:.3g} "
-                f"m apart, the case's {spacing:.3g} m: check --units, --origin, --array and the "
-                f"scene's size{fitting}"
+                f"{foreign.path}: {outside} of the particles are outside the scene; all span "
+                f"{low[0]:.6g} to {high[0]:.6g} m and {low[1]:.6g} to {high[1]:.6g} m, with a "
+                f"spacing of {apart:.3g} m, and {spacing:.3g} m in the case; check --units, "
+                f"--origin, --array and the size of the scene{fitting}"
             )
         return position
 
-    def _require_flat(self, given: ForeignSnapshot) -> None:
-        """Raise CaseError where points or velocities leave the plane; who names two leaves one."""
-        third = _third(self._position, given.fields)
-        depth = 0.0 if third is None else float(np.ptp(given.fields[third]))
+    def _require_flat(self, foreign: ForeignSnapshot) -> None:
+        """Raise CaseError if points or velocities leave the plane; named components may."""
+        third = _third(self._position, foreign.fields)
+        depth = 0.0 if third is None else float(np.ptp(foreign.fields[third]))
         is_flat = depth * self._scales["length"] <= 0.5 * self._case.plan.particle_spacing
         if is_flat and self.about.velocity is None:
-            third = _third(self._velocity, given.fields)
-            depth = 0.0 if third is None else float(np.abs(given.fields[third]).max())
+            third = _third(self._velocity, foreign.fields)
+            depth = 0.0 if third is None else float(np.abs(foreign.fields[third]).max())
             is_flat = depth * self._scales["velocity"] <= ROUNDING * self.largest_speed
         if not is_flat:
             raise CaseError(
-                f"{given.path}: is three-dimensional: {third} reaches {depth:.4g}; --position and "
-                "--velocity name the two in the plane of the flow"
+                f"{foreign.path}: is three-dimensional: {third} reaches {depth:.4g}; name the "
+                "components in the plane of the flow with --position and --velocity"
             )
 
-    def _fluctuation(self, given: ForeignSnapshot) -> Array:
+    def _fluctuation(self, foreign: ForeignSnapshot) -> Array:
         """Return the density less its reference value (n_particles,) [kg/m3], checked."""
         reference = self._case.fluid.reference_density
         if self.about.pressure is None:
-            known = FLUCTUATION if FLUCTUATION in given.fields else "rho"
-            name = self.about.density or known
-            density = given.field(name, "--density, or use --pressure") * self._scales["density"]
+            usual = FLUCTUATION if FLUCTUATION in foreign.fields else "rho"
+            name = self.about.density or usual
+            density = foreign.field(name, "--density, or use --pressure") * self._scales["density"]
             fluctuation = density - (0.0 if name == FLUCTUATION else reference)
         else:
-            pressure = given.field(self.about.pressure, "--pressure") * self._scales["pressure"]
+            pressure = foreign.field(self.about.pressure, "--pressure") * self._scales["pressure"]
             if self.about.zero_mean_pressure:
                 pressure = pressure - pressure.mean()
             fluctuation = fluctuation_of(pressure, self._case.plan.sound_speed)
@@ -412,15 +411,15 @@ class Converter:
         self.largest_fluctuation = max(self.largest_fluctuation, largest)
         if largest > DENSITY_LIMIT:
             raise CaseError(
-                f"{given.path}: |rho - rho_0| / rho_0 is {largest:.3g}, of a weakly compressible "
-                f"flow at most {DENSITY_LIMIT:g}: check the density or pressure of --units, "
-                "fluid.reference_density and fluid.mach_number"
+                f"{foreign.path}: |rho - rho_0| / rho_0 is {largest:.3g}, above the limit of "
+                f"{DENSITY_LIMIT:g} for a weakly compressible flow; check the density or pressure "
+                "of --units, fluid.reference_density and fluid.mach_number"
             )
         return fluctuation
 
 
 def _third(names: tuple[str, str], fields: Collection[str]) -> str | None:
-    """Return the field of the third component of a vector of which two are named, if there is."""
+    """Return the field of a vector's third component, given the names of two; None if missing."""
     vector = names[0].rpartition(".")[0]
     families = (COMPONENTS, ("u", "v", "w"), tuple(f"{vector}.{c}" for c in COMPONENTS))
     others = [set(family) - set(names) for family in families if set(names) <= set(family)]

@@ -18,7 +18,7 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "density": {"kg/m3": 1.0, "g/cm3": 1e3, "kg/mm3": 1e9},
     "pressure": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "mbar": 1e2, "bar": 1e5},
 }
-"""Units in SI units, by quantity."""
+"""Values of units in SI units, by quantity."""
 
 
 def _option(metavar: str | None, text: str) -> object:
@@ -27,45 +27,43 @@ def _option(metavar: str | None, text: str) -> object:
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """What files mean; each field is an option of the command line, with its help."""
+    """The names, units and frame of fields in files; each field is a command-line option."""
 
     array: Annotated[
         str | None,
-        _option("NAME", "Particles to take: PySPH's name, or a field's value such as Type=3."),
+        _option("NAME", "Particles to import: PySPH's name, or a field's value such as Type=3."),
     ] = None
     position: Annotated[
-        str, _option("A,B", "Two fields; of a vector such as points.x,points.y.")
+        str, _option("A,B", "Two fields, or components such as points.x,points.y.")
     ] = "x,y"
     velocity: Annotated[
         str | None, _option("A,B", "Two fields.  [default: u,v, or velocity.x,velocity.y]")
     ] = None
     density: Annotated[str | None, _option("NAME", "Density.  [default: rho]")] = None
-    pressure: Annotated[str | None, _option("NAME", "Pressure, in place of the density.")] = None
+    pressure: Annotated[str | None, _option("NAME", "Pressure, instead of the density.")] = None
     zero_mean_pressure: Annotated[
-        bool, typer.Option("--zero-mean-pressure", help="Take the mean out of each pressure.")
+        bool, typer.Option("--zero-mean-pressure", help="Subtract the mean of each pressure field.")
     ] = False
     sort_by: Annotated[str | None, _option("NAME", "Field that numbers the particles.")] = None
     units: Annotated[
-        str, _option("UNITS", "Those that aren't SI's, like length=mm,velocity=cm/s,time=0.1.")
+        str, _option("UNITS", "Other than SI units, like length=mm,velocity=cm/s,time=0.1.")
     ] = ""
-    origin: Annotated[str, _option("X,Y", "Where the scene's (0, 0) is, in the files' units.")] = (
+    origin: Annotated[str, _option("X,Y", "Point of the scene's (0, 0), in the files' units.")] = (
         "0,0"
     )
     time_step: Annotated[
-        float | None, _option("TIME", "From file to file by name.  [default: as files tell]")
+        float | None, _option("TIME", "Time between files in order of names.  [default: as stored]")
     ] = None
-    start: Annotated[
-        float, _option("TIME", "When the case begins; earlier files are left out.")
-    ] = 0.0
+    start: Annotated[float, _option("TIME", "Start of the case; earlier files are left out.")] = 0.0
     seconds: Annotated[
-        float | None, _option("SECONDS", "Time that the run took, stated beside the model's time.")
+        float | None, _option("SECONDS", "Wall-clock time of the run, shown beside the model's.")
     ] = None
 
     def __post_init__(self) -> None:
         if self.density is not None and self.pressure is not None:
-            raise CaseError("--density, --pressure: name one, from which the other follows")
+            raise CaseError("--density, --pressure: name only one; the other follows from it")
         if self.zero_mean_pressure and self.pressure is None:
-            raise CaseError("--zero-mean-pressure: goes with --pressure")
+            raise CaseError("--zero-mean-pressure: needs --pressure")
         for name, value in {"--time-step": self.time_step, "--seconds": self.seconds}.items():
             if value is not None and not 0.0 < value < math.inf:
                 raise CaseError(f"{name}: must be a finite number above zero; got {value:g}")
@@ -79,22 +77,22 @@ class ImportOptions:
 
     @property
     def scales(self) -> dict[str, float]:
-        """The unit of each quantity in SI units. Raises CaseError where one is unknown."""
+        """The unit of each quantity in SI units. Raises CaseError for an unknown unit."""
         scales = dict.fromkeys(UNITS, 1.0)
         for part in filter(None, self.units.split(",")):
             quantity, _, unit = part.partition("=")
             try:
-                known = UNITS[quantity]
-                scales[quantity] = known[unit] if unit in known else float(unit)
+                units = UNITS[quantity]
+                scales[quantity] = units[unit] if unit in units else float(unit)
             except (KeyError, ValueError):
                 scales[quantity] = math.nan
             if not 0.0 < scales[quantity] < math.inf:
                 allowed = "; ".join(f"{name}={', '.join(units)}" for name, units in UNITS.items())
-                raise CaseError(f"--units: got {part!r}; must be a number, or of {allowed}")
+                raise CaseError(f"--units: must be a number, or one of {allowed}; got {part!r}")
         return scales
 
     def fitting(self, quantity: str, factor: float) -> str:
-        """Return advice on the unit that is about a factor larger than the given one, if one is."""
+        """Return advice on a unit that is about `factor` times the chosen one, if there is one."""
         units = {u: scale / self.scales[quantity] / factor for u, scale in UNITS[quantity].items()}
         unit = min(units, key=lambda u: abs(math.log(units[u])))
         fits = 0.2 < units[unit] < 5.0 and not 0.2 < factor * units[unit] < 5.0
@@ -102,15 +100,15 @@ class ImportOptions:
 
 
 def pair(option: str, text: str) -> tuple[str, str]:
-    """Return the two parts of an option such as `0.5,0.5`. Raises CaseError for another number."""
+    """Return the two parts of an option such as `0.5,0.5`. Raises CaseError unless it has two."""
     parts = [part.strip() for part in text.split(",")]
     if len(parts) != 2 or not all(parts):
-        raise CaseError(f"--{option}: must be two, like a,b; got {text!r}")
+        raise CaseError(f"--{option}: must be two names, like a,b; got {text!r}")
     return parts[0], parts[1]
 
 
 def place(option: str, text: str) -> tuple[float, float]:
-    """Return the coordinates that an option gives. Raises CaseError where it gives none."""
+    """Return the coordinates in an option. Raises CaseError unless they are two numbers."""
     try:
         x, y = map(float, text.split(","))
     except ValueError as error:

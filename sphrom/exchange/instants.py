@@ -1,8 +1,8 @@
-"""Snapshots of files at the instants that a case keeps: as they are, or interpolated in time.
+"""Snapshots from files at the snapshot times of a case, unchanged or interpolated in time.
 
-Where files hold no snapshot at an instant, each particle's position, velocity and density are
-interpolated by a polynomial in time through the nearest four, so that particles have to be the same
-ones, in the same order, in all files.
+If the files have no snapshot at a time, each particle's position, velocity and density are
+interpolated by a polynomial in time through the nearest four. Therefore particles must be the same,
+in the same order, in all files.
 """
 
 from __future__ import annotations
@@ -26,36 +26,35 @@ from sphrom.sph.time_loop import Snapshot, TimeSteps
 from sphrom.text import counted, shortened
 
 TIME_TOLERANCE = 1e-2
-"""How far snapshots may be from the instants to be taken for them, over the time between two."""
+"""Tolerance for the times of snapshots that are used unchanged, over the snapshot interval."""
 ROUNDING = 1e-9
-"""The same where some instants have no snapshot, and others are interpolated."""
+"""The same tolerance if other snapshots are interpolated."""
 N_NODES = 4
-"""Snapshots that one instant is interpolated from: cubic polynomials."""
+"""Number of snapshots to interpolate from, by cubic polynomials."""
 FARTHEST = 2.0
-"""How far a particle may move between two snapshots, over what the largest speed carries it."""
+"""Largest motion of a particle between two snapshots, over that at the largest speed."""
 Choice = tuple[float, list[Source]]
-"""An instant [s], and the one snapshot that is taken for it, or those to interpolate between."""
+"""A time [s] with the snapshot to use unchanged, or with those to interpolate between."""
 
 
 def find_sources(files: Sequence[Path], about: ImportOptions) -> list[Source]:
-    """Return the snapshots in files by time [s] after the start, those before it left out.
+    """Return the snapshots in files from the start on, ordered by time after the start [s].
 
-    Raises CaseError when the files do not tell their times, and --time-step does not either, or
-    hold no two snapshots from the start on; ArtifactError when one can't be read, or two are of one
-    time.
+    Raises CaseError when neither the files nor --time-step provide times, or fewer than two
+    snapshots remain; ArtifactError when a file can't be read, or two have the same time.
     """
-    found = [source for path in sorted(files, key=_natural) for source in snapshots_in(path)]
+    listed = [source for path in sorted(files, key=_natural) for source in snapshots_in(path)]
     if about.time_step is not None:
-        found = [replace(s, time=index * about.time_step) for index, s in enumerate(found)]
-    found = [replace(source, time=_time_of(source, about)) for source in found]
-    found.sort(key=lambda source: source.time)
-    for source, later in pairwise(found):
+        listed = [replace(s, time=index * about.time_step) for index, s in enumerate(listed)]
+    listed = [replace(source, time=_time_of(source, about)) for source in listed]
+    listed.sort(key=lambda source: source.time)
+    for source, later in pairwise(listed):
         if source.time == later.time:
-            raise ArtifactError(f"{later.path}: is of the same time as {source.path}")
-    scale, rounding = about.scales["time"], 1e-9 * abs(found[-1].time)
+            raise ArtifactError(f"{later.path}: has the same time as {source.path}")
+    scale, rounding = about.scales["time"], 1e-9 * abs(listed[-1].time)
     sources = [
         replace(source, time=scale * time if abs(time) > rounding else 0.0)
-        for source in found
+        for source in listed
         if (time := source.time - about.start) >= -rounding
     ]
     if len(sources) < 2:
@@ -63,8 +62,8 @@ def find_sources(files: Sequence[Path], about: ImportOptions) -> list[Source]:
     if sources[0].time > TIME_TOLERANCE * interval(sources):
         start = float(f"{about.start + sources[0].time / scale:.12g}")
         raise CaseError(
-            f"--start: the files hold {series(sources)}, and the case begins at 0 s: "
-            f"--start {start!r} makes it begin with them"
+            f"--start: the files have {series(sources)}, and the case starts at 0 s; use "
+            f"--start {start!r} to start it with the files"
         )
     return sources
 
@@ -74,35 +73,35 @@ def _time_of(source: Source, about: ImportOptions) -> float:
         return source.time
     time = read_foreign(source, about.array).time
     if math.isnan(time):
-        raise CaseError(f"--time-step: is needed: {source.path} does not tell its time")
+        raise CaseError(f"--time-step: is required, because {source.path} has no time")
     return time
 
 
 def _natural(path: Path) -> list[Any]:
-    """Sort `a_2` before `a_10`."""
+    """Return a sort key that orders `a_2` before `a_10`."""
     return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", str(path))]
 
 
 def interval(sources: Sequence[Source]) -> float:
-    """Return the mean time from snapshot to snapshot [s], of which some may be missing.
+    """Return the mean time between snapshots [s], even if some are missing.
 
-    The last one doesn't count where there are more than two: many programs write it at the end.
+    If there are more than two, the last one is ignored: many programs write it at the final time.
     """
     apart = np.diff([source.time for source in sources[: max(2, len(sources) - 1)]])
     return float(apart.sum() / np.rint(apart / np.median(apart)).sum())
 
 
 def series(sources: Sequence[Source]) -> str:
-    """Return the times of snapshots in words."""
+    """Describe the number and the times of snapshots."""
     times = ", ".join(f"{source.time:.6g}" for source in sources)
     return f"{counted(len(sources), 'snapshot')}, at t = {shortened(times, 60)} s"
 
 
 def choose(sources: Sequence[Source], steps: TimeSteps, about: ImportOptions) -> list[Choice]:
-    """Return the snapshots for each instant that a case keeps.
+    """Return the snapshots to use for each snapshot time of a case.
 
-    Raises CaseError where the files end before the case, or hold less than half as many snapshots
-    as it keeps: the units of their times may be others.
+    Raises CaseError if the files end before the case, or have less than half as many snapshots,
+    which suggests other units of time.
     """
     apart = steps.snapshot_interval
     instants = [apart * index for index in range(steps.n_snapshots)]
@@ -120,10 +119,9 @@ def choose(sources: Sequence[Source], steps: TimeSteps, about: ImportOptions) ->
     n_within = int((times <= instants[-1] + slack).sum())
     if times[-1] < instants[-1] - slack or 2 * n_within <= len(instants):
         raise CaseError(
-            f"the files hold {series(sources)}; the case keeps {len(instants)}, every {apart:g} s "
-            f"until {instants[-1]:g} s; --units time, --time-step or --start may be others, or "
-            "--write-case FILE writes a case that fits them"
-            + about.fitting("time", instants[-1] / times[-1])
+            f"the files have {series(sources)}; the case has {len(instants)}, every {apart:g} s "
+            f"until {instants[-1]:g} s; check --units time, --time-step and --start, or write a "
+            "fitting case with --write-case FILE" + about.fitting("time", instants[-1] / times[-1])
         )
     return choices
 
@@ -131,12 +129,12 @@ def choose(sources: Sequence[Source], steps: TimeSteps, about: ImportOptions) ->
 def interpolated(
     near: Sequence[tuple[float, Snapshot]], time: float, domain: Domain, spacing: float
 ) -> Snapshot:
-    """Return the snapshot of an instant [s], by the polynomial through those of other times.
+    """Return the snapshot at a time [s], interpolated by a polynomial through `near` ones.
 
-    A single one is returned as it is.
+    A single snapshot is returned unchanged.
 
-    Raises CaseError where particles move farther than their speeds carry them and `spacing` [m],
-    or out of the fluid.
+    Raises CaseError if particles move more than `spacing` [m] farther than their speeds allow, or
+    leave the fluid.
     """
     if len(near) == 1:
         return near[0][1]
@@ -157,7 +155,8 @@ def interpolated(
         if farthest > FARTHEST * fastest * seconds + spacing:
             raise CaseError(
                 f"--sort-by: a particle moves by {farthest:.4g} m within {seconds:.4g} s, faster "
-                "than any is: its order differs between files; name the field with its number"
+                "than the largest speed, so the order differs between files; name the field that "
+                "numbers the particles"
             )
         moved += weight * offset
         velocity += weight * snapshot.velocity
@@ -165,8 +164,8 @@ def interpolated(
     position = domain.wrap((base + moved).T)
     if outside := int(np.sum(~domain.contains(position))):
         raise CaseError(
-            f"at t = {time:.6g} s interpolation between files {np.diff(nodes).max():.3g} s apart "
-            f"takes {counted(outside, 'particle')} out of the scene: it needs files closer in time "
-            "or a case with the times of the files (--write-case)"
+            f"at t = {time:.6g} s, interpolation between files {np.diff(nodes).max():.3g} s apart "
+            f"moves {counted(outside, 'particle')} out of the scene; use files closer in time, or "
+            "a case with the times of the files (--write-case)"
         )
     return Snapshot(np.ascontiguousarray(position.T), fluctuation, velocity)

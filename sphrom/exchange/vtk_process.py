@@ -1,7 +1,7 @@
-"""Read VTK's files, in a process of its own.
+"""Read VTK files in a separate process.
 
-A damaged file may make VTK crash, wait for ever, or ask for any amount of memory: this process has
-a limit of memory, and ends by itself when the time for a file is over.
+A damaged file may make VTK crash, hang, or allocate any amount of memory. Therefore the process has
+a memory limit, and ends when a file exceeds its time limit.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ READERS = {
     "vtp": ("IOXML", "XMLPolyData"),
     "vtk": ("IOLegacy", "GenericDataObject"),
 }
-"""The module and the name of VTK's readers, by endings; others are of its HDF5 format."""
+"""Modules and names of VTK's readers by suffix; all other suffixes mean its HDF5 format."""
 TIMES = -1
-"""The step that asks for the times of all steps."""
+"""Value of `step` to read the times of all steps."""
 
 
 def begin(n_bytes: int) -> None:
-    """Set a new process up to take so much more memory [bytes], and to print nothing."""
+    """Limit the further memory of a new process [bytes], and silence its output."""
     taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (taken + n_bytes, taken + n_bytes))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that began this one ends it
-    signal.signal(signal.SIGALRM, signal.SIG_DFL)  # it ends the process, whatever VTK does
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends this process
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)  # ends the process even within VTK
     os.environ["HDF5_PLUGIN_PRELOAD"] = "::"  # no plugins
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
@@ -51,7 +51,7 @@ def _end_with_parent() -> None:
 def read(path: str, step: int, seconds: float) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Return the single numbers of a file, or the times of its steps, and its arrays on points.
 
-    Ends the process after some seconds. Raises ValueError where VTK finds a fault, or no points.
+    Ends the process after a time limit [s]. Raises ValueError for errors of VTK and missing points.
     """
     signal.setitimer(signal.ITIMER_REAL, seconds)
     try:
@@ -88,7 +88,7 @@ def _read(path: str, step: int) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
 
 
 def _reader_of(path: str) -> Any:
-    """Return VTK's reader of a file, by how its name ends."""
+    """Return VTK's reader for the suffix of a file."""
     ending = path.rpartition(".")[2].lower()
     module, kind = READERS.get(ending, ("IOHDF", "HDF"))
     reader = getattr(import_module(f"vtkmodules.vtk{module}"), f"vtk{kind}Reader")()
@@ -101,16 +101,16 @@ def _reader_of(path: str) -> Any:
 
 
 def _require_last_line(path: str) -> None:
-    """Raise ValueError where a text ends within a line: VTK makes up the numbers that are cut."""
+    """Raise ValueError if a text ends within a line, because VTK would invent missing numbers."""
     with open(path, "rb") as file:
         is_text = b"\nASCII" in file.read(1000).upper()
         file.seek(-1, os.SEEK_END)
         if is_text and not file.read(1).isspace():
-            raise ValueError("it ends within a line, and may have been cut")
+            raise ValueError("it ends within a line, and may be incomplete")
 
 
 def _require_sound(reader: Any, said: str) -> None:
-    """Raise ValueError where VTK complains: of a cut file it may only warn."""
+    """Raise ValueError for errors and warnings of VTK; for a truncated file it may only warn."""
     if said or reader.GetErrorCode():
         first = re.split(r"(?:ERROR|[Ww]arning): In [^\n]*\n", said)[1:2]
         text = " ".join(first).partition("): ")
@@ -118,8 +118,8 @@ def _require_sound(reader: Any, said: str) -> None:
 
 
 def _arrays_of(data: Any) -> dict[str, np.ndarray]:
-    """Return VTK's arrays of numbers by name."""
+    """Return VTK's numeric arrays by name."""
     from vtkmodules.util.numpy_support import vtk_to_numpy
 
-    found = [(data.GetArrayName(i), data.GetArray(i)) for i in range(data.GetNumberOfArrays())]
-    return {name: vtk_to_numpy(array) for name, array in found if name and array is not None}
+    pairs = [(data.GetArrayName(i), data.GetArray(i)) for i in range(data.GetNumberOfArrays())]
+    return {name: vtk_to_numpy(array) for name, array in pairs if name and array is not None}

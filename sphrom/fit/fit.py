@@ -1,4 +1,4 @@
-"""Command `fit`: parameters of a fast model from measured histories, intervals, and warnings."""
+"""Command `fit`: estimates of a fast model's parameters from measured histories, with intervals."""
 
 from __future__ import annotations
 
@@ -59,50 +59,49 @@ from sphrom.text import counted, exact, quoted
 
 VISCOSITY = "kinematic_viscosity"
 UNITS = {VISCOSITY: "m2/s", "reynolds": "-"}
-"""Of estimates; others are as the case has them."""
+"""Units of estimates; those of other parameters are the case's."""
 SHOWN_DIGITS = 5
 SURE = 0.999
-"""Probability with which chi^2 of a right model and noise is below what is complained of."""
+"""Probability that chi^2 of a correct model and noise stays below the limit for a warning."""
 TRUSTED = 4.0
-"""Factor by which the model's share of chi^2 may be above its estimate: errors may be twice it."""
+"""Largest ratio of the model's part of chi^2 to its estimate; 4 means errors twice as large."""
 MOST_MINIMA = 5
-"""Minima that are looked at closer."""
+"""Most minima that the search refines with the model's errors."""
 WHOLLY = 0.99
-"""Share of a parameter in undetermined directions from which on it is undetermined itself."""
+"""Share of a parameter in undetermined directions above which it is undetermined."""
 SHOWN_SHARE = 0.01
-"""The same, from which on it belongs to an undetermined combination."""
+"""The same share, above which it belongs to an undetermined combination."""
 MOST_SHOWN = 12
-"""Histories in the terminal, and in the figure."""
+"""Most histories in the terminal and in the figure."""
 COLUMNS = 2
-"""Histories beside one another in the figure."""
+"""Columns of panels in the figure."""
 NUMBERS = ("value", "standard_deviation", "by_noise", "by_model", "low", "high")
-"""Of an estimate, in this order."""
+"""The numbers of an estimate, in the order of `Estimate`."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """One parameter."""
+    """The estimate of one parameter, with its 95 % interval from `low` to `high`."""
 
     parameter: str
     value: float
     standard_deviation: float
     by_noise: float
-    """Its part by the noise."""
+    """Part of the standard deviation due to noise."""
     by_model: float
-    """Its part by the model's errors."""
+    """Part of the standard deviation due to the model's errors."""
     low: float
-    """Of the 95 % interval."""
     high: float
     remark: str
-    """Why the interval doesn't hold; empty where it does."""
+    """The reason why the interval is not valid; empty if it is."""
 
 
 class Fit(records.Fit):
-    """Parameters of a model from measurements, as `Model.fit` returns and `sphrom fit` stores them.
+    """Parameters estimated from measurements, returned by `Model.fit` and stored by `sphrom fit`.
 
-    Arrays of estimates (n_estimates,) have those of the free parameters in their order, and after
-    the Reynolds number that of the kinematic viscosity [m2/s]. The Fisher matrix is for parameters
-    over their ranges; of the Reynolds number the logarithm counts.
+    Arrays of estimates (n_estimates,) follow the order of the free parameters; the Reynolds number
+    is followed by the kinematic viscosity [m2/s]. The Fisher matrix is for parameters over their
+    ranges, with the logarithm of the Reynolds number.
     """
 
     def __repr__(self) -> str:
@@ -113,7 +112,7 @@ class Fit(records.Fit):
 
     @property
     def free(self) -> tuple[str, ...]:
-        """The parameters that were looked for, in the order of the axes of matrices."""
+        """The free parameters, in the order of the axes of matrices."""
         return tuple(self.parameter_names.split(","))
 
     @property
@@ -129,18 +128,18 @@ class Fit(records.Fit):
 
     @property
     def histories(self) -> tuple[FittedHistory, ...]:
-        """The measured histories beside the fitted ones, in the order of the measurements."""
+        """The measured and the fitted histories, in the order of the measurements."""
         return tuple(self.history[str(k)] for k in range(len(self.history)))
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """What to know before these figures are used, in words."""
+        """Warnings about the estimates and their intervals."""
         return tuple(self.warnings.splitlines())
 
     def draw(self, path: str | os.PathLike[str], place: int = 0) -> None:
-        """Draw data, fit and intervals of every history into a file, PNG or SVG by its name.
+        """Draw data, fit and interval of every history into a .png or .svg file.
 
-        The model looks as in other figures if its `place` in the case is given, counted from 0.
+        `place` is the index of the model in the case, which determines its colour.
 
         Raises ArtifactError when the file can't be written.
         """
@@ -172,20 +171,20 @@ def run(
     Parameters
     ----------
     measurements : a CSV file, see `sphrom.fit.measurements`.
-    noise : standard deviation over each history's range, such as `1%`; None is the case's.
-    name : of the files; None is that of the measurements.
+    noise : standard deviation over each history's range, such as `1%`; by default the case's.
+    name : name of the results; by default that of the measurements.
 
     Raises
     ------
     CaseError
         When the measurements can't be read, or the case has no model or no parameter to fit.
     ArtifactError
-        When the operators are missing, or there is another fit of this name.
+        When the operators are missing, or another fit has this name.
     UnstableError
         When the model is unstable at all starts.
     """
     if measurements is None:
-        raise CaseError("measurements: a fit needs some; give the name of a CSV file")
+        raise CaseError("measurements: are missing; give the name of a CSV file")
     workspace, case = Workspace(context), context.case
     model = fast_section(case, case.fit.model)
     if model is None:
@@ -194,26 +193,26 @@ def run(
     data = read_measurements(Path(measurements), case, case.plan.model_steps(model), share)
     name = name or Path(data.source).stem
     if not re.fullmatch(NAME_PATTERN, name):
-        raise CaseError(f"{quoted(name)} is no name for files; give one with --name")
+        raise CaseError(f"{quoted(name)} is not a valid name for files; give one with --name")
     target = workspace.fit(name, data.digest, share)
     must_make = workspace.must_make(target)
     workspace.require(workspace.operators())
     box = box_of(fit_ranges(case, model), fit_values(case))
-    found = fit(fast_model(workspace, model), box, data, {})
+    fitted = fit(fast_model(workspace, model), box, data, {})
     if must_make:
         with workspace.create(target) as artifact:
-            write_record(artifact, found)
-        write_csv(target.path.with_suffix(".csv"), found.estimates)
-        found.draw(target.path.with_suffix(".png"), place_of(case, model.name))
-    show(context.report, found)
+            write_record(artifact, fitted)
+        write_csv(target.path.with_suffix(".csv"), fitted.estimates)
+        fitted.draw(target.path.with_suffix(".png"), place_of(case, model.name))
+    show(context.report, fitted)
     context.report.info(f"a table and a figure are in {target.path.with_suffix('')}.csv, .png")
 
 
 def show(report: Reporter, fit: Fit) -> None:
-    """Show the estimates, their correlation, the histories, and what is wrong with them."""
+    """Show the estimates, their correlation, the histories, and the warnings."""
     report.table(
-        f"fit of {fit.model} to {fit.measurements}: 95 % intervals and standard deviations, of "
-        "which the noise and the model's errors are parts",
+        f"fit of {fit.model} to {fit.measurements}: 95 % intervals and standard deviations, with "
+        "their parts due to noise and to the model's errors",
         ("parameter", "value", "from", "to", "deviation", "noise", "model", "[%]", ""),
         [_shown(each) for each in fit.estimates],
     )
@@ -234,7 +233,7 @@ def show(report: Reporter, fit: Fit) -> None:
     report.info(
         f"chi^2 per degree of freedom is {fit.chi_square / dof:.3g}; noise and the model's errors "
         f"explain up to {fit.expected_chi_square / dof:.3g}; "
-        f"{fit.starts_led_here} of {fit.starts} starts led here"
+        f"{fit.starts_led_here} of {fit.starts} starts led to this minimum"
     )
     for problem in fit.problems:
         report.warn(problem)
@@ -257,17 +256,17 @@ def fit(
 
     Parameters
     ----------
-    known : what other fits of the model have found out.
+    known : a cache of differences in training runs, shared by fits of the model.
 
-    Raises CaseError for fewer values than free parameters, UnstableError when the model is unstable
-    at all starts.
+    Raises CaseError unless there are more values than free parameters, UnstableError when the model
+    is unstable at all starts.
     """
     case = fast.workspace.case
     values = measurements.values
     if len(values) <= len(box.names):
         raise CaseError(
-            f"{measurements.source}: {len(values)} values can't tell {len(box.names)} parameters "
-            f"({', '.join(box.names)}); give fit.parameters some of them"
+            f"{measurements.source}: {len(values)} values can't determine {len(box.names)} "
+            f"parameters ({', '.join(box.names)}); fix some of them in fit.parameters"
         )
     model = fitted_model(fast, box, measurements.histories)
     from scipy.stats import chi2, qmc
@@ -278,28 +277,28 @@ def fit(
     weights = Weights(measurements.noise, np.zeros((0, len(values))))
     first = minima(model, values, weights, starts)
     if not first:
-        still = ", or doesn't oscillate," * bool(case.scene.oscillations)
+        still = ", or does not oscillate," * bool(case.scene.oscillations)
         raise UnstableError(f"{fast.section.name} is unstable{still} at all starts of the search")
     start = first[0].place
-    samples, found = error_samples(model, start, known), first
+    samples, refined = error_samples(model, start, known), first
     if samples is not None:
         time = model.reduced(model.point(start)).output_times.time
         each = [model.at_instants(time, sample) for sample in samples]
         weights = Weights(measurements.noise, np.stack(each))
-        found = minima(model, values, weights, [m.place for m in first[:MOST_MINIMA]]) or first
-    best, likely = found[0], nearly_as_good(found)
-    known_of, shares = uncertainty(best.derivatives, weights), undetermined_shares(likely, weights)
+        refined = minima(model, values, weights, [m.place for m in first[:MOST_MINIMA]]) or first
+    best, likely = refined[0], nearly_as_good(refined)
+    spread, shares = uncertainty(best.derivatives, weights), undetermined_shares(likely, weights)
     slopes, dof = box.slopes(best.place), len(values) - len(box.names)
     bound = float(chi2.ppf(SURE, dof)) + weights.expected
     doubt = "interval too narrow" * (best.chi_square > bound)
-    estimates = list(_estimates(model, best, known_of, shares, doubt))
-    histories = {str(k): h for k, h in enumerate(_histories(model, best, known_of, samples))}
+    estimates = list(_estimates(model, best, spread, shares, doubt))
+    histories = {str(k): h for k, h in enumerate(_histories(model, best, spread, samples))}
     fitted = Fit(
         **{name: np.array([getattr(each, name) for each in estimates]) for name in NUMBERS},
-        covariance=known_of.covariance * np.outer(slopes, slopes),
-        correlation=known_of.correlation,
-        eigenvalues=known_of.eigenvalues,
-        directions=known_of.directions,
+        covariance=spread.covariance * np.outer(slopes, slopes),
+        correlation=spread.correlation,
+        eigenvalues=spread.eigenvalues,
+        directions=spread.directions,
         time=model.reduced(model.point(best.place)).output_times.time,
         history=histories,
         estimate_names=",".join(each.parameter for each in estimates),
@@ -324,19 +323,19 @@ def fit(
 
 
 def _estimates(
-    model: FittedModel, best: Minimum, known: Uncertainty, shares: Array, doubt: str
+    model: FittedModel, best: Minimum, spread: Uncertainty, shares: Array, doubt: str
 ) -> Iterator[Estimate]:
     box, values = model.box, model.box.values(best.place)
     slopes = box.slopes(best.place)
     for k, name in enumerate(box.names):
         at_bound = "at its bound" if best.at_bound[k] else doubt
         remark = "not determined" if shares[k] > SHOWN_SHARE else at_bound
-        noise, error = (float(slopes[k] * np.sqrt(c[k, k])) for c in (known.noise, known.model))
-        reach = best.place[k] + known.half_width[k] * np.array([-1.0, 1.0])
+        noise, error = (float(slopes[k] * np.sqrt(c[k, k])) for c in (spread.noise, spread.model))
+        reach = best.place[k] + spread.half_width[k] * np.array([-1.0, 1.0])
         low, high = (box.value(name, end) for end in np.clip(reach, 0.0, 1.0).tolist())
         deviation = math.hypot(noise, error)
         yield Estimate(name, values[name], deviation, noise, error, low, high, remark)
-        if name == REYNOLDS:  # which tells the viscosity too
+        if name == REYNOLDS:  # it also determines the viscosity
             point = model.point(best.place)
             viscosity = model.fast.workspace.case.plan.kinematic_viscosity(point)
             share, scale = viscosity / values[name], viscosity * values[name]
@@ -346,16 +345,16 @@ def _estimates(
 
 
 def _histories(
-    model: FittedModel, best: Minimum, known: Uncertainty, samples: Array | None
+    model: FittedModel, best: Minimum, spread: Uncertainty, samples: Array | None
 ) -> Iterator[FittedHistory]:
     whole = model.whole(best.place)
-    assert whole is not None  # the search has been there
+    assert whole is not None  # the search has evaluated this place
     time, curves, slopes = whole
     ends = np.cumsum([len(history.time) for history in model.histories])
     parts = np.split(best.values, ends[:-1])
     for k, (history, fitted) in enumerate(zip(model.histories, parts, strict=True)):
         own = np.zeros((0, len(time))) if samples is None else samples[:, :, k]
-        variance = history_variance(slopes[:, k], known, own)
+        variance = history_variance(slopes[:, k], spread, own)
         yield FittedHistory(
             instant=history.time,
             measured=history.value,
@@ -375,23 +374,23 @@ def _about_the_case(model: FittedModel, samples: Array | None) -> Iterator[str]:
         if min(ends) < low or max(ends) > high:
             yield (
                 f"fit.parameters.{name}: goes beyond the trained range, {exact(low)} to "
-                f"{exact(high)}: the model extrapolates there"
+                f"{exact(high)}, so the model extrapolates"
             )
     if samples is None:
         yield (
-            "intervals are of the noise alone: what the model may be wrong by takes estimates of "
-            "errors (operators.error_estimate) and the full training runs"
+            "intervals include the noise only: the errors of the model need error estimates "
+            "(operators.error_estimate) and the full training runs"
         )
     if case.time.spin_up > 0.0:
         yield (
-            "runs start from the end of the nearest trained spin-up: how that changes with the "
-            "parameters is no part of the fit"
+            "runs start from the spin-up of the nearest training run: the fit ignores how the "
+            "spin-up changes with the parameters"
         )
 
 
-def _about_the_search(box: Box, found: Sequence[Minimum], shares: Array) -> Iterator[str]:
-    """Yield remarks on minima that noise can't tell from the first, which is the fit."""
-    best = found[0]
+def _about_the_search(box: Box, likely: Sequence[Minimum], shares: Array) -> Iterator[str]:
+    """Yield warnings about minima that the noise can't distinguish from the first, the fit."""
+    best = likely[0]
     if not best.converged:
         yield "the search has not converged: chi^2 may have a lower minimum"
     combined = [
@@ -399,19 +398,19 @@ def _about_the_search(box: Box, found: Sequence[Minimum], shares: Array) -> Iter
     ]
     for name, share, on_it in zip(box.names, shares, best.at_bound, strict=True):
         if share > WHOLLY or combined == [name]:
-            yield f"the data don't determine {name} within its range"
+            yield f"the data do not determine {name} within its range"
         if on_it:
             value = exact(float(f"{box.values(best.place)[name]:.6g}"))
             yield (
-                f"{name} is at the bound of its range, {value}: the data may ask for a value "
-                "beyond it, and the intervals don't hold"
+                f"{name} is at the bound of its range, {value}: the best value may be beyond it, "
+                "and the intervals are not valid"
             )
     if len(combined) > 1:
-        yield f"the data determine a combination of {' and '.join(combined)} only"
-    if len(found) > 1 and shares.min() <= WHOLLY:
+        yield f"the data determine only a combination of {' and '.join(combined)}"
+    if len(likely) > 1 and shares.min() <= WHOLLY:
         fits = [
             ", ".join(f"{name}={box.values(other.place)[name]:.4g}" for name in box.names)
-            for other in found[1:]
+            for other in likely[1:]
         ]
         yield f"other fits are nearly as good: {'; '.join(fits)}"
 
@@ -427,14 +426,14 @@ def _about_the_fit(fitted: Fit, by_model: float) -> Iterator[str]:
         larger = "far" if bad else f"{100.0 * (math.sqrt(1.0 + beyond / by_model) - 1.0):.2g} %"
         yield (
             f"{'the fit is bad: ' * bad}chi^2 per degree of freedom is {ratio:.3g}, above the "
-            f"{bound / dof:.3g} that noise and the model's errors explain, so that the intervals "
-            f"are too narrow. Noise {worst.residual:.2g} times as large as stated would explain "
-            f"it. Or the model's errors are {larger} larger than estimated, or another flow was "
-            f"measured than the case's. {worst.name} fits worst: check its unit, place and noise, "
+            f"{bound / dof:.3g} that noise and the model's errors explain, so the intervals are "
+            f"too narrow. Possible reasons: the noise is {worst.residual:.2g} times as large as "
+            f"stated, the model's errors are {larger} larger than estimated, or the measured flow "
+            f"is not that of the case. {worst.name} fits worst: check its unit, place and noise, "
             "or fit without it"
         )
     elif fitted.chi_square < chi2.ppf(1.0 - SURE, dof):
         yield (
-            f"chi^2 per degree of freedom is {ratio:.3g}, so that the noise is smaller than "
-            "stated, or its values are not independent"
+            f"chi^2 per degree of freedom is {ratio:.3g}, so the noise is smaller than stated, or "
+            "its values are not independent"
         )

@@ -1,11 +1,11 @@
-"""A fitted model: its histories at the instants of measured ones, and what it is wrong by in them.
+"""A fitted model: its histories at the measured times, and samples of its errors in them.
 
-What it may be wrong by is known from its training runs. The model repeats each of them without that
-run's own correction. Its histories then differ from those of the full run as they do where no full
-run is, with the correlations over time and from place to place that errors of this model have. The
-differences are scaled by the model's estimated error at the fitted parameters over that of the
-training run, both root mean squares over the fluid and the run: those of velocities and flow rates
-by the velocity's, of pressures by the pressure's, of forces by the larger of both.
+The samples come from the training runs. The model repeats each of them without the correction from
+that run, so its histories differ from those of the full run like a prediction, with the same
+correlations over time and between places. The differences are scaled by the model's estimated error
+at the fitted parameters over that of the training run, both root mean squares over the fluid and
+the run. Velocities and flow rates are scaled by the error of the velocity, pressures by that of the
+pressure, and forces by the larger of both.
 """
 
 from __future__ import annotations
@@ -38,33 +38,33 @@ from sphrom.store.trajectory import snapshot_fields
 from sphrom.text import exact
 
 TrainingDifferences = dict[Hashable, tuple[Array, Array]]
-"""Of histories in training runs, by basis and histories, with the sizes of errors over the fluid.
-Fits of one model share them."""
+"""Differences of histories in training runs, with the sizes of errors over the fluid, by basis and
+histories. Fits of one model share them."""
 
 DIFFERENCE = 1e-3
 """Of the place, from which derivatives of models of a free surface follow."""
 FINER = 2
-"""Steps over those that runs take: they are the same for all parameters, and have room for all."""
+"""Number of steps over that of the finest run; all parameters use the same number."""
 
 
 def box_of(ranges: Ranges, values: Mapping[str, float]) -> Box:
-    """Return the ranges of the free parameters, and the values of the others.
+    """Return the box of free parameters, with the values of the others.
 
-    Raises CaseError where none is free, or one that is free has no range.
+    Raises CaseError when no parameter is free, or a free one has no range.
     """
     flat = [name for name, (low, high) in ranges.items() if low == high]
     if flat:
         raise CaseError(
-            f"fit.parameters: {flat[0]} has one trained value, {exact(ranges[flat[0]][0])}, and so "
-            "no range to look for it in; give its value, or a range"
+            f"fit.parameters: {flat[0]} has only one trained value, {exact(ranges[flat[0]][0])}, "
+            "so it has no range; give its value, or a range"
         )
     if not ranges:
-        raise CaseError("fit.parameters: gives all values, so that there is nothing to look for")
+        raise CaseError("fit.parameters: fixes all parameters; leave at least one free")
     return Box(ranges, values)
 
 
 class FittedModel:
-    """A model's values where histories were measured, over the unit box of free parameters."""
+    """A model's values at the measured times and places, over the unit box of free parameters."""
 
     def __init__(
         self, fast: FastModel | SurfaceModel, box: Box, histories: Sequence[History]
@@ -79,7 +79,7 @@ class FittedModel:
         self._which = np.repeat(np.arange(len(times)), [len(time) for time in times])
         self._places = {place: k for k, place in enumerate(unnamed)}
         self.unnamed: MeasuredFields | None = None
-        """What samples fields at the places that the case doesn't name, if there are any."""
+        """Samples fields at measured places that the case does not name, if there are any."""
         if self._places:
             places = np.array(list(self._places))
             self.unnamed = MeasuredFields(self._case, {UNNAMED: FieldMeasure(places)})
@@ -92,7 +92,7 @@ class FittedModel:
         return self._case.plan.point(self.box.values(place))
 
     def prepare(self, starts: Sequence[Array]) -> None:
-        """Choose the steps of all runs, such that those from starts are fine enough."""
+        """Choose a number of steps for all runs that is fine enough for those at the starts."""
         most = 1
         for point in map(self.point, starts):
             reduced = self.fast.at(point)
@@ -102,28 +102,28 @@ class FittedModel:
         self._n_steps = FINER * most
 
     def reduced(self, point: ParameterPoint, basis: str | None = None) -> ReferenceModel:
-        """Return the model at a point, with what is measured at places of one's own.
+        """Return the model at a point, with measures at the places that the case does not name.
 
         Parameters
         ----------
-        basis : another than that of the point.
+        basis : name of a basis, by default that of the point.
         """
         basis = self.fast.basis_at(point) if basis is None else basis
         model = self.fast.on_basis(basis)
-        found = model.at(point)
+        reduced = model.at(point)
         if basis not in self._stepped:
             self._stepped[basis] = model.projected(model.points[0], in_training=True)
         if basis not in self._measures:
             self._measures[basis] = {}
             if (fields := self.unnamed) is not None:
                 self._measures[basis] = project_measures(
-                    found.basis, model.splines, fields.position, fields.of_fields
+                    reduced.basis, model.splines, fields.position, fields.of_fields
                 )
-        measures = {**found.measures, **self._measures[basis]}
-        return replace(found.with_steps_of(self._stepped[basis]), measures=measures)
+        measures = {**reduced.measures, **self._measures[basis]}
+        return replace(reduced.with_steps_of(self._stepped[basis]), measures=measures)
 
     def integrator(self, reduced: ReferenceModel) -> Integrator:
-        """Return the steps of a model, as many at all parameters."""
+        """Return an integrator of a model with the same number of steps at all parameters."""
 
         def steps(reduced: ReferenceModel) -> Steps:
             assert reduced.linear is not None
@@ -134,18 +134,17 @@ class FittedModel:
 
     def __call__(self, place: Array) -> tuple[Array, Array] | None:
         """Return values (n_values,) and derivatives (n_values, n_free) at a place."""
-        found = self.whole(place)
-        if found is None:
+        if (histories := self.whole(place)) is None:
             return None
-        time, values, slopes = found
+        time, values, slopes = histories
         return self.at_instants(time, values), self.at_instants(time, slopes)
 
     def whole(self, place: Array) -> tuple[Array, Array, Array] | None:
         """Return the histories at all snapshots, and their derivatives by the place.
 
-        Times are (n_snapshots,), histories (n_snapshots, n_histories), derivatives
-        (n_snapshots, n_histories, n_free); None where the run is unstable, or
-        doesn't oscillate where a frequency was measured.
+        Times are (n_snapshots,), histories (n_snapshots, n_histories) and derivatives
+        (n_snapshots, n_histories, n_free). Returns None if the run is unstable, or has no frequency
+        to compare with a measured one.
         """
         point = self.point(place)
         reduced = self.reduced(point)
@@ -156,7 +155,7 @@ class FittedModel:
             return None
         measured = quantities_of(self._case, reduced, reduced.output_times.time, run.run)
         oscillations, slopes = self._case.scene.oscillations, []
-        found = self.stacked(measured | oscillations.of(run.time, measured))
+        histories = self.stacked(measured | oscillations.of(run.time, measured))
         for k, name in enumerate(run.parameters):
             changes, step = items(run.measured, k), STEP * (abs(point.as_dict()[name]) or 1.0)
             sides = (combined(measured, changes, part * step) for part in (-0.5, 0.5))
@@ -164,12 +163,12 @@ class FittedModel:
             for each, figures in high.items():
                 changes[each] = {q: (v - low[each][q]) / step for q, v in figures.items()}
             slopes.append(self.stacked(changes))
-        if not np.isfinite(found).all():
+        if not np.isfinite(histories).all():
             return None
-        return run.time, found, np.stack(slopes, axis=-1) * self.box.slopes(place)
+        return run.time, histories, np.stack(slopes, axis=-1) * self.box.slopes(place)
 
     def stacked(self, measured: Mapping[str, Quantities]) -> Array:
-        """Return the histories (n_snapshots, n_histories) among what is measured."""
+        """Return the fitted histories (n_snapshots, n_histories) among all measurements."""
         return np.stack([self._history(measured, h) for h in self.histories], axis=-1)
 
     def _history(self, measured: Mapping[str, Quantities], history: History) -> Array:
@@ -179,10 +178,7 @@ class FittedModel:
         return values if history.component is None else values[:, history.component]
 
     def at_instants(self, time: Array, histories: Array) -> Array:
-        """Return histories (n_snapshots, n_histories, ...) at the instants of values.
-
-        Between snapshots they are cubic splines.
-        """
+        """Return histories (n_snapshots, n_histories, ...) at measured times, by cubic splines."""
         instants = self._instants
         if len(time) != len(instants) or not np.allclose(time, instants, rtol=0.0, atol=1e-12):
             from scipy.interpolate import make_interp_spline
@@ -238,25 +234,24 @@ def fitted_model(
 
 
 def error_samples(model: FittedModel, place: Array, known: TrainingDifferences) -> Array | None:
-    """Return what histories may be wrong by (n_samples, n_snapshots, n_histories) at a place.
+    """Return samples of errors of histories (n_samples, n_snapshots, n_histories) at a place.
 
-    None where the case wants no estimates of errors or can't have them, or full training runs
-    that it takes are no longer there.
+    Returns None without error estimates, or if necessary full training runs were removed.
 
     Parameters
     ----------
-    known : the differences in training runs, each of which is found once.
+    known : a cache of the differences in training runs, to which new ones are added.
     """
     fast, case = model.fast, model.fast.workspace.case
     point = model.point(place)
     name = fast.basis_at(point)
-    # Places that the case doesn't name are measured in the full runs.
+    # Places that the case does not name are sampled in the full runs.
     needed = map(fast.workspace.full_run, case.plan.bases[name] if model.unnamed else ())
     if not case.plan.has_error_estimate(name) or not all(t.path.exists() for t in needed):
         return None
     reduced = model.reduced(point)
     run = fast.run(point, reduced, model.integrator(reduced))
-    if (found := run.estimate) is None:
+    if (estimate := run.estimate) is None:
         return None
     key = (name, tuple((h.measure, h.place, h.quantity, h.component) for h in model.histories))
     if key not in known:
@@ -264,7 +259,7 @@ def error_samples(model: FittedModel, place: Array, known: TrainingDifferences) 
     differences, sizes = known[key]
     if not len(differences):
         return None
-    ratios = np.sqrt(np.mean(found.errors**2, axis=0) / np.mean(sizes**2, axis=1))
+    ratios = np.sqrt(np.mean(estimate.errors**2, axis=0) / np.mean(sizes**2, axis=1))
     of_fields = {"velocity": ratios[:, 0], "flow_rate": ratios[:, 0], "pressure": ratios[:, 1]}
     factors = [of_fields.get(h.quantity, ratios.max(axis=1)) for h in model.histories]
     scaled = differences * np.stack(factors, axis=1)[:, None]
@@ -277,27 +272,27 @@ def error_samples(model: FittedModel, place: Array, known: TrainingDifferences) 
 def _differences(model: FittedModel, name: str) -> tuple[Array, Array]:
     """Return the differences of histories in training runs, and the sizes of errors over the fluid.
 
-    They are (n_runs, n_compared, n_histories) and (n_runs, n_compared, 2) [m/s]; runs that
-    diverged are left out.
+    They are (n_runs, n_compared, n_histories) and (n_runs, n_compared, 2) [m/s], without diverged
+    runs.
     """
-    workspace, taught = model.fast.workspace, model.fast.on_basis(name)
-    points, compared = taught.points, compared_snapshots(workspace.case.plan.steps.n_snapshots)
+    workspace, trained = model.fast.workspace, model.fast.on_basis(name)
+    points, compared = trained.points, compared_snapshots(workspace.case.plan.steps.n_snapshots)
     differences, sizes, oscillations = [], [], workspace.case.scene.oscillations
-    for k, (reduced, own) in enumerate(taught.held_out):
+    for k, (reduced, own) in enumerate(trained.held_out):
         if not np.isfinite(own).all():
             continue
-        found, time = items(taught.measured_differences, k), reduced.output_times.time
-        given = quantities_of(workspace.case, reduced, time, own)
-        full = oscillations.of(time, combined(given, found, 1.0))
-        found = items(found | combined(full, oscillations.of(time, given), -1.0), compared)
+        change, time = items(trained.measured_differences, k), reduced.output_times.time
+        predicted = quantities_of(workspace.case, reduced, time, own)
+        full = oscillations.of(time, combined(predicted, change, 1.0))
+        change = items(change | combined(full, oscillations.of(time, predicted), -1.0), compared)
         if (fields := model.unnamed) is not None:
             measure = model.reduced(points[k], name).measures[UNNAMED]
             there = measure.at(own[compared], reduced.mean_density_fluctuation)
             with workspace.open(workspace.full_run(points[k])) as run:
                 each = [fields(*snapshot_fields(run, s))[UNNAMED] for s in compared]
-            found[UNNAMED] = {q: np.stack([one[q] for one in each]) - there[q] for q in PLACED}
-        if not np.isfinite(model.stacked(found)).all():
-            continue  # it doesn't oscillate
-        differences.append(model.stacked(found))
-        sizes.append(taught.products.errors(k, own[compared]))
+            change[UNNAMED] = {q: np.stack([one[q] for one in each]) - there[q] for q in PLACED}
+        if not np.isfinite(model.stacked(change)).all():
+            continue  # the run does not oscillate
+        differences.append(model.stacked(change))
+        sizes.append(trained.products.errors(k, own[compared]))
     return np.array(differences), np.array(sizes)

@@ -1,15 +1,15 @@
-"""Measured histories from a CSV file, with one header row and one row for each instant.
+"""Measured histories from a CSV file, with one header row and one row per time.
 
     time [s], wake_velocity_x [m/s], wake_velocity_x_noise, drag_force_x [N/m]
     0.1,      0.213,                 0.002,                 1.31
     0.2,      0.215,                 0.002,
 
-Beside `time` a column is called by the measurement of the case, the quantity, and its component if
-it has any. With columns `x` and `y` those called velocity_x, velocity_y and pressure are of that
-place in the fluid, in the row's instant, such as the table of `sphrom export --to csv` has them.
-Units, in brackets, may be left out. A column with `_noise` at the end of its name holds standard
-deviations. Empty cells and NaN are values that weren't measured; lines that begin with # are
-comments. All else must be numbers.
+Except for `time`, the name of a column consists of the measurement in the case, the quantity, and
+its component, if any. In a table with columns `x` and `y`, the columns velocity_x, velocity_y and
+pressure are values at that place and time, as in tables of `sphrom export --to csv`. Units, in
+brackets, are optional. Columns whose names end in `_noise` have standard deviations. Empty cells
+and NaN are missing values, and lines that begin with # are comments. All other cells must be
+numbers.
 """
 
 from __future__ import annotations
@@ -41,25 +41,25 @@ from sphrom.whole_files import read_whole
 Place = tuple[float, float]
 
 MOST_BYTES = 16 * 1024 * 1024
-"""The largest file that is read."""
+"""Largest size of a file [bytes]."""
 NOISE = "_noise"
-"""The end of the names of columns with standard deviations."""
+"""Suffix of the names of columns with standard deviations."""
 UNNAMED = ""
-"""The measurement that fields at places of the rows are of."""
+"""Name of the measurement for fields at the places of rows."""
 AXES = {"time": "s", "x": "m", "y": "m"}
-"""Columns that say where and when, with their units."""
+"""Columns of times and places, with their units."""
 MOST_VALUES = 100_000
-"""Of one file: each row of the Jacobian is one of them."""
+"""Most values of one file; each one is a row of the Jacobian."""
 LEAST_NOISE = 1e-24
-"""Of a value: the squares of quotients by it stay finite."""
+"""Least standard deviation, so that squares of quotients by it stay finite."""
 MOST_LINES = 2 * MOST_VALUES
-"""Of one file, with those that hold no value."""
+"""Most lines of one file, including those without values."""
 TIME_TOLERANCE = 1e-6
-"""Of instants beyond the first or the last snapshot, over the time between snapshots."""
+"""Tolerance for times beyond the snapshots, over the time between snapshots."""
 
 
 AT_PLACE = Column.named(UNNAMED, PLACED)
-"""Columns of rows with a place."""
+"""The columns of values at the places of rows."""
 
 
 @dataclass(frozen=True)
@@ -67,9 +67,9 @@ class History(Column):
     """One measured quantity over time."""
 
     name: str
-    """The column's, and the place of one that the case doesn't name."""
+    """Name of the column, with the place if the case does not name it."""
     place: Place | None
-    """[m], of one that the case doesn't name."""
+    """Place [m] that the case does not name, or None."""
     time: Array
     """(n_values,) [s]."""
     value: Array
@@ -83,19 +83,19 @@ class Measurements:
     """The histories of a file or of columns."""
 
     source: str
-    """The file's name."""
+    """Name of the file."""
     digest: str
     """SHA-256 of its content."""
     histories: tuple[History, ...]
 
     @property
     def values(self) -> Array:
-        """(n_values,) of one history after the other."""
+        """The values (n_values,) of all histories, one after the other."""
         return np.concatenate([history.value for history in self.histories])
 
     @property
     def noise(self) -> Array:
-        """(n_values,)."""
+        """The standard deviations (n_values,) of the values."""
         return np.concatenate([history.noise for history in self.histories])
 
 
@@ -110,23 +110,23 @@ def read_measurements(
 
     Parameters
     ----------
-    plan : the instants that the model has.
-    noise : standard deviation over each history's range [%], where no column says one.
+    plan : the time steps of the model.
+    noise : standard deviation over each history's range [%], for columns without one.
 
-    Raises CaseError when the file can't be read or holds anything but such a table, when a column
-    is of nothing that the case measures or in another unit, an instant beyond those of the model,
-    a place outside of the fluid, or no noise is known.
+    Raises CaseError when the file can't be read or is not such a table, when the case does not
+    measure the quantity of a column, a unit is wrong, a time is beyond those of the model, a place
+    is outside of the fluid, or the noise is unknown.
     """
     name, text = _text(source)
     try:
         rows = _entries(text, case)
-        found = [_history(key, entries, noise) for key, entries in rows.items()]
-        if not found:
-            raise ValueError("holds no values")
-        _require_times(found, plan)
+        histories = [_history(key, entries, noise) for key, entries in rows.items()]
+        if not histories:
+            raise ValueError("has no values")
+        _require_times(histories, plan)
     except (csv.Error, ValueError) as error:
         raise CaseError(f"{name}: {error}") from error
-    return Measurements(name, hashlib.sha256(text.encode()).hexdigest(), tuple(found))
+    return Measurements(name, hashlib.sha256(text.encode()).hexdigest(), tuple(histories))
 
 
 def _text(source: Source) -> tuple[str, str]:
@@ -141,7 +141,7 @@ def _text(source: Source) -> tuple[str, str]:
             raise CaseError(f"{visible(str(source))}: can't be read: {reason}") from error
     columns = {str(name): np.atleast_1d(values) for name, values in source.items()}
     if len({values.shape for values in columns.values()}) > 1:
-        raise CaseError("measurements: columns must be of one length")
+        raise CaseError("measurements: columns must have equal lengths")
     rows = io.StringIO()
     writer = csv.writer(rows, lineterminator="\n")
     writer.writerow(columns)
@@ -150,7 +150,7 @@ def _text(source: Source) -> tuple[str, str]:
 
 
 Entry = tuple[float, float, float]
-"""Time, value and noise; the last is NaN where none is given."""
+"""Time, value and noise; the noise is NaN if unknown."""
 Key = tuple[str, Column, Place | None]
 
 
@@ -158,7 +158,7 @@ def _entries(text: str, case: Case) -> dict[Key, list[Entry]]:
     """Return the entries of each history of a table."""
     lines = text.splitlines()
     if len(lines) > MOST_LINES:
-        raise ValueError(f"has {len(lines)} lines; at most {MOST_LINES} are read")
+        raise ValueError(f"has {len(lines)} lines; at most {MOST_LINES} are allowed")
     (_, head), *rows = [
         (k, row)
         for k, line in enumerate(lines, 1)
@@ -167,7 +167,7 @@ def _entries(text: str, case: Case) -> dict[Key, list[Entry]]:
     ] or [(0, [])]
     names = list(_names(head, case))
     columns = {n: column_of(case, n) for n in names if n not in AXES and not n.endswith(NOISE)}
-    found: dict[Key, list[Entry]] = {}
+    entries: dict[Key, list[Entry]] = {}
     for line, row in rows:
         if len(row) > len(names):
             raise ValueError(f"line {line}: has {len(row)} cells for {len(names)} columns")
@@ -180,29 +180,29 @@ def _entries(text: str, case: Case) -> dict[Key, list[Entry]]:
             if any(map(math.isnan, (cells["time"], *(place or ())))):
                 raise ValueError(f"line {line}: has a value but no time, or no place")
             entry = cells["time"], value, cells.get(f"{name}{NOISE}", math.nan)
-            found.setdefault((name, column, place), []).append(entry)
-    if sum(map(len, found.values())) > MOST_VALUES:
-        raise ValueError(f"holds more than {MOST_VALUES} values; keep fewer instants")
-    places = list(dict.fromkeys(place for _, _, place in found if place is not None))
+            entries.setdefault((name, column, place), []).append(entry)
+    if sum(map(len, entries.values())) > MOST_VALUES:
+        raise ValueError(f"has more than {MOST_VALUES} values; keep fewer times")
+    places = list(dict.fromkeys(place for _, _, place in entries if place is not None))
     if places and (problem := outside_fluid(case, np.array(places))) is not None:
         raise ValueError(problem.partition(";")[0])
-    return found
+    return entries
 
 
 def _names(head: Sequence[str], case: Case) -> Iterator[str]:
-    """Yield the names of columns, whose units are checked."""
-    given = [_name_and_unit(cell) for cell in head]
-    names = [name for name, _ in given]
+    """Yield the names of columns, and check their units."""
+    pairs = [_name_and_unit(cell) for cell in head]
+    names = [name for name, _ in pairs]
     if "time" not in names or ("x" in names) != ("y" in names) or repeated(names):
         raise ValueError(
             "its first row must name the columns, each once: time, measurements such as "
             "drag_force_x, and x and y where rows have places"
         )
-    for name, stated in given:
+    for name, stated in pairs:
         base = name.removesuffix(NOISE)
         unit = AXES.get(name) or column_of(case, base).units
         if base not in names:
-            raise ValueError(f"column {quoted(name)} is of none of the others")
+            raise ValueError(f"column {quoted(name)} has no column {quoted(base)} of values")
         if base in AT_PLACE and "x" not in names:
             raise ValueError(f"column {base} needs a place: columns x and y")
         if stated not in (None, unit):
@@ -211,13 +211,13 @@ def _names(head: Sequence[str], case: Case) -> Iterator[str]:
 
 
 def _name_and_unit(cell: str) -> tuple[str, str | None]:
-    """Return what the head of a column says: `wake_pressure [Pa]`; None where it has no unit."""
-    found = re.fullmatch(r"(.*?)\[(.*)\]", cell.strip())
-    return (found[1].strip(), found[2].strip()) if found else (cell.strip(), None)
+    """Return the name and the unit, or None, of a column's head such as `wake_pressure [Pa]`."""
+    match = re.fullmatch(r"(.*?)\[(.*)\]", cell.strip())
+    return (match[1].strip(), match[2].strip()) if match else (cell.strip(), None)
 
 
 def column_of(case: Case, name: str) -> Column:
-    """Return what a column's values are. Raises ValueError for a name of nothing measured."""
+    """Return the column with a name. Raises ValueError if the case has no such measurement."""
     known = AT_PLACE | case.scene.columns
     for measured, each in case.scene.oscillations.items():
         known |= {
@@ -225,14 +225,14 @@ def column_of(case: Case, name: str) -> Column:
         }
     if name not in known:
         raise ValueError(
-            f"column {quoted(name)} is nothing that the case measures over time; "
-            f"{nearest(name, known)}; {', '.join(AT_PLACE)} go with columns x and y, the place"
+            f"column {quoted(name)} is not a measurement of the case over time; "
+            f"{nearest(name, known)}; {', '.join(AT_PLACE)} need columns x and y for the place"
         )
     return known[name]
 
 
 def _number(text: str, name: str, line: int) -> float:
-    """Return a cell's number, NaN for a value that wasn't measured."""
+    """Return the number of a cell, NaN for a missing value."""
     try:
         value = float(text or "nan")
     except ValueError:
@@ -245,7 +245,7 @@ def _number(text: str, name: str, line: int) -> float:
 
 
 def _history(key: Key, entries: Sequence[Entry], noise: float | None) -> History:
-    """Return a history in the order of time, with its noise."""
+    """Return a history in order of time, with its noise."""
     column_name, column, place = key
     name = column_name if place is None else f"{column_name} at ({place[0]:g}, {place[1]:g})"
     time, value, deviation = np.array(sorted(entries)).T
@@ -255,14 +255,14 @@ def _history(key: Key, entries: Sequence[Entry], noise: float | None) -> History
         deviation = np.where(unknown, share, deviation)
     if not (deviation >= LEAST_NOISE).all():
         raise ValueError(
-            f"{name} has no noise, or none that counts: give a column {column_name}{NOISE}, or "
-            "--noise 1% of the history's range, in Python noise='1%'"
+            f"{name} has no noise, or too little; give a column {column_name}{NOISE}, or a share "
+            "of the history's range, --noise 1% (in Python, noise='1%')"
         )
     return History(**vars(column), name=name, place=place, time=time, value=value, noise=deviation)
 
 
 def _require_times(histories: Sequence[History], plan: TimeSteps) -> None:
-    """Raise ValueError for instants that a run doesn't reach."""
+    """Raise ValueError for times that a run does not reach."""
     slack = TIME_TOLERANCE * plan.snapshot_interval
     for history in histories:
         for instant in (history.time[0], history.time[-1]):

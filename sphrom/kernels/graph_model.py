@@ -83,7 +83,9 @@ def rates(
     depth: float,
     gravity: float,
     viscosity: float,
+    growth: float,
     force_x: float,
+    force_y: float,
     closure: Array,
     mass: Array,
     work: Array,
@@ -94,6 +96,12 @@ def rates(
     p_x, p_y, p_xx, p_xy, p_yy = work[0], work[1], work[2], work[3], work[4]
     mass[:] = 0.0
     out[:] = 0.0
+    energy = 0.0  # Over the potential energy of a surface mode of unit amplitude.
+    for k in range(n_modes):
+        energy += state[k] * state[k] / (gravity * tables.norm)
+    for s in range(n_surface):
+        energy += state[n_modes + s] * state[n_modes + s]
+    gravity = gravity * (1.0 + growth * energy) - force_y
     for q in range(tables.weights.size):
         height, slope = depth, 0.0
         for s in range(n_surface):
@@ -208,7 +216,8 @@ def run_all(
 
     Parameters
     ----------
-    given : (n_runs, 3) depth [m], gravity [m/s2] and kinematic viscosity [m2/s].
+    given : (n_runs, 4) depth [m], gravity [m/s2], kinematic viscosity [m2/s], and the growth of
+        gravity with the square of the waves' amplitude [1/m2].
     force : (n_runs, 2 n_steps + 1, 2) [m/s2] at the steps and between.
     closure : (n_runs, n_modes + n_surface, n_modes + n_surface) [1/s].
     time_step : [s].
@@ -221,7 +230,7 @@ def run_all(
         mass, work = np.empty((n_modes, n_modes)), np.empty((5, n_modes))
         state, stage = states[run, 0].copy(), np.empty(n_all)
         rate, total = np.empty(n_all), np.empty(n_all)
-        depth, gravity, viscosity = given[run, 0], given[run, 1], given[run, 2]
+        depth, gravity, viscosity, growth = given[run]
         dt = time_step
         for step in range((n_snapshots - 1) * n_substeps):
             total[:] = 0.0
@@ -231,9 +240,9 @@ def run_all(
                 at = 2 * step + (part + 1) // 2
                 for i in range(n_all):
                     stage[i] = state[i] + ahead * rate[i]
-                weight = gravity - force[run, at, 1]
-                f_x = force[run, at, 0]
-                rates(tables, stage, depth, weight, viscosity, f_x, closure[run], mass, work, rate)
+                f_x, f_y = force[run, at]
+                given_now = depth, gravity, viscosity, growth, f_x, f_y
+                rates(tables, stage, *given_now, closure[run], mass, work, rate)
                 factor = dt / 3 if part in (1, 2) else dt / 6
                 for i in range(n_all):
                     total[i] += factor * rate[i]

@@ -37,17 +37,17 @@ class Probes:
 
     @property
     def on_line(self) -> slice:
-        """The indices of the line's points among all."""
+        """The slice of the line's points in `all`."""
         return slice(0, len(self.line))
 
     @property
     def on_grid(self) -> slice:
-        """The indices of the grid's points among all."""
+        """The slice of the grid's points in `all`."""
         return slice(len(self.line), len(self.line) + len(self.grid))
 
     @property
     def at_stations(self) -> slice:
-        """The indices of the stations among all."""
+        """The slice of the stations in `all`."""
         return slice(len(self.line) + len(self.grid), None)
 
     def picture(self, values: Array) -> Array:
@@ -80,6 +80,23 @@ class Samples:
         measured = {name: values[snapshots] for name, values in self.measured.items()}
         velocity, pressure = self.velocity[snapshots], self.pressure[snapshots]
         return Samples(self.time[: len(velocity)], velocity, pressure, measured)
+
+
+def without_weight(run: Samples, reference: Samples, weight: Array) -> tuple[Samples, Samples]:
+    """Return two runs with a free surface as they are compared: zero where one has no fluid.
+
+    Pressures are less those of fluid at rest, `weight` (n_probes,) [Pa].
+    """
+    common = slice(min(len(run.time), len(reference.time)))
+    run, reference = run.at(common), reference.at(common)
+    wet_in_run, wet_in_reference = (r.speed + np.abs(r.pressure) > 0.0 for r in (run, reference))
+    wet = wet_in_run & wet_in_reference
+
+    def compared(one: Samples) -> Samples:
+        velocity = np.where(wet[..., None], one.velocity, 0.0)
+        return Samples(one.time, velocity, np.where(wet, one.pressure - weight, 0.0))
+
+    return compared(run), compared(reference)
 
 
 def midpoints(lower: float, upper: float, n_points: int) -> Array:

@@ -41,9 +41,13 @@ from sphrom.reduction.held_out import (
     snapshot_products,
     unheld_shares,
 )
-from sphrom.reduction.memory_operators import project_memory_operators
 from sphrom.reduction.mode_fields import BLOCK_VALUES, FieldProjections, blocks, mode_fields
-from sphrom.reduction.operator_projection import project_forces, project_operators, residual_factor
+from sphrom.reduction.operator_projection import (
+    project_forces,
+    project_memory_operators,
+    project_operators,
+    residual_factor,
+)
 from sphrom.reduction.polynomial_model import step_limit
 from sphrom.reduction.reduced_measures import project_measures
 from sphrom.reduction.reduced_operators import MemoryOperators, ResidualFactor
@@ -314,9 +318,8 @@ class _Projection:
             mapped = map(self.workspace.mapped, self.trained)
             runs = [stack.enter_context(self.workspace.open(target)) for target in mapped]
             products = snapshot_products(self.basis, n_snapshots, scale, read(runs))
-        return unheld_shares(
-            products, scaled_parameters(self.case, self.trained), self.basis.n_modes
-        )
+        places = scaled_parameters(self.case, self.trained)
+        return unheld_shares(products, places, self.basis.n_modes)
 
     def _held_out(self, runs: Array | None, estimate: Estimate | None) -> HeldOut | None:
         """Return the numbers of modes that training runs determine for calibrated models.

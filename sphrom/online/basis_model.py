@@ -214,9 +214,8 @@ class BasisModel:
         return replace(model, leading=replace(leading, basis=self.basis))
 
     def _nearest(self, point: ParameterPoint) -> int:
-        distances = np.linalg.norm(
-            self.places - scaled_parameters(self.workspace.case, [point]), axis=1
-        )
+        place = scaled_parameters(self.workspace.case, [point])
+        distances = np.linalg.norm(self.places - place, axis=1)
         # Rounded, so that of equally near points every machine takes the first.
         return int(np.round(distances, 9).argmin())
 

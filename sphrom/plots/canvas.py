@@ -1,8 +1,8 @@
-"""The look that all plots share, and how a figure becomes a file.
+"""The common style of all figures, and functions to create and save a figure.
 
-Colours are those of Okabe and Ito, which colour-blind readers can tell apart; each also has its
-own line and marker. Figures are drawn by Agg, without a display, and matplotlib is loaded only
-when something is drawn.
+Colours are those of Okabe and Ito, which colour-blind readers can distinguish; each also has its
+own line style and marker. Agg draws figures without a display, and matplotlib is imported only when
+a figure is drawn.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 
 DOTS_PER_INCH = 150
 FORMATS = (".png", ".svg")
-"""What the names of figures may end in."""
+"""Suffixes of figure files."""
 LABELLED, LEAST_LABELS = ((1.0,), (1.0, 2.0, 5.0), (1.0, 2.0, 3.0, 4.0, 5.0, 7.0)), 3
-"""Multiples of decades that a logarithmic axis labels: the first that give it so many labels."""
+"""Multiples of decades to label on a logarithmic axis; the first set with enough labels is used."""
 PLAIN = (1e-4, 1e6)
-"""A logarithmic axis within these is labelled without powers of ten."""
+"""Range of a logarithmic axis that is labelled without powers of ten."""
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 DASHES: tuple[Any, ...] = (
     "-",
@@ -42,14 +42,14 @@ INK = "#222222"
 EXACT_COLOUR = "#9a9a9a"
 
 SOLID_COLOUR = "#c9c9c9"
-"""What is no fluid in a picture."""
+"""Colour of solids in pictures."""
 SPEED_MAP = "viridis"
 SIGNED_MAP = "RdBu_r"
 DIFFERENCE_MAP = "PuOr_r"
 
 
 def line_of(index: int) -> dict[str, Any]:
-    """Return the colour, line and marker of the reduced model of this index."""
+    """Return the colour, line style and marker of the reduced model with this index."""
     return {
         "color": COLOURS[index % len(COLOURS)],
         "linestyle": DASHES[(index + index // len(COLOURS)) % len(DASHES)],
@@ -58,21 +58,21 @@ def line_of(index: int) -> dict[str, Any]:
 
 
 def styled() -> AbstractContextManager[None]:
-    """Apply the shared look, the style sheet `figures.mplstyle`, while a figure is built."""
+    """Apply the style sheet `figures.mplstyle` while a figure is built."""
     import matplotlib
 
     return matplotlib.rc_context(fname=Path(__file__).with_name("figures.mplstyle"))
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Return an empty figure [inch] that needs no display."""
+    """Return an empty figure of a width and height [inch], which needs no display."""
     from matplotlib.figure import Figure as NewFigure
 
     return NewFigure(figsize=(width, height), layout="constrained")
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG or SVG, by how the file's name ends.
+    """Write a figure as PNG or SVG, by the suffix of the path.
 
     Raises ArtifactError when the file can't be written.
     """
@@ -85,7 +85,7 @@ def save(figure: Figure, path: Path) -> None:
 
 
 def plain_logarithmic(axis: Axis, low: float, high: float) -> None:
-    """Label decades of a logarithmic axis, or more, by numbers that are alike: plain, or powers."""
+    """Label a logarithmic axis with at least LEAST_LABELS numbers, all plain or all powers."""
     from matplotlib import ticker as of
 
     decades = (of.LogLocator(subs=subs) for subs in LABELLED)

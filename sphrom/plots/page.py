@@ -1,8 +1,8 @@
-"""One HTML page with all of its text, tables, figures and animations, and no links out.
+"""A self-contained HTML page with text, tables, figures and animations.
 
-The page asks for nothing over a network, and forbids it: `page.html` has its frame, style and
-scripts. All text is escaped, and control characters, which could turn the direction of their
-surroundings, are shown.
+The page makes no network requests, and its policy forbids them; `page.html` has the frame, style
+and scripts. All text is escaped, and control characters, which could reverse the direction of the
+text around them, are shown.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from sphrom.text import visible
 
 
 class Html(str):
-    """A part of a page that is markup already; other texts are escaped."""
+    """A part of a page that is already markup; other texts are escaped."""
 
 
 def element(tag: str, *content: str, **attributes: str) -> Html:
     """Return an element; content and the values of attributes are escaped unless they are Html.
 
-    An attribute called like a word of Python ends in an underscore, and others stand for a dash.
+    A final underscore, for names that are Python keywords, is removed; others become dashes.
     """
     named = "".join(
         f' {name.rstrip("_").replace("_", "-")}="{escape(value)}"'
@@ -36,31 +36,31 @@ def element(tag: str, *content: str, **attributes: str) -> Html:
 
 
 def escape(text: str, keep: str = "") -> Html:
-    """Return a text as HTML that shows it as it is."""
+    """Return HTML that shows a text unchanged."""
     return text if isinstance(text, Html) else Html(html_escape(visible(text, keep)))
 
 
 def listing(title: str, text: str) -> Html:
-    """Return a text to be unfolded, such as a case file."""
+    """Return a text that unfolds on a click, such as a case file."""
     return element("details", element("summary", title), element("pre", escape(text, keep="\n")))
 
 
 def picture(png: bytes, caption: str, described: str = "") -> Html:
-    """Return a PNG file with its caption, and what it shows in words; it opens large."""
+    """Return a PNG image with its caption and a description; a click enlarges it."""
     button = {"type": "button", "class_": "zoom", "title": "show large"}
     image = element("button", _image(png, described or caption), **button)
     return element("figure", image, element("figcaption", caption))
 
 
 def headline(figures: Sequence[tuple[str, str]], sentences: Sequence[str]) -> Html:
-    """Return figures that stand out, each after its name, and sentences about them."""
+    """Return highlighted figures, each with its name, and sentences about them."""
     boxes = [element("div", element("dt", name), element("dd", value)) for name, value in figures]
     text = (element("p", sentence) for sentence in sentences)
     return Html(element("dl", *boxes, class_="headline") + "".join(text))
 
 
 def table(caption: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> Html:
-    """Return a table of cells as they are to be shown; columns of text stand to the left."""
+    """Return a table; columns of text are aligned left."""
     columns = list(zip(*rows, strict=True)) or [()] * len(headings)
     first = (next((cell for cell in column if cell.strip("– ")), "") for column in columns)
     kinds = [{} if re.match(r"-?\d", cell) else {"class_": "text"} for cell in first]
@@ -75,7 +75,7 @@ def table(caption: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) 
 
 
 def legend(label: str, low: str, high: str, colours: Sequence[str]) -> Html:
-    """Return the colours of one scale of an animation."""
+    """Return the legend of a colour scale of an animation."""
     bar = element("i", style=f"background: linear-gradient(to right, {', '.join(colours)})")
     return element("span", f"{label}: {low}", bar, high, class_="scale")
 
@@ -88,10 +88,10 @@ def animation(
     caption: str,
     extent: Sequence[str] = ("", "", "", ""),
 ) -> Html:
-    """Return PNG files that are shown one after the other, under the heads of their columns.
+    """Return an animation of PNG images, with a head above each column of panels.
 
-    A slider and a button move it; without scripts the middle frame is shown. `extent` has the ends
-    of both axes of each panel: left, right, lower, upper [m].
+    A slider and a button control it; without scripts, the middle frame is shown. `extent` has the
+    ends of the axes of each panel: left, right, lower, upper [m].
     """
     middle, (left, right, lower, upper) = len(frames) // 2, extent
     encoded = [base64.b64encode(frame).decode("ascii") for frame in frames]
@@ -128,9 +128,9 @@ def render(
     footer: str,
     first: Sequence[Html] = (),
 ) -> str:
-    """Return the page of sections, titles and parts; those without parts are left out.
+    """Return a page of sections, each a title with parts; sections without parts are left out.
 
-    Parts that come `first` stand above all links.
+    The parts `first` are above the links to the sections.
     """
     shown = [(f"s{k}", *section) for k, section in enumerate(s for s in sections if s[1])]
     template = Template((files("sphrom.plots") / "page.html").read_text(encoding="utf-8"))
@@ -148,7 +148,7 @@ def render(
 
 
 def _axis(name: str, first: str, last: str, number: int) -> Html:
-    """Return the ends of an axis, and its name between them, for so many panels."""
+    """Return the ends of an axis, with its name between them, for a number of panels."""
     ends = element("span", *(element("i", text) for text in (first, f"{name} [m]", last)))
     return element("div", *[ends] * number, class_=f"axis {name}", aria_hidden="true")
 

@@ -1,9 +1,9 @@
-"""The grid of panels that figures are: pictures of fields, and curves.
+"""Figures as grids of panels, which are pictures of fields or axes with curves.
 
-Pictures take fields on a regular grid as (ny, nx), from below; where there is no fluid they are
-NaN, and grey. Where a frame knows its solids, their outline is drawn as it is, not in the steps of
-a grid. The full model and what was measured are always drawn in ink, the exact solution in grey,
-and a reduced model has the colour, line and marker of its place in the case in every figure.
+Pictures take fields on a regular grid (ny, nx), with rows from below, and NaN, drawn in grey,
+outside of the fluid. If a frame has solids, their exact outline is drawn instead of grid cells. In
+all figures the full model and measurements are black, the exact solution is grey, and a reduced
+model has the colour, line style and marker of its index in the case.
 """
 
 from __future__ import annotations
@@ -40,65 +40,65 @@ if TYPE_CHECKING:
 Extent = tuple[float, float, float, float]
 Range = tuple[float, float]
 Solids = tuple[Array, Array, Array]
-"""Where there is no fluid: x (nx,) and y (ny,) of pixels [m], and their signed distance (ny, nx)
-from walls [m], negative in the solid."""
+"""Solids as x (nx,) and y (ny,) of pixels [m], and their signed distance (ny, nx) from walls [m],
+negative in the solid."""
 Role = Literal["run", "full", "exact", "best", "level", "reference"]
 
 WIDEST = 12.0
-"""All pictures beside one another [inch]."""
+"""Largest total width of the pictures in a row [inch]."""
 PICTURE = 3.0
-"""Width of a picture, where there is room [inch]."""
+"""Largest width of a picture [inch]."""
 CURVES = (4.4, 3.2)
 """Width and height of a panel of curves [inch]."""
 LEAST_WIDTH = 7.5
-"""Of a figure [inch]."""
+"""Least width of a figure [inch]."""
 X_TICKS, AN_INCH, LETTERS = 4, 2, 5.0
-"""Labels along a picture, at most and an inch, and their size over its width: they stay apart."""
+"""Most labels along a picture, labels per inch, and their font size over its width."""
 EDGE = 0.06
-"""Left free below the labels of colour bars, which reach lower than they say [inch]."""
+"""Margin below the labels of colour bars, whose reported height is too small [inch]."""
 LETTER, MARGINS = 0.07, 0.6
-"""About the width of a letter of titles and legends, and of what stands beside a label [inch]."""
+"""Approximate width of a letter in titles and legends, and of a legend's handle [inch]."""
 BEYOND = 2.0
-"""How far a shared scale follows runs beyond the given range, over that range."""
+"""Largest extension of a shared scale beyond its given range, over that range."""
 SHOWN = (0.5, 99.5)
-"""Percentiles that a scale holds: a few points in corners would leave the rest no colour."""
+"""Percentiles at the ends of a scale; extremes in corners would take up most colours."""
 N_MARKERS, MOST_MARKERS = 12, 26
-"""Markers along a run's curve, and along a reference that is known at many points, about."""
+"""Approximate number of markers along a run's curve, and along a reference with many points."""
 LEAST_GAP = 0.05
-"""Between the labels of two marked numbers, over the width of the axis."""
+"""Least distance between the labels of marked numbers, over the width of the axis."""
 PIXELS_PER_SPACING = 3.0
 MAX_PIXELS = 400
-"""Along the longer side of a raster."""
+"""Most pixels along the longer side of a raster."""
 EXTENDED: Any = ("neither", "min", "max", "both")
-"""The ends that a colour bar is pointed at: neither, the lower, the upper, both."""
+"""The pointed ends of a colour bar: neither, the lower, the upper, both."""
 REACH = 1.1
-"""A pixel farther than this many spacings from any point lies outside of the fluid."""
+"""Distance from the nearest point, in spacings, above which a pixel is outside of the fluid."""
 LOOKS: dict[Role, dict[str, Any]] = {
     "exact": {"color": EXACT_COLOUR, "linewidth": 5.0},
     "full": {"color": INK, "linewidth": 2.2},
     "level": {"color": EXACT_COLOUR},
     "best": {"color": INK, "linestyle": ":"},
 }
-"""The first curves of roles other than reduced runs and references."""
+"""Styles of the first curves of all roles except reduced runs and references."""
 
 
 def cover(axes: Axes, solids: Solids) -> None:
-    """Draw solids over what a picture shows there."""
+    """Draw solids on top of a picture."""
     axes.contourf(*solids, levels=(-np.inf, 0.0), colors=[SOLID_COLOUR], zorder=0.5)  # above images
 
 
 @dataclass(frozen=True)
 class Frame:
-    """What of the plane a picture shows."""
+    """The part of the plane that a picture shows."""
 
     extent: Extent
     """Left, right, lower and upper edge [m]."""
     solids: Solids | None = None
 
     def raster(self, position: Array) -> Callable[[Array], Array]:
-        """Return the function that draws values at points (n_points, 2) [m] as a picture (ny, nx).
+        """Return a function that turns values at points (n_points, 2) [m] into pixels (ny, nx).
 
-        Each pixel shows the nearest point, NaN outside of the fluid.
+        Each pixel has the value of the nearest point, and NaN outside of the fluid.
         """
         left, right, lower, upper = self.extent
         sides = np.array([upper - lower, right - left])
@@ -116,32 +116,32 @@ class Field:
 
     title: str
     label: str
-    """Quantity and unit; fields of one label share a scale where they share one at all."""
+    """Quantity and unit; with shared scales, fields with equal labels share one."""
     values: Array
-    """(ny, nx), from below; NaN where there is no fluid."""
+    """(ny, nx), with rows from below; NaN outside of the fluid."""
     difference: bool = False
-    """Whether it is one of two fields: zero is in the middle of its scale."""
+    """Whether it is a difference of two fields, with zero in the middle of its scale."""
     complete: bool = True
-    """Whether its run reached this instant; a scale shared with others leaves it out if not."""
+    """Whether its run reached this time; otherwise a shared scale ignores it."""
 
 
 @dataclass(frozen=True)
 class Curve:
-    """A run's line or history; `reference` values are markers."""
+    """A curve, such as a profile or a history; with the role `reference`, only markers."""
 
     label: str
     x: Array
     y: Array
     role: Role = "run"
     interval: Array | None = None
-    """(2, n) low and high ends of a band around it."""
+    """(2, n) lower and upper ends of a band around the curve."""
     place: int | None = None
-    """A model's in its case, by which it looks; None counts the panel's curves of the role."""
+    """Index of the model in its case, which sets the style; None counts curves of the same role."""
 
 
 @dataclass(frozen=True)
 class Panel:
-    """Curves on axes of their own, drawn in this order."""
+    """Axes with curves, drawn in this order."""
 
     title: str
     x_label: str
@@ -149,7 +149,7 @@ class Panel:
     curves: Sequence[Curve]
     axes: Literal["linear", "logarithmic", "both logarithmic"] = "linear"
     marked: Sequence[int] = ()
-    """Numbers of modes with a vertical line, on logarithmic axes."""
+    """Numbers of modes that a vertical line marks, on logarithmic axes."""
 
 
 def draw_grid(
@@ -160,12 +160,12 @@ def draw_grid(
     title: str = "",
     beside: Panel | None = None,
 ) -> Figure:
-    """Return a figure of panels in rows; pictures need a frame.
+    """Return a figure with rows of panels; pictures need a frame.
 
-    Pictures of one label share a scale and a colour bar. `scales` are ranges that the scales of
-    some labels leave no farther than `BEYOND`, such as the full run's. Without them each picture
-    has a scale and a bar of its own. Curves have one legend below, or one in each panel where
-    they differ or stand beside pictures, as those `beside` all rows do. ValueError: no panel.
+    With `scales`, pictures with equal labels share a scale and a colour bar; `scales` has ranges by
+    label, such as those of the full run, which scales exceed at most by `BEYOND`. Without `scales`,
+    each picture has its own. Curves have one legend below, or one per panel if they differ or are
+    next to pictures, like the panel `beside` all rows. Raises ValueError without panels.
     """
     longest = [*max(rows, key=len, default=()), *([] if beside is None else [beside])]
     if not longest:
@@ -218,7 +218,7 @@ def _draw_pictures(
     width: float,
     scales: Mapping[str, Range] | None,
 ) -> None:
-    """Draw fields, and a colour bar below each, or below those that share a scale."""
+    """Draw fields, with a colour bar below each field or group that has a scale."""
     groups: dict[int | str, list[tuple[Axes, Field]]] = {}
     for number, (axes, field) in enumerate(pictures):
         groups.setdefault(number if scales is None else field.label, []).append((axes, field))
@@ -245,8 +245,8 @@ def _draw_pictures(
         ends = 1 * bool((values < scale[0]).any()) + 2 * bool((values > scale[1]).any())
         panels = [axes for axes, _ in group]
         n_columns = len({round(axes.get_position().x0, 3) for axes in panels})
-        told = label if scales is not None else ""
-        _bar_below(figure, image, panels, told, 18 * n_columns, EXTENDED[ends])
+        bar_label = label if scales is not None else ""
+        _bar_below(figure, image, panels, bar_label, 18 * n_columns, EXTENDED[ends])
         image.colorbar.ax.tick_params(labelsize=min(rcParams["xtick.labelsize"], LETTERS * width))
 
 
@@ -255,23 +255,23 @@ def _is_signed(field: Field) -> bool:
 
 
 def colour_scale(fields: Sequence[Field], scales: Mapping[str, Range] = {}) -> tuple[str, Range]:
-    """Return the colours of fields of one label, as matplotlib calls them, and their ends."""
+    """Return matplotlib's name of the colour map of fields with one label, and its range."""
     deciding = [field for field in fields if field.complete] or fields
-    known = [field.values[np.isfinite(field.values)] for field in deciding]
-    ranges = np.array([np.percentile(v, SHOWN) if len(v) else (0.0, 1.0) for v in known])
+    finite = [field.values[np.isfinite(field.values)] for field in deciding]
+    ranges = np.array([np.percentile(v, SHOWN) if len(v) else (0.0, 1.0) for v in finite])
     low, high = float(ranges[:, 0].min()), float(ranges[:, 1].max())
     if fields[0].label in scales:
         least, most = scales[fields[0].label]
         reach = BEYOND * (most - least)
         low, high = max(low, least - reach), min(high, most + reach)
-    if fields[0].difference or low < 0.0 < high:  # fields that change their sign are about zero
+    if fields[0].difference or low < 0.0 < high:  # scales with both signs are symmetric
         largest = max(-low, high) or 1.0
         return DIFFERENCE_MAP if fields[0].difference else SIGNED_MAP, (-largest, largest)
     return SPEED_MAP, (low, high) if high > low else (low - 0.5, high + 0.5)
 
 
 def _show(axes: Axes, frame: Frame, field: Array, colours: str, scale: Range) -> Any:
-    """Draw a field (ny, nx) into axes, with a colour map and the ends of its scale."""
+    """Draw a field (ny, nx) into axes, with a colour map and its range."""
     axes.set_facecolor(SOLID_COLOUR)
     shown = field if frame.solids is None else _continued(field)
     image = axes.imshow(
@@ -284,7 +284,7 @@ def _show(axes: Axes, frame: Frame, field: Array, colours: str, scale: Range) ->
 
 
 def _continued(field: Array) -> Array:
-    """Return a field (ny, nx) whose NaN have the value of the nearest pixel that has one."""
+    """Return a field (ny, nx) whose NaN are replaced by the value of the nearest other pixel."""
     missing = np.isnan(field)
     if missing.all():
         return field
@@ -295,9 +295,9 @@ def _continued(field: Array) -> Array:
 def _bar_below(
     figure: Figure, image: Any, panels: Any, label: str, aspect: int, extended: Any
 ) -> None:
-    """Draw a colour bar under panels; `aspect` in proportion to their width gives one height.
+    """Draw a colour bar under panels; an `aspect` proportional to their width gives equal heights.
 
-    Its labels are sparse, with a common factor beside the unit instead of long numbers.
+    It has few labels, and a common factor beside the unit instead of long numbers.
     """
     from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
@@ -309,12 +309,12 @@ def _bar_below(
     bar.locator, bar.formatter = MaxNLocator(aspect // 6), numbers
     bar.update_ticks()
     numbers.format_ticks(list(bar.get_ticks()))
-    bar.set_label(f"{label} {numbers.get_offset()}".strip(), loc="left")  # where neither hides
+    bar.set_label(f"{label} {numbers.get_offset()}".strip(), loc="left")  # avoids an overlap
     bar.ax.xaxis.get_offset_text().set_visible(False)
 
 
 def _look(curve: Curve, index: int) -> dict[str, Any]:
-    """Return how a curve of this index among those of its role is drawn."""
+    """Return the style of a curve, from its role and its index among curves of this role."""
     if curve.role in LOOKS:
         later = {"color": "#777777", "linestyle": DASHES[index % len(DASHES)]}
         return later if index else LOOKS[curve.role]
@@ -322,7 +322,7 @@ def _look(curve: Curve, index: int) -> dict[str, Any]:
     if curve.role == "reference":
         look |= {"linestyle": "none", "markevery": max(1, n_points // MOST_MARKERS)}
         return look if curve.place is not None else look | {"color": INK}
-    # Markers of several models never hide one another.
+    # Markers of different models start at different points, so they do not overlap.
     spacing = max(1, n_points // N_MARKERS)
     return look | {"linewidth": 1.3, "markevery": (index * spacing // 4 % spacing, spacing)}
 
@@ -330,7 +330,7 @@ def _look(curve: Curve, index: int) -> dict[str, Any]:
 def _draw_curves(axes: Axes, panel: Panel) -> None:
     drawn: Counter[str] = Counter()
     for curve in panel.curves:
-        # Zeros have no place on a logarithmic axis.
+        # A logarithmic axis can't show zeros.
         y = np.where(curve.y > 0.0, curve.y, np.nan) if "log" in panel.axes else curve.y
         look = _look(curve, drawn[curve.role] if curve.place is None else curve.place)
         drawn[curve.role] += 1
@@ -353,7 +353,7 @@ def _draw_curves(axes: Axes, panel: Panel) -> None:
 
 
 def _mark(axes: Axes, numbers: Sequence[int]) -> None:
-    """Draw a vertical line at numbers of modes, labelled where no other label stands."""
+    """Draw a vertical line at numbers of modes, with a label unless it overlaps another one."""
     low, high = np.log(axes.get_xlim())
     last = -np.inf
     for number in sorted(numbers):
@@ -365,6 +365,6 @@ def _mark(axes: Axes, numbers: Sequence[int]) -> None:
         above: Any = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points"}
         # The first label ends over its line, so that it is as far from the second as numbers are.
         above |= {"xytext": (6 * first, 2), "ha": "right" if first else "center"}
-        told = f"M = {number}" if first else f"{number}"
-        axes.annotate(told, (number, 1.0), fontsize=8.0, **above)
+        label = f"M = {number}" if first else f"{number}"
+        axes.annotate(label, (number, 1.0), fontsize=8.0, **above)
         last = place

@@ -1,9 +1,9 @@
 """Tables as CSV and JSON, from rows that are instances of one frozen record.
 
-A field of the record may carry `metadata={"unit": "%"}`; its CSV heading is then `name [%]`. One
-with `metadata=columns(...)` maps the names of several columns to their figures.
-A figure that a row does not have, such as the error of an unstable run, is None: an empty cell in
-CSV, null in JSON. NaN and infinities are refused.
+A field of the record may have `metadata={"unit": "%"}`; its CSV heading is then `name [%]`. A field
+with `metadata=columns(...)` maps names of several columns to their figures. A missing figure, such
+as the error of an unstable run, is None: an empty cell in CSV, null in JSON. NaN and infinities are
+refused.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 MOST_BYTES = 64 * 1024 * 1024
-"""The largest table that is read."""
+"""Largest size of a table [bytes]."""
 MISSING = "–"
-"""Shown for a figure that does not exist."""
+"""Text for a figure that does not exist."""
 UNKNOWN = "unknown"
-"""Shown for a figure that is unknown."""
+"""Text for an unknown figure."""
 PLAIN_RANGE = (1e-3, 1e7)
-"""Figures of a size in this range are written without an exponent."""
+"""Range of absolute values that are written without an exponent."""
 
 
 def columns(names: Iterable[str], unit: str | None = None) -> dict[str, dict[str, str | None]]:
@@ -45,7 +45,7 @@ def columns(names: Iterable[str], unit: str | None = None) -> dict[str, dict[str
 def rows_of_columns(
     units: Mapping[str, str | None], rows: Iterable[Mapping[str, Any]]
 ) -> list[DataclassInstance]:
-    """Return rows of one record, of columns that a case has, from their cells by column."""
+    """Return rows with columns that depend on the case, from their cells by column."""
     cells = field(metadata={"columns": dict(units)})
     kind = make_dataclass("Row", [("cells", Mapping[str, Any], cells)], frozen=True)
     return [kind(row) for row in rows]
@@ -60,19 +60,19 @@ def _columns(record: type[DataclassInstance]) -> dict[str, dict[str, str | None]
 
 
 def headings(record: type[DataclassInstance]) -> list[str]:
-    """Return the heading of every column of a record, with its unit where it has one."""
-    found = [pair for each in _columns(record).values() for pair in each.items()]
-    return [f"{name} [{unit}]" if unit else name for name, unit in found]
+    """Return the headings of all columns of a record, with their units, if any."""
+    pairs = [pair for each in _columns(record).values() for pair in each.items()]
+    return [f"{name} [{unit}]" if unit else name for name, unit in pairs]
 
 
 def flat(row: DataclassInstance) -> dict[str, Any]:
     """Return the values of a row, by column."""
-    found: dict[str, Any] = {}
+    cells: dict[str, Any] = {}
     for name, parts in _columns(type(row)).items():
         value = getattr(row, name)
-        given = value if isinstance(value, Mapping) else {name: value}
-        found |= {part: given[part] for part in parts}
-    return found
+        values = value if isinstance(value, Mapping) else {name: value}
+        cells |= {part: values[part] for part in parts}
+    return cells
 
 
 def _rows_of(record: type[DataclassInstance], rows: Any) -> list[Any]:
@@ -80,7 +80,7 @@ def _rows_of(record: type[DataclassInstance], rows: Any) -> list[Any]:
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
         raise ValueError("a table has no rows")
     types = get_type_hints(record)
-    found = []
+    instances = []
     for row in rows:
         values: dict[str, Any] = {}
         for name, parts in _columns(record).items():
@@ -91,15 +91,15 @@ def _rows_of(record: type[DataclassInstance], rows: Any) -> list[Any]:
                 if part not in row or not isinstance(row[part], allowed):
                     raise ValueError(f"{part} of a row is {row.get(part, 'missing')!r}")
             values[name] = {part: row[part] for part in parts} if several else row[name]
-        found.append(record(**values))
-    return found
+        instances.append(record(**values))
+    return instances
 
 
 def write_csv(path: Path, rows: Sequence[DataclassInstance]) -> None:
-    """Write rows of one record as CSV, a heading first, figures to full precision.
+    """Write rows of one record as CSV, with a heading, and figures with full precision.
 
-    Raises ValueError for no rows or a figure that is not finite, ArtifactError when the file can't
-    be written.
+    Raises ValueError without rows and for figures that aren't finite, ArtifactError when the file
+    can't be written.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -109,16 +109,16 @@ def write_csv(path: Path, rows: Sequence[DataclassInstance]) -> None:
 
 
 def _cell(value: object) -> object:
-    """Return a cell without control characters, which a terminal that shows the file obeys."""
+    """Return a cell without control characters, which would affect a terminal."""
     if isinstance(value, float):
         return value if math.isfinite(value) else _finite(repr(value))
     return visible(value) if isinstance(value, str) else value
 
 
 def _finite(text: str) -> float:
-    """Return a figure. Raises ValueError for one that isn't finite."""
+    """Return the number of a text. Raises ValueError unless it is finite."""
     if not math.isfinite(value := float(text)):
-        raise ValueError(f"{text} is no figure for a table; use None where there is none")
+        raise ValueError(f"{text} is not allowed in a table; use None for a missing figure")
     return value
 
 
@@ -129,9 +129,9 @@ def write_json(
     threads: int,
     **more: Any,
 ) -> None:
-    """Write named tables as one JSON object, before them case, software, date, threads and `more`.
+    """Write named tables as one JSON object, after an entry `about` with metadata and `more`.
 
-    Raises ValueError for a figure that is not finite, ArtifactError when the file can't be written.
+    Raises ValueError for figures that aren't finite, ArtifactError when the file can't be written.
     """
     document: dict[str, Any] = {name: [flat(row) for row in rows] for name, rows in tables.items()}
     date = datetime.now(UTC).isoformat(timespec="seconds")
@@ -143,17 +143,17 @@ def write_json(
 def read_csv(
     path: Path, made_by: str, record: type[DataclassInstance] | None = None
 ) -> tuple[list[str], list[list[str]]]:
-    """Return the headings and the rows of a table, of a record where that is known.
+    """Return the headings and the rows of a table, whose columns must be those of `record`.
 
-    Raises ArtifactError, naming the command that makes it, when it is missing or damaged.
+    Raises ArtifactError, with the command that makes it, when it is missing or damaged.
     """
     with _explained(path, made_by):
         text = read_whole(path, MOST_BYTES).decode()
         head, *rows = csv.reader(io.StringIO(text, newline=""), strict=True)
         if not rows or {len(row) for row in rows} != {len(head)}:
-            raise ValueError("its rows are not of one length, or there are none")
+            raise ValueError("its rows differ in length, or it has none")
         if record is not None and head != headings(record):
-            raise ValueError("its columns are not those of the table")
+            raise ValueError("its columns are not those of this table")
         for name, *column in zip(head, *rows, strict=True):
             if name.endswith("]"):
                 _ = [_finite(cell) for cell in column if cell]
@@ -165,15 +165,15 @@ def read_json(
 ) -> dict[str, Any]:
     """Return the content of a file of `write_json`: `about`, and each table as a list of rows.
 
-    Rows are instances of their `records`, by table.
+    `records` are the records of the rows, by table.
 
-    Raises ArtifactError, naming the command that makes it, when it is missing or damaged.
+    Raises ArtifactError, with the command that makes it, when it is missing or damaged.
     """
     with _explained(path, made_by):
         text = read_whole(path, MOST_BYTES).decode()
         document = json.loads(text, parse_constant=_finite, parse_float=_finite)
         if not isinstance(document, dict) or not isinstance(document.get("about"), dict):
-            raise ValueError("it does not say what it is about")
+            raise ValueError("it has no entry about")
         for name, record in records.items():
             if name in document:
                 document[name] = _rows_of(record, document[name])
@@ -182,7 +182,7 @@ def read_json(
 
 @contextmanager
 def _explained(path: Path, made_by: str) -> Iterator[None]:
-    """Raise an ArtifactError for a table that is missing, damaged or foreign."""
+    """Raise ArtifactError for a missing, damaged or foreign table."""
     remedy = f"make it again with `{made_by} --force`"
     if not path.is_file():
         raise ArtifactError(f"{path} is missing, or not a file: {remedy}")
@@ -194,9 +194,9 @@ def _explained(path: Path, made_by: str) -> Iterator[None]:
 
 
 def format_figure(value: float | int | str | bool | None, digits: int = 3) -> str:
-    """Return a figure as a table shows it: floats to so many significant digits.
+    """Format a figure for a table, floats with a number of significant digits.
 
-    Whole numbers keep all of theirs, in groups of three; None is a dash.
+    Integers have all digits, in groups of three, and None is a dash.
     """
     if value is None:
         return MISSING

@@ -99,8 +99,17 @@ def _matrices(halves: Callable[[int], Array], time_step: float, n_states: int) -
     `halves` returns the integrals at a multiple of half the time between two states.
     """
     reached = [halves(2 * k) for k in range(1, n_states + 1)]
-    stages, links = _krogstad(halves(n_states), reached[-1], time_step)
-    ends = _parabola(np.stack(reached, axis=1), time_step)
+    half, whole = halves(n_states), reached[-1]
+    to_third, to_fourth = 4.0 * half[2] / time_step, 2.0 * whole[2] / time_step
+    # The weights of the start in the later stages, and those of stages in each other (Krogstad).
+    second, third = [half[0], half[1]], [half[0], half[1] - to_third]
+    fourth = [whole[0], whole[1] - to_fourth]
+    stages, links = np.array([second, third, fourth]), np.array([to_third, to_fourth])
+    # The weights of the start and of the three values that give a parabola, in the states.
+    power, phi_1, phi_2, phi_3 = np.stack(reached, axis=1)
+    phi_2, phi_3 = phi_2 / time_step, phi_3 / time_step**2
+    start = phi_1 - 3.0 * phi_2 + 4.0 * phi_3
+    ends = np.array([power, start, 4.0 * phi_2 - 8.0 * phi_3, 4.0 * phi_3 - phi_2])
     # Kernels sum over columns, so the index of the result comes last.
     n_modes = ends.shape[-1]
     return (
@@ -108,24 +117,6 @@ def _matrices(halves: Callable[[int], Array], time_step: float, n_states: int) -
         np.ascontiguousarray(links.transpose(0, 2, 1)),
         np.ascontiguousarray(ends.transpose(0, 3, 1, 2)).reshape(4, n_modes, -1),
     )
-
-
-def _parabola(at: Array, step: float) -> Array:
-    """Return weights (4, ...) that give states within a step from its start and a parabola.
-
-    `at` (4, ...) are the integrals at these states; the parabola is given by three values.
-    """
-    power, first, second, third = at[0], at[1], at[2] / step, at[3] / step**2
-    start = first - 3.0 * second + 4.0 * third
-    return np.array([power, start, 4.0 * second - 8.0 * third, 4.0 * third - second])
-
-
-def _krogstad(half: Array, whole: Array, step: float) -> tuple[Array, Array]:
-    """Return the weights of the start in the later stages, and those of stages in each other."""
-    to_third, to_fourth = 4.0 * half[2] / step, 2.0 * whole[2] / step
-    second, third = [half[0], half[1]], [half[0], half[1] - to_third]
-    fourth = [whole[0], whole[1] - to_fourth]
-    return np.array([second, third, fourth]), np.array([to_third, to_fourth])
 
 
 class LinearPart:

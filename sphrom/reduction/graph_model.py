@@ -28,7 +28,7 @@ from sphrom.declaration import Record, attribute, dataset, part
 from sphrom.kernels import graph_model as kernels
 from sphrom.reduction.stream_functions import DEGREE, StreamSpace, cosine_coordinates
 
-STEPS_A_PERIOD = 40
+STEPS_A_PERIOD = 24
 """Of the fastest mode of the elevation."""
 SLOPE_BEYOND_TRAINING, LEAST_DEPTH = 1.5, 0.05
 """The largest slope of a run over the largest trained, and the least depth over the mean depth."""
@@ -173,6 +173,8 @@ class GraphModel:
     """(n_modes + n_surface, n_modes + n_surface) [1/s], added to the rates."""
     gravity_factor: float = 1.0
     """Calibrated; it multiplies gravity in the rates, but neither in pressure nor in energies."""
+    gravity_growth: float = 0.0
+    """Of that factor, relative, with the square of the waves' amplitude [1/m2]."""
 
     @property
     def time_step(self) -> float:
@@ -181,6 +183,11 @@ class GraphModel:
         wave_numbers = np.arange(1, amplitudes.shape[1] + 1) * math.pi / self.basis.space.width
         squares = self.gravity * wave_numbers * np.tanh(wave_numbers * self.depth)
         return 2 * math.pi / math.sqrt(float((amplitudes @ squares).max())) / STEPS_A_PERIOD
+
+    @property
+    def given(self) -> tuple[float, float, float, float]:
+        """Depth, gravity, viscosity and the growth of gravity, as the kernels take them."""
+        return self.depth, self.gravity_factor * self.gravity, self.viscosity, self.gravity_growth
 
     @property
     def closure_matrix(self) -> Array:
@@ -195,12 +202,10 @@ class GraphModel:
     def rates(self, times: Array, coordinates: Array) -> Array:
         """Return the rates [1/s] of coordinates (n_times, n_modes + n_surface) at times [s]."""
         n_modes = len(self.basis.stream_modes)
-        tables, gravity = _tables(self.basis), self.gravity_factor * self.gravity
-        out = np.empty(coordinates.shape)
-        work = np.empty((n_modes, n_modes)), np.empty((5, n_modes))
+        tables, out = _tables(self.basis), np.empty(coordinates.shape)
+        work = self.closure_matrix, np.empty((n_modes, n_modes)), np.empty((5, n_modes))
         for own, state, (f_x, f_y) in zip(out, coordinates, self.force(times).T, strict=True):
-            given = self.depth, gravity - f_y, self.viscosity, f_x, self.closure_matrix
-            kernels.rates(tables, state, *given, *work, own)
+            kernels.rates(tables, state, *self.given, f_x, f_y, *work, own)
         return out
 
     def velocity(self, coordinates: Array, points: Array) -> Array:
@@ -339,7 +344,7 @@ def run_many(models: Sequence[GraphModel], times: Array, starts: Sequence[Array]
             basis.space.top - basis.space.bottom,
             LEAST_DEPTH,
         ),
-        np.array([(m.depth, m.gravity_factor * m.gravity, m.viscosity) for m in models]),
+        np.array([m.given for m in models]),
         np.stack([model.force(instants).T for model in models]),
         np.stack([model.closure_matrix for model in models]),
         n_substeps,

@@ -1,15 +1,26 @@
 """Training of reduced models below an elevation: their size, gravity and a linear closure.
 
-Sums over particles shift the frequency of waves by some thousandths, which adds up to a phase. A
-factor of gravity compensates for most of it. A closure, a matrix on the coordinates that is added
-to the rates, compensates for more, and for what the modes leave out. It is a ridge fit
+Sums over particles shift the frequency of waves by some thousandths, and of small waves by more
+than of large ones. The phase that adds up is the largest error of a model. A factor of gravity that
+changes with the square of the waves' amplitude compensates for it:
 
-    sum |<x' - f(x)> - C <x>|^2 + lambda n s^2 |C|^2
+    g (1 + alpha + beta A^2),    A^2 = |b|^2 + 2 |a|^2/(g L)
 
-of the residuals of projected snapshots x, averaged over a window that moves along each run, since
-sound between particles is too fast for the snapshots. C has no entries from the elevation to its
-own rates: those follow from the velocity. The penalty lambda is the one whose runs are nearest to
-the training runs, of those that leave the fluid at rest stable.
+The particles' mean level rises a little above the depth at the start; so does the calibrated
+model's depth.
+
+A closure, a matrix on the coordinates that is added to the rates, compensates for the modes that
+are left out. It has no entries from the elevation to the elevation's own rates. A closure does not
+carry over to other depths: training runs of several depths have none. Both the closure and the
+change of gravity minimise the relative differences between the model's runs and the projected
+training runs,
+
+    sum |x_model - x|^2 / sum |x|^2 + lambda (beta^2 + |C|^2)
+
+by Gauss-Newton steps. Residuals of rates would be faster to fit, but small errors of a residual
+may add up to a large phase. Both beta and the closure are relative to the size of the coordinates.
+The number of elevation modes is the one with the smallest errors of training runs: with few modes
+for the velocity, too many elevation modes have no restoring force and drift.
 """
 
 from __future__ import annotations
@@ -19,19 +30,18 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.optimize import minimize_scalar
 
 from sphrom.arrays import Array
 from sphrom.declaration import Record, attribute, dataset
-from sphrom.metrics.series import hat, moving_average
 from sphrom.reduction.graph_model import GraphModel, GraphRun, SurfaceBasis, run_many
 from sphrom.reduction.stream_functions import cosine_coordinates
 
-GRAVITY_FACTORS, GRAVITY_TOLERANCE = (0.97, 1.04), 2e-4
-PENALTIES = 10.0 ** np.arange(-5, 1)
-WINDOW = 2
-"""Half-width of the averages of residuals, in intervals of snapshots."""
+PENALTY = 1e-2
+"""lambda."""
+GRAVITY_STEPS, CLOSURE_STEPS = 3, 2
+"""Gauss-Newton steps with alpha and beta alone, and with all numbers."""
+DIFFERENCE = 1e-4
+"""Of the numbers, for derivatives of runs."""
 MOST_GROWTH = 1e-6
 """Of small waves about the fluid at rest, over the fastest frequency."""
 
@@ -60,7 +70,9 @@ class TrainedGraph(Record):
     """What training runs teach a model with one number of modes; errors are relative, in L2."""
 
     n_surface: int = attribute("1", "modes of the elevation")
+    rise: float = attribute("m", "of the mean level above the depth, in training runs")
     gravity_factor: float = attribute("1", "of gravity in the calibrated model")
+    gravity_growth: float = attribute("1/m2", "of gravity with the square of the waves' amplitude")
     closure: Array = dataset("rate coordinate", "1/s", "linear closure of the calibrated model")
     elevation_error: float = attribute("1", "of the elevation, calibrated")
     velocity_error: float = attribute("1", "of the velocity, calibrated")
@@ -88,7 +100,13 @@ class TrainedGraph(Record):
         plain = GraphModel(own, depth, gravity, viscosity, force)
         if not calibrated:
             return plain
-        return replace(plain, gravity_factor=self.gravity_factor, closure=self.closure)
+        return replace(
+            plain,
+            depth=depth + self.rise,
+            gravity_factor=self.gravity_factor,
+            gravity_growth=self.gravity_growth,
+            closure=self.closure,
+        )
 
 
 def train(
@@ -109,11 +127,8 @@ def train(
     found: dict[int, TrainedGraph] = {}
     for size in sizes:
         n_modes = min(size, basis.modes_above_noise)
-        candidates = [
-            _train(basis.reduced(n_modes, n_surface), runs, products)
-            for n_surface in range(1, min(n_modes, len(basis.surface_modes)) + 1)
-        ]
-        found[size] = min(candidates, key=_error)
+        same = (one for one in found.values() if one.n_modes == n_modes)
+        found[size] = next(same, None) or _train(basis, n_modes, runs, products)
         advance(1)
     return found
 
@@ -140,10 +155,16 @@ class _Projected:
     """Of velocities, for the model's modes."""
     cosines: Array
     """(n_snapshots, n_cosines) amplitudes of the elevation [m]."""
+    level: Array
+    """(n_snapshots,) mean of the elevation above the model's depth [m]."""
 
     @classmethod
     def of(
-        cls, basis: SurfaceBasis, run: TrainingRun, products: tuple[Array, Array, Array]
+        cls,
+        basis: SurfaceBasis,
+        run: TrainingRun,
+        products: tuple[Array, Array, Array],
+        rise: float,
     ) -> _Projected:
         n_modes = len(basis.stream_modes)
         matrices, sides, squares = products
@@ -151,8 +172,9 @@ class _Projected:
         velocities = np.linalg.solve(own[0], own[1][..., None])[..., 0]
         cosines = cosine_coordinates(run.elevation, basis.surface_modes.shape[1])
         coordinates = np.concatenate([velocities, cosines @ basis.surface_modes.T], axis=1)
-        model = GraphModel(basis, run.depth, run.gravity, run.viscosity, run.force)
-        return cls(run, model, coordinates, own, cosines)
+        model = GraphModel(basis, run.depth + rise, run.gravity, run.viscosity, run.force)
+        level = run.elevation.mean(axis=1) - basis.space.bottom - model.depth
+        return cls(run, model, coordinates, own, cosines, level)
 
     def runs(self, changes: Sequence[dict[str, Any]]) -> list[GraphRun]:
         """Return runs of changed models from the first snapshot."""
@@ -167,10 +189,10 @@ class _Projected:
         matrices, sides, squares = self.products
         n_done, n_modes = len(coordinates), sides.shape[1]
         a, b = coordinates[:, :n_modes], coordinates[:, n_modes:]
-        surface = np.sum(self.cosines**2, axis=-1)
+        surface = np.sum(self.cosines**2, axis=-1) + 2 * self.level**2
         elevation, velocity = 4 * surface, 4 * squares
         difference = b @ self.model.basis.surface_modes - self.cosines[:n_done]
-        elevation[:n_done] = np.sum(difference**2, axis=-1)
+        elevation[:n_done] = np.sum(difference**2, axis=-1) + 2 * self.level[:n_done] ** 2
         velocity[:n_done] += np.einsum("ti,tij,tj->t", a, matrices[:n_done], a) - (
             2 * np.sum(a * sides[:n_done], axis=-1) + 3 * squares[:n_done]
         )
@@ -179,82 +201,118 @@ class _Projected:
 
 
 def _train(
-    basis: SurfaceBasis, runs: Sequence[TrainingRun], products: Sequence[tuple[Array, Array, Array]]
+    basis: SurfaceBasis,
+    n_modes: int,
+    runs: Sequence[TrainingRun],
+    products: Sequence[tuple[Array, Array, Array]],
 ) -> TrainedGraph:
-    """Return the calibrated model with all modes of a basis."""
-    projected = [_Projected.of(basis, run, own) for run, own in zip(runs, products, strict=True)]
-    gravity_factor = _gravity_factor(projected)
-    closures = [np.zeros((len(projected[0].coordinates[0]),) * 2)]
-    closures += _closures(projected, gravity_factor)
-    changes = [{"gravity_factor": gravity_factor, "closure": closure} for closure in closures]
-    errors = _errors(projected, [{}, *changes])
-    best = 1 + int(np.argmin(np.linalg.norm(errors[1:], axis=1)))
-    names = "elevation_error", "velocity_error"
-    best_errors = np.mean([one.errors(one.coordinates) ** 2 for one in projected], axis=0) ** 0.5
+    """Return the calibrated model with the best number of elevation modes."""
+    bottom = basis.space.bottom
+    rise = float(np.mean([run.elevation.mean() - bottom - run.depth for run in runs]))
+
+    def fit_of(n_surface: int, rise: float) -> _Fit:
+        own, pairs = basis.reduced(n_modes, n_surface), zip(runs, products, strict=True)
+        return _Fit([_Projected.of(own, run, product, rise) for run, product in pairs])
+
+    n_most = min(n_modes, len(basis.surface_modes))
+    fits = [fit_of(count, rise).improved(GRAVITY_STEPS, 2) for count in range(1, n_most + 1)]
+    best = min(fits, key=lambda fit: float(np.linalg.norm(fit.errors(fit.numbers))))
+    one_depth = len({run.depth for run in runs}) == 1
+    fit = best.improved(CLOSURE_STEPS, len(best.numbers)) if one_depth else best
+    n_surface = len(fit.scale) - n_modes
+    plain = fit_of(n_surface, 0.0)
+    projections = [one.errors(one.coordinates) ** 2 for one in fit.projected]
+    calibrated, uncalibrated = fit.errors(fit.numbers), plain.errors(plain.numbers)
+    projected = np.sqrt(np.mean(projections, axis=0))
     return TrainedGraph(
-        n_surface=len(basis.surface_modes),
-        gravity_factor=gravity_factor,
-        closure=closures[best - 1],
-        **dict(zip(names, map(float, errors[best]), strict=True)),
-        **{f"uncalibrated_{name}": float(errors[0, k]) for k, name in enumerate(names)},
-        **{f"best_{name}": float(best_errors[k]) for k, name in enumerate(names)},
+        n_surface=n_surface,
+        rise=rise,
+        elevation_error=float(calibrated[0]),
+        velocity_error=float(calibrated[1]),
+        uncalibrated_elevation_error=float(uncalibrated[0]),
+        uncalibrated_velocity_error=float(uncalibrated[1]),
+        best_elevation_error=float(projected[0]),
+        best_velocity_error=float(projected[1]),
+        **fit.change(fit.numbers),
     )
 
 
-def _errors(projected: Sequence[_Projected], changes: Sequence[dict[str, Any]]) -> Array:
-    """Return errors (n_changes, 2) of models, root mean squares over training runs."""
-    squares = [[one.errors(run.coordinates) ** 2 for run in one.runs(changes)] for one in projected]
-    return np.asarray(np.sqrt(np.mean(squares, axis=0)))
+class _Fit:
+    """A fit of alpha, beta and the closure to training runs."""
 
+    def __init__(self, projected: Sequence[_Projected], numbers: Array | None = None) -> None:
+        self.projected = projected
+        coordinates = np.concatenate([one.coordinates for one in projected])
+        self.n_modes = projected[0].products[1].shape[1]
+        a, b = coordinates[:, : self.n_modes], coordinates[:, self.n_modes :]
+        parts = np.sqrt([np.mean(a**2), np.mean(b**2)])
+        self.scale = np.repeat(parts, [a.shape[1], b.shape[1]])
+        norm = projected[0].run.gravity * projected[0].model.basis.space.width / 2
+        self.amplitude = float(np.mean(np.sum(b**2, axis=1) + np.sum(a**2, axis=1) / norm))
+        free = np.ones((len(self.scale),) * 2, dtype=bool)
+        free[self.n_modes :, self.n_modes :] = False
+        self.entries = np.nonzero(free)
+        self.numbers = np.zeros(2 + free.sum()) if numbers is None else numbers
+        """alpha, beta and the closure's entries, relative to the coordinates' sizes."""
 
-def _gravity_factor(projected: Sequence[_Projected]) -> float:
-    def cost(factor: float) -> float:
-        return float(np.sum(_errors(projected, [{"gravity_factor": factor}]) ** 2))
+    def change(self, numbers: Array) -> dict[str, Any]:
+        """Return what numbers mean for a model."""
+        closure = np.zeros((len(self.scale),) * 2)
+        closure[self.entries] = numbers[2:]
+        return {
+            "gravity_factor": 1.0 + float(numbers[0]),
+            "gravity_growth": float(numbers[1] / (self.amplitude * (1.0 + numbers[0]))),
+            "closure": closure * self.scale[:, None] / self.scale,
+        }
 
-    options = {"xatol": GRAVITY_TOLERANCE}
-    found = minimize_scalar(cost, bounds=GRAVITY_FACTORS, method="bounded", options=options)
-    return float(found.x)
+    def errors(self, numbers: Array) -> Array:
+        """Return errors (2,) of elevation and velocity, root mean squares over training runs."""
+        change = self.change(numbers)
+        squares = [one.errors(one.runs([change])[0].coordinates) ** 2 for one in self.projected]
+        return np.asarray(np.sqrt(np.mean(squares, axis=0)))
 
+    def improved(self, n_steps: int, n_free: int) -> _Fit:
+        """Return the fit after steps with the leading numbers free, as long as they help."""
+        numbers, penalty = self.numbers, PENALTY
+        steps = np.concatenate([np.zeros((1, len(numbers))), DIFFERENCE * np.eye(len(numbers))])
+        for _ in range(n_steps):
+            given = numbers + steps[: 1 + n_free]
+            differences = self._differences(given)
+            slopes = (differences[1:] - differences[0]) / DIFFERENCE
+            cost = float(np.sum(differences[0] ** 2))
+            weights = np.full(n_free, penalty)
+            weights[0] = 0.0
+            right_side = slopes @ differences[0] + weights * numbers[:n_free]
+            step = np.linalg.solve(slopes @ slopes.T + np.diag(weights), right_side)
+            trial = numbers.copy()
+            trial[:n_free] -= step
+            if np.sum(self._differences(trial[None]) ** 2) < cost and self._is_stable(trial):
+                numbers = trial
+            else:
+                penalty *= 10
+        return _Fit(self.projected, numbers)
 
-def _closures(projected: Sequence[_Projected], gravity_factor: float) -> list[Array]:
-    """Return a closure for each penalty, of those that leave fluid at rest stable."""
-    n_modes = len(projected[0].model.basis.stream_modes)
-    states, residuals = [], []
-    for one in projected:
-        model = replace(one.model, gravity_factor=gravity_factor)
-        slopes = CubicSpline(one.run.times, one.coordinates)(one.run.times, 1)
-        residual = slopes - model.rates(one.run.times, one.coordinates)
-        states.append(moving_average(one.coordinates, hat(WINDOW)))
-        residuals.append(moving_average(residual, hat(WINDOW)))
-    x, r = np.concatenate(states), np.concatenate(residuals)
-    sizes = np.ones(x.shape[1])
-    for part in (slice(n_modes), slice(n_modes, None)):
-        sizes[part] = np.sqrt(np.mean(x[:, part] ** 2))
-    x = x / sizes
-    closures = []
-    for penalty in PENALTIES:
-        closure = np.zeros((x.shape[1],) * 2)
-        for rows, columns in (
-            (slice(n_modes), slice(None)),
-            (slice(n_modes, None), slice(n_modes)),
-        ):
-            own = x[:, columns]
-            matrix = own.T @ own + penalty * len(own) * np.eye(own.shape[1])
-            closure[rows, columns] = np.linalg.solve(matrix, own.T @ r[:, rows]).T / sizes[columns]
-        if _is_stable(projected[0].model, gravity_factor, closure):
-            closures.append(closure)
-    return closures
+    def _differences(self, given: Array) -> Array:
+        """Return relative differences (n_given, n) of runs from training runs, each number's."""
+        changes, out = [self.change(numbers) for numbers in given], []
+        for one in self.projected:
+            sizes = np.ones(len(self.scale))
+            for part in (slice(self.n_modes), slice(self.n_modes, None)):
+                sizes[part] = np.linalg.norm(one.coordinates[:, part])
+            missing = np.zeros((len(given), *one.coordinates.shape))
+            for own, run in zip(missing, one.runs(changes), strict=True):
+                own[: len(run.coordinates)] = run.coordinates
+            out.append(((missing - one.coordinates) / sizes).reshape(len(given), -1))
+        return np.concatenate(out, axis=1) / np.sqrt(len(self.projected))
 
-
-def _is_stable(plain: GraphModel, gravity_factor: float, closure: Array) -> bool:
-    """Whether small waves about fluid at rest don't grow."""
-    model = replace(
-        plain,
-        gravity_factor=gravity_factor,
-        closure=closure,
-        force=lambda times: np.zeros((2, len(times))),
-    )
-    small = 1e-6 * np.eye(len(closure))
-    jacobian = model.rates(np.zeros(len(small)), small) / 1e-6
-    values = np.linalg.eigvals(jacobian)
-    return bool(values.real.max() <= MOST_GROWTH * np.abs(values).max())
+    def _is_stable(self, numbers: Array) -> bool:
+        """Whether small waves about fluid at rest don't grow."""
+        model = replace(
+            self.projected[0].model,
+            force=lambda times: np.zeros((2, len(times))),
+            **self.change(numbers),
+        )
+        small = DIFFERENCE * np.diag(self.scale)
+        jacobian = model.rates(np.zeros(len(small)), small).T / (DIFFERENCE * self.scale)
+        values = np.linalg.eigvals(jacobian)
+        return bool(values.real.max() <= MOST_GROWTH * np.abs(values).max())

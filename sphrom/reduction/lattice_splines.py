@@ -58,7 +58,6 @@ class LatticeSplines(LatticeCoefficients, ModeSplines):
 
     @property
     def n_columns(self) -> int:
-        """Number of functions."""
         return self.coefficients.shape[2]
 
     def _fill(self, x: Array, y: Array, *out: Array) -> None:
@@ -66,12 +65,10 @@ class LatticeSplines(LatticeCoefficients, ModeSplines):
         sweep(x, y, self._lattice, self._flat, *out)
 
     def combine(self, coefficients: ArrayLike) -> LatticeSplines:
-        """Return splines of linear combinations of the columns."""
         # Row by row: one large product would use several threads.
         return replace(self, coefficients=self.coefficients @ np.asarray(coefficients))
 
     def first(self, n_modes: int) -> LatticeSplines:
-        """Return the splines of the first modes."""
         return replace(self, coefficients=self.coefficients[..., : 3 * n_modes].copy())
 
 

@@ -74,34 +74,25 @@ class CellSplines(Record):
         "component", "1", "number of cells along each direction", equation="Alg. 3.2"
     )
     cell_start: Indices = dataset(
-        "cell_boundary",
-        "1",
-        "first point of each cell's system, and one past the last",
+        "cell_boundary", "1", "first point of each cell's system, and one past the last",
         equation="Alg. 3.3",
-    )
+    )  # fmt: skip
     points: Array = dataset(
-        "component point",
-        "cell widths",
-        "points of each cell's system, from the cell's centre",
-        "x_G",
-        "Eq. 3.17",
-    )
+        "component point", "cell widths", "points of each cell's system, from the cell's centre",
+        "x_G", "Eq. 3.17",
+    )  # fmt: skip
     radial_weights: Array = dataset(
-        "column point",
-        "of the modes",
-        "weights of the radial functions, a column for each mode and field",
-        "xi",
-        "Eq. 3.19",
-    )
+        "column point", "of the modes",
+        "weights of the radial functions, a column for each mode and field", "xi", "Eq. 3.19",
+    )  # fmt: skip
     polynomial_weights: Array = dataset(
         "cell term column", "of the modes", "weights of the polynomial", "eta", "Eq. 3.19"
     )
     condition_number: Array = dataset(
-        "cell",
-        "1",
+        "cell", "1",
         "condition number of each cell's system; zero where a cell in the solid has none",
         equation="Eq. 3.19",
-    )
+    )  # fmt: skip
 
 
 class LatticeCoefficients(Record):
@@ -111,11 +102,10 @@ class LatticeCoefficients(Record):
         "component", "1", "number of reference points along each direction"
     )
     coefficients: Array = dataset(
-        "node_row node column",
-        "of the modes",
+        "node_row node column", "of the modes",
         "coefficients of the B-splines around each point, for each mode and field",
         equation="Eq. 3.20",
-    )
+    )  # fmt: skip
 
 
 def coordinates(positions: ArrayLike) -> tuple[Array, Array]:

@@ -257,19 +257,17 @@ class ParticleModel:
         return (self._without_advection(position, moved, full, time) - rates) / step
 
 
-def reduced_jacobian(
-    model: ParticleModel, state: Array, time: float = 0.0, step: float = 1e-6
-) -> Array:
+def reduced_jacobian(model: ParticleModel, state: Array, time: float = 0.0) -> Array:
     """Return the reduced rates' Jacobian (n_coordinates, n_coordinates) [1/s], by differences.
 
-    The step is relative to the size of the coordinates, or at rest to that of a flow at U_max.
+    The step is 1e-6 of the size of the coordinates, or at rest of that of a flow at U_max.
     """
     n = model.n_coordinates
     base = model.rates(state, time)[:n]
     functional = model.functional
     weights = model.product.weights(functional.volume(model.fields(state).density_fluctuation))
     of_flow = functional.fluid.max_speed * math.sqrt(float(np.sum(weights)))
-    change = step * (float(np.linalg.norm(state[:n])) or of_flow)
+    change = 1e-6 * (float(np.linalg.norm(state[:n])) or of_flow)
     jacobian = np.empty((n, n))
     for m in range(n):
         moved = state.copy()

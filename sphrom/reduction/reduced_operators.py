@@ -8,8 +8,7 @@ with factors theta_k of the parameters: 1 for the inertia (pressure, diffusion, 
 kinematic viscosity nu, nu again for moving walls, and the amplitude beta(t) of the body force. For
 driven walls the factor is nu beta(t). A parameter that drives the flow by walls or force has parts
 of its own; its value multiplies their factors. One set of operators serves all parameters.
-`sphrom.reduction.operator_projection` and `sphrom.reduction.memory_operators` make them; reduced
-runs need only these records.
+`sphrom.reduction.operator_projection` makes them; reduced runs need only these records.
 
 The norm of a model's residual costs no more than the model. A state with coordinates a has the
 rates R(a) at the fixed points. The model follows Phi da/dt, so its residual is R(a) - Phi da/dt.
@@ -52,6 +51,7 @@ _CLOSURE = (
     "rates that a closure with so many modes adds, per memory length, by power of the viscosity "
     "[m2/s]"
 )
+_LINEAR, _NORM = "direction linear_monomial", "of the inner product, /s"
 _LEFT_OUT = (
     "residual of the rates by {}: multiplied with monomials of coordinates, a vector with the norm "
     "of the residual"
@@ -130,13 +130,11 @@ class DriveResidual(Record):
     """The residual of the rates caused by one parameter."""
 
     walls: Array | None = dataset(
-        "direction linear_monomial", f"of the inner product, /s{WALLS}{VALUE}",
-        _LEFT_OUT.format("walls"), default=None,
-    )  # fmt: skip
+        _LINEAR, _NORM + WALLS + VALUE, _LEFT_OUT.format("walls"), default=None
+    )
     force: Array | None = dataset(
-        "direction linear_monomial", f"of the inner product, /s{FORCE}{VALUE}",
-        _LEFT_OUT.format("force"), default=None,
-    )  # fmt: skip
+        _LINEAR, _NORM + FORCE + VALUE, _LEFT_OUT.format("force"), default=None
+    )
 
 
 class ResidualFactor(Record):
@@ -145,20 +143,12 @@ class ResidualFactor(Record):
     Those of walls and force are of degree one at most; None if a scene lacks the part.
     """
 
-    inertia: Array = dataset(
-        "direction monomial", "of the inner product, /s", _LEFT_OUT.format("inertia")
-    )
+    inertia: Array = dataset("direction monomial", _NORM, _LEFT_OUT.format("inertia"))
     viscosity: Array = dataset(
-        "direction monomial", f"of the inner product, /s{VISCOSITY}", _LEFT_OUT.format("viscosity")
+        "direction monomial", _NORM + VISCOSITY, _LEFT_OUT.format("viscosity")
     )
-    walls: Array | None = dataset(
-        "direction linear_monomial", f"of the inner product, /s{WALLS}", _LEFT_OUT.format("walls"),
-        default=None,
-    )  # fmt: skip
-    force: Array | None = dataset(
-        "direction linear_monomial", f"of the inner product, /s{FORCE}", _LEFT_OUT.format("force"),
-        default=None,
-    )  # fmt: skip
+    walls: Array | None = dataset(_LINEAR, _NORM + WALLS, _LEFT_OUT.format("walls"), default=None)
+    force: Array | None = dataset(_LINEAR, _NORM + FORCE, _LEFT_OUT.format("force"), default=None)
     drives: Mapping[str, DriveResidual] = part(default_factory=dict)
     walls_driven: bool = False
     """Whether walls move with the amplitude."""

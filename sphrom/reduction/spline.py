@@ -206,7 +206,6 @@ class LocalSplines(CellSplines, ModeSplines):
 
     @property
     def n_columns(self) -> int:
-        """Number of functions."""
         return len(self.radial_weights)
 
     @property
@@ -227,7 +226,6 @@ class LocalSplines(CellSplines, ModeSplines):
         sweep(inside_x, inside_y, particle, start, self.grid, *kind, self._systems, scratch, *out)
 
     def combine(self, coefficients: ArrayLike) -> LocalSplines:
-        """Return splines of linear combinations of the columns."""
         factors = np.ascontiguousarray(coefficients, dtype=np.float64)
         radial = np.empty((factors.shape[1], self._systems.radial_weights.shape[1]))
         polyharmonic.combine(self._systems.radial_weights, factors, radial)
@@ -236,7 +234,6 @@ class LocalSplines(CellSplines, ModeSplines):
         )
 
     def first(self, n_modes: int) -> LocalSplines:
-        """Return the splines of the first modes."""
         radial = self.radial_weights[: 3 * n_modes].copy()  # frees the others
         polynomial = self.polynomial_weights[..., : 3 * n_modes].copy()
         return replace(self, radial_weights=radial, polynomial_weights=polynomial)

@@ -1,8 +1,8 @@
-"""Command `report`: one HTML page of a case, its runs and their results.
+"""Command `report`: one HTML page about a case, its runs and their results.
 
-The answer comes first, then what was predicted, and what was trained. The page holds the tables and
-figures of `contents.yaml`, which `compare` and other commands wrote, and an animation of a reduced
-beside the full run.
+The page begins with the main result, followed by predicted and by trained points. It contains the
+tables and figures listed in `contents.yaml`, which `compare` and other commands write, and an
+animation of a reduced run beside the full run.
 """
 
 from __future__ import annotations
@@ -54,21 +54,21 @@ Pixels = NDArray[np.uint8]
 
 PAGE = "report.html"
 SHOWN_VALUES = (1, 2, 3, 5, 10, 15, 20, 30, 50)
-"""Singular values that the table shows, counted from one."""
+"""Numbers of the singular values in the table, counted from one."""
 SHARE_DIGITS = 7
-"""Shares of modes differ from all in their last digits."""
+"""Digits of shares of modes, which differ from 100 % only in their last digits."""
 SHORT = 10
-"""Characters from which on a figure is rounded."""
+"""Number of characters from which on a figure is rounded."""
 N_FRAMES = 25
 GAP = 1
-"""White pixels between two panels."""
+"""Width of the white gap between panels, in pixels."""
 
 
 def run(context: StageContext) -> None:
     """Write the page beside the artifacts.
 
-    Raises ArtifactError when the comparison or a table is missing, damaged or no longer that of the
-    case, or the page can't be written.
+    Raises ArtifactError when the comparison or a table is missing, damaged or of another case, or
+    the page can't be written.
     """
     workspace = Workspace(context)
     workspace.require(workspace.comparison())
@@ -80,8 +80,8 @@ def run(context: StageContext) -> None:
     points = {"Predicted": case.plan.test_points, "Trained": case.plan.train_points}
     shown: dict[str, list[Html]] = {title: [] for title in points}
     for title, point in ((title, point) for title, some in points.items() for point in some):
-        named, told = _named(captions, point.file_label), _told(case, tables, point)
-        if pictures := list(_pictures(out / "plots", named, told=told)):
+        named, words = _named(captions, point.file_label), _errors_of(case, tables, point)
+        if pictures := list(_pictures(out / "plots", named, words=words)):
             shown[title] += element("h3", point.label), *pictures
     first = next((title for title, some in points.items() if some), "")
     shown[first] = [*animations(workspace), *shown[first]]
@@ -109,7 +109,7 @@ def run(context: StageContext) -> None:
     reduced = sum(len(case.plan.rom_points(model)) for model in case.rom)
     lead = (
         f"{case.scene.title}: full runs at {len(case.plan.points)} parameter values, "
-        f"{reduced} reduced runs, and how far they are from each other."
+        f"{reduced} reduced runs, and their differences."
     )
     first_parts = [] if answer is None else [_headline(answer)]
     page = render(case.name, lead, sections, footer, first_parts).encode()
@@ -134,17 +134,17 @@ def _headline(answer: Answer) -> Html:
 
 
 def _measure_captions(case: Case) -> dict[str, str]:
-    """Return the captions of the figures of what a case measures, by how their names begin."""
+    """Return the captions of the figures of measurements, by the prefix of their file names."""
     captions = {}
     for name, measured in case.scene.recorded.items():
         kind = "force" if measured.force_on is not None else "measure"
-        what = "along the line at the end" if measured.line is not None else "over time"
-        captions[f"{kind}-{name}"] = f"{name}, {what}: full and reduced."
+        axis = "along the line at the end" if measured.line is not None else "over time"
+        captions[f"{kind}-{name}"] = f"{name}, {axis}: full and reduced runs."
     return captions
 
 
-def _told(case: Case, tables: Tables, point: ParameterPoint) -> str:
-    """Return how far each model is off at a point, in words for who can't see figures."""
+def _errors_of(case: Case, tables: Tables, point: ParameterPoint) -> str:
+    """Describe the errors of each model at a point, for readers who can't see figures."""
     names = {model.name for model in case.rom}
     parts = [
         f"{row.compared} is off by {percent(error[0])} in velocity and {percent(error[1])} in "
@@ -162,13 +162,13 @@ def _named(captions: Mapping[str, str], place: str) -> dict[str, str]:
 
 
 def _pictures(
-    folder: Path, captions: Mapping[str, str], before: str = "", told: str = ""
+    folder: Path, captions: Mapping[str, str], before: str = "", words: str = ""
 ) -> Iterator[Html]:
-    """Yield the figures that were drawn, by file; `told` says what they show in words."""
+    """Yield the existing figures; `words` is added to their descriptions."""
     for name, caption in captions.items():
         if (folder / name).is_file():
             content = (folder / name).read_bytes()
-            yield picture(content, before + caption, before + caption + told)
+            yield picture(content, before + caption, before + caption + words)
 
 
 def _study(context: StageContext, study: Mapping[str, Any]) -> list[Html]:
@@ -178,7 +178,7 @@ def _study(context: StageContext, study: Mapping[str, Any]) -> list[Html]:
 
 
 def _sweeps(workspace: Workspace) -> Iterator[Html]:
-    """Yield of every sweep in the folder how its runs ended, and its figures."""
+    """Yield a summary and the figures of every sweep in the folder."""
     for path in sorted(workspace.out.glob("sweep-*.h5")):
         target = replace(workspace.sweep(), path=path)
         with open_artifact(path, target.schema, made_by=target.made_by) as artifact:
@@ -192,7 +192,7 @@ def _sweeps(workspace: Workspace) -> Iterator[Html]:
 
 
 def _tables(folder: Path, captions: Mapping[str, str], made_by: str) -> Iterator[Html]:
-    """Yield tables with few digits, without columns that hold nothing."""
+    """Yield tables with rounded figures, without empty columns."""
     for key, caption in captions.items():
         name, _, part = key.partition(" ")
         path, digits = folder / f"{name}.csv", 3
@@ -213,7 +213,7 @@ def _tables(folder: Path, captions: Mapping[str, str], made_by: str) -> Iterator
 
 
 def _cell(text: str, digits: int) -> str:
-    """Return a CSV's cell as a page shows it: short figures, such as parameters, are whole."""
+    """Format a cell of a CSV file; short figures, such as parameters, are not rounded."""
     for kind in (int, float):
         try:
             figure = format_figure(kind(text), digits)
@@ -224,7 +224,7 @@ def _cell(text: str, digits: int) -> str:
 
 
 def gradient(colours: str, n_colours: int = 9) -> list[str]:
-    """Return colours of one of matplotlib's maps, from the lowest value to the highest, for CSS."""
+    """Return colours of a colour map of matplotlib, from low to high values, for CSS."""
     from matplotlib import colormaps
     from matplotlib.colors import to_hex
 
@@ -232,9 +232,9 @@ def gradient(colours: str, n_colours: int = 9) -> list[str]:
 
 
 def paint(field: Array, colours: str, ends: tuple[float, float]) -> Pixels:
-    """Return a field (ny, nx), from below, as pixels (ny, nx, 3), from above.
+    """Return a field (ny, nx), with rows from below, as pixels (ny, nx, 3), with rows from above.
 
-    Where it is NaN there is no fluid.
+    NaN means no fluid.
     """
     from matplotlib import colormaps
     from matplotlib.colors import Normalize, to_rgba
@@ -245,7 +245,7 @@ def paint(field: Array, colours: str, ends: tuple[float, float]) -> Pixels:
 
 
 def as_png(rows: Sequence[Sequence[Pixels]]) -> bytes:
-    """Return a PNG file of panels of one size in rows, white between them."""
+    """Return a PNG image with rows of panels of equal size, with white gaps."""
     from matplotlib.image import imsave
 
     gap = ((0, GAP), (0, GAP), (0, 0))
@@ -256,9 +256,9 @@ def as_png(rows: Sequence[Sequence[Pixels]]) -> bytes:
 
 
 def animations(workspace: Workspace) -> Iterator[Html]:
-    """Yield an animation of the first reduced run that ended well, where one did.
+    """Yield an animation of the first complete reduced run, if there is one.
 
-    A predicted parameter value comes before a trained one, a fast model before others.
+    Predicted points come before trained ones, and fast models before others.
     """
     plan = workspace.case.plan
     for point in (*plan.test_points, *plan.train_points):
@@ -294,6 +294,6 @@ def _animation(workspace: Workspace, name: str, point: ParameterPoint, reduced: 
         extent=[f"{end:g}" for end in frame_of(workspace.case).extent],
         legends=legends,
         caption=f"{point.label}: speed above, pressure below; full run, {name}, and their "
-        f"difference, from t = {times[chosen[0]]:.4g} s to {times[chosen[-1]]:.4g} s. Colours mean "
-        f"the same in all frames; the {SHOWN[0]:g} % of values at either end share the last.",
+        f"difference, from t = {times[chosen[0]]:.4g} s to {times[chosen[-1]]:.4g} s. All frames "
+        f"have the same colour scale; the extreme {SHOWN[0]:g} % at either end share one colour.",
     )

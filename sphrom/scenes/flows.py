@@ -127,19 +127,15 @@ class CustomFlow(Scene):
 
     @property
     def domain(self) -> Domain:
-        """The domain of the fluid."""
         return self.where
 
     def initial_velocity(self, position: Array) -> Array:
-        """Return the velocity (n_particles, 2) [m/s] at the start."""
         return self.start(position)[:, :2]
 
     def initial_pressure(self, position: Array) -> Array:
-        """Return the pressure (n_particles,) [Pa] at the start."""
         return self.start(position)[:, 2]
 
     def wall_velocity(self, position: Array) -> Array:
-        """Return the velocity (n_ghosts, 2) [m/s] of the walls of ghosts at (n_ghosts, 2) [m]."""
         velocity = np.zeros_like(position)
         if self.wall_velocities:
             names = np.array(self.where.wall_names)[self.where.nearest_wall(position)]
@@ -172,11 +168,9 @@ class TaylorGreen(Scene):
         return replace(self, pressure_sign=1.0)
 
     def initial_velocity(self, position: Array) -> Array:
-        """Return the velocity (n_particles, 2) [m/s] at the start."""
         return self.velocity(position, 0.0)
 
     def initial_pressure(self, position: Array) -> Array:
-        """Return the pressure (n_particles,) [Pa] at the start."""
         return self.pressure(position, 0.0)
 
     @property

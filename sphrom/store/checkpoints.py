@@ -228,9 +228,8 @@ class Checkpoints:
         n_parts = book.n_parts + (n_pending > 0)
         if n_pending:
             items = book.pending[:n_pending]
-            with self._workspace.create_intermediate(
-                self._part(n_parts), {"number": n_parts}
-            ) as artifact:
+            target, about = self._part(n_parts), {"number": n_parts}
+            with self._workspace.create_intermediate(target, about) as artifact:
                 for name in items[0]:
                     artifact.write(name, np.array([item[name] for item in items]))
         kept = Checkpoint(

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sphrom.arrays import Array, Mask
+from sphrom.arrays import Array
 from sphrom.artifacts import Artifact
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
@@ -62,29 +62,23 @@ def sample_run(
     points: Array,
     advance: Callable[[int], None] = lambda done: None,
     snapshots: Sequence[int] | None = None,
-    surface: Array | None = None,
 ) -> Samples:
     """Sample the particles of a run at points (n_points, 2) [m], at some or all snapshots.
 
-    A run that became unstable is sampled as long as there are particles near all points. Above a
-    surface at heights y (n_snapshots, n_points) [m], velocity and pressure are zero.
+    A run that became unstable is sampled as long as there are particles near all points.
     """
     times, sample = trajectory.read("time"), sampler(case, points)
     chosen = range(len(times)) if snapshots is None else snapshots
-    velocities = np.zeros((len(chosen), len(points), 2))
-    pressures = np.zeros((len(chosen), len(points)))
-    wet: slice | Mask = slice(None)
+    velocities = np.empty((len(chosen), len(points), 2))
+    pressures = np.empty((len(chosen), len(points)))
     for i, snapshot in enumerate(chosen):
-        if surface is not None:
-            wet = points[:, 1] <= surface[snapshot]
-            sample = sampler(case, points[wet])
         try:
-            density, velocities[i, wet] = sample(*snapshot_fields(trajectory, snapshot))
+            density, velocities[i] = sample(*snapshot_fields(trajectory, snapshot))
         except ValueError as error:
             if trajectory.text("status") == "complete":
                 raise ArtifactError(f"{trajectory.path}, snapshot {snapshot}: {error}") from error
             return Samples(times[chosen[:i]], velocities[:i], pressures[:i])
-        pressures[i, wet] = pressure_of(density, case.plan.sound_speed)
+        pressures[i] = pressure_of(density, case.plan.sound_speed)
         advance(1)
     return Samples(times[chosen], velocities, pressures)
 
@@ -136,7 +130,9 @@ def sample_best(
     """
     densities, velocities = mapped.dataset("density_fluctuation"), mapped.dataset("velocity")
     snapshots = zip(densities, velocities, strict=True)
-    parts = [(project(basis, d, 0.0 * v), project(basis, 0.0 * d, v)) for d, v in snapshots]
+    # Where modes hold the mean density, a state of none has coordinates too: they count once.
+    rest = project(basis, 0.0 * densities[0], 0.0 * velocities[0])
+    parts = [(project(basis, d, 0.0 * v), project(basis, 0.0 * d, v) - rest) for d, v in snapshots]
     by_density, by_velocity = (np.array(part) for part in zip(*parts, strict=True))
     share = (basis.density_modes * basis.weights) @ basis.density_modes.T
     shares = (share, by_density), (np.eye(basis.n_modes) - share, by_velocity)

@@ -22,7 +22,7 @@ from sphrom.reduction.trial_basis import TrialBasis, reconstruct, truncate
 from sphrom.setup.assembly import surface_columns
 from sphrom.sph.fluid import fluctuation_of, pressure_of
 from sphrom.store.sampling import Samples, expand, sample_run
-from sphrom.store.surfaces import SurfaceModelAt, surface_of, trained_surface
+from sphrom.store.surfaces import SurfaceModelAt, trained_surface
 from sphrom.store.trained_models import basis_used, read_basis, read_modes, read_points
 from sphrom.store.trajectory import read_quantities
 from sphrom.store.workspace import Workspace
@@ -131,10 +131,7 @@ class StoredRun:
         case, run = self._workspace.case, self._run
         chosen = range(len(self.time)) if snapshots is None else snapshots
         if self._rebuilt is None:
-            surface = None
-            if self._has_surface:
-                surface = surface_of(self._workspace, self._point, points[:, 0])
-            return sample_run(case, run, points, advance, chosen, surface)
+            return sample_run(case, run, points, advance, chosen)
         if self._has_surface:
             return self._graph.sampled(points, self.time[chosen], self._coordinates[chosen])
         basis, splines = read_modes(self._workspace, *self._used)

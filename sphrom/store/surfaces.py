@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sphrom.arrays import Array
-from sphrom.artifacts import Artifact, read_record
+from sphrom.artifacts import read_record
 from sphrom.artifacts.records.surfaces import SurfaceModels
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
@@ -69,7 +69,7 @@ class SurfaceModelAt:
 
 @dataclass(frozen=True)
 class TrainedSurface:
-    """A trained model, which can be had at any parameter point."""
+    """A trained model, which can be evaluated at any parameter point."""
 
     workspace: Workspace
     section: ReducedModelSection
@@ -125,20 +125,6 @@ def elevation_of(case: Case, space: StreamSpace, columns: Array) -> Callable[[Ar
         return find_elevation(position, volume, columns, radius, walls)
 
     return find
-
-
-def surface_of(workspace: Workspace, point: ParameterPoint, x: Array) -> Array:
-    """Return the height of a full run's surface (n_snapshots, n_places) [m] at places x [m]."""
-    columns = surface_columns(workspace.case)
-    with workspace.open(workspace.mapped(point)) as mapped:
-        elevation = mapped.read("elevation")
-    return np.stack([np.interp(x, columns, heights) for heights in elevation])
-
-
-def sample_mapped_surface(mapped: Artifact, points: Array) -> tuple[Array, Array]:
-    """Return time [s] and velocity (n_snapshots, n_points, 2) [m/s] of mapped snapshots."""
-    space = read_record(mapped, StreamSpace, "space")
-    return mapped.read("time"), space.velocity(mapped.read("stream_function"), points)
 
 
 def dried(samples: Samples, points: Array, surface: Array) -> Samples:

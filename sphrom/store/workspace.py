@@ -20,7 +20,7 @@ from sphrom.artifacts import (
     open_artifact,
     probe,
 )
-from sphrom.artifacts.inspection import Fault, inspect, open_file
+from sphrom.artifacts.reader import Fault, inspect, open_file
 from sphrom.case.fields import Section
 from sphrom.case.loader import case_of_text
 from sphrom.case.models import VERSIONS, inputs_digest, section_inputs, stated
@@ -337,7 +337,7 @@ class Workspace:
         return self._target("compare", "", {}, parents)
 
     def sweep(self) -> Target:
-        """The runs of the case's sweep; its readers compare the values of the parameters."""
+        """The runs of the case's sweep, at any values of the parameters; readers check these."""
         model = sweep_model(self.case)
         about: dict[str, object] = {
             "sweep": _without(self.case.sweep.of_any_values, "name", "model")

@@ -1,8 +1,8 @@
-"""The runs of a sweep: one model at one parameter point after the other, and their records.
+"""The runs of a sweep, one model at one parameter point after the other, and their records.
 
-A run is the one that the stage of its model makes, to the last bit. Full runs, and reduced ones on
-particles, write their trajectories as those stages do; those on the reference points write nothing.
-The records of a task become a part on disk, which is there as a whole or not at all.
+A run is bit for bit equal to the run of its model's stage. Full runs, and reduced runs on
+particles, write trajectories as in those stages; runs on the reference points write none. The
+records of a task are written as one part, which is complete or absent.
 """
 
 from __future__ import annotations
@@ -37,28 +37,28 @@ from sphrom.sweep.workers import Failure, Task
 
 COMPLETE, UNSTABLE, FAILED, NOT_RUN = 0, 1, 2, 3
 STATES = ("complete", "unstable", "failed", "not run")
-"""Words for them."""
+"""The words for the statuses."""
 PLACE = "place"
-"""Where the point of a run is among others."""
+"""Key of a run's scaled parameters."""
 ERROR = "error_estimate/"
-"""Prefix of the datasets of error estimates, which not all runs have."""
+"""Prefix of the datasets of error estimates, which some runs lack."""
 
 
 @dataclass(frozen=True)
 class RunRecord:
-    """One run of a sweep: its values, or why there are none."""
+    """One run of a sweep: its values, or the reason why it has none."""
 
     point: ParameterPoint
     status: int
     reason: str = ""
     values: Mapping[str, Any] = field(default_factory=dict)
-    """Of a complete run, by the names of datasets of a sweep, such as `time_step`."""
+    """Values of a complete run, by the names of datasets of a sweep, such as `time_step`."""
     derivative_names: tuple[str, ...] = ()
-    """Of its value `derivatives`."""
+    """Names of the entries of its value `derivatives`."""
 
 
 def make_runs(task: Task) -> tuple[Failure, ...]:
-    """Make the runs of a task, write those that were made, and return why others weren't."""
+    """Make the runs of a task, write their records, and return the failures."""
     swept = _swept(replace(task, points=()))
     records: list[RunRecord] = []
     failed: list[Failure] = []
@@ -70,7 +70,7 @@ def make_runs(task: Task) -> tuple[Failure, ...]:
             failed.append(Failure(point, str(error), type(error)))
     if records:
         require_folder(swept.workspace)
-        # A part is named by its points: it is made with the same and from the same as the whole.
+        # A part is named by its points, and has the inputs of the whole sweep.
         text = "\n".join(record.point.label for record in records)
         name = f"part-{hashlib.sha256(text.encode()).hexdigest()[:16]}.h5"
         path = parts_folder(swept.workspace) / name
@@ -80,13 +80,13 @@ def make_runs(task: Task) -> tuple[Failure, ...]:
 
 @lru_cache(maxsize=1)
 def _swept(task: Task) -> SweptModel:
-    """Return the model of tasks that differ in their points alone."""
-    # A run that was stopped goes on from its checkpoint, like the sweep as a whole.
+    """Return the model for tasks that differ only in their points."""
+    # A stopped run continues from its checkpoint, as the sweep continues.
     return SweptModel(Workspace(task.context(resume=not task.force)))
 
 
 class SweptModel:
-    """The model of a sweep, which can be run at any parameter point."""
+    """The model of a sweep, at any parameter point."""
 
     def __init__(self, workspace: Workspace) -> None:
         self.workspace = workspace
@@ -98,12 +98,12 @@ class SweptModel:
     def run(self, point: ParameterPoint) -> RunRecord:
         """Run the model at a parameter point.
 
-        Raises SphromError when no run can be made there.
+        Raises SphromError when the run fails.
         """
         if self._fast is not None:
             return self._of_fast(self._fast.run(point))
         case, model = self.workspace.case, self._model
-        # The case's own runs that are valid stay, even with --force.
+        # Valid runs of the case itself are kept, even with --force.
         own = point in (case.plan.points if model is None else case.plan.rom_points(model))
         workspace = Workspace(replace(self.workspace.context, keep_valid=own))
         try:
@@ -116,15 +116,15 @@ class SweptModel:
         return self._of_trajectory(point, target)
 
     def in_training(self, points: Sequence[ParameterPoint]) -> list[dict[str, Any]]:
-        """Return by what the training runs of models at points differ from full ones.
+        """Return the differences of the models' training runs from full runs, for models at points.
 
-        They are values as records have them, with the places of their points; none without
-        estimates.
+        They are values as in records, with the scaled parameters of their points; empty without
+        error estimates.
         """
         if self._fast is None:
             return []
-        found = self._fast.trained_differences(points)
-        return [{PLACE: place} | _kept(differences) for place, differences in found]
+        pairs = self._fast.trained_differences(points)
+        return [{PLACE: place} | _kept(differences) for place, differences in pairs]
 
     def _of_trajectory(self, point: ParameterPoint, target: Target) -> RunRecord:
         """Return the record of a run on particles."""
@@ -148,13 +148,13 @@ class SweptModel:
             return RunRecord(run.point, UNSTABLE, str(run.failure))
         values = _values(run.time, run.time_step, run.kinetic_energy, run.largest_speed)
         values["generalized_coordinates"] = run.coordinates
-        if (found := run.estimate) is not None:
+        if (estimate := run.estimate) is not None:
             values |= {
-                f"{ERROR}velocity": found.velocity_percent,
-                f"{ERROR}pressure": found.pressure_percent,
-                f"{ERROR}extrapolated": int(found.extrapolated),
-                f"{ERROR}velocity_over_time": found.velocity,
-                f"{ERROR}pressure_over_time": found.pressure,
+                f"{ERROR}velocity": estimate.velocity_percent,
+                f"{ERROR}pressure": estimate.pressure_percent,
+                f"{ERROR}extrapolated": int(estimate.extrapolated),
+                f"{ERROR}velocity_over_time": estimate.velocity,
+                f"{ERROR}pressure_over_time": estimate.pressure,
             }
         values |= _kept(run.measured)
         derivatives: dict[str, float] = {}
@@ -179,19 +179,19 @@ def _kept(measured: dict[str, Quantities]) -> dict[str, Array]:
 
 
 def _derivatives(run: FastRun) -> dict[str, float]:
-    """Return the derivatives of the figures at the end of a run, by their columns."""
+    """Return the derivatives of the figures at the end of a run, by column."""
     case = run.model.workspace.case
-    found = tangents(run.model, run.point, case.plan.parameter_names, run.reduced)
-    columns = {"kinetic_energy": found.kinetic_energy[:, -1]}
+    slopes = tangents(run.model, run.point, case.plan.parameter_names, run.reduced)
+    columns = {"kinetic_energy": slopes.kinetic_energy[:, -1]}
     for name, section in case.scene.measure.items():
-        for quantity in section.quantities:  # of a line there is none
-            at_end = found.measured[name][quantity][:, -1]
+        for quantity in section.quantities:  # empty for lines
+            at_end = slopes.measured[name][quantity][:, -1]
             at_end = at_end[:, 0] if quantity in PLACED else at_end
             columns |= {f"{name}_{c}": v for c, v in components(quantity, at_end).items()}
     return {
         f"{column}_by_{parameter}": float(value)
         for column, values in columns.items()
-        for parameter, value in zip(found.parameters, values, strict=True)
+        for parameter, value in zip(slopes.parameters, values, strict=True)
     }
 
 
@@ -201,7 +201,7 @@ def write_records(
     records: Sequence[RunRecord],
     statistics: Statistics | None = None,
 ) -> None:
-    """Write runs of a model in their order."""
+    """Write the records of runs of a model in order."""
     artifact.annotate("model", model)
     artifact.annotate("parameter_names", ",".join(records[0].point.as_dict()))
     artifact.write("parameters", np.array([[*r.point.as_dict().values()] for r in records]))
@@ -226,14 +226,14 @@ def write_records(
         artifact.write(f"{ERROR}run", np.array(estimated, dtype=np.int64))
     for name in records[(estimated or complete)[0]].values:
         if name != "time":
-            those = estimated if name.startswith(ERROR) else complete
-            artifact.write(name, np.stack([records[k].values[name] for k in those]))
+            rows = estimated if name.startswith(ERROR) else complete
+            artifact.write(name, np.stack([records[k].values[name] for k in rows]))
 
 
 def read_points(
     artifact: Artifact, states: Sequence[int] = (COMPLETE, UNSTABLE)
 ) -> list[ParameterPoint]:
-    """Return the points of the runs that ended in one of some ways."""
+    """Return the points of the runs with one of some statuses."""
     names = artifact.text("parameter_names").split(",")
     rows = artifact.read("parameters")[np.isin(artifact.read("status"), states)].tolist()
     return [ParameterPoint(row[0], tuple(zip(names[1:], row[1:], strict=True))) for row in rows]
@@ -253,16 +253,16 @@ def read_records(artifact: Artifact) -> list[RunRecord]:
             for k, value in zip(numbers[axis], artifact.read(name), strict=True):
                 values[k][name] = value
     names = tuple(filter(None, str(artifact.attributes.get("derivative_names", "")).split(",")))
-    points, found = read_points(artifact, range(len(STATES))), list[RunRecord]()
+    points, records = read_points(artifact, range(len(STATES))), list[RunRecord]()
     for k, status in enumerate(artifact.read("status").tolist()):
         reason = str(artifact.attributes.get(f"failures/{k}", ""))
         derived = names if k in values else ()
-        found.append(RunRecord(points[k], status, reason, values.get(k, {}), derived))
-    return found
+        records.append(RunRecord(points[k], status, reason, values.get(k, {}), derived))
+    return records
 
 
 def require_folder(workspace: Workspace) -> None:
-    """Raise ArtifactError when somebody has removed the folder of the artifacts meanwhile."""
+    """Raise ArtifactError when the folder of the artifacts was removed during the sweep."""
     if not workspace.out.is_dir():
         raise ArtifactError(f"{workspace.out} was removed while the sweep ran")
 
@@ -278,7 +278,7 @@ def write_sweep(
     records: Sequence[RunRecord],
     statistics: Statistics | None = None,
 ) -> None:
-    """Write runs of a sweep, over an earlier file."""
+    """Write the records of a sweep, replacing an earlier file."""
     model = sweep_model(workspace.case)
     over = Workspace(replace(workspace.context, force=True))
     with over.create(target) as artifact:

@@ -1,9 +1,9 @@
-"""Statistics of a sweep's outputs where its points are a sample: records, tables and figures.
+"""Statistics of the outputs of a sweep with sampled points: records, tables and figures.
 
-Outputs are of all runs: over time, their means over time, or along a line at their end. Errors of
-what is measured follow from those of training runs (`output_errors`). With U
-the root mean square of the velocity, e_u that of its error and M the mass, the kinetic energy
-M U^2 / 2 is off by at most M (U e_u + e_u^2 / 2).
+An output is a quantity over time, its mean over time, or a profile along a line at the end of runs.
+Errors of measurements follow from those of training runs (`output_errors`). The error of the
+kinetic energy M U^2 / 2 is at most M (U e_u + e_u^2 / 2), with U the root mean square of the
+velocity, e_u that of its error, and M the mass.
 """
 
 from __future__ import annotations
@@ -38,30 +38,30 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Values = Sequence[Mapping[str, Any]]
-"""Of complete runs, as their records have them."""
+"""The values of complete runs, as in their records."""
 
 SALTELLI = "saltelli"
 FIGURES = {
     "quantiles": "Quantiles of outputs over draws of the parameters.",
-    "indices": "Sobol indices of outputs: the share of their variance that a parameter causes "
-    "alone (first order), or has any part in (total); grey is the share of the model's error.",
+    "indices": "Sobol indices of outputs: the share of the variance due to a parameter alone (first"
+    " order), or including its interactions (total). Grey is the share of the model's error.",
 }
-"""Captions, by how the names of files end."""
+"""Captions of figures, by the suffix of their file names."""
 FINAL = "final_"
-"""What begins the names of quantities along lines, at the end of runs."""
+"""Prefix of the names of profiles along lines at the end of runs."""
 TIME: Along = "time"
 MEAN: Along = "mean"
 LINE: Along = "line"
 NOISY = 0.2
-"""Share of the model's error in the variance of full runs from which on a warning names an output:
-the error is half of the spread, and indices may be off by about the share."""
+"""Share of the model's error in the variance of an output above which there is a warning. At this
+share, the error is half of the spread, and indices may be wrong by about the share."""
 COLUMNS = 3
-"""Panels beside one another."""
+"""Columns of panels in figures."""
 
 
 @dataclass(frozen=True)
 class Output:
-    """What all runs give: over time, its mean over time, or along a line at their end."""
+    """A quantity of all runs: over time, its mean over time, or along a line at the end."""
 
     name: str
     unit: str
@@ -69,49 +69,49 @@ class Output:
     values: Array
     """(n_runs, n_instants)."""
     errors: Array | None
-    """(n_runs, n_instants) estimated, None where no error is known."""
+    """(n_runs, n_instants) estimated errors, None if unknown."""
 
 
 def outputs_of(case: Case, runs: Values, trained: Values = ()) -> Iterator[Output]:
-    """Yield the outputs of complete runs: kinetic energy, and what the case measures.
+    """Yield the outputs of complete runs: kinetic energy, and the measurements of the case.
 
-    Means over time follow, and what all runs have of oscillations. `trained` has differences, as
-    `SweptModel.in_training` returns them.
+    They are followed by means over time, and by figures of oscillations that all runs have.
+    `trained` are the differences from `SweptModel.in_training`.
     """
     whole, differences = _stacked(runs), _stacked(trained)
     yield from _outputs(case, TIME, whole, differences)
     yield from _outputs(case, MEAN, _averaged(whole), _averaged(differences))
     for name, measure in case.scene.oscillations.items():
-        found = [oscillation_of(measure, values) for values in runs]
+        oscillations = [oscillation_of(measure, values) for values in runs]
         for figure in OSCILLATION[:3]:
-            if all(figure in each for each in found):
-                values = np.array([[each[figure]] for each in found])
+            if all(figure in each for each in oscillations):
+                values = np.array([[each[figure]] for each in oscillations])
                 yield Output(f"{name}_{figure}", measure.units_of(figure), MEAN, values, None)
 
 
 def oscillation_of(each: Oscillating, values: Mapping[str, Any]) -> dict[str, float]:
-    """Return the oscillation in a run, as its record has it."""
+    """Return the oscillation in a run from the values of its record."""
     measured = {each.quantity: values[f"measure/{each.measure}/{each.quantity}"]}
     return each.of(values["time"], measured)
 
 
 def _stacked(runs: Values) -> dict[str, Array]:
-    """Return what all runs have (n_runs, ...): energies and measurements.
+    """Return the energies and measurements that all runs have (n_runs, ...), by name.
 
-    Errors over the fluid (n_runs, n_snapshots, 2) are of velocity and pressure.
+    Errors over the fluid (n_runs, n_snapshots, 2) are those of velocity and pressure.
     """
-    found = {
+    arrays = {
         name: np.stack([values[name] for values in runs])
         for name in (set(runs[0]).intersection(*runs) if runs else ())
         if name.startswith(("measure/", PLACE)) or name.endswith("_over_time")
     }
-    if (paths := [f"{ERROR}{quantity}_over_time" for quantity in PLACED])[0] in found:
-        found[ERROR] = np.stack([found.pop(path) for path in paths], axis=-1)
-    return found
+    if (paths := [f"{ERROR}{quantity}_over_time" for quantity in PLACED])[0] in arrays:
+        arrays[ERROR] = np.stack([arrays.pop(path) for path in paths], axis=-1)
+    return arrays
 
 
 def _averaged(whole: Mapping[str, Array]) -> dict[str, Array]:
-    """Return the means over time (n_runs, 1, ...), root mean squares of errors over the fluid."""
+    """Return means over time (n_runs, 1, ...), and root mean squares of errors over the fluid."""
     return {
         name: np.sqrt(np.mean(values**2, axis=1, keepdims=True))
         if name == ERROR
@@ -141,8 +141,8 @@ def _outputs(
             differences, there = trained[path], over_fluid
             if head:  # the end alone
                 differences, there = differences[:, None], there[:, -1:]
-            known = output_errors(differences, trained[PLACE], sound_averages(case))
-            errors = known.at(variances, there)
+            model_error = output_errors(differences, trained[PLACE], sound_averages(case))
+            errors = model_error.at(variances, there)
             parts = components(quantity, errors[:, 0] if head else errors)
         for component, each in components(quantity, runs[path]).items():
             column, where = f"{name}_{head}{component}{ending}", LINE if head else along
@@ -152,8 +152,8 @@ def _outputs(
 def statistics_of(workspace: Workspace, records: Sequence[RunRecord]) -> Statistics | None:
     """Return the statistics of the runs of a sweep, in the order of its points.
 
-    None where its points are no sample, or too few runs are complete for intervals. Without
-    Sobol indices where a run of their design is not.
+    Returns None if the points are not a sample, or too few runs are complete for intervals. Sobol
+    indices need all runs of their design to be complete.
     """
     case = workspace.case
     section, sample = case.sweep, case.sweep.sample
@@ -182,14 +182,14 @@ def statistics_of(workspace: Workspace, records: Sequence[RunRecord]) -> Statist
 
 
 def _indices(case: Case, records: Sequence[RunRecord]) -> dict[str, OutputIndices]:
-    """Return the indices of all outputs; none where runs lack."""
+    """Return the Sobol indices of all outputs; none if runs are incomplete."""
     runs = [record.values for record in records if record.values]
     if case.sweep.sample is None or len(runs) < len(records):
         return {}
     drawn, names = list(case.sweep.sample.entries), case.plan.parameter_names
 
     def of_all(values: Array) -> Array:
-        """Return rows of all parameters: one that isn't drawn has no part in anything."""
+        """Return rows for all parameters, with zeros for those that are not drawn."""
         whole = np.zeros((*values.shape[:-2], len(names), values.shape[-1]))
         whole[..., [names.index(name) for name in drawn], :] = values
         return whole
@@ -200,26 +200,28 @@ def _indices(case: Case, records: Sequence[RunRecord]) -> dict[str, OutputIndice
     }
 
 
-def publish(case: Case, path: Path, records: Sequence[RunRecord], found: Statistics | None) -> None:
-    """Write tables and figures of statistics beside a sweep's artifact, or remove old ones."""
+def publish(
+    case: Case, path: Path, records: Sequence[RunRecord], result: Statistics | None
+) -> None:
+    """Write tables and figures of statistics beside a sweep's artifact, and remove old ones."""
     for kind in FIGURES:
         for suffix in ("csv", "png"):
             beside(path, kind, suffix).unlink(missing_ok=True)
-    if found is None:
+    if result is None:
         return
     time, names = next(r.values["time"] for r in records if r.values), case.plan.parameter_names
-    tables = {"quantiles": _quantile_rows(found, time), "indices": _index_rows(found, names, time)}
-    for kind, rows in tables.items():
+    quantiles, indices = _quantile_rows(result, time), _index_rows(result, names, time)
+    for kind, rows in {"quantiles": quantiles, "indices": indices}.items():
         if cells := list(rows):
             write_csv(beside(path, kind, "csv"), rows_of_columns(dict.fromkeys(cells[0]), cells))
     if case.compare.plots:
-        save(draw_quantiles(found, time), beside(path, "quantiles", "png"))
-        if found.indices:
-            save(draw_indices(found, names, time), beside(path, "indices", "png"))
+        save(draw_quantiles(result, time), beside(path, "quantiles", "png"))
+        if result.indices:
+            save(draw_indices(result, names, time), beside(path, "indices", "png"))
 
 
 def beside(path: Path, kind: str, suffix: str) -> Path:
-    """Return the file of a kind beside a sweep's artifact, such as `sweep-fast-quantiles.csv`."""
+    """Return the path of a file beside a sweep's artifact, such as `sweep-fast-quantiles.csv`."""
     return path.with_name(f"{path.stem}-{kind}.{suffix}")
 
 
@@ -227,17 +229,17 @@ def _instants(along: str, n_instants: int, time: Array) -> Array:
     return np.linspace(0.0, 1.0, n_instants) if along == LINE else time[-n_instants:]
 
 
-def _quantile_rows(found: Statistics, time: Array) -> Iterator[dict[str, Any]]:
-    """Yield mean, deviation and quantiles of each output at each instant, with their intervals.
+def _quantile_rows(result: Statistics, time: Array) -> Iterator[dict[str, Any]]:
+    """Yield mean, deviation and quantiles of each output at each time, with their intervals.
 
-    `at` is the time [s], of a mean over time the last, or the place along a line from zero to one.
+    `at` is the time [s], for means the final time, or the place along a line from zero to one.
     """
-    for name, each in found.outputs.items():
+    for name, each in result.outputs.items():
         rows: list[tuple[str, Array, Array, Array | None]] = [
             ("mean", each.mean, each.mean_interval, None),
             ("deviation", each.deviation, each.deviation_interval, None),
         ]
-        for i, level in enumerate(found.levels):
+        for i, level in enumerate(result.levels):
             ends = each.interval[:, i], each.sampling_interval[:, i]
             rows.append((f"quantile {level:g}", each.quantiles[i], *ends))
         for k, at in enumerate(_instants(each.along, len(each.mean), time).tolist()):
@@ -255,10 +257,10 @@ def _quantile_rows(found: Statistics, time: Array) -> Iterator[dict[str, Any]]:
                 }
 
 
-def _index_rows(found: Statistics, names: Sequence[str], time: Array) -> Iterator[dict[str, Any]]:
-    """Yield the Sobol indices of each output at each instant by each parameter."""
-    for name, each in found.indices.items():
-        instants = _instants(found.outputs[name].along, each.first.shape[1], time)
+def _index_rows(result: Statistics, names: Sequence[str], time: Array) -> Iterator[dict[str, Any]]:
+    """Yield the Sobol indices of each output, at each time, for each parameter."""
+    for name, each in result.indices.items():
+        instants = _instants(result.outputs[name].along, each.first.shape[1], time)
         for k, at in enumerate(instants.tolist()):
             for i, parameter in enumerate(names):
                 row: dict[str, Any] = {"output": name, "at": at, "parameter": parameter}
@@ -269,28 +271,28 @@ def _index_rows(found: Statistics, names: Sequence[str], time: Array) -> Iterato
                 yield row
 
 
-def draw_quantiles(found: Statistics, time: Array) -> Figure:
-    """Return a panel of quantiles over time, or along a line, for every output."""
+def draw_quantiles(result: Statistics, time: Array) -> Figure:
+    """Draw quantiles over time, or along a line, with one panel per output."""
 
     def curves(name: str, x: Array) -> Iterator[Curve]:
-        each = found.outputs[name]
-        for level, values in zip(found.levels, each.quantiles, strict=True):
+        each = result.outputs[name]
+        for level, values in zip(result.levels, each.quantiles, strict=True):
             yield Curve(f"{100.0 * level:g} %", x, values)
         yield Curve("mean", x, each.mean, "full")
         for end, values in (("lowest", each.interval[0, 0]), ("highest", each.interval[1, -1])):
-            yield Curve(f"{end} end of the quantiles' intervals", x, values, "level")
+            yield Curve(f"{end} end of intervals", x, values, "level")
 
-    return _draw(found, time, curves)
+    return _draw(result, time, curves)
 
 
-def draw_indices(found: Statistics, parameters: Sequence[str], time: Array) -> Figure:
-    """Return a panel of Sobol indices with their intervals, as of quantiles, for every output.
+def draw_indices(result: Statistics, parameters: Sequence[str], time: Array) -> Figure:
+    """Draw Sobol indices with their intervals, with one panel per output.
 
     Grey lines are the share of the model's error in the variance of full runs.
     """
 
     def curves(name: str, x: Array) -> Iterator[Curve]:
-        each, share = found.indices[name], found.outputs[name].error_share
+        each, share = result.indices[name], result.outputs[name].error_share
         first = "first order", each.first, each.first_interval
         total = "total", each.total, each.total_interval
         for k, parameter in enumerate(parameters):
@@ -299,17 +301,17 @@ def draw_indices(found: Statistics, parameters: Sequence[str], time: Array) -> F
         if share is not None:
             yield Curve("the model's error", x, share, "level")
 
-    return _draw(found, time, curves, "Sobol index [–]")
+    return _draw(result, time, curves, "Sobol index [–]")
 
 
 def _draw(
-    found: Statistics,
+    result: Statistics,
     time: Array,
     curves: Callable[[str, Array], Iterator[Curve]],
     label: str | None = None,
 ) -> Figure:
     panels = []
-    for name, each in found.outputs.items():
+    for name, each in result.outputs.items():
         if each.along != MEAN:
             x = _instants(each.along, len(each.mean), time)
             along = "place along the line [–]" if each.along == LINE else "time [s]"
@@ -319,45 +321,45 @@ def _draw(
 
 
 def _shown(output: OutputStatistics) -> int:
-    """Return the instant that is printed: the end, or the middle of a line."""
+    """Return the index of the printed value: the final time, or the middle of a line."""
     return len(output.mean) // 2 if output.along == LINE else -1
 
 
-def show(report: Reporter, found: Statistics) -> None:
-    """Report the statistics of all outputs at the end, and what their reader has to know."""
-    middle = int(np.argmin(np.abs(found.levels - 0.5)))
-    levels = [f"{100.0 * level:g} %" for level in found.levels]
+def show(report: Reporter, result: Statistics) -> None:
+    """Report the statistics of all outputs at the end, and warnings about them."""
+    middle = int(np.argmin(np.abs(result.levels - 0.5)))
+    levels = [f"{100.0 * level:g} %" for level in result.levels]
     rows = []
-    for name, each in found.outputs.items():
+    for name, each in result.outputs.items():
         at = _shown(each)
         half = 0.5 * float(np.ptp(each.interval[:, middle, at]))
         cells = [each.mean[at], each.deviation[at], *each.quantiles[:, at], half]
         shown = [format_figure(float(cell)) for cell in cells]
         rows.append((f"{name.replace('_', ' ')} [{each.unit}]", *shown))
     report.table(
-        f"statistics of {found.n_runs} runs at the end (of a line, in its middle)",
+        f"statistics of {result.n_runs} runs at the final time; of profiles, in the middle",
         ("output", "mean", "deviation", *levels, f"{levels[middle]} within +-"),
         rows,
     )
-    if found.n_extrapolated:
+    if result.n_extrapolated:
         report.warn(
-            f"statistics: {found.n_extrapolated} of {found.n_runs} draws are outside of the "
+            f"statistics: {result.n_extrapolated} of {result.n_runs} draws are outside of the "
             "trained range"
         )
-    if found.method == SALTELLI and not found.indices:
-        report.warn("statistics: no Sobol indices, as a run of their design has no result")
+    if result.method == SALTELLI and not result.indices:
+        report.warn("statistics: no Sobol indices, because a run of their design has no result")
     shares = {}
-    for name, each in found.outputs.items():
+    for name, each in result.outputs.items():
         if (share := each.error_share) is not None:
             over_all = np.average(share, weights=each.deviation**2 + np.finfo(float).tiny)
             shares[name] = max(float(over_all), float(share[_shown(each)]))
     if noisy := [name for name, share in shares.items() if share > NOISY]:
         names = ", ".join(f"{name} ({100.0 * shares[name]:.0f} %)" for name in noisy)
         means = [f"{name}_mean" for name in noisy if shares.get(f"{name}_mean", 1.0) <= NOISY]
-        less = f"; of {', '.join(means)} it is less than {100.0 * NOISY:.0f} %" if means else ""
+        less = f"; it is below {100.0 * NOISY:.0f} % for {', '.join(means)}" if means else ""
         report.warn(
-            f"full runs may have other quantiles and Sobol indices of {names}: so much of their "
-            f"variance is the model's estimated error{less}"
+            f"full runs may have other quantiles and Sobol indices of {names}: the percentage is "
+            f"the share of the model's estimated error in the variance{less}"
         )
-    if unknown := ", ".join(k for k, v in found.outputs.items() if v.model_error == "unknown"):
-        report.warn(f"intervals of {unknown} are of sampling alone: no error is estimated")
+    if unknown := ", ".join(k for k, v in result.outputs.items() if v.model_error == "unknown"):
+        report.warn(f"intervals of {unknown} include sampling only, without an error estimate")

@@ -1,7 +1,7 @@
-"""Stage `sweep`: one model at many parameter values, on all cores, a cluster or in shards.
+"""Stage `sweep`: run one model at many parameter values, on all cores, on a cluster, or in shards.
 
-Runs are kept on disk, in parts, and are not made again: a sweep that was stopped goes on where it
-was, and one with more values runs those only. When all are made the parts become one artifact.
+Finished runs are kept on disk in parts. A stopped sweep continues from them, and a sweep with more
+values runs only the new ones. When all runs are done, the parts are merged into one artifact.
 """
 
 from __future__ import annotations
@@ -51,11 +51,11 @@ from sphrom.sweep.workers import Failure, check_options, start_workers
 from sphrom.text import counted, duration
 
 LARGEST_BATCH, SMALLEST_BATCH = 1000, 50
-"""Runs on the reference points in one task: fewer are over before another process has started."""
+"""Limits of the runs on the reference points in one task; fewer end before a process starts."""
 BATCHES_EACH = 4
-"""Tasks of each worker, about, so that all end at about the same time."""
+"""Approximate number of tasks per worker, so that all end at a similar time."""
 MOST_SHOWN = 10
-"""Runs without a result that are shown one by one."""
+"""Most failed runs that are shown one by one."""
 FIGURES = {
     "time_step": "s",
     "kinetic_energy": "J/m",
@@ -63,14 +63,13 @@ FIGURES = {
     "error_estimate_velocity": "%",
     "error_estimate_pressure": "%",
 }
-"""Figures of a run with their units, called as in `sphrom.open`: energy at the end, the largest
-speed of all points and snapshots, root mean squares of estimated errors over those of the fields.
-"""
+"""Figures of a run with their units, named as in `sphrom.open`: final energy, largest speed of all
+points and snapshots, root mean squares of estimated errors over those of the fields."""
 
 SHOWN = ("_mean", "_frequency", "_amplitude")
-"""Ends of the names of measured figures that are shown."""
+"""Suffixes of the names of measured figures that are shown."""
 Cells = dict[str, str | float | None]
-"""The cells of a run's row in the table, by column; None without a result, or an estimate."""
+"""The row of a run in the table, by column; None without a result or an estimate."""
 
 
 def run(
@@ -84,31 +83,31 @@ def run(
 
     Parameters
     ----------
-    workers : processes on this machine; None is one a core, as far as memory goes.
+    workers : number of processes on this machine; by default one per core, if memory allows.
     scheduler : address of a Dask scheduler, whose workers do the runs instead.
-    shard : (i, n): do the i-th of n shares of the runs only, i from 1.
-    collect : make no runs, gather the existing ones.
+    shard : (i, n) to do only the i-th of n shares of the runs, with i from 1.
+    collect : whether to make no runs and only gather the existing ones.
 
     Raises
     ------
     CaseError
-        When there are no values, or options contradict one another.
+        When there are no values, or options contradict each other.
     ArtifactError
-        When an artifact of the model is missing, or runs that are there are of another case.
+        When an artifact of the model is missing, or existing runs belong to another case.
     UnstableError
-        After all runs, when one became unstable; the table says which.
+        After all runs, if one became unstable; the table shows which.
     """
     check_options(workers, scheduler)
     if context.force + (shard is not None) + collect > 1 or (collect and scheduler is not None):
         raise CaseError(
-            "--force, --shard, --collect: are not for one another, and --collect runs nothing on a "
-            f"scheduler; to start shards anew, remove sweep-{sweep_name(context.case)}.h5 and the "
-            "folder beside it first"
+            "--force, --shard, --collect: can't be combined, nor --collect and --scheduler; to "
+            f"restart shards, first remove sweep-{sweep_name(context.case)}.h5 and the folder "
+            "beside it"
         )
     points = sweep_points(context.case)
     if not points:
         raise CaseError(
-            "sweep.reynolds: there are no values to run at; give some, such as --set "
+            "sweep.reynolds: has no values; give some, such as --set "
             "'sweep.reynolds={low: 100, high: 200, count: 100}'"
         )
     workspace = Workspace(context)
@@ -126,7 +125,7 @@ def run(
     if shard is not None and (left := results.missing(points)):
         context.report.info(
             f"{len(points) - len(left)} of {len(points)} runs are done; the last shard gathers "
-            f"them, or `sphrom sweep {context.words} --collect`"
+            f"them, and so does `sphrom sweep {context.words} --collect`"
         )
         show_lost(context.report, failed)
         raise_failed(failed)
@@ -145,20 +144,20 @@ def _make(
     if model is None:
         new = tuple(point for point in points if point not in case.plan.points)
         require_room(case, workspace.out, new or points, "fom")
-        # Packed particles are kept, though runs may be made again.
+        # Packed particles are kept, even if runs are made again.
         ensure_packed(Workspace(replace(workspace.context, force=False)))
         if (advice := slow_sweep(case)) is not None:
             report.note(advice)
         seconds = duration(full_seconds(case, len(points)))
         runs = counted(len(points), "full run")
-        report.note(f"the sweep makes {runs}, about {seconds} on one core")
+        report.note(f"the sweep makes {runs}, which take about {seconds} on one core")
     for parent in workspace.sweep().parents.values():
         workspace.require(parent)
-    # Runs from operators are so short that a task has many.
+    # A task has many runs from operators, because these are short.
     in_batches = model is not None and model.from_operators
     n_tasks = math.ceil(len(points) / (SMALLEST_BATCH if in_batches else 1))
     number = min(number or runs_that_fit(case, "fom" if model is None else "rom"), n_tasks)
-    # Tasks have points of their own: each process would read all values of a long list again.
+    # The case of a task has no values, because each process would parse a long list again.
     bare = replace(
         workspace.context, case=case.model_copy(update={"sweep": case.sweep.of_any_values})
     )
@@ -173,9 +172,9 @@ def _make(
 def columns_of(case: Case, records: Sequence[RunRecord]) -> dict[str, str | None]:
     """Return the columns of the table of runs, with their units.
 
-    `error_estimate_extrapolated` is `yes` for values outside of training, else `no`, and empty
-    without estimates; `reason` tells why there is no result. What a case measures over time has
-    statistics, and what it measures along lines none.
+    `error_estimate_extrapolated` is `yes` for values outside of the trained range, else `no`, and
+    empty without an estimate. `reason` is the reason of a failure. Measurements over time have
+    columns for their statistics; measurements along lines have none.
     """
     derivatives = next((record.derivative_names for record in records if record.values), ())
     names = {**dict.fromkeys(case.plan.parameter_names), "status": None}
@@ -188,7 +187,7 @@ def columns_of(case: Case, records: Sequence[RunRecord]) -> dict[str, str | None
 
 
 class Results:
-    """The runs of a sweep that are on disk."""
+    """The runs of a sweep on disk."""
 
     def __init__(self, workspace: Workspace, points: Sequence[ParameterPoint]) -> None:
         self._workspace = workspace
@@ -201,37 +200,37 @@ class Results:
             target.path.unlink()
 
     def missing(self, points: Sequence[ParameterPoint]) -> list[ParameterPoint]:
-        """Return the points without a run that is complete or unstable.
+        """Return the points without a complete or unstable run.
 
-        Raises ArtifactError when runs that are there are of another case, or no longer asked for.
+        Raises ArtifactError when existing runs belong to another case, or to removed values.
         """
-        known: set[ParameterPoint] = set()
+        done: set[ParameterPoint] = set()
         with self._alone():
             for target in self._targets():
                 with self._workspace.open(target) as artifact:
-                    known.update(read_points(artifact))
-                if target is self._whole and (extra := known.difference(self._points)):
+                    done.update(read_points(artifact))
+                if target is self._whole and (extra := done.difference(self._points)):
                     raise ArtifactError(
-                        f"{target.path} has runs that the case no longer asks for, such as "
-                        f"{min(extra).label}; choose another sweep.name, or `--force` starts anew"
+                        f"{target.path} has runs at values that the case no longer has, such as "
+                        f"{min(extra).label}; choose another sweep.name, or restart with `--force`"
                     )
-        return [point for point in points if point not in known]
+        return [point for point in points if point not in done]
 
     def gather(self, failed: Sequence[Failure] = ()) -> None:
-        """Put all runs into the artifact and the table, and show them with their failures.
+        """Write all runs into the artifact and the table, and show them with their failures.
 
         Raises
         ------
         ArtifactError
-            When no run has been made; when some have not, and the artifact holds the others.
+            When runs are missing; the artifact then has the others, if there are any.
         UnstableError
             When a run became unstable.
         SphromError
-            When a run failed for another reason, of the kind of the first that did.
+            When a run failed for another reason; the kind is that of the first failure.
         """
         report, case, path = self._workspace.context.report, self._workspace.case, self._whole.path
         with self._alone():
-            records, found = self._gathered(failed)
+            records, summary = self._gathered(failed)
         names = columns_of(case, records)
         rows = _rows(case, records, names)
         write_csv(path.with_suffix(".csv"), rows_of_columns(names, rows))
@@ -243,70 +242,70 @@ class Results:
         )
         show_lost(report, [record for record in records if record.status != COMPLETE])
         report.info(f"all runs are in {path} and {path.stem}.csv")
-        if found is not None:
-            statistics.show(report, found)
+        if summary is not None:
+            statistics.show(report, summary)
         elif case.sweep.levels:
-            report.warn("statistics: there are none, as too few runs have a result")
+            report.warn("statistics: none, because too few runs have a result")
         elif case.sweep.sample is not None:
             least = fewest_runs(case.sweep.quantiles)
-            report.note(f"statistics: there are none; they need sample.count: {least} or more")
+            report.note(f"statistics: none, because they need sample.count: {least} or more")
         if n_left := counts[STATES[NOT_RUN]]:
             raise ArtifactError(
                 f"{n_left} of {len(records)} runs have not been made yet; the others were "
-                "gathered, and their parts stay: collect again when all shards are done"
+                "gathered, and their parts are kept: collect again when all shards are done"
             )
         if n_unstable := counts[STATES[UNSTABLE]]:
             raise UnstableError(f"{n_unstable} of {len(records)} runs became unstable")
         raise_failed(failed)
 
     def _gathered(self, failed: Sequence[Failure]) -> tuple[list[RunRecord], Statistics | None]:
-        """Put all runs into the artifact, and return them with their statistics."""
+        """Write all runs into the artifact, and return them with their statistics."""
         targets, case = list(self._targets()), self._workspace.case
-        known = {f.point: RunRecord(f.point, FAILED, f.reason) for f in failed}
+        done = {f.point: RunRecord(f.point, FAILED, f.reason) for f in failed}
         for target in targets:
             with self._workspace.open(target) as artifact:
                 ended = (COMPLETE, UNSTABLE)
-                known |= {r.point: r for r in read_records(artifact) if r.status in ended}
-        if known.keys().isdisjoint(self._points):
+                done |= {r.point: r for r in read_records(artifact) if r.status in ended}
+        if done.keys().isdisjoint(self._points):
             raise ArtifactError(
                 f"{self._whole.path}: none of its {len(self._points)} runs has been made; "
                 f"`{self._whole.made_by}` makes them"
             )
-        records = [known.get(point) or RunRecord(point, NOT_RUN) for point in self._points]
+        records = [done.get(point) or RunRecord(point, NOT_RUN) for point in self._points]
         complete = not any(record.status == NOT_RUN for record in records)
         if targets == [self._whole] and not failed and complete:
             with self._workspace.open(self._whole) as artifact:
                 stored = "statistics/levels" in artifact
-                found = read_record(artifact, Statistics, "statistics") if stored else None
-            if case.sweep.levels == (() if found is None else tuple(found.levels.tolist())):
+                summary = read_record(artifact, Statistics, "statistics") if stored else None
+            if case.sweep.levels == (() if summary is None else tuple(summary.levels.tolist())):
                 name = self._whole.path.name
                 self._workspace.context.report.info(f"{name}: up to date, kept")
-                return records, found
-        found = statistics.statistics_of(self._workspace, records) if complete else None
-        write_sweep(self._workspace, self._whole, records, found)
-        statistics.publish(case, self._whole.path, records, found)
-        if complete:  # otherwise others may be at it
+                return records, summary
+        summary = statistics.statistics_of(self._workspace, records) if complete else None
+        write_sweep(self._workspace, self._whole, records, summary)
+        statistics.publish(case, self._whole.path, records, summary)
+        if complete:  # otherwise other shards may still need the parts
             folder = parts_folder(self._workspace)
             for path in (*folder.glob("part-*.h5"), *folder.glob(".part-*.tmp")):
                 path.unlink(missing_ok=True)
-            with suppress(OSError):  # others may still write to it
+            with suppress(OSError):  # other shards may still write to it
                 folder.rmdir()
-        return records, found
+        return records, summary
 
     def _targets(self) -> Iterator[Target]:
-        """Yield the files on disk: the whole first."""
+        """Yield the files on disk, with the whole sweep before parts."""
         if self._whole.path.exists():
             yield self._whole
         for path in sorted(parts_folder(self._workspace).glob("part-*.h5")):
             yield replace(self._whole, path=path)
 
     def _alone(self) -> AbstractContextManager[object]:
-        """Wait until no other shard looks or gathers."""
+        """Wait until no other shard reads or gathers runs."""
         return locked(self._workspace.folder() / parts_folder(self._workspace).name, wait=True)
 
 
 def _rows(case: Case, records: Sequence[RunRecord], names: Iterable[str]) -> list[Cells]:
-    """Return the rows of runs, by the names of columns."""
+    """Return the rows of runs, by column."""
     rows: list[Cells] = []
     for record in records:
         values = {path.replace("/", "_"): value for path, value in record.values.items()}
@@ -323,8 +322,8 @@ def _rows(case: Case, records: Sequence[RunRecord], names: Iterable[str]) -> lis
         if path.startswith("measure/"):
             _, name, quantity = path.split("/")
             series = np.stack([records[k].values[path] for k in complete])
-            for figure, found in measures.statistics({quantity: series}).items():
-                for k, value in zip(complete, found.tolist(), strict=True):
+            for figure, column in measures.statistics({quantity: series}).items():
+                for k, value in zip(complete, column.tolist(), strict=True):
                     rows[k][f"{name}_{figure}"] = value
     for k, (name, each) in product(complete, case.scene.oscillations.items()):
         figures = statistics.oscillation_of(each, records[k].values)
@@ -335,23 +334,23 @@ def _rows(case: Case, records: Sequence[RunRecord], names: Iterable[str]) -> lis
 def _summary(
     records: Sequence[RunRecord], rows: Sequence[Cells], names: Mapping[str, str | None]
 ) -> Iterator[tuple[str, ...]]:
-    """Yield a row for each figure: its extremes, where they are, and its mean."""
+    """Yield a row per figure: its extremes with their points, and its mean."""
     points = [record.point for record in records]
     for name, unit in names.items():
         if name == "time_step" or not (name in FIGURES or name.endswith(SHOWN)):
             continue
         cells = zip([row[name] for row in rows], points, strict=True)
-        if found := [(value, point) for value, point in cells if isinstance(value, float)]:
-            mean = sum(value for value, _ in found) / len(found)
+        if pairs := [(value, point) for value, point in cells if isinstance(value, float)]:
+            mean = sum(value for value, _ in pairs) / len(pairs)
             least, most = (
                 (format_figure(value), ", ".join(f"{n} {v:.6g}" for n, v in at.as_dict().items()))
-                for value, at in (min(found), max(found))
+                for value, at in (min(pairs), max(pairs))
             )
             yield (f"{name.replace('_', ' ')} [{unit}]", *least, format_figure(mean), *most)
 
 
 def show_lost(report: Reporter, runs: Sequence[RunRecord | Failure]) -> None:
-    """Show runs without a result, and why they have none."""
+    """Show the runs without a result, with the reasons."""
     for run in runs[:MOST_SHOWN]:
         state = "failed" if isinstance(run, Failure) else STATES[run.status]
         report.warn(": ".join(filter(None, (run.point.label, state, run.reason))))

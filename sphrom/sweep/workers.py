@@ -1,8 +1,8 @@
-"""Workers that make the runs at many points: processes of this machine, or a Dask cluster's.
+"""Workers that make runs at many points: processes of this machine, or those of a Dask cluster.
 
-Both are executors of `concurrent.futures`. A process whose memory runs out is killed, and takes the
-tasks with it that the others do: these are begun again, by fewer processes. One that is terminated
-first removes the file that it is writing, and one without its parent ends.
+Both are executors of `concurrent.futures`. If a process runs out of memory, it is killed and the
+tasks of all processes are lost; they are started again by fewer processes. A terminated process
+first removes the file that it is writing, and a process ends with its parent.
 """
 
 from __future__ import annotations
@@ -41,43 +41,43 @@ from sphrom.signals import Terminated, interrupts_come_again, termination_interr
 from sphrom.store.workspace import Workspace
 
 FEWER = 4
-"""Factor by which there are fewer processes after one was lost."""
+"""Factor that reduces the number of processes after one was lost."""
 CLEANING = 10.0
-"""Seconds that a process is given to clean up before it is killed."""
+"""Time for a process to clean up before it is killed [s]."""
 PATIENCE = 15.0
-"""Seconds that a scheduler is given to answer."""
-LOST = ResourceError("its process was lost again and again, as when memory runs out")
+"""Time for a scheduler to answer [s]."""
+LOST = ResourceError("its process was lost repeatedly, probably out of memory")
 INSTALL = "pip install 'sphrom[cluster]'"
 _ONE_AT_A_TIME = threading.Lock()
-"""Compiled loops must not run in two threads at once, as the tasks of some workers would."""
+"""A lock, because compiled loops must not run in two threads, as tasks of Dask workers may."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """Some runs of a case, with all that a process elsewhere needs to make them."""
+    """Some runs of a case, with all data that another process needs to make them."""
 
     case_text: str
     case_folder: str
-    """Of the files that the case names."""
+    """Folder of the files that the case names."""
     out: str
-    """The folder of the case's artifacts, the same wherever the task is run."""
+    """Folder of the case's artifacts, the same on all machines."""
     points: tuple[ParameterPoint, ...]
     threads: int
     force: bool
-    """Whether runs that are there are made again."""
+    """Whether to make existing runs again."""
     command: str
-    """The call of the program that it belongs to: a process reads shared data once a call."""
+    """Identity of the command, because a process reads shared data once per command."""
 
-    def context(self, **given: Any) -> StageContext:
-        """Return the context in which it is done, with other settings that are given."""
+    def context(self, **settings: Any) -> StageContext:
+        """Return the context of the task, with further settings."""
         case = case_of_text(self.case_text, self.case_folder)
         about = Path(self.out), self.force, self.threads, SilentReporter()
-        return StageContext(case, *about, bitwise=True, **given)
+        return StageContext(case, *about, bitwise=True, **settings)
 
 
 @dataclass(frozen=True)
 class Failure:
-    """Why there is no result at a point, other than that the run became unstable."""
+    """The reason of a failure at a point, other than an unstable run."""
 
     point: ParameterPoint
     reason: str
@@ -86,11 +86,11 @@ class Failure:
 
 Failures = tuple[Failure, ...]
 Do = Callable[[Task], Failures]
-"""Does a task, and returns its failures; a function of a module, which other processes load."""
+"""A function that does a task and returns its failures; other processes import it by name."""
 
 
 def attempt(do: Do, task: Task) -> Failures:
-    """Do a task, and return its failures, mistakes in the program included."""
+    """Do a task, and return its failures, including programming errors."""
     try:
         with _ONE_AT_A_TIME:
             return do(task)
@@ -107,12 +107,12 @@ def _failures(task: Task, error: Exception) -> Failures:
 
 
 class Workers:
-    """Does tasks in this process, in some processes of this machine, or on a Dask cluster."""
+    """Does tasks in this process, in several processes of this machine, or on a Dask cluster."""
 
     def __init__(self, number: int, report: Reporter, client: Any = None) -> None:
         self._report, self._client = report, client
         self.number = number if client is None else max(1, len(client.nthreads()))
-        """How many tasks run at once; workers that join a cluster later take tasks too."""
+        """Number of parallel tasks; workers that join a cluster later add to it."""
 
     def run(
         self,
@@ -122,7 +122,7 @@ class Workers:
         do: Do,
         size: int = 1,
     ) -> list[Failure]:
-        """Make runs of a case at points, in tasks of a size, and return the runs that failed."""
+        """Make runs of a case at points, in tasks of `size` runs, and return the failures."""
         alone = self.number == 1 and self._client is None
         task = Task(
             case_text=workspace.case.text,
@@ -136,7 +136,7 @@ class Workers:
         shares = (tuple(points[k : k + size]) for k in range(0, len(points), size))
         tasks = [replace(task, points=share) for share in shares]
         failed: list[Failure] = []
-        # Whatever happens here, processes end at once.
+        # On any exception, the processes end immediately.
         with (
             self._report.progress(name, len(points)) as advance,
             closing(self.done(tasks, do)) as done,
@@ -147,7 +147,7 @@ class Workers:
         return failed
 
     def done(self, tasks: Sequence[Task], do: Do) -> Generator[tuple[Task, Failures], None, None]:
-        """Yield tasks as they are done, in any order; begin those of lost processes again."""
+        """Yield completed tasks in any order, and restart those of lost processes."""
         if self.number == 1 and self._client is None:
             yield from ((task, attempt(do, task)) for task in tasks)
             return
@@ -160,7 +160,7 @@ class Workers:
                     if (failures := _result(future, task)) is not None:
                         del left[task]
                         yield task, failures
-            if left and number == 1:  # the first of them has ended its process, alone
+            if left and number == 1:  # the first task has killed the only process
                 task = next(iter(left))
                 del left[task]
                 yield task, _failures(task, LOST)
@@ -175,15 +175,15 @@ class Workers:
             finally:
                 executor.shutdown(wait=False)
             return
-        code_cache()  # warns where processes can't share compiled code
-        # Afresh: a process with threads can't be forked.
+        code_cache()  # warns if processes can't share compiled code
+        # Processes are spawned, because a process with threads can't be forked.
         context = get_context("spawn")
         theirs, ours = context.Pipe(duplex=False)
         pool = ProcessPoolExecutor(number, context, _begin, (theirs,))
         try:
             yield pool
         except BaseException:
-            ours.close()  # which ends the processes in the middle of their tasks
+            ours.close()  # this ends the processes during their tasks
             raise
         finally:
             pool.shutdown(cancel_futures=True)
@@ -191,7 +191,7 @@ class Workers:
 
 
 def _result(future: Future[Failures], task: Task) -> Failures | None:
-    """Return the failures of a task that has ended; None if a process died, which ends them all."""
+    """Return the failures of an ended task; None if a process died, which ends all tasks."""
     try:
         return future.result()
     except BrokenExecutor:
@@ -199,15 +199,15 @@ def _result(future: Future[Failures], task: Task) -> Failures | None:
     except CancelledError:
         return _failures(task, ResourceError("the scheduler was lost"))
     except Exception as error:
-        killed = type(error).__name__ == "KilledWorker"  # of Dask, which has begun it again
+        killed = type(error).__name__ == "KilledWorker"  # raised after Dask has tried it again
         return _failures(task, LOST if killed else error)
 
 
 def _begin(parent: Connection) -> None:
-    """Set a new process up to end with its parent, or when that closes the connection."""
-    # An interrupt from the keyboard ends the process that gives the tasks, and this one in turn.
+    """Make a new process end with its parent, or when the parent closes the connection."""
+    # An interrupt from the keyboard ends the parent, which then ends this process.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    for kind in (CodeCacheWarning, RuntimeWarning):  # that process shows it, or nobody
+    for kind in (CodeCacheWarning, RuntimeWarning):  # the parent shows them
         warnings.simplefilter("ignore", kind)
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
 
@@ -221,7 +221,7 @@ def _end_with(parent: Connection) -> None:
 
 
 def _attempt_there(do: Do, task: Task) -> Failures:
-    """Do a task in a process of its own, and end the process when it is terminated."""
+    """Do a task in a process of its own, which ends when it is terminated."""
     try:
         with one_blas_thread(), termination_interrupts(), interrupts_come_again():
             return attempt(do, task)
@@ -231,9 +231,9 @@ def _attempt_there(do: Do, task: Task) -> Failures:
 
 @contextmanager
 def start_workers(number: int, scheduler: str | None, report: Reporter) -> Iterator[Workers]:
-    """Have workers: those of a Dask cluster where the address of its scheduler is given.
+    """Provide workers on this machine, or on the Dask cluster with a scheduler's address.
 
-    Raises CaseError when no scheduler answers at an address, such as tcp://node:8786, or the
+    Raises CaseError when no scheduler answers at the address, such as tcp://node:8786, or the
     library is not installed.
     """
     if scheduler is None:
@@ -252,11 +252,11 @@ def start_workers(number: int, scheduler: str | None, report: Reporter) -> Itera
         ) from error
     with client:
         if not client.nthreads():
-            report.warn(f"--scheduler: {scheduler} has no workers yet: runs wait for some")
+            report.warn(f"--scheduler: {scheduler} has no workers yet; runs wait for workers")
         yield Workers(number, report, client)
 
 
 def check_options(number: int | None, scheduler: str | None) -> None:
-    """Raise CaseError where options contradict one another."""
+    """Raise CaseError if options contradict each other."""
     if number is not None and scheduler is not None:
-        raise CaseError("--workers: is not for --scheduler, which has workers of its own")
+        raise CaseError("--workers: can't be combined with --scheduler, which has its own workers")

@@ -1,7 +1,7 @@
-"""The models that a trade weighs: reduced ones of some sizes, and the full one otherwise.
+"""The models of a trade: reduced models of several sizes, and variants of the full model.
 
-A trade may weigh models that the case has no operators for. Their operators, and further full runs,
-lie in the trade's own folder, and are kept there.
+A trade may include models for which the case has no operators. Their operators, and further full
+runs, are kept in the trade's own folder.
 """
 
 from __future__ import annotations
@@ -29,54 +29,53 @@ from sphrom.store.stored_run import StoredRun
 from sphrom.store.workspace import Workspace
 
 FOLDER = "trade"
-"""Of a trade, below that of the case's artifacts."""
+"""Folder of a trade, within that of the case's artifacts."""
 SIZES = (2, 5, 10, 20, 50)
-"""Default numbers of modes, as far as the basis has as many."""
+"""Default numbers of modes, up to the size of the basis."""
 MOST_CLOSED_MODES = 20
-"""The most modes of APG by default: its cost grows with their fourth power."""
+"""Default limit of the modes of APG, whose cost grows with their fourth power."""
 COURANT_NUMBERS = (0.75, 1.5)
-"""About c0 dt / h of further full runs (Eq. 2.19)."""
+"""Approximate c0 dt / h of further full runs (Eq. 2.19)."""
 SAME_STEP = 1e-9
-"""Steps that differ by less, relatively, are one."""
+"""Relative difference below which time steps are equal."""
 
 
 def trade_points(case: Case) -> tuple[ParameterPoint, ...]:
-    """Return the values at which models are weighed: test values, if there are any."""
+    """Return the points at which models are compared: test points, or else training points."""
     return case.plan.test_points or case.plan.train_points
 
 
 def global_basis(case: Case) -> str:
-    """Return the basis that models of a case have at any value: that of the first."""
+    """Return the basis of the first model, or the basis of all training runs if it is local."""
     first = first_model(case).basis
     return ALL if first == LOCAL else first
 
 
 def first_model(case: Case) -> ReducedModelSection:
-    """Return the first reduced model of a case. Raises CaseError where there is none."""
+    """Return the first reduced model of a case. Raises CaseError if there is none."""
     if not case.rom:
-        raise CaseError("rom: the case has no reduced models, so there is nothing to weigh")
+        raise CaseError("rom: the case has no reduced models to compare; add one")
     return case.rom[0]
 
 
 def candidates(
     case: Case, points: Sequence[ParameterPoint], basis: str, *also: int
 ) -> list[ReducedModelSection]:
-    """Return the reduced models in a basis, to weigh or map at parameter points.
+    """Return the reduced models in a basis, to compare or map at parameter points.
 
-    They have the sizes that a case lists, by default some, as far as the basis goes; and `also`
-    others.
+    Their sizes are those of `trade.n_modes`, by default SIZES up to the size of the basis, and
+    those in `also`.
 
-    Raises CaseError when the basis has fewer modes than are listed, or there is no local one.
+    Raises CaseError when the basis has fewer modes than are listed, or there is no local basis.
     """
     first = first_model(case).model_copy(update={"basis": basis})
     available = min(case.plan.basis_size(case.plan.basis_for(first, point)) for point in points)
-    listed, found = case.trade.n_modes, []
+    listed, sections = case.trade.n_modes, []
     if (largest := max(listed or (0,))) > available:
         raise CaseError(f"trade.n_modes: the basis {basis} has {available} modes; got {largest}")
     ends = {"galerkin": available}
-    if not (
-        case.plan.driving or case.scene.has_surface
-    ):  # The closure has operators for the viscosity alone.
+    # The closure has operators for the viscosity only.
+    if not (case.plan.driving or case.scene.has_surface):
         own = also if first.projection == "apg" else ()
         ends["apg"] = min(available, max((MOST_CLOSED_MODES, *own)))
     for projection, end in ends.items():
@@ -87,16 +86,16 @@ def candidates(
             keys = {"evaluation": "operators", "projection": projection, "basis": basis}
             if first.settles_on_cycles and projection == "galerkin":
                 keys["calibrated"] = "cycle"
-            found.append(ReducedModelSection.model_validate(keys | {"name": name, "n_modes": size}))
-    return found
+            named = {**keys, "name": name, "n_modes": size}
+            sections.append(ReducedModelSection.model_validate(named))
+    return sections
 
 
 def prepared(context: StageContext, models: Sequence[ReducedModelSection]) -> Workspace:
-    """Return a workspace with operators of models, whose case includes them.
+    """Return a workspace whose case includes the models, and has their operators.
 
-    Operators are projected where the case's lack some.
-
-    Raises ArtifactError when artifacts of the case are missing.
+    Operators that the case lacks are projected. Raises ArtifactError when artifacts of the case are
+    missing.
     """
     own, workspace = context.case, Workspace(context)
     workspace.require(workspace.basis())
@@ -116,7 +115,7 @@ def prepared(context: StageContext, models: Sequence[ReducedModelSection]) -> Wo
 def _own_context(context: StageContext) -> StageContext:
     """Return a context for the trade's own artifacts.
 
-    Those that are there may be made again, and are with --force; a stopped run goes on.
+    Existing ones may be overwritten, and are with --force. Stopped runs continue.
     """
     return replace(
         context,
@@ -129,31 +128,31 @@ def _own_context(context: StageContext) -> StageContext:
 
 
 def variants(case: Case) -> dict[str, Case]:
-    """Return the full model at other resolutions and Courant numbers by their labels."""
+    """Return the full model at other resolutions and Courant numbers, by label."""
     own = case.discretization.resolution
     resolutions = case.trade.resolutions or (own, coarser_resolution(case) or own)
-    found: dict[tuple[int, int], Case] = {}
+    cases: dict[tuple[int, int], Case] = {}
     courant_numbers = COURANT_NUMBERS if case.trade.full_runs else ()
     for resolution, courant in product(resolutions, courant_numbers):
         variant = with_steps(case, resolution, courant)
-        found.setdefault((resolution, variant.plan.steps.every), variant)
+        cases.setdefault((resolution, variant.plan.steps.every), variant)
     usual = case.plan.steps.every
-    found.pop((own, usual), None)
-    return {f"full, {n} across, {usual / every:.2g} dt": v for (n, every), v in found.items()}
+    cases.pop((own, usual), None)
+    return {f"full, {n} across, {usual / every:.2g} dt": v for (n, every), v in cases.items()}
 
 
 def with_steps(
     case: Case, resolution: int, courant: float, snapshots: TimeSteps | None = None
 ) -> Case:
-    """Return the full model at a resolution and about a Courant number, of the same snapshots.
+    """Return the full model at a resolution and at most a Courant number, with equal snapshots.
 
-    Steps are shortened to make a whole number between snapshots; they are never longer than that.
-    Pass `snapshots` to use another case's snapshot times.
+    Steps are shortened so that a whole number of them fits between snapshots. Pass `snapshots` to
+    use another case's snapshot times.
     """
     plan = snapshots or case.plan.steps
     time = case.time.model_copy(update={"step": "auto", "courant_number": courant})
     coarser = at_resolution(case, resolution).model_copy(update={"time": time})
-    # The spin-up must be a whole number of steps too.
+    # The spin-up must be a whole number of steps, too.
     unit = Fraction(plan.n_spin_up_steps, plan.every).denominator
     fitting = plan.snapshot_interval / coarser.plan.step_target * (1.0 - SAME_STEP)
     every = unit * math.ceil(fitting / unit)
@@ -170,9 +169,9 @@ def with_steps(
 def workspace_of(
     workspace: Workspace, variant: Case, folders: Mapping[str, Path] = MappingProxyType({})
 ) -> Workspace:
-    """Return the folder of a variant, below that of the case.
+    """Return the workspace of a variant, in a folder within that of the case.
 
-    `folders` has those of kinds of artifacts that lie elsewhere.
+    `folders` are the folders of kinds of artifacts that are kept elsewhere.
     """
     out = workspace.out / FOLDER / variant.name
     context = replace(workspace.context, case=variant, out=out, folders=folders)
@@ -180,7 +179,7 @@ def workspace_of(
 
 
 def make(variant: Workspace, label: str, points: Sequence[ParameterPoint]) -> list[ParameterPoint]:
-    """Make the full runs of a variant that are not there; return and warn of unstable ones."""
+    """Make the missing full runs of a variant; return and warn of unstable points."""
     unstable = []
     for point in points:
         try:
@@ -194,8 +193,8 @@ def make(variant: Workspace, label: str, points: Sequence[ParameterPoint]) -> li
 def sampled(
     workspace: Workspace, point: ParameterPoint, probes: Probes, measured: str | None = None
 ) -> Samples:
-    """Sample a full run at the probes, with a measurement by its name."""
+    """Sample a full run at the probes, with the measurement named `measured`."""
     report, text = workspace.context.report, f"sample full run, {point.label}"
     with StoredRun.opened(workspace, point) as run, report.progress(text, len(run.time)) as advance:
-        found = run.sampled(probes.all, advance=advance)
-        return found if measured is None else replace(found, measured=run.measured(measured))
+        samples = run.sampled(probes.all, advance=advance)
+        return samples if measured is None else replace(samples, measured=run.measured(measured))

@@ -1,10 +1,10 @@
-"""Stage `trade --extremes`: where full and reduced models are stable, and where they are right.
+"""Stage `trade --extremes`: map where full and reduced models are stable and accurate.
 
-Models run at several values of each property, and are compared with full runs of their own.
-`sphrom.trade.stability` judges the runs, says what sets a limit, and draws the maps. Mach number,
-h/dx and resolution are properties of the full model: a reduced model has them from the runs that it
-learns from. So each of their values has full runs, a basis and operators of its own, in a folder of
-its own. Runs on particles in other steps leave no artifacts.
+Models run at several values of each property, and are compared with full runs at these values.
+`sphrom.trade.stability` judges the runs, finds the causes of limits, and draws the maps. Mach
+number, h/dx and resolution are properties of the full model, which a reduced model inherits from
+its training runs. Therefore each of their values has full runs, a basis and operators in a folder
+of its own. Runs on particles with other time steps leave no artifacts.
 """
 
 from __future__ import annotations
@@ -76,15 +76,15 @@ FULL_MODEL: dict[str, tuple[str, str, tuple[float, ...]]] = {
     "h/dx": ("discretization", "smoothing_length_ratio", (1.2, 1.5, 2.0, 3.0, 4.0)),
     RESOLUTION: ("discretization", "resolution", (10, 14, 20, 28, 40)),
 }
-"""Properties of the full model: section, key and values."""
+"""Properties of the full model, with their section, key and values."""
 FACTORS: dict[str, tuple[float, ...]] = {
     STEP: (0.25, 0.5, 1.0, 2.0, 4.0, 10.0, 20.0, 40.0),
     MEMORY: (1e-3, 1e-2, 0.1, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1e3),
     TIME: (1.0, 2.0, 5.0, 10.0, 20.0),
     REYNOLDS: (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0),
 }
-"""Over the automatic step and memory length, the trained time, and the trained values: up to 1 over
-the least, from 1 over the greatest."""
+"""Values over the automatic step and memory length, over the trained time, and over the trained
+parameter values: factors up to 1 apply to the least, factors from 1 to the greatest."""
 QUICK: dict[str, tuple[float, ...]] = {
     STEP: (0.5, 1.0, 4.0, 40.0),
     MEMORY: (1e-3, 1.0, 30.0, 1e3),
@@ -92,7 +92,7 @@ QUICK: dict[str, tuple[float, ...]] = {
     REYNOLDS: (0.1, 0.5, 1.0, 2.0, 10.0),
 }
 SPARSER = 10
-"""Of the snapshots of a longer full run at most one in so many is kept, and as many in a part."""
+"""A longer full run keeps at most one in so many snapshots, and at least so many per part."""
 
 
 @dataclass(frozen=True)
@@ -100,9 +100,9 @@ class Truth:
     """A full run to compare with."""
 
     samples: Samples
-    """At the points where runs are compared."""
+    """Fields at the points where runs are compared."""
     snapshots: Indices
-    """Which snapshots of a reduced run these are."""
+    """Indices of the same snapshots in a reduced run."""
 
     def within(self, first: float, last: float) -> Truth:
         """Return the part between two snapshots of a reduced run."""
@@ -117,27 +117,27 @@ class GridModes:
         self._values = basis.splines.values(grid).reshape(len(grid), -1, 3)
         self._product = basis.basis.inner_product
         self._sound_speed = basis.workspace.case.plan.sound_speed
-        # Pressures are compared less their means.
+        # Pressures are compared without their means.
         constant = np.tile([1.0, 0.0, 0.0], len(grid))[:, None]
         columns = self._values.transpose(0, 2, 1).reshape(len(constant), -1)
         self._inverse = np.linalg.pinv(np.hstack((columns, constant)))[:-1]
 
     def samples(self, coordinates: Array) -> Samples:
-        """Return the fields of coordinates (n_snapshots, n_modes), at times of no meaning."""
+        """Return the fields of coordinates (n_snapshots, n_modes), with placeholder times."""
         fields = np.tensordot(coordinates, self._values, (1, 1))
         density = self._product.density_fluctuation(fields[..., 0])
         times = np.arange(len(fields), dtype=np.float64)
         return Samples(times, fields[..., 1:], pressure_of(density, self._sound_speed))
 
     def nearest(self, full: Samples) -> Samples:
-        """Return the states in the basis that are nearest to a full run's at these points."""
+        """Return the states in the basis that are nearest to those of a full run at the points."""
         first = self._product.first_field(fluctuation_of(full.pressure, self._sound_speed))
         states = np.concatenate((first[..., None], full.velocity), axis=2)
         return self.samples(states.reshape(len(states), -1) @ self._inverse.T)
 
 
 def errors_of(run: Samples, full: Samples) -> tuple[float, float]:
-    """Return the relative L2 errors [%] of velocity and of pressure less its mean."""
+    """Return the relative L2 errors [%] of the velocity, and of the pressure less its mean."""
     pressures = (without_mean(each.pressure)[..., None] for each in (run, full))
     velocity = float(relative_l2(run.velocity, full.velocity, field_axes=3))
     return velocity, float(relative_l2(*pressures, field_axes=3))
@@ -146,7 +146,7 @@ def errors_of(run: Samples, full: Samples) -> tuple[float, float]:
 def run(context: StageContext, quick: bool = False) -> None:
     """Run models at their extremes, and write tables and maps into the case's folder `trade`.
 
-    Quick maps have fewer values, and no full runs at other Mach numbers, h/dx and resolutions.
+    With `quick`, there are fewer values, and no other Mach numbers, h/dx and resolutions.
 
     Raises CaseError when the case has no reduced models, ArtifactError when a full run, the basis,
     its splines or the operators are missing.
@@ -192,7 +192,7 @@ class Maps:
 
     @property
     def own_values(self) -> dict[str, float]:
-        """The values that varied quantities have in the default."""
+        """The default values of the varied quantities."""
         of_case = {
             name: float(getattr(getattr(self.case, section), key))
             for name, (section, key, _) in FULL_MODEL.items()
@@ -206,11 +206,11 @@ class Maps:
         limits = plan.step_limits(self.point)
         begin = start(self.workspace, self.point).state
         for factor in self.factors[STEP]:
-            found = self._described(STEP, factor, self.point, "full")
-            found.mechanism = "sound" if limits.acoustic <= limits.viscous else "viscosity"
-            found.predicted = limits.least / plan.steps.time_step
+            run = self._described(STEP, factor, self.point, "full")
+            run.mechanism = "sound" if limits.acoustic <= limits.viscous else "viscosity"
+            run.predicted = limits.least / plan.steps.time_step
             functional = particles.functional(self.case, self.point)
-            yield self._marched(found, functional, begin, truth, factor)
+            yield self._marched(run, functional, begin, truth, factor)
             yield from self._on_particles(factor, truth)
             for method, fast in product((EXPONENTIAL, RUNGE_KUTTA), self.models):
                 yield self._fast(fast, STEP, factor, self.point, truth, factor, method)
@@ -229,9 +229,9 @@ class Maps:
                 )
             longest = longest_memory(*(with_memory[factor].at(self.point) for factor in (1.0, 2.0)))
             for factor in self.factors[MEMORY]:
-                found = self._fast(with_memory[factor], MEMORY, factor, self.point, truth)
-                found.predicted = longest
-                yield found
+                run = self._fast(with_memory[factor], MEMORY, factor, self.point, truth)
+                run.predicted = longest
+                yield run
 
     def _parameters(self) -> Iterator[ExtremeRun]:
         at = self.point.as_dict()
@@ -243,36 +243,36 @@ class Maps:
                 point = self.case.plan.point(at | {name: value})
                 truth, coarse = self._truth(point), self._truth(point, coarse=True)
                 if truth is not None and coarse is not None:
-                    found = self._described(name, value, point, "full", f", {HALF}")
-                    yield _compared(found, coarse.samples, truth.samples)
+                    run = self._described(name, value, point, "full", f", {HALF}")
+                    yield _compared(run, coarse.samples, truth.samples)
                 for model in self.models:
                     yield self._fast(model, name, value, point, truth)
 
     def _extreme_values(self, name: str) -> list[float]:
-        """Return the values of a parameter in and out of its trained range."""
+        """Return the values of a parameter inside and outside of its trained range."""
         trained, factors = [p.as_dict()[name] for p in self.trained], self.factors[REYNOLDS]
-        found = [factor * min(trained) for factor in factors if factor <= 1.0]
-        found += [factor * max(trained) for factor in factors if factor >= 1.0]
-        # Without rounding errors, which names would show.
-        return sorted({self.point.as_dict()[name], *(float(f"{value:.12g}") for value in found)})
+        values = [factor * min(trained) for factor in factors if factor <= 1.0]
+        values += [factor * max(trained) for factor in factors if factor >= 1.0]
+        # Rounding errors would show in file names.
+        return sorted({self.point.as_dict()[name], *(float(f"{value:.12g}") for value in values)})
 
     def _times(self) -> Iterator[ExtremeRun]:
         n_trained = self.case.plan.steps.n_snapshots - 1
         truth = self._truth(self.point, self.factors[TIME][-1])
         for factor in self.factors[TIME]:
-            # Errors count over the last part, which is as long as training runs.
+            # Errors count over the last part, as long as the training runs.
             ends = (factor - 1.0) * n_trained, factor * n_trained
             last = truth and truth.within(*ends)
             for model in self.models:
                 yield self._fast(model, TIME, factor, self.point, last, until=factor)
 
     def _one_training_run(self) -> Iterator[ExtremeRun]:
-        """Yield the runs of models that learn from the first training run alone."""
+        """Yield the runs of models whose only training run is the first one."""
         case, only = self.case, self.trained[0]
         others = [point for point in case.plan.points if point != only]
         if not others:
             return
-        # The same points, so that all full runs and their maps serve.
+        # The points stay the same, so that existing full runs and their maps are used.
         parameters = trained_at(case, [only]).parameters
         parameters = parameters.model_copy(
             update={"test": trained_at(case, others).parameters.train}
@@ -289,7 +289,7 @@ class Maps:
         kinds = ("packing", "state", "trajectory", "reference-snapshots")
         folders = dict.fromkeys(kinds, self.workspace.out)
         try:
-            own = self._learnt(case.model_copy(update=changes), folders)
+            own = self._trained(case.model_copy(update=changes), folders)
         except (UnstableError, CaseError, ResourceError) as error:
             self.notes.append(f"{ONE_RUN}: {error}")
             return
@@ -301,21 +301,21 @@ class Maps:
                 yield self._fast(FastModel(own, model), ONE_RUN, value, point, truth)
 
     def _full_models(self) -> Iterator[ExtremeRun]:
-        """Yield the runs of varied full models, and of the models that learn from them."""
+        """Yield the runs of varied full models, and of reduced models that are trained on them."""
         own, coarse = self._truth(self.point), self._truth(self.point, coarse=True)
         for varied, value, variant in varied_models(
             self.case, (self.trained, self.point), self._galerkin
         ):
-            found = self._described(varied, value, self.point, "full")
+            run = self._described(varied, value, self.point, "full")
             try:
-                made = self._learnt(variant, {})
+                made = self._trained(variant, {})
                 truth = self._full_run(made, self.point)
             except (UnstableError, CaseError, ResourceError) as error:
-                yield _failed(found, error)
+                yield _failed(run, error)
                 continue
-            # As fine as the variant where it isn't the resolution that changes.
+            # The reference has the resolution of the variant, unless the resolution varies.
             if (beside := own if varied == RESOLUTION else coarse or own) is not None:
-                yield _compared(found, truth.samples, beside.samples)
+                yield _compared(run, truth.samples, beside.samples)
             for model in made.case.rom:
                 yield self._fast(FastModel(made, model), varied, value, self.point, truth)
 
@@ -324,7 +324,7 @@ class Maps:
     def _truth(
         self, point: ParameterPoint, until: float = 1.0, *, coarse: bool = False
     ) -> Truth | None:
-        """Return a full run `until` times as long, maybe half as fine; None where none can be."""
+        """Return a full run `until` times as long, if `coarse` at half resolution, or None."""
         if (key := (point, until, coarse)) not in self._truths:
             self._truths[key] = self._find(*key)
         return self._truths[key]
@@ -360,8 +360,8 @@ class Maps:
         since = (self.case.compare.from_time - steps.start_time) / steps.snapshot_interval
         return truth.within(since - 1e-6, np.inf)
 
-    def _learnt(self, variant: Case, folders: Mapping[str, Any]) -> Workspace:
-        """Make a variant's full runs and its reduced models; return their workspace."""
+    def _trained(self, variant: Case, folders: Mapping[str, Any]) -> Workspace:
+        """Make the full runs and the reduced models of a variant; return their workspace."""
         for problem in case_problems(variant):
             raise CaseError(str(problem))
         context = self.workspace.context
@@ -392,10 +392,10 @@ class Maps:
         *,
         until: float = 1.0,
     ) -> ExtremeRun:
-        """Run a fast model in steps that are a factor as long as the automatic ones."""
+        """Run a fast model with steps `factor` times as long as the automatic ones."""
         basis = model.at_point(point)
-        found = self._described(varied, value, point, "fast", method)
-        found.projection, found.n_modes = basis.section.projection, basis.section.size
+        row = self._described(varied, value, point, "fast", method)
+        row.projection, row.n_modes = basis.section.projection, basis.section.size
         try:
             reduced = model.at(point)
             times = reduced.output_times
@@ -404,43 +404,43 @@ class Maps:
             integrator = basis.integrator(reduced).with_steps(factor)
             if method == RUNGE_KUTTA:
                 integrator = choose(reduced, partial(_runge_kutta, factor))
-                found.mechanism, limit = limiting_step(integrator.steps.model)
-                found.predicted = factor * limit / integrator.steps.time_step
-            run = self.integrated(found, model, reduced, integrator)
-        except CaseError as refused:  # Its steps are too many for any run to end.
-            return _failed(found, refused)
-        found.time_step, found.memory_length = run.time_step, reduced.memory_length
-        found.extrapolated, found.end_time = bool(run.outside), float(run.time[-1])
+                row.mechanism, limit = limiting_step(integrator.steps.model)
+                row.predicted = factor * limit / integrator.steps.time_step
+            run = self.integrated(row, model, reduced, integrator)
+        except CaseError as refused:  # it would need too many steps
+            return _failed(row, refused)
+        row.time_step, row.memory_length = run.time_step, reduced.memory_length
+        row.extrapolated, row.end_time = bool(run.outside), float(run.time[-1])
         if run.failure is not None:
-            found.state, found.diverged_at = "unstable", run.diverged_at
-            found.mechanism = cause_of_divergence(run, integrator)
-            found.reason = f"{str(run.failure).partition(';')[0]}: {found.mechanism}"
-            return found
+            row.state, row.diverged_at = "unstable", run.diverged_at
+            row.mechanism = cause_of_divergence(run, integrator)
+            row.reason = f"{str(run.failure).partition(';')[0]}: {row.mechanism}"
+            return row
         if (own := run.estimate) is not None:
-            found.velocity_estimate = own.velocity_percent
-            found.pressure_estimate = own.pressure_percent
-        found.told = "; ".join(run.doubts)
+            row.velocity_estimate = own.velocity_percent
+            row.pressure_estimate = own.pressure_percent
+        row.told = "; ".join(run.doubts)
         if truth is None:
-            return found
+            return row
         if basis not in self._modes:
             self._modes[basis] = GridModes(basis, self.grid)
         modes = self._modes[basis]
         samples = modes.samples(run.coordinates[truth.snapshots])
-        return _compared(found, samples, truth.samples, modes.nearest(truth.samples))
+        return _compared(row, samples, truth.samples, modes.nearest(truth.samples))
 
     def integrated(
-        self, found: ExtremeRun, model: FastModel, reduced: ReferenceModel, integrator: Integrator
+        self, row: ExtremeRun, model: FastModel, reduced: ReferenceModel, integrator: Integrator
     ) -> FastRun:
         """Run a fast model."""
-        return model.run(self._points[found.parameters], reduced, integrator)
+        return model.run(self._points[row.parameters], reduced, integrator)
 
     def _on_particles(self, factor: float, truth: Truth | None) -> Iterator[ExtremeRun]:
-        """Run models on particles in steps that are a factor as long as the full model's."""
+        """Run models on particles with steps `factor` times as long as those of the full model."""
         plan, own = self.case.plan.steps, self.default[1]
         for section in (model.section for model in self.models if model.section.size == own):
-            found = self._described(STEP, factor, self.point, "particles")
-            found.projection, found.n_modes = section.projection, own
-            found.told = "; ".join(doubts_of_step(factor))
+            row = self._described(STEP, factor, self.point, "particles")
+            row.projection, row.n_modes = section.projection, own
+            row.told = "; ".join(doubts_of_step(factor))
             moving = section.model_copy(update={"evaluation": "particles"})
             model, state = build_model(self.workspace, moving, self.point)
             jacobian = reduced_jacobian(model, state, plan.start_time)
@@ -449,20 +449,20 @@ class Maps:
             limits = stability_limits(values.astype(np.complex128))
             worst = int(limits.argmin())
             basis = FastModel(self.workspace, section).at_point(self.point).basis
-            found.mechanism = kind_of(basis, values[worst], vectors[:, worst])
-            found.predicted = float(limits[worst]) / plan.time_step
-            yield self._marched(found, model, state, truth, factor)
+            row.mechanism = kind_of(basis, values[worst], vectors[:, worst])
+            row.predicted = float(limits[worst]) / plan.time_step
+            yield self._marched(row, model, state, truth, factor)
 
     def _marched(
-        self, found: ExtremeRun, model: Model, state: Array, truth: Truth | None, factor: float
+        self, row: ExtremeRun, model: Model, state: Array, truth: Truth | None, factor: float
     ) -> ExtremeRun:
-        """Run a model of particles in steps over the full model's, without leaving artifacts."""
+        """Run a model of particles with steps over those of the full model, without artifacts."""
         plan, fields = self.case.plan.steps, []
         ratio = Fraction(factor).limit_denominator(1000) / plan.every
         n_kept = (plan.n_snapshots - 1) // ratio.numerator
-        found.time_step, every = factor * plan.time_step, ratio.denominator
+        row.time_step, every = factor * plan.time_step, ratio.denominator
         n_steps = max(1, n_kept * every)
-        steps = TimeSteps(found.time_step, n_steps, every, plan.start_time, every)
+        steps = TimeSteps(row.time_step, n_steps, every, plan.start_time, every)
         sample, density = particles.sampler(self.case, self.grid), self.case.fluid.reference_density
         try:
             with np.errstate(all="ignore"):
@@ -470,32 +470,32 @@ class Maps:
                     at = model.snapshot(kept)
                     fields.append(sample(at.position.T, at.density_fluctuation, at.velocity.T))
         except (UnstableError, ValueError) as error:
-            return _failed(found, error)
+            return _failed(row, error)
         snapshots = ratio.numerator * np.arange(len(fields), dtype=np.int64)
         if truth is None or not (both := np.isin(snapshots, truth.snapshots)).any():
-            return found
+            return row
         densities, velocities = (np.array(each)[both] for each in zip(*fields, strict=True))
         full = truth.samples.at(np.searchsorted(truth.snapshots, snapshots[both]))
         pressures = pressure_of(densities, self.case.plan.sound_speed)
-        return _compared(found, Samples(full.time, velocities, pressures), full)
+        return _compared(row, Samples(full.time, velocities, pressures), full)
 
 
 def _compared(
-    found: ExtremeRun, samples: Samples, full: Samples, best: Samples | None = None
+    row: ExtremeRun, samples: Samples, full: Samples, best: Samples | None = None
 ) -> ExtremeRun:
-    """Give a run its errors, and those of the nearest states in its basis; none beside no flow."""
+    """Set the errors of a run, and of the nearest states in its basis; none for fluid at rest."""
     with suppress(ValueError):
-        found.velocity_error, found.pressure_error = errors_of(samples, full)
+        row.velocity_error, row.pressure_error = errors_of(samples, full)
         if best is not None:
-            found.velocity_best, found.pressure_best = errors_of(best, full)
-    return found
+            row.velocity_best, row.pressure_best = errors_of(best, full)
+    return row
 
 
-def _failed(found: ExtremeRun, error: Exception) -> ExtremeRun:
-    """Return a run that could not be made, or not to its end."""
+def _failed(row: ExtremeRun, error: Exception) -> ExtremeRun:
+    """Set the state of a run that was refused or became unstable."""
     refused = isinstance(error, CaseError | ResourceError)
-    found.state, found.reason = "refused" if refused else "unstable", str(error)
-    return found
+    row.state, row.reason = "refused" if refused else "unstable", str(error)
+    return row
 
 
 def _runge_kutta(factor: float, part: ReferenceModel) -> Steps:
@@ -512,7 +512,7 @@ def varied_models(
     points: tuple[tuple[ParameterPoint, ...], ParameterPoint],
     sections: list[ReducedModelSection],
 ) -> Iterator[tuple[str, float, Case]]:
-    """Yield the full model, half as fine, at every value of its properties, and its models."""
+    """Yield the full model at half resolution for all values of its properties, with models."""
     for varied, (section, key, values) in FULL_MODEL.items():
         for value in values:
             resolution = coarser_resolution(case) or case.discretization.resolution
@@ -535,7 +535,7 @@ def varied_case(
     changes: Mapping[str, Any],
     snapshots: TimeSteps | None = None,
 ) -> Case:
-    """Return the full model at some points, with one basis and the case's or given snapshots."""
+    """Return the full model at some points, with one basis; `snapshots` replaces the case's."""
     parameters = trained_at(case, points).parameters
     others = [each for each in (tested,) if each is not None and each not in points]
     test = trained_at(case, others).parameters.train if others else TestValues()
@@ -543,7 +543,7 @@ def varied_case(
         "parameters": parameters.model_copy(update={"test": test}),
         "basis": case.basis.model_copy(update={"subsets": {}, "lagrangian": False}),
         "compare": case.compare.model_copy(update={"figures": ()}),
-        # Sections of other studies, which ask for models that it doesn't have.
+        # Sections of other studies may name models that the variant does not have.
         **{name: type(getattr(case, name))() for name in ("sweep", "fit", "training")},
     }
     other = case.model_copy(update=whole | dict(changes))

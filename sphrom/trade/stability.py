@@ -1,8 +1,8 @@
-"""What the runs at the extremes say: which are right, what sets the limits, tables and pictures.
+"""Ranges in which models are stable and accurate, from runs at extremes, with their causes.
 
-A run is right where its errors are at most twice those of the default: the case's own model at its
-first test value, or at a trained one. Of a full run the default is the change that half the
-resolution makes there.
+A run is right if its errors are at most twice those of the default, which is the case's own model
+at its first test point or else training point. For full runs, the default is the change due to half
+the resolution. The module also writes tables and draws maps of the ranges.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ if TYPE_CHECKING:
 
 ONE_RUN, RESOLUTION = "reynolds, one training run", "resolution"
 COARSE = ("Mach number", "h/dx")
-"""What is varied in full models of half the resolution."""
+"""Quantities that vary in full models of half the resolution."""
 HALF = "half as fine"
 PERCENT = {"unit": "%"}
 Errors = tuple[float, float]
-"""Of velocity and pressure [%]."""
+"""Errors of velocity and pressure [%]."""
 Kind = Literal["full", "particles", "fast"]
 State = Literal["", "right", "stable", "unstable", "refused"]
 COLOURS = {"right": "#9fd8c4", "stable": "#f4d58d", "unstable": "#e8906a", "refused": "#d9d9d9"}
@@ -49,15 +49,15 @@ OVER = {
     TIME: " over the trained one",
 }
 ALL_WRONG = 100.0
-"""Errors above that are no result [%]."""
+"""Errors above which a run is not a result [%]."""
 WIDTH, HEIGHT, ABOUT, LETTERS = 8.5, 0.27, 0.55, 5.5
-"""Of maps, of a model in them, of title and labels [inch], and of letters in cells."""
+"""Width of maps, height of a row and of title with labels [inch], and font size in cells."""
 SOUND = 0.1
-"""Share of the pressure in the energy of an eigenvector, above which it is sound."""
+"""Share of pressure in the energy of an eigenvector above which it is sound."""
 PER_DECADE, DECADES = 20, 3
-"""Memory lengths that are tried for a growing eigenvector."""
+"""Memory lengths to try in the search for a growing eigenvector."""
 FINE_BELOW = (STEP, MEMORY, TIME)
-"""What may be less than the least that is tried."""
+"""Quantities without a lower limit, also below the least value of the runs."""
 
 
 @dataclass(kw_only=True)
@@ -66,39 +66,39 @@ class ExtremeRun:
 
     varied: str
     value: float
-    """Of the varied quantity: steps and memories over the automatic, times over the trained."""
+    """Value of the varied quantity: steps and memories over automatic ones, times over trained."""
     parameters: str
     kind: Kind
     projection: str = ""
     n_modes: int | None = None
     steps: str = ""
-    """`exponential` or `runge-kutta`, of a fast model; of a full one how it differs, if it does."""
+    """`exponential` or `runge-kutta` for a fast model; the difference of a varied full model."""
     time_step: float | None = field(default=None, metadata={"unit": "s"})
     memory_length: float | None = field(default=None, metadata={"unit": "s"})
     end_time: float | None = field(default=None, metadata={"unit": "s"})
     state: State = ""
     mechanism: str = ""
-    """What makes it wrong, unstable, or would first."""
+    """The cause of its error or instability, or of the first instability to expect."""
     predicted: float | None = None
     """The greatest stable value, by formula or eigenvalue."""
     velocity_error: float | None = field(default=None, metadata=PERCENT)
     pressure_error: float | None = field(default=None, metadata=PERCENT)
     velocity_best: float | None = field(default=None, metadata=PERCENT)
-    """Of the nearest state in the basis."""
+    """Error of the nearest state in the basis."""
     pressure_best: float | None = field(default=None, metadata=PERCENT)
     velocity_estimate: float | None = field(default=None, metadata=PERCENT)
     pressure_estimate: float | None = field(default=None, metadata=PERCENT)
     diverged_at: float | None = field(default=None, metadata={"unit": "s"})
     reason: str = ""
-    """Why it was unstable or refused."""
+    """The reason why it was unstable or refused."""
     extrapolated: bool = False
     """Whether it is outside of the trained values or times."""
     told: str = ""
-    """What the run itself says against its result."""
+    """Warnings of the run itself about its result."""
 
     @property
     def model(self) -> str:
-        """The model in words."""
+        """The label of the model."""
         if self.kind == "full":
             return f"full{self.steps}"
         name = "APG" if self.projection == "apg" else "Galerkin"
@@ -113,9 +113,9 @@ class ExtremeRun:
 
     @property
     def natural(self) -> float:
-        """The value in seconds where it is a ratio of those."""
-        found = {STEP: self.time_step, MEMORY: self.memory_length, TIME: self.end_time}
-        return found.get(self.varied) or self.value
+        """The value, in seconds if `value` is a ratio of times."""
+        seconds = {STEP: self.time_step, MEMORY: self.memory_length, TIME: self.end_time}
+        return seconds.get(self.varied) or self.value
 
 
 def _both(velocity: float | None, pressure: float | None) -> Errors | None:
@@ -126,11 +126,11 @@ def _both(velocity: float | None, pressure: float | None) -> Errors | None:
 
 
 def limiting_step(reduced: ReferenceModel) -> tuple[str, float]:
-    """Return what limits Runge-Kutta steps of a model, and the largest stable one [s].
+    """Return the mechanism that limits Runge-Kutta steps of a model, and the largest step [s].
 
-    An eigenvector of the Jacobian around the start or a training state does: sound where pressure
-    has a good part of its energy, else viscosity where it decays faster than it turns, else
-    convection.
+    The limit comes from an eigenvector of the Jacobian around the start or a training state. The
+    mechanism is sound if pressure has more than a share SOUND of its energy, else viscosity if it
+    decays faster than it oscillates, else convection.
     """
     values, vectors = np.linalg.eig(
         reduced.polynomial.jacobians(_around_which(reduced), reduced.strongest)
@@ -142,14 +142,14 @@ def limiting_step(reduced: ReferenceModel) -> tuple[str, float]:
 
 
 def _around_which(reduced: ReferenceModel) -> Array:
-    """Return the states that have to be stable (n_states, n_modes)."""
+    """Return the states (n_states, n_modes) around which the model must be stable."""
     start = reduced.start[None]
     return start if reduced.states is None else np.vstack((start, reduced.states))
 
 
 def kind_of(basis: TrialBasis, value: complex, vector: Array) -> str:
-    """Return what an eigenvalue [1/s] and its eigenvector (n_modes,) of a Jacobian are."""
-    modes = basis.density_modes[: len(vector)]  # the leading ones of a model that integrates them
+    """Return the mechanism of an eigenvalue [1/s] of a Jacobian and its eigenvector (n_modes,)."""
+    modes = basis.density_modes[: len(vector)]  # a model may integrate only the leading modes
     pressure = (modes * basis.weights) @ modes.T
     if (vector.conj() @ pressure @ vector).real > SOUND * np.linalg.norm(vector) ** 2:
         return "sound"
@@ -157,10 +157,10 @@ def kind_of(basis: TrialBasis, value: complex, vector: Array) -> str:
 
 
 def growth(reduced: ReferenceModel, states: Array) -> tuple[float, str]:
-    """Return the fastest growth [1/s] around states (n_states, n_modes), and a name for it.
+    """Return the fastest growth rate [1/s] around states (n_states, n_modes), and its cause.
 
-    In the last half of the modes it is that of their noise; in the first half, of what the modes
-    that are left out would have taken from them.
+    Growth mainly in the last half of the modes is due to their noise. Growth in the first half is
+    due to energy that would go to the truncated modes.
     """
     values, vectors = np.linalg.eig(reduced.polynomial.jacobians(states, reduced.strongest))
     worst = int(values.real.argmax())
@@ -170,14 +170,14 @@ def growth(reduced: ReferenceModel, states: Array) -> tuple[float, str]:
 
 
 def longest_memory(near: ReferenceModel, far: ReferenceModel) -> float | None:
-    """Return the longest memory, over that of `near`, at which nothing grows around its states.
+    """Return the longest memory without growth around the states of `near`, over its memory.
 
-    The closure's part of a Jacobian is proportional to it; `far` has twice the memory. None where
-    it is longer than is tried.
+    The closure's part of a Jacobian is proportional to the memory, and `far` has twice the memory.
+    Returns None if there is no growth in the range that is tried.
     """
     states = _around_which(near)
     bare, longer = (m.polynomial.jacobians(states, m.strongest) for m in (near, far))
-    # Where the flow itself has a growing perturbation, faster than that.
+    # If perturbations of the flow itself grow, only faster growth counts.
     without = max(0.0, float(np.linalg.eigvals(2.0 * bare - longer).real.max()))
     for power in range(-DECADES * PER_DECADE, DECADES * PER_DECADE + 1):
         factor = 10.0 ** (power / PER_DECADE)
@@ -189,7 +189,7 @@ def longest_memory(near: ReferenceModel, far: ReferenceModel) -> float | None:
 
 
 def cause_of_divergence(run: FastRun, integrator: Integrator) -> str:
-    """Return what makes a run diverge, from its steps and eigenvalues where it went."""
+    """Return the cause of a diverged run, from its steps and the eigenvalues along its path."""
     reduced = run.reduced
     if integrator.steps.system.integrator == RUNGE_KUTTA:
         name, limit = limiting_step(reduced)
@@ -209,11 +209,11 @@ def cause_of_divergence(run: FastRun, integrator: Integrator) -> str:
 
 
 def judge(runs: Sequence[ExtremeRun], default: tuple[str, int], own: Mapping[str, float]) -> None:
-    """Say of runs which state they have, and what makes them wrong.
+    """Set the state of each run, and the mechanism of its errors.
 
     Parameters
     ----------
-    default : the projection and the size of the model that others are judged by.
+    default : projection and size of the model whose errors set the limit.
     own : the case's own values of the varied quantities.
     """
     by_default = {
@@ -229,7 +229,7 @@ def judge(runs: Sequence[ExtremeRun], default: tuple[str, int], own: Mapping[str
         if run.kind == "full":
             allowed = of_full
         elif run.varied in COARSE:
-            # Half as fine: by the same model, there.
+            # Models of half the resolution are judged by the default model at that resolution.
             of_map = (r for r in runs if r.varied == run.varied and r.errors)
             same = [r for r in of_map if (r.kind, r.projection, r.n_modes) == ("fast", *default)]
             nearest = min(same, key=lambda r: abs(r.value - own[r.varied]), default=standard)
@@ -242,8 +242,8 @@ def judge(runs: Sequence[ExtremeRun], default: tuple[str, int], own: Mapping[str
 
 
 def _default_of(runs: Sequence[ExtremeRun], default: tuple[str, int]) -> ExtremeRun:
-    found = (r for r in runs if (r.varied, r.value, r.steps) == (STEP, 1.0, EXPONENTIAL))
-    return next(r for r in found if (r.projection, r.n_modes) == default)
+    usual = (r for r in runs if (r.varied, r.value, r.steps) == (STEP, 1.0, EXPONENTIAL))
+    return next(r for r in usual if (r.projection, r.n_modes) == default)
 
 
 def _within(errors: Errors | None, allowed: Errors | None) -> bool:
@@ -258,7 +258,7 @@ def _state(run: ExtremeRun, allowed: Errors | None) -> State:
 
 
 def _cause(run: ExtremeRun, allowed: Errors | None, right_by_default: bool) -> str:
-    """Return what makes a stable run wrong; empty where nothing tells."""
+    """Return the cause of a stable run's errors; empty if unknown."""
     if run.errors is None or allowed is None:
         return ""
     if run.kind == "full":
@@ -269,7 +269,7 @@ def _cause(run: ExtremeRun, allowed: Errors | None, right_by_default: bool) -> s
     if best is not None and not _within(best, allowed):
         return f"{before}modes"
     if right_by_default and run.varied == STEP:
-        # Sound is a part of pressure alone, but for a little.
+        # Errors by sound are almost entirely in the pressure.
         carried = run.steps == EXPONENTIAL or run.errors[0] > MOST_ERROR * allowed[0]
         return "convection" if carried else "sound"
     if right_by_default and run.varied == MEMORY:
@@ -280,7 +280,7 @@ def _cause(run: ExtremeRun, allowed: Errors | None, right_by_default: bool) -> s
 def ranges_in(
     runs: Sequence[ExtremeRun], default: tuple[str, int], own: Mapping[str, float]
 ) -> Iterator[StableRange]:
-    """Yield where each model is stable and right; `own` are the case's own values by quantity."""
+    """Yield the ranges of each model; `own` are the case's own values by quantity."""
     own_run = _default_of(runs, default)
     for series in _series(runs):
         first, values = series[0], [run.natural for run in series]
@@ -311,15 +311,15 @@ def ranges_in(
 
 
 def _series(runs: Sequence[ExtremeRun]) -> list[list[ExtremeRun]]:
-    """Return the runs of each model in which one quantity is varied, by its value."""
-    found: dict[tuple[str, str], list[ExtremeRun]] = {}
+    """Return the runs of each model and varied quantity, ordered by value."""
+    series: dict[tuple[str, str], list[ExtremeRun]] = {}
     for run in runs:
-        found.setdefault((run.varied, run.model), []).append(run)
-    return [sorted(series, key=lambda run: run.value) for series in found.values()]
+        series.setdefault((run.varied, run.model), []).append(run)
+    return [sorted(each, key=lambda run: run.value) for each in series.values()]
 
 
 def _around(k: int, good: Sequence[bool]) -> tuple[int, int] | None:
-    """Return the ends of the good ones around a place; None where it isn't good itself."""
+    """Return the first and last index of the good values around index k; None if k is not good."""
     if not good[k]:
         return None
     low = high = k
@@ -331,7 +331,7 @@ def _around(k: int, good: Sequence[bool]) -> tuple[int, int] | None:
 
 
 def _predicted(series: Sequence[ExtremeRun], own: ExtremeRun) -> tuple[float | None, str]:
-    """Return the greatest value that should be stable or right, and what says so."""
+    """Return the greatest value that is predicted to be stable or right, and the method."""
     first = series[0]
     if first.predicted is not None:
         way = "formula" if first.kind == "full" else "eigenvalue"
@@ -352,7 +352,7 @@ def publish(
     own: Mapping[str, float],
     notes: Sequence[str],
 ) -> None:
-    """Judge the runs, write their tables and maps, and show where models are stable and right."""
+    """Judge the runs, write their tables and maps, and show the ranges of the models."""
     judge(runs, default, own)
     ranges, report = list(ranges_in(runs, default, own)), workspace.context.report
     write_csv(workspace.folder(FOLDER) / "extremes.csv", runs)
@@ -368,8 +368,8 @@ def publish(
     if (own_run := _default_of(runs, default)).errors is not None:
         velocity, pressure = (MOST_ERROR * error for error in own_run.errors)
         report.info(
-            f"a model is right with errors up to {format_figure(velocity)} % in velocity and "
-            f"{format_figure(pressure)} % in pressure, twice the errors of {own_run.model} at "
+            f"right means errors of at most {format_figure(velocity)} % in velocity and "
+            f"{format_figure(pressure)} % in pressure, twice those of {own_run.model} at "
             f"{own_run.parameters}"
         )
     for note in (*notes, *dict.fromkeys(r.reason for r in runs if r.state == "refused")):
@@ -378,8 +378,8 @@ def publish(
     silent = sum(max(run.errors or (0.0,)) > ALL_WRONG for run in fast)
     counts = ", ".join(f"{sum(r.state == state for r in runs)} {state}" for state in COLOURS)
     report.result(
-        f"{counted(len(runs), 'run')}: {counts}; {silent} off by more than {ALL_WRONG:g} % without "
-        "a warning of their own"
+        f"{counted(len(runs), 'run')}: {counts}; {silent} with errors above {ALL_WRONG:g} % gave "
+        "no warning"
     )
     report.result(f"extremes.csv, extremes.json and extremes.png are in {workspace.out / FOLDER}")
 
@@ -397,9 +397,9 @@ def _span(low: float | None, high: float | None) -> str:
 
 
 def draw_maps(runs: Sequence[ExtremeRun]) -> Figure:
-    """Draw a map of each varied quantity: a row for each model, a column for each value.
+    """Draw a map of each varied quantity, with a row per model and a column per value.
 
-    Cells show the errors of velocity and pressure [%], and what makes a run wrong or unstable.
+    Cells show the errors of velocity and pressure [%], and the cause of errors or instability.
     """
     maps: dict[str, list[list[ExtremeRun]]] = {}
     for series in _series(runs):

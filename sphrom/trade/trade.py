@@ -1,8 +1,8 @@
-"""Stage `trade`: models weighed against each other, their errors against their cost.
+"""Stage `trade`: weigh the speed of models against their accuracy.
 
-Fast models of some sizes and steps, and full ones at other steps and resolutions, are run and timed
-on this machine, and compared with the case's own full runs. Tables, a picture and the model to take
-go into the folder `trade`.
+Fast models of several sizes, and full models at other steps and resolutions, are run, timed on this
+machine, and compared with the case's own full runs. Tables, a figure and the recommended model go
+into the folder `trade`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from sphrom.errors import CaseError
 from sphrom.metrics.histories import EXACT, Errors, compare, errors_of
 from sphrom.metrics.measures import errors_of as relative_errors
 from sphrom.metrics.measures import variation
-from sphrom.metrics.samples import Samples
+from sphrom.metrics.samples import Samples, without_weight
 from sphrom.online.error_estimates import measured_errors, measured_shares
 from sphrom.online.fast_model import FastModel, fast_model
 from sphrom.online.stable_ranges import TIME, StableRange, stable_ranges
@@ -68,11 +68,11 @@ if TYPE_CHECKING:
 Rows = tuple[ModelRow, list[RunRow]]
 
 MARGIN = 0.2
-"""Around models, for their names, over the axis."""
+"""Margin around points for their names, over the axes."""
 APART = (0.2, 0.05)
-"""How far the names of points are from each other, across or up, over the axes."""
+"""Least distance between the names of points, horizontal or vertical, over the axes."""
 ON_FRONT = "*"
-"""Marks an error that no model gives in less time."""
+"""Mark of an error that no model reaches in less time."""
 HEADINGS = ("offline [s]", "online [s]", "speed-up", "break-even", "no better than")
 
 
@@ -81,18 +81,18 @@ class Results:
     """The rows of a trade."""
 
     rows: Sequence[ModelRow]
-    """The case's own full run first."""
+    """The rows of models, with the case's own full run first."""
     without: Sequence[Alternative]
     runs: Sequence[RunRow]
     measure: Measure
 
 
 def run(context: StageContext, tolerance: str | None = None) -> None:
-    """Weigh the models that a case lists, and write tables and a plot into its folder `trade`.
+    """Compare the models that a case lists, and write tables and a plot into the folder `trade`.
 
-    With the errors allowed, such as `1%`, the cheapest model within them is named.
+    With a tolerance, such as `1%`, the cheapest model within it is recommended.
 
-    Raises CaseError when the case has no reduced models, or can't have the listed ones,
+    Raises CaseError when the case has no reduced models, or the listed ones are impossible,
     ArtifactError when a full run, the basis, its splines or the operators are missing.
     """
     allowed = None if tolerance is None else Tolerance.of_text(tolerance)
@@ -101,7 +101,7 @@ def run(context: StageContext, tolerance: str | None = None) -> None:
 
 
 class _Trade:
-    """All models, run one after the other and compared with the case's own full runs."""
+    """Runs all models one after the other, and compares them with the case's own full runs."""
 
     def __init__(self, context: StageContext) -> None:
         self.workspace, self.case = Workspace(context), context.case
@@ -122,16 +122,16 @@ class _Trade:
         return weighed_models.sampled(workspace, point, self.probes, self.measured)
 
     def _full_seconds(self, workspace: Workspace, step: float) -> float:
-        """Return how long a full run in steps of a length [s] takes on this machine now [s]."""
+        """Return the measured time of a full run on this machine [s], with a time step [s]."""
         timer = {FULL: full_run_timer(workspace, next(iter(self.full)), step)}
         return float(taking_turns(timer, self.case.trade.repeats)[FULL].min())
 
     def results(self) -> Results:
-        """Run everything, and return the rows of all models, the case's own full run first."""
+        """Run all models, and return their rows, with the case's own full run first."""
         first, step = next(iter(self.full)), largest_step(self.case)
         with self.workspace.open(self.workspace.full_run(first)) as artifact:
             imported = is_imported(artifact)
-        # Its steps are timed anew, as those of other full runs are: only such times are divided.
+        # Only times that were measured alike are divided, so its steps are timed now, too.
         own_seconds = None if imported else self._full_seconds(self.workspace, step)
         self.full_seconds = own_seconds
         own = ModelRow(
@@ -169,11 +169,11 @@ class _Trade:
 
     def _reduced(self) -> list[Rows]:
         with self.workspace.context.report.progress("reduced models", len(self.models)) as advance:
-            found = []
+            rows = []
             for model in self.models:
-                found.append(self._of(model))
+                rows.append(self._of(model))
                 advance(1)
-        return found
+        return rows
 
     def _of(self, section: ReducedModelSection) -> Rows:
         """Run a reduced model at all points; return its rows."""
@@ -216,7 +216,7 @@ class _Trade:
     def _row(
         self, point: ParameterPoint, samples: Samples | None, seconds: float | None, **about: Any
     ) -> RunRow:
-        """Return the row of a run, which became unstable where there are no samples."""
+        """Return the row of a run; without samples, it became unstable."""
         return RunRow(
             **about,
             parameters=point.label,
@@ -226,28 +226,31 @@ class _Trade:
         )
 
     def _errors(self, point: ParameterPoint, samples: Samples) -> Errors:
-        history = compare(samples, self.full[point], self.probes, self.case.compare.from_time)
+        both = samples, self.full[point]
+        if (weight := self.case.plan.weight_at(point, self.probes.all)) is not None:
+            both = without_weight(*both, weight)
+        history = compare(*both, self.probes, self.case.compare.from_time)
         if not len(history.time):
             raise CaseError(
-                "compare.line_points, compare.grid, compare.from_time: there is no snapshot in "
-                "which the full run varies over the probes"
+                "compare.line_points, compare.grid, compare.from_time: the full run varies over "
+                "the probes in no snapshot"
             )
         return {**errors_of(history), **self._measured_errors(point, samples)}
 
     def _measured_errors(self, point: ParameterPoint, samples: Samples) -> Errors:
-        found, full = dict(NO_MEASURED), self.full[point]
+        errors, full = dict(NO_MEASURED), self.full[point]
         if (of := self.oscillating) is not None:
             figures = of.of(samples.time, samples.measured, full.measured)
             names = {f"measured_{name}_relative_l2": f"{name}_error" for name in OSCILLATION}
-            return found | {name: figures.get(error) for name, error in names.items()}
-        counted_ones = full.time >= self.case.compare.from_time
+            return errors | {name: figures.get(error) for name, error in names.items()}
+        compared = full.time >= self.case.compare.from_time
         for quantity, reference in full.measured.items():
-            values, exact = samples.measured[quantity][counted_ones], reference[counted_ones]
+            values, exact = samples.measured[quantity][compared], reference[compared]
             size = variation(quantity, exact, with_weight=self.case.scene.has_surface)
-            errors = relative_errors(quantity, values, exact, size)
+            both = relative_errors(quantity, values, exact, size)
             name = f"measured_{quantity}_relative_l2"
-            found |= zip((name, f"{name}_peak"), errors, strict=True)
-        return found
+            errors |= zip((name, f"{name}_peak"), both, strict=True)
+        return errors
 
 
 def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None) -> None:
@@ -265,19 +268,18 @@ def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None)
         possible = [row for row in rows if row.model not in unstable]
         advice, words = recommend(possible, without, tolerance, measure)
         advice["unstable_by_maps"] = ", ".join(unstable)
-        if told := "; ".join(each.words for each in maps.get(advice["model"], ())):
-            words += f". Its maps: {told}"
+        if ranges := "; ".join(each.words for each in maps.get(advice["model"], ())):
+            words += f". Its maps of extremes: {ranges}"
         tables["recommendation"] = rows_of_columns(dict.fromkeys(advice), [advice])
     case, path, seconds = workspace.case, folder / "trade.json", timed_words(workspace.case)
     words_of = {"seconds": seconds, "judged_by": measure.words}
     write_json(path, tables, case.name, workspace.threads, **words_of)
     save(draw_trade(results), folder / "trade.png")
     report.table(
-        f"speed against accuracy: {measure.words} in %, overall / at the worst instant, pressure "
-        f"less its mean{'; in brackets what the model estimates' if measure.measured else ''}; "
-        f"{ON_FRONT} on the Pareto front of seconds and this error; a model is no better than one "
-        f"that is no slower and nowhere worse; dt is the case's step, a model's automatic one; "
-        f"{seconds}",
+        f"speed against accuracy: {measure.words} in %, overall / at the worst time, pressure "
+        f"without its mean{'; in brackets the estimated error' if measure.measured else ''}; "
+        f"{ON_FRONT} marks the Pareto front of seconds and this error; `no better than` names an "
+        f"alternative that is as fast and as accurate; dt is the case's time step; {seconds}",
         ("model", "step [s]", *(q.replace("_", " ") for q in measure.quantities), *HEADINGS),
         [
             _cells(rows[0], measure),
@@ -290,22 +292,22 @@ def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None)
 
 
 def _mapped(workspace: Workspace, row: ModelRow) -> list[StableRange]:
-    """Return what maps of the extremes say of a model in its automatic steps."""
+    """Return the stable ranges of a model with automatic steps, from maps of the extremes."""
     name = "apg" if row.family == "APG" else "galerkin"
-    found = (r for r in stable_ranges(workspace) if (r.kind, r.steps) == ("fast", EXPONENTIAL))
-    asked = (*workspace.case.plan.parameter_names, TIME)
+    maps = (r for r in stable_ranges(workspace) if (r.kind, r.steps) == ("fast", EXPONENTIAL))
+    varied = (*workspace.case.plan.parameter_names, TIME)
     return [
-        r for r in found if (r.projection, r.n_modes) == (name, row.n_modes) and r.varied in asked
+        r for r in maps if (r.projection, r.n_modes) == (name, row.n_modes) and r.varied in varied
     ]
 
 
 def timed_words(case: Case) -> str:
-    """Return how the seconds of a run are measured, in words."""
-    spin_up = "; the spin-up counts as offline where models learn and nowhere else"
+    """Describe the measurement of the seconds of a run."""
+    spin_up = "; the spin-up counts only as offline time of training runs"
     return (
-        f"online is a run of {case.plan.recorded_time:g} s on one thread, without reading and "
-        f"writing: the least of {counted(case.trade.repeats, 'time')}, of full runs by "
-        f"{N_TIMED_STEPS} steps, the case's own at its largest stable step"
+        f"online is the time of a run of {case.plan.recorded_time:g} s on one thread, without "
+        f"reading and writing, the least of {counted(case.trade.repeats, 'time')}; full runs are "
+        f"timed over {N_TIMED_STEPS} steps, and the case's own has its largest stable step"
         f"{spin_up if case.time.spin_up > 0.0 else ''}"
     )
 
@@ -327,15 +329,15 @@ def _cells(row: ModelRow, measure: Measure) -> tuple[str, ...]:
 
 
 def _errors(errors: Errors, measure: Measure, row: ModelRow | None = None) -> list[str]:
-    """Return the errors that count: overall / at worst, with a mark on the Pareto front."""
-    found = []
+    """Return the compared errors, overall / at the worst time, with a mark on the Pareto front."""
+    cells = []
     for quantity in measure.quantities:
         both = (measure.of(errors, quantity, peak=peak) for peak in (False, True))
         mark = ON_FRONT if row is not None and row.fronts[FRONTS[quantity]] else " "
-        found.append(" / ".join(map(format_figure, both)) + mark)
+        cells.append(" / ".join(map(format_figure, both)) + mark)
     if (estimate := errors[ESTIMATE]) is not None:
-        found[0] += f" ({format_figure(estimate)})"
-    return found
+        cells[0] += f" ({format_figure(estimate)})"
+    return cells
 
 
 def _known(figure: float | None) -> str:
@@ -343,10 +345,10 @@ def _known(figure: float | None) -> str:
 
 
 def draw_trade(results: Results) -> Figure:
-    """Return errors against seconds of a run with their Pareto fronts, a panel for each quantity.
+    """Draw errors over seconds of a run with their Pareto fronts, one panel per quantity.
 
-    It shows the stable models, but for the full run that they are compared with, and alternatives
-    without a model. Named are the points of a front, from the last one on, whose names stay apart.
+    It shows the stable models except the reference run, and the alternatives without a model.
+    Points of a front are named, starting from the last one, where names do not overlap.
     """
     quantities = results.measure.quantities
     panels = [_panel(results, quantity) for quantity in quantities]
@@ -372,7 +374,7 @@ def _panel(results: Results, quantity: str) -> Panel:
         x, y = np.array(own, dtype=float).reshape(-1, 2).T
         curves.append(Curve(family, x, y, "reference", place=k))
     if front := _front(results, quantity):
-        # Steps: no model between two of them is better than the slower one.
+        # The front is drawn in steps, because no model lies between two of its points.
         x, y = np.array([place[:2] for place in front]).T
         curves.append(Curve("Pareto front", np.repeat(x, 2)[1:], np.repeat(y, 2)[:-1], "level"))
     seconds = [s for s, *_ in places] + [own_seconds or 1.0]
@@ -388,7 +390,7 @@ def _panel(results: Results, quantity: str) -> Panel:
 
 
 def _places(results: Results, quantity: str) -> list[tuple[float, float, ModelRow]]:
-    """Return seconds, error and row of the stable models whose error isn't zero."""
+    """Return seconds, error and row of the stable models with an error above zero."""
     return [
         (row.online_seconds, error, row)
         for row in results.rows[1:]

@@ -1,8 +1,8 @@
-"""Models of a trade weighed: the rows of its tables, what a model gains, and the one to take.
+"""The comparison of models in a trade: rows of tables, gains, rivals, and the recommendation.
 
-Alternatives without a model are training runs, as they are or interpolated, and a flow that stays
-as it starts. They take no time once the training runs are there. A model that is no better than one
-of them, or slower and no better than a full run, is never recommended.
+Alternatives without a model are training runs, the nearest one or interpolated ones, and a flow
+that stays in its initial state. They take no time once the training runs exist. A model that is not
+better than one of them, or than a full run that is as fast, is never recommended.
 """
 
 from __future__ import annotations
@@ -29,17 +29,16 @@ from sphrom.setup.assembly import scaled_parameters
 from sphrom.text import counted
 
 SCATTER = 0.1
-"""Seconds that differ by less, relatively, are alike: repeats of a short run differ by so much."""
+"""Relative difference below which seconds are equal, because repeated short runs differ so much."""
 SECONDS = {"unit": "s"}
 ESTIMATE = "measured_estimate"
 OSCILLATION = ("frequency", "amplitude")
-"""What models are judged by where a trade's measurement is of an oscillation."""
+"""The quantities that rank models when the trade's measurement is an oscillation."""
 MEASURED = (
     *(f"measured_{q}_relative_l2{p}" for q in (*UNITS, *OSCILLATION) for p in ("", "_peak")),
     ESTIMATE,
 )
-"""Errors of the measurement that a case's trade is judged by, by quantity, and a model's own
-estimate."""
+"""Errors of the trade's measurement by quantity, and a model's own estimate."""
 ERROR_COLUMNS = columns((*ERRORS, *MEASURED), "%")
 NO_MEASURED: Errors = dict.fromkeys(MEASURED)
 UNSTABLE: Errors = {**NO_ERRORS, **NO_MEASURED}
@@ -50,7 +49,7 @@ FRONTS = {
     **dict.fromkeys(UNITS.keys() - {"velocity", "pressure"}, "measured_front"),
     **{name: f"{name}_front" for name in OSCILLATION},
 }
-"""Columns that tell whether no other model is both faster and better, by quantity."""
+"""Columns for membership of the Pareto front, by quantity."""
 NEAREST = "nearest training run"
 INTERPOLATED = "training runs, interpolated"
 UNCHANGED = "the start, unchanged"
@@ -63,8 +62,8 @@ class RunRow:
     model: str
     parameters: str
     role: str
-    """`trained` where a reduced model's basis learnt from the value, `predicted` between such
-    values, else `extrapolated`."""
+    """`trained` at a training value of a reduced model's basis, `predicted` between such values,
+    else `extrapolated`."""
     status: str
     time_step: float = field(metadata=SECONDS)
     seconds: float | None = field(metadata=SECONDS)
@@ -73,32 +72,32 @@ class RunRow:
 
 @dataclass(frozen=True, kw_only=True)
 class ModelRow:
-    """One model over all values: means of mean errors, and the largest of peaks."""
+    """One model over all points: means of mean errors, and the largest of peak errors."""
 
     model: str
     family: str
-    """The models of a family differ in size and time step alone."""
+    """The models of a family differ only in size and time step."""
     keys: str | None = None
-    """What a case lists under `rom` to have it; None where it can't, as with other steps."""
+    """The entry for `rom` in a case; None if there can be none, as with other steps."""
     kind: str
     """`full`, or the `evaluation` of a reduced model."""
     n_modes: int | None = None
     resolution: int
     time_step: float = field(metadata=SECONDS)
-    """The smallest of its runs."""
+    """The smallest time step of its runs."""
     stable: bool = True
     offline_seconds: float | None = field(default=0.0, metadata=SECONDS)
-    """From the full runs to the model, which must be spent once; None where nobody knows."""
+    """Time from the full runs to the model, spent once; None if unknown."""
     training_seconds: float | None = field(default=0.0, metadata=SECONDS)
-    """The full runs that it learns from; None where nobody knows, as of imported ones."""
+    """Time of its training runs; None if unknown, as for imported ones."""
     online_seconds: float | None = field(metadata=SECONDS)
-    """Of one run, without reading and writing; None if unstable, or where nobody knows."""
+    """Time of one run, without reading and writing; None if unstable or unknown."""
     speed_up: float | None = None
-    """Over the full run at the case's own step."""
+    """Speed-up over the case's own full run."""
     break_even_runs: int | None = None
-    """Runs after which the full model would have taken longer; None if never, or unknown."""
+    """Number of runs from which it is cheaper than full runs; None if never or unknown."""
     beaten_by: str | None = None
-    """An alternative that is no slower and nowhere worse: a full run, or none at all."""
+    """An alternative that is as fast and as accurate: a full run, or one without a model."""
     fronts: Mapping[str, bool] = field(
         default_factory=lambda: dict.fromkeys(FRONTS.values(), False),
         metadata=columns(FRONTS.values()),
@@ -122,7 +121,7 @@ class ModelRow:
 
 @dataclass(frozen=True)
 class Alternative:
-    """Errors without a model, over all values: means of mean errors, and the largest of peaks."""
+    """Errors without a model, over all points: means of mean errors, and the largest of peaks."""
 
     name: str
     errors: Errors = field(metadata=ERROR_COLUMNS)
@@ -130,39 +129,39 @@ class Alternative:
 
 @dataclass(frozen=True)
 class Measure:
-    """Which of the errors models are judged by."""
+    """The errors that rank models."""
 
     probes: str
     measured: str | None = None
-    """The name of a measurement, where its error counts and not the fields'."""
+    """Name of a measurement whose error counts instead of those of the fields."""
     quantities: tuple[str, ...] = QUANTITIES
-    """The fields whose errors count: velocity, pressure or both."""
+    """The quantities whose errors count."""
 
     @classmethod
     def of_case(cls, case: Case) -> Measure:
-        """Return what the section `trade` of a case judges by."""
+        """Return the measure of the section `trade` of a case."""
         trade = case.trade
         if trade.measure is None:
             return cls(trade.probes)
         if trade.measure in case.scene.oscillations:
             return cls(trade.probes, trade.measure, OSCILLATION)
-        # A torque may be zero but for noise.
-        judged = (q for q in case.scene.measure[trade.measure].quantities if q != "torque")
-        return cls(trade.probes, trade.measure, tuple(judged))
+        # A torque may be zero except for noise.
+        compared = (q for q in case.scene.measure[trade.measure].quantities if q != "torque")
+        return cls(trade.probes, trade.measure, tuple(compared))
 
     def of(self, errors: Errors, quantity: str, *, peak: bool = False) -> float | None:
-        """Return the error of a quantity [%], overall or at the worst instant."""
+        """Return the error of a quantity [%], overall or at the worst time."""
         name = f"{quantity}_{self.probes}" if self.measured is None else f"measured_{quantity}"
         return errors[f"{name}_relative_l2{'_peak' if peak else ''}"]
 
     def nowhere_worse(self, errors: Errors, other: Errors) -> bool:
-        """Whether all errors are at most others; not where either has none."""
+        """Return whether all errors are known and at most those of `other`."""
         pairs = [(self.of(errors, q), self.of(other, q)) for q in self.quantities]
         return all(a is not None and b is not None and a <= b for a, b in pairs)
 
     @property
     def words(self) -> str:
-        """How a person reads it."""
+        """The name of the error in tables."""
         if self.quantities == OSCILLATION:
             return f"relative error of the oscillation {self.measured}"
         if self.measured is not None:
@@ -176,15 +175,14 @@ def alternatives(
     sampled: Callable[[ParameterPoint], Samples],
     errors: Callable[[ParameterPoint, Samples], Errors],
 ) -> Iterator[Alternative]:
-    """Yield the errors without a model at the points of full runs.
+    """Yield the errors of alternatives without a model at the points of full runs.
 
-    Without another training run than that of the point there is no nearest one, and without two
-    there is nothing to interpolate.
+    The nearest training run needs a training run at another point, and interpolation needs two.
 
     Parameters
     ----------
-    sampled : gives the training run at a point.
-    errors : gives those of samples that are taken for the full run at a point.
+    sampled : returns the training run at a point.
+    errors : returns the errors of samples that replace the full run at a point.
     """
     run_at = cache(sampled)
     others = {point: [each for each in case.plan.train_points if each != point] for point in full}
@@ -197,11 +195,8 @@ def alternatives(
         return run_at(others[point][int(np.linalg.norm(ways, axis=1).argmin())])
 
     def interpolated(point: ParameterPoint) -> Samples:
-        known = others[point]
-        weights = spline_weights(
-            scaled_parameters(case, known), scaled_parameters(case, [point])[0]
-        )
-        runs = [run_at(each) for each in known]
+        places = scaled_parameters(case, others[point]), scaled_parameters(case, [point])[0]
+        weights, runs = spline_weights(*places), [run_at(each) for each in others[point]]
 
         def mixed(values: list[np.ndarray]) -> np.ndarray:
             return np.tensordot(weights, values, 1)
@@ -215,7 +210,7 @@ def alternatives(
 
     if all(others.values()):
         yield mean(NEAREST, nearest)
-    if all(len(known) > 1 for known in others.values()):
+    if all(len(points) > 1 for points in others.values()):
         yield mean(INTERPOLATED, interpolated)
     yield mean(UNCHANGED, lambda point: full[point].at(np.zeros(len(full[point].time), np.int64)))
 
@@ -223,10 +218,10 @@ def alternatives(
 def weighed(
     rows: Sequence[ModelRow], without: Sequence[Alternative], measure: Measure
 ) -> list[ModelRow]:
-    """Return rows with their gains, the Pareto fronts they are on, and what beats them.
+    """Return rows with their gains, their Pareto fronts, and an alternative that beats them.
 
-    The case's own full run, the first row, which the others are compared with, takes no part in
-    fronts and is beaten by none. Those that beat a model take no time, or are stable full runs.
+    The first row is the case's own full run, the reference of the others; it is on no front, and
+    nothing beats it. Alternatives are those without a model, and stable full runs.
     """
     own, *others = rows
     rivals = [(each.name, 0.0, each.errors) for each in without]
@@ -259,10 +254,10 @@ def weighed(
 
 
 def pareto_front(costs: Sequence[tuple[float, float] | None]) -> list[bool]:
-    """Return which points no other dominates, given two costs of each, to be minimised.
+    """Return whether each point is on the Pareto front of two costs, which are minimised.
 
-    A point dominates another when it is no worse in both and better in one. None is a point whose
-    costs are unknown: it neither dominates nor is on the front.
+    A point dominates another if it is no worse in both costs and better in one. A point with
+    unknown costs, None, does not dominate others and is not on the front.
     """
     return [
         cost is not None
@@ -276,42 +271,42 @@ def pareto_front(costs: Sequence[tuple[float, float] | None]) -> list[bool]:
 
 @dataclass(frozen=True)
 class Tolerance:
-    """The errors that a user allows [%]."""
+    """The largest errors that a user accepts [%]."""
 
     velocity: float
     pressure: float
 
     @classmethod
     def of_text(cls, text: str) -> Tolerance:
-        """Read `1%`, or one for velocity and one for pressure, `0.5%,3%`.
+        """Parse one percentage, `1%`, or one for velocity and one for pressure, `0.5%,3%`.
 
-        Raises CaseError for anything else.
+        Raises CaseError for other texts.
         """
         values = [percent(part, "--tolerance") for part in text.split(",")]
         if len(values) > 2:
-            raise CaseError(f"--tolerance: is one percentage, or two: 0.5%,3%; got {text!r}")
+            raise CaseError(f"--tolerance: must be one percentage, or two: 0.5%,3%; got {text!r}")
         return cls(values[0], values[-1])
 
     def of(self, quantity: str) -> float:
-        """Return what is allowed of a quantity [%]: other than pressure as of velocity."""
+        """Return the tolerance of a quantity [%]; all except pressure have that of velocity."""
         return self.pressure if quantity == "pressure" else self.velocity
 
     def used(self, errors: Errors, measure: Measure) -> float:
-        """Return the largest of the errors that count over what is allowed; infinite for none."""
-        found = [(measure.of(errors, q), self.of(q)) for q in measure.quantities]
-        return max(math.inf if error is None else error / allowed for error, allowed in found)
+        """Return the largest ratio of an error to its tolerance; infinite if one is unknown."""
+        pairs = [(measure.of(errors, q), self.of(q)) for q in measure.quantities]
+        return max(math.inf if error is None else error / allowed for error, allowed in pairs)
 
 
 def recommend(
     rows: Sequence[ModelRow], without: Sequence[Alternative], tolerance: Tolerance, measure: Measure
 ) -> tuple[dict[str, Any], str]:
-    """Return which model to take within a tolerance, and the same in words.
+    """Return the recommended model within a tolerance, and the same as a sentence.
 
-    The case's own full run is the first row. It is the cheapest `model` that is worth its seconds,
-    of those as cheap the one that pays first, then the most accurate one; None where there is
-    none. Beside it stand the cheapest `full_run`, for few runs, and how many
-    runs make the model cheaper than that; None where these are unknown. `without_a_model` is the
-    alternative without any run that is within the tolerance.
+    The first row is the case's own full run. The recommended `model` is the fastest one that no
+    alternative beats; of equally fast ones, it is the first to pay off, then the most accurate. The
+    recommendation also has the fastest `full_run`, for few runs, the number of runs from which on
+    the model is cheaper, and an alternative `without_a_model` within the tolerance. Each is None if
+    there is none, or if it is unknown.
     """
     used = {row.model: tolerance.used(row.errors, measure) for row in rows}
     fit = [row for row in rows if used[row.model] <= 1.0]
@@ -337,28 +332,28 @@ def recommend(
     if chosen is not None:
         text += f"the cheapest is {_described(chosen, advice, measure)}"
     elif beaten := [row for row in fit if row.beaten_by not in (None, rows[0].model)]:
-        text += f"no model is better than {beaten[0].beaten_by}, which is no slower"
+        text += f"no model is better than {beaten[0].beaten_by}, which is as fast"
     else:
         faster = [row for row in rows[1:] if row.beaten_by is None]
-        text += "there is only the case's own full run; what is faster is farther off, least in "
+        text += "there is only the case's own full run; the least error of faster ones is in "
         text += " and in ".join(_best(faster, q, measure) for q in measure.quantities)
     if enough:
-        text += f"; without any model, {enough[0]} is within it too"
+        text += f"; without a model, {enough[0]} is within the tolerance, too"
     return advice, text
 
 
 def _cheapest(rows: Sequence[ModelRow], used: Mapping[str, float]) -> ModelRow | None:
-    """Return the model that pays first of the fastest ones that no alternative beats, if any."""
-    known = [(s, r) for r in rows if r.beaten_by is None and (s := r.online_seconds) is not None]
-    most = (1.0 + SCATTER) * min((seconds for seconds, _ in known), default=0.0)
-    alike = (row for seconds, row in known if seconds <= most)
+    """Return the first to pay off of the fastest models that no alternative beats, or None."""
+    timed = [(s, r) for r in rows if r.beaten_by is None and (s := r.online_seconds) is not None]
+    most = (1.0 + SCATTER) * min((seconds for seconds, _ in timed), default=0.0)
+    alike = (row for seconds, row in timed if seconds <= most)
     return min(alike, key=lambda row: (row.break_even_runs or 0, used[row.model]), default=None)
 
 
 def _best(rows: Sequence[ModelRow], quantity: str, measure: Measure) -> str:
-    found = [(e, row.model) for row in rows if (e := measure.of(row.errors, quantity)) is not None]
-    error, model = min(found, default=(None, "no run"))
-    return f"{quantity.replace('_', ' ')} {model}, by {format_figure(error)} %"
+    pairs = [(e, row.model) for row in rows if (e := measure.of(row.errors, quantity)) is not None]
+    error, model = min(pairs, default=(None, "no run"))
+    return f"{quantity.replace('_', ' ')} that of {model}, {format_figure(error)} %"
 
 
 def _described(chosen: ModelRow, advice: Mapping[str, Any], measure: Measure) -> str:
@@ -370,9 +365,9 @@ def _described(chosen: ModelRow, advice: Mapping[str, Any], measure: Measure) ->
     text += pace or "and the time of the full run is unknown"
     if chosen.kind != "full" and advice["pays_from_run"] is not None:
         text += (
-            "; counting the cost of making it, it pays from "
-            f"{counted(advice['pays_from_run'], 'run')} on; for fewer take {advice['full_run']}"
+            "; including the cost of making it, it pays off from "
+            f"{counted(advice['pays_from_run'], 'run')} on; for fewer, take {advice['full_run']}"
         )
     if chosen.keys is not None:
-        text += f"; a case has it by `- {chosen.keys}` under `rom`"
+        text += f"; add it to a case by `- {chosen.keys}` under `rom`"
     return text

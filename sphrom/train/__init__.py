@@ -1,1 +1,1 @@
-"""Training that chooses its full runs: a reduced model for a region of the parameters."""
+"""Training of a reduced model for a region of parameters, with a choice of its full runs."""

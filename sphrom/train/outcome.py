@@ -1,4 +1,4 @@
-"""The stages of a training and its outcome: tables, the picture, and what the model promises."""
+"""The stages and the outcome of a training, with its tables, its figure and its conclusion."""
 
 from __future__ import annotations
 
@@ -26,27 +26,27 @@ if TYPE_CHECKING:
 
 
 FOLDER = "training"
-"""Of a training, below that of the case's artifacts."""
+"""Folder of a training, within that of the case's artifacts."""
 LABELS = {"reynolds": "Re [–]"}
-"""Of parameters with a usual symbol."""
+"""Labels of parameters with a usual symbol."""
 FIGURES = ("estimate", "error", "floor")
-"""Of a run that a model predicted: its estimate without a factor, its true error and that of the
-best approximation [%]."""
+"""Errors of a predicted run [%]: the estimate without a factor, the true error, and the error of
+the best approximation."""
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """A full run that a model predicted before it learnt from it; errors are [%]."""
+    """A full run that a model predicted before it became a training run; errors are in %."""
 
     point: ParameterPoint
     estimate: Array
-    """(2,) of velocity and pressure, before any correction; infinite where there is none."""
+    """(2,) of velocity and pressure, before any correction; infinite without an estimate."""
     error: Array
-    """(2,), infinite where the model's run diverged."""
+    """(2,) true errors, infinite if the model's run diverged."""
     floor: Array
-    """(2,) of the best approximation in the basis."""
+    """(2,) errors of the best approximation in the basis."""
     failure: str | None = None
-    """Why there is no full run to learn from; it then has no errors."""
+    """The reason why the full run failed; it then has no errors."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Stage:
     points: tuple[ParameterPoint, ...]
     candidates: Sequence[ParameterPoint]
     estimates: Array
-    """(n_candidates, 2) [%], infinite where there are none."""
+    """(n_candidates, 2) estimated errors [%], infinite without an estimate."""
     floor: Array
     """(2,) largest errors of the best approximations of the training runs [%]."""
     earlier: tuple[HeldOut, ...]
@@ -66,28 +66,28 @@ class Stage:
 
     @property
     def unstable(self) -> tuple[ParameterPoint, ...]:
-        """Where earlier full runs became unstable."""
+        """The points where earlier full runs became unstable."""
         return tuple(run.point for run in self.earlier if run.failure is not None)
 
     @property
     def tried(self) -> tuple[ParameterPoint, ...]:
-        """Where the full model was run."""
+        """All points where the full model was run."""
         return (*self.points, *self.unstable)
 
     @property
     def factors(self) -> Array:
-        """(2,) on estimates of velocity and pressure: with them they cover all true errors."""
-        known = [run for run in self.earlier if run.failure is None]
-        estimates = np.array([run.estimate for run in known]).reshape(-1, 2)
-        errors = np.array([run.error for run in known]).reshape(-1, 2)
+        """(2,) safety factors on estimates of velocity and pressure, to cover all true errors."""
+        complete = [run for run in self.earlier if run.failure is None]
+        estimates = np.array([run.estimate for run in complete]).reshape(-1, 2)
+        errors = np.array([run.error for run in complete]).reshape(-1, 2)
         return np.array([safety_factor(estimates[:, k], errors[:, k]) for k in range(2)])
 
     def judged(self, fields: Sequence[int]) -> Array:
-        """Return the corrected estimates (n_candidates,) of the worst of some fields [%]."""
+        """Return the estimates with safety factors (n_candidates,), the largest of `fields` [%]."""
         return np.asarray((self.estimates * self.factors)[:, list(fields)].max(axis=1))
 
     def worst(self, fields: Sequence[int]) -> tuple[float, ParameterPoint]:
-        """Return the largest of them, and where it is: not where a full run is unstable."""
+        """Return the largest of these estimates, and its point, where full runs are stable."""
         pairs = zip(self.judged(fields).tolist(), self.candidates, strict=True)
         stable = [pair for pair in pairs if pair[1] not in self.unstable]
         return max(stable, key=lambda pair: pair[0])
@@ -95,7 +95,7 @@ class Stage:
 
 @dataclass(frozen=True)
 class Outcome:
-    """A training that ended."""
+    """A completed training."""
 
     case: Case
     model: str
@@ -104,31 +104,31 @@ class Outcome:
 
     @property
     def fields(self) -> list[int]:
-        """Which of velocity and pressure count."""
+        """The indices of the fields that count, velocity and pressure."""
         return list(self.case.training.fields)
 
     @property
     def quantity(self) -> str:
-        """Their names."""
+        """The names of the fields that count."""
         return " and ".join(QUANTITIES[k] for k in self.fields)
 
     @property
     def held_out(self) -> list[HeldOut]:
-        """The runs that were predicted before they were learnt from."""
+        """The runs that were predicted before they became training runs."""
         return [run for stage in self.stages for run in stage.held_out if run.failure is None]
 
     @property
     def errors(self) -> list[float]:
-        """Their true errors, of the worst field [%]."""
+        """The true errors of the held-out runs, of the worst field [%]."""
         return [float(run.error[self.fields].max()) for run in self.held_out]
 
 
 def publish(
     workspace: Workspace, outcome: Outcome, case_file: Path, kept: Sequence[str] = ()
 ) -> None:
-    """Write tables and the plot, and show what was found.
+    """Write tables and the figure, and show the results.
 
-    `kept` names the files of the case that are still those of other training points.
+    `kept` are the names of files of the case that still belong to other training points.
     """
     report, folder = workspace.context.report, workspace.folder(FOLDER)
     points = outcome.stages[-1].points
@@ -152,11 +152,11 @@ def publish(
     save(draw_training(outcome), folder / "training.png")
     others = [name for name in names if name.partition("_")[0] not in outcome.quantity]
     shown = [name for name in units if name not in (*others, "failure")]
-    known = points[0].as_dict()
-    cells = [row | {name: exact(row[name]) for name in known if name in row} for row in rows]
+    parameters = points[0].as_dict()
+    cells = [row | {name: exact(row[name]) for name in parameters if name in row} for row in rows]
     report.table(
-        f"training of {outcome.model}: errors in %; those of runs before the model learnt from "
-        "them: estimated, true, and of the best approximation",
+        f"training of {outcome.model}: errors in %; for each chosen run the estimate, the true "
+        "error and that of the best approximation, before it became a training run",
         [name.replace("_", " ") for name in shown],
         [[format_figure(row.get(name)) for name in shown] for row in cells],
     )
@@ -165,15 +165,15 @@ def publish(
     _, option, out = workspace.context.words.partition(" --out ")
     following = f"sphrom run {case_file}{option}{out}"
     if kept:
-        following += f" --force, which makes {', '.join(kept)} again for them; full runs stay"
+        following += f" --force, which makes {', '.join(kept)} again and keeps full runs"
     report.info(f"the case with the {len(points)} points: {case_file}; next: {following}")
 
 
 def _rows(outcome: Outcome) -> Iterator[dict[str, Any]]:
-    """Yield a row for each stage and each of the runs that it chose, by column; errors in %.
+    """Yield a row, by column, for each stage and each of the runs that it chose; errors are in %.
 
-    The factor is that on the estimates, from the runs held out before; the worst estimate has it.
-    Figures that aren't finite are None: a model diverged.
+    The worst estimate includes the safety factor, which comes from earlier held-out runs. Figures
+    of diverged models, which aren't finite, are None.
     """
     for stage in outcome.stages:
         common = {
@@ -184,12 +184,12 @@ def _rows(outcome: Outcome) -> Iterator[dict[str, Any]]:
             "failure": "",
         }
         for run in stage.held_out:
-            found = {
+            figures = {
                 f"{QUANTITIES[k]}_{figure}": _finite(getattr(run, figure)[k])
                 for k in range(2)
                 for figure in FIGURES
             }
-            yield {**common, **run.point.as_dict(), **found, "failure": run.failure or ""}
+            yield {**common, **run.point.as_dict(), **figures, "failure": run.failure or ""}
         if not stage.held_out:
             yield common
 
@@ -203,25 +203,25 @@ def _percent(value: float) -> str:
 
 
 def _statement(outcome: Outcome) -> str:
-    """Return what the training reached, and why it ended."""
+    """Return a sentence on the accuracy of the model and the end of the training."""
     last, tolerance = outcome.stages[-1], f"{percentage(outcome.case.training.tolerance):g} %"
     worst, at = last.worst(outcome.fields)
     floor = _percent(last.floor[outcome.fields].max())
     ends = {
         "within": f"within {tolerance} everywhere with {len(last.points)} full runs",
         "budget": f"not within {tolerance}: the budget of {outcome.case.training.budget} full runs "
-        "is spent; --budget gives more, and the same command goes on",
-        "floor": f"not within {tolerance}, and no further run would bring it there; give the model "
-        "more modes (n_modes), or a larger tolerance",
+        "is spent; the same command continues with a larger --budget",
+        "floor": f"not within {tolerance}, and further runs would not help; use more modes "
+        "(n_modes), or a larger tolerance",
     }
     reached = f"worst estimate {_percent(worst)} at {at.label}"
     if errors := outcome.errors:
-        reached += f", worst error held out {_percent(max(errors))}"
-    return f"{ends[outcome.ending]}: {reached}; at best {floor} in its basis"
+        reached += f", worst error of held-out runs {_percent(max(errors))}"
+    return f"{ends[outcome.ending]}: {reached}; best possible error in its basis {floor}"
 
 
 def draw_training(outcome: Outcome) -> Figure:
-    """Return the fall of the worst estimate; beside it, over one parameter, the estimates."""
+    """Draw the worst estimate over the runs, and for one parameter the estimates beside it."""
     error, stages = f"error of {outcome.quantity} [%]", outcome.stages
     candidates = stages[0].candidates
     estimates = [stage.judged(outcome.fields) for stage in stages]
@@ -230,7 +230,7 @@ def draw_training(outcome: Outcome) -> Figure:
     worst = Curve("worst estimate", n_runs, np.array([each.max() for each in estimates]))
     held = [len(s.points) for s in stages for r in s.held_out if r.failure is None]
     curves = [worst, *_known_errors(outcome, np.array(held, dtype=int), n_runs)]
-    panels = [Panel("", "full runs learnt from", error, curves, "logarithmic")]
+    panels = [Panel("", "training runs", error, curves, "logarithmic")]
     names = list(outcome.case.training.ranges)
     if len(names) == 1:
         values, held_out = (
@@ -250,10 +250,10 @@ def draw_training(outcome: Outcome) -> Figure:
 
 
 def _known_errors(outcome: Outcome, at: Array, range_of: Array) -> list[Curve]:
-    """Return the true errors of runs held out, and the tolerance over a range."""
+    """Return curves of the true errors of held-out runs, and of the tolerance over a range."""
     ends, errors = np.array([range_of.min(), range_of.max()]), np.array(outcome.errors)
-    known = np.where(np.isfinite(errors), errors, np.nan)
+    finite = np.where(np.isfinite(errors), errors, np.nan)
     return [
-        Curve("true, before it was seen", at, known, "reference"),
+        Curve("true error, held out", at, finite, "reference"),
         Curve("tolerance", ends, np.full(2, percentage(outcome.case.training.tolerance)), "level"),
     ]

@@ -1,13 +1,14 @@
-"""Stage `train`: the full runs that a model needs to be within a tolerance all over a region.
+"""Stage `train`: choose training runs until a model is within a tolerance in all of a region.
 
-Weak greedy training (`sphrom.reduction.greedy`): the model's error is estimated at many points of
-the region, the full model is run where it is worst, and the model learns from that run too. Full
-runs and maps are those of the case and stay; bases, splines and operators are made anew each time,
-in a folder of their own, which takes a small part of the time of a full run. So the full runs on
-disk are the journal: the same command makes the same choices again, and none of these runs.
+This is weak greedy training (`sphrom.reduction.greedy`): the model's error is estimated at many
+points of the region, and the full model runs where the estimate is largest. That run becomes a
+training run, and the next stage begins. Full runs and maps belong to the case and are kept. Bases,
+splines and operators are made anew in each stage, in a folder of their own, at a small part of the
+cost of a full run. A repeated command makes the same choices and finds their full runs on disk, so
+it continues where it was stopped.
 
-Errors are root mean squares over the reference points and the instants that count, over those of
-the field [%]: of the velocity, and of the pressure less its mean.
+Errors are root mean squares over the reference points and the compared times, over those of the
+field [%], for the velocity and for the pressure less its mean.
 """
 
 from __future__ import annotations
@@ -48,13 +49,13 @@ from sphrom.train.outcome import FOLDER, HeldOut, Outcome, Stage, publish
 from sphrom.whole_files import require_writable, write_whole
 
 CASE_FILE = "case.yaml"
-"""What the case with the chosen points is called, in the training's folder."""
+"""Name of the case with the chosen points, in the folder of the training."""
 MADE_HERE = ("basis", "spline", "b-spline", "operators")
-"""Kinds of artifacts that every stage makes anew, in a folder of its own."""
+"""Kinds of artifacts that every stage makes anew, in a folder of their own."""
 N_BLOCK_SNAPSHOTS = 16
-"""Snapshots that are read at once."""
+"""Number of snapshots to read at once."""
 NONE = np.full(2, np.inf)
-"""The errors of a run that diverged, and estimates where there are none."""
+"""The errors of a diverged run, and missing estimates."""
 
 
 def run(
@@ -69,35 +70,35 @@ def run(
 
     Parameters
     ----------
-    tolerance, budget : in place of those of the section `training`.
-    workers : full runs at once, for each of which a point is chosen; None makes the first ones on
-        all cores, and chooses one point at a time.
+    tolerance, budget : replace those of the section `training`.
+    workers : number of parallel full runs, and of points that a stage chooses; None chooses one
+        point at a time, and makes the first runs on all cores.
     scheduler : address of a Dask scheduler, whose workers make the full runs instead.
-    write_case : where the case with the chosen points goes; None is into the folder `training`.
+    write_case : file of the case with the chosen points; by default in the folder `training`.
 
     Raises CaseError when there is no region, or the case can't be trained there; UnstableError when
-    a full run became unstable: at once one of the first, after all other runs.
+    a full run became unstable: immediately for one of the first runs, otherwise at the end.
     """
     check_options(workers, scheduler)
     share = None if tolerance is None else f"{exact(percent(tolerance, '--tolerance'))}%"
-    given = {"tolerance": share, "budget": budget}
-    changed = {key: value for key, value in given.items() if value is not None}
+    options = {"tolerance": share, "budget": budget}
+    changed = {key: value for key, value in options.items() if value is not None}
     section = context.case.training.model_copy(update=changed)
     case = context.case.model_copy(update={"training": section})
     training = _Training(replace(context, case=case), workers, scheduler)
     path = write_case or training.workspace.folder(FOLDER) / CASE_FILE
     if not path.parent.is_dir():
-        raise CaseError(f"--write-case: {path.parent} is no folder")
+        raise CaseError(f"--write-case: {path.parent} is not a folder")
     require_writable(path)
     outcome = training.run()
-    found = trained_at(case, outcome.stages[-1].points)
-    write_whole(path, resolved_yaml(found, path.parent).encode())
+    chosen = trained_at(case, outcome.stages[-1].points)
+    write_whole(path, resolved_yaml(chosen, path.parent).encode())
     publish(training.workspace, outcome, path, training.share(outcome.stages[-1].points))
     if failed := [run for stage in outcome.stages for run in stage.held_out if run.failure]:
         labels = ", ".join(run.point.label for run in failed)
         raise UnstableError(
             f"{len(failed)} of the chosen full runs became unstable and were left out: {labels}; "
-            "nothing is promised near them"
+            "near them the tolerance is not ensured"
         )
 
 
@@ -105,7 +106,7 @@ class _Training:
     """The stages of a training, one after the other."""
 
     def __init__(self, context: StageContext, workers: int | None, scheduler: str | None) -> None:
-        """Find where to begin. Raises CaseError."""
+        """Choose the first points. Raises CaseError."""
         self.context, self.case = context, context.case
         self._at_once, self._scheduler = workers, scheduler
         self.section = self.case.training
@@ -117,18 +118,18 @@ class _Training:
             )
         if not self.section.ranges or model is None:
             raise CaseError(
-                "training: the case names no region of parameters; give ranges, such as --set "
+                "training: the case has no region of parameters; give ranges, such as --set "
                 "'training.reynolds=[50, 1000]'"
             )
         self.model, self.region = model, Region(self.case)
         self.workspace = Workspace(context)
-        self.starts = tuple(self.region.starts(self._known()))
+        self.starts = tuple(self.region.starts(self._existing()))
         tested = self.case.plan.test_points
         self.candidates = [p for p in self.region.candidates() if p not in tested]
         self._check_starts()
 
-    def _known(self) -> list[ParameterPoint]:
-        """Return the case's own training points in the region whose full runs are there."""
+    def _existing(self) -> list[ParameterPoint]:
+        """Return the case's own training points in the region whose full runs exist."""
         inside = [point for point in self.case.plan.train_points if self.region.contains(point)]
         workspace = Workspace(self._context_of([*self.region.starts(()), *inside]))
         return [
@@ -136,31 +137,31 @@ class _Training:
         ]
 
     def _check_starts(self) -> None:
-        """Raise CaseError where the case can't be trained at the first points."""
+        """Raise CaseError if the case can't be trained at the first points."""
         case = trained_at(self.case, self.starts)
         for problem in case_problems(case, force=self.context.force):
             raise CaseError(
-                f"training: trained at {self.starts[0].label} and other points, {problem}"
+                f"training: with runs at {self.starts[0].label} and other points, {problem}"
             )
-        # Raises CaseError where there is no local basis.
+        # Raises CaseError at points without a local basis.
         bases = {case.plan.basis_for(self.model, point) for point in self.candidates}
         if not all(case.plan.has_error_estimate(name) for name in bases):
             raise CaseError(
-                "operators.error_estimate: auto estimates no errors of so many modes, and training "
-                "goes by them: set it to true"
+                "operators.error_estimate: auto has no error estimates for so many modes, and "
+                "training needs them; set it to true"
             )
 
     def _context_of(self, points: Sequence[ParameterPoint]) -> StageContext:
-        """Return a context with a case that is trained at some points."""
+        """Return a context with the case that is trained at some points."""
         case = trained_at(self.case, points)
         return replace(self.context, case=case, keep_valid=True, known=KnownArtifacts())
 
     def run(self) -> Outcome:
-        """Go through the stages until training ends."""
+        """Run stages until the training ends."""
         for point, reason in self._full_runs(self.starts).items():
             raise UnstableError(
-                f"{point.label}, where the region ends: the full run became unstable: {reason}; "
-                "a smaller region may help"
+                f"{point.label}, a corner of the region: the full run became unstable: {reason}; "
+                "try a smaller region"
             )
         points, stages, earlier = self.starts, list[Stage](), tuple[HeldOut, ...]()
         fields = self.section.fields
@@ -181,22 +182,21 @@ class _Training:
             )
             if ended is not None:
                 return Outcome(self.case, self.model.name, (*stages, stage), ended)
-            found = self._predicted(stage, model)
-            stages.append(replace(stage, held_out=found))
-            earlier += found
-            points += tuple(run.point for run in found if run.failure is None)
+            held_out = self._predicted(stage, model)
+            stages.append(replace(stage, held_out=held_out))
+            earlier += held_out
+            points += tuple(run.point for run in held_out if run.failure is None)
 
     def _full_runs(
-        self, points: Sequence[ParameterPoint], learnt: Sequence[ParameterPoint] = ()
+        self, points: Sequence[ParameterPoint], trained: Sequence[ParameterPoint] = ()
     ) -> dict[ParameterPoint, str]:
-        """Make the full runs at points that are not there, map them, and say why some are unstable.
+        """Make and map missing full runs at points; return reasons of unstable ones, by point.
 
-        Runs that were stopped go on from their checkpoints. Points that were `learnt` are the
-        case's too.
+        Stopped runs continue from their checkpoints. The points `trained` belong to the case, too.
 
-        Raises SphromError where a run fails for another reason than that it became unstable.
+        Raises SphromError if a run fails for another reason than instability.
         """
-        context = self._context_of(tuple(dict.fromkeys((*learnt, *points))))
+        context = self._context_of(tuple(dict.fromkeys((*trained, *points))))
         require_room(context.case, context.out, points, "fom")
         workspace = Workspace(context)
         fom.ensure_packed(workspace)
@@ -204,12 +204,12 @@ class _Training:
         failed: list[Failure] = []
         if missing:
             number = min(self._at_once or runs_that_fit(context.case, "fom"), len(missing))
-            with start_workers(number, self._scheduler, context.report) as found:
-                failed = found.run("full runs", workspace, missing, make_run)
+            with start_workers(number, self._scheduler, context.report) as workers:
+                failed = workers.run("full runs", workspace, missing, make_run)
         for failure in failed:
             if failure.kind is not UnstableError:
                 raise failure.kind(f"{failure.point.label}: {failure.reason}")
-        # Runs that became unstable are on disk too, as those of an earlier call are.
+        # Unstable runs are on disk, too, also those of earlier calls.
         workspace = Workspace(replace(context, known=KnownArtifacts()))
         problems = {failure.point: failure.reason for failure in failed}
         for point in points:
@@ -223,10 +223,7 @@ class _Training:
         return problems
 
     def _predicted(self, stage: Stage, model: StageModel) -> tuple[HeldOut, ...]:
-        """Choose points, make their full runs, and compare the model that hasn't seen them.
-
-        The points are the worst ones, apart from each other.
-        """
+        """Choose the worst points, apart from each other, run them, and compare the predictions."""
         with start_workers(self._at_once or 1, self._scheduler, self.context.report) as workers:
             at_once = workers.number
         numbers = choose(
@@ -237,27 +234,27 @@ class _Training:
             percentage(self.section.tolerance),
         ).tolist()
         problems = self._full_runs([self.candidates[k] for k in numbers], stage.points)
-        found = []
+        held_out = []
         for k in numbers:
             point, estimate = self.candidates[k], stage.estimates[k]
             if (problem := problems.get(point)) is not None:
-                found.append(HeldOut(point, estimate, NONE, NONE, problem))
+                held_out.append(HeldOut(point, estimate, NONE, NONE, problem))
                 self.context.report.warn(
                     f"{point.label}: left out, as its full run became unstable: {problem}"
                 )
                 continue
-            found.append(HeldOut(point, estimate, *model.compared(point)))
-        return tuple(found)
+            held_out.append(HeldOut(point, estimate, *model.compared(point)))
+        return tuple(held_out)
 
     def share(self, points: Sequence[ParameterPoint]) -> list[str]:
-        """Make the case's bases, splines and operators from the full runs at points, if none is.
+        """Make the case's bases, splines and operators for the chosen points, unless some exist.
 
-        What is there of other points stays, and its names are returned: the user decides.
+        Artifacts of other points are kept, and their names are returned, so that the user decides.
         """
         here = Workspace(self._context_of(points))
         targets = (here.basis(), here.splines(), here.operators())
-        there = [target for target in targets if target.path.exists()]
-        kept = [each.path.name for each in there if here.reason_to_make(each) is not None]
+        existing = [target for target in targets if target.path.exists()]
+        kept = [each.path.name for each in existing if here.reason_to_make(each) is not None]
         context = replace(here.context, report=here.context.report.brief(progress=True))
         for stage in () if kept else (pod, fit_psi, operators):
             stage.run(context)
@@ -271,12 +268,12 @@ def make_run(task: Task) -> tuple[Failure, ...]:
 
 
 class StageModel:
-    """A model that was trained at some points, whose full runs are mapped."""
+    """A model that is trained at some points with mapped full runs."""
 
     def __init__(
         self, context: StageContext, model: ReducedModelSection, points: Sequence[ParameterPoint]
     ) -> None:
-        """Make bases, splines and operators where they aren't those of the points."""
+        """Make the bases, splines and operators for the points, unless they are up to date."""
         context = replace(
             context,
             case=trained_at(context.case, points),
@@ -293,24 +290,24 @@ class StageModel:
 
     def estimate(self, point: ParameterPoint) -> Array:
         """Return the estimated errors (2,) of the model at a point, infinite if there are none."""
-        if (run := self._run(point)) is None or (found := run.estimate) is None:
+        if (run := self._run(point)) is None or (own := run.estimate) is None:
             return NONE
         late = self._counted(run.time)
-        squares = np.sum(found.errors[late] ** 2, axis=0), np.sum(found.sizes[late] ** 2, axis=0)
+        squares = np.sum(own.errors[late] ** 2, axis=0), np.sum(own.sizes[late] ** 2, axis=0)
         return _percent(*squares)
 
     def floor(self) -> Array:
         """Return the largest errors (2,) of the best approximations of the training runs."""
-        found = [self.compared(point, approximation=True)[1] for point in self._points]
-        return np.asarray(np.max(found, axis=0))
+        floors = [self.compared(point, approximation=True)[1] for point in self._points]
+        return np.asarray(np.max(floors, axis=0))
 
     def compared(
         self, point: ParameterPoint, *, approximation: bool = False
     ) -> tuple[Array, Array]:
-        """Return the errors of the model at a point whose full run is mapped.
+        """Return the errors at a point with a mapped full run, of the model and of its basis.
 
-        They are (2,) [%]: of the model's run, infinite where it diverged, and of the best
-        approximation in its basis; with `approximation` of that alone.
+        The errors (2,) [%] of the model's run are infinite if it diverged. Those of the basis are
+        of the best approximation; with `approximation`, only these are computed.
         """
         basis = self._fast.at_point(point).basis
         run = None if approximation else self._run(point)
@@ -333,7 +330,7 @@ class StageModel:
         return NONE if run is None else _percent(error, size), _percent(floor, size)
 
     def _run(self, point: ParameterPoint) -> FastRun | None:
-        """Return the run at a point; None where it diverges or takes steps without end."""
+        """Return the run at a point; None if it diverges or needs too many steps."""
         try:
             run = self._fast.run(point)
         except CaseError:
@@ -341,12 +338,12 @@ class StageModel:
         return None if run.failure is not None else run
 
     def _counted(self, time: Array) -> NDArray[np.bool_]:
-        """Return which instants count, as in a comparison."""
+        """Return the mask of the compared times."""
         return time >= self.workspace.case.compare.from_time - TIME_TOLERANCE
 
 
 def _fields(basis: TrialBasis, density: Array, velocity: Array) -> tuple[Array, Array]:
-    """Return velocities (n_snapshots, n_points, 2), and densities less their means."""
+    """Return velocities (n_snapshots, n_points, 2), and densities without their means."""
     return velocity, density - weighted_mean(density, basis.weights)[:, None]
 
 
@@ -357,12 +354,12 @@ def _squares(basis: TrialBasis, velocity: Array, density: Array) -> Array:
 
 
 def _distance(basis: TrialBasis, fields: tuple[Array, Array], others: tuple[Array, Array]) -> Array:
-    """Return sums of squares (2,) of how far fields are from others."""
+    """Return sums of squares (2,) of differences between fields."""
     return _squares(basis, *(a - b for a, b in zip(fields, others, strict=True)))
 
 
 def _percent(squares: Array, sizes: Array) -> Array:
-    """Return roots of sums of squares over those of the fields [%]."""
+    """Return the relative errors [%] from sums of squares of errors and of fields."""
     with np.errstate(divide="ignore", invalid="ignore"):
         shares = 100.0 * np.sqrt(squares / sizes)
     return np.where(np.isfinite(shares), shares, np.inf)

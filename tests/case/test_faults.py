@@ -40,7 +40,7 @@ def test_pipe_is_not_waited_for(tmp_path):
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"#" * (MAX_BYTES + 1), "larger than the 256 KiB that are read"),
+        (b"#" * (MAX_BYTES + 1), "larger than the limit of 256 KiB"),
         (b"name: x\n\xff\n", "is not UTF-8 text"),
         ("name: x\n".encode("utf-16"), "is not UTF-8 text"),
     ],
@@ -84,8 +84,8 @@ def test_thousands_of_unknown_keys_are_not_all_explained(refusal, monkeypatch):
 def test_bases_are_put_together_once_for_all_subsets(load, monkeypatch):
     """As many times as there are subsets, thousands took minutes."""
     asked = []
-    learnt = Plan._learnt
-    monkeypatch.setattr(Plan, "_learnt", lambda *given: (asked.append(1), learnt(*given))[1])
+    learnt = Plan._training_points
+    monkeypatch.setattr(Plan, "_training_points", lambda *a: (asked.append(1), learnt(*a))[1])
     subsets = "".join(f"    s{i}: {{reynolds: [100]}}\n" for i in range(500))
     load(f"basis:\n  subsets:\n{subsets}")
     assert len(asked) == 500
@@ -123,7 +123,7 @@ def test_step_beyond_a_limit(refusal, load, text, limit):
     (line,) = refusal(text)
     assert line.startswith("case.yaml:4: time.step: ")
     assert limit in line
-    assert line.endswith("; --force insists on it")
+    assert line.endswith("; --force accepts it")
     assert [w for w in case_warnings(load(text, force=True)) if limit in w]
 
 
@@ -133,7 +133,7 @@ def test_aliases_that_grow_without_end(refusal):
         for before, name in zip("abcdefg", "bcdefgh", strict=True)
     )
     (line,) = refusal(bomb)
-    assert "holds more than 10000 values" in line
+    assert "has more than 10000 values" in line
 
 
 def test_control_characters_stay_out_of_the_message(refusal):

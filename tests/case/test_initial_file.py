@@ -88,7 +88,7 @@ def test_a_case_written_elsewhere_names_the_same_files(load, tmp_path: Path) -> 
         (SQUARE.replace("2,1", "one,1"), "could not convert string 'one'"),
         (SQUARE.replace("2,1", "nan,1"), "must be numbers"),
         ("x,y,u,v\n0,0,0,0\n1,0,0,0\n", "got 2"),
-        ("x,y,u,v\n0,0,0,0\n1,1,0,0\n2,2,0,0\n", "on a line"),
+        ("x,y,u,v\n0,0,0,0\n1,1,0,0\n2,2,0,0\n", "on one line"),
         (SQUARE + "1,0,0,0,0\n", "twice"),
         (b"x,y,u,v\n\xff", "utf-8"),
         (b" " * (17 * 1024 * 1024), "16 MiB"),
@@ -101,5 +101,5 @@ def test_files_that_hold_no_start(refusal, content, words: str) -> None:
 
 
 def test_expressions_beside_a_file_are_refused(load) -> None:
-    with pytest.raises(CaseError, match="file takes the place of u, v and p"):
+    with pytest.raises(CaseError, match="file can't be combined with u, v and p"):
         load(SQUARE, initial={"file": "start.csv", "u": 1.0})

@@ -51,8 +51,8 @@ def test_values_without_a_spin_up_start_from_the_nearest_that_has_one(load):
     assert starts == [100.0, 100.0, 200.0, 200.0]
     told = [warning for warning in case_warnings(case) if "spin-up" in warning]
     assert told[0] == (
-        "rom.0.parameters: reynolds=130 has no spin-up: its run starts from the end of that at "
-        "reynolds=100, the nearest trained"
+        "rom.0.parameters: reynolds=130 has no spin-up of its own, so its run starts from the "
+        "spin-up of the nearest training run, reynolds=100"
     )
     assert len(told) == 3
     assert OUTSIDE in case_warnings(case)
@@ -62,7 +62,7 @@ def test_sound_can_grow_in_the_raw_product(load):
     raw = "basis: {inner_product: raw}\n"
     assert case_warnings(load(raw + "rom: [{name: x}]\n")) == []
     (warning,) = case_warnings(load(raw + fast()))
-    assert warning.startswith("basis.inner_product: in the raw product operators on the reference")
+    assert warning.startswith("basis.inner_product: with the raw product, sound may grow")
 
 
 def test_closures_are_made_for_each_basis_and_size_once(load):

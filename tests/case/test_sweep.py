@@ -62,7 +62,7 @@ def test_values_beyond_training_are_told_once_with_the_range(load):
 
 def test_distributions_that_reach_impossible_values_are_refused(refusal, load):
     (line,) = refusal(sweep(f"{{count: 99, reynolds: {WIDE}}}"), base=LID)
-    assert "norm has 2.3 % of its values where none is possible" in line
+    assert "2.3 % of the values of norm are below" in line
     cut = "{distribution: truncnorm, a: -1.98, b: 1.98, loc: 100, scale: 50}"
     assert load(sweep(f"{{count: 99, reynolds: {cut}}}"), base=LID)
     # Another parameter may have any sign.

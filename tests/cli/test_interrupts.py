@@ -62,9 +62,9 @@ def test_other_exceptions_are_told_as_before(monkeypatch):
 @pytest.mark.parametrize(
     ("number", "code", "asked", "told"),
     [
-        (2, 130, "fom C", "finished artifacts and checkpoints are kept: `C --resume` goes on"),
+        (2, 130, "fom C", "finished artifacts and checkpoints are kept: `C --resume` continues"),
         (15, 143, "run C --out o", "finished artifacts and checkpoints are kept: `C --resume`"),
-        (2, 130, "trade C --force", "finished runs are kept: `C` goes on"),
+        (2, 130, "trade C --force", "finished runs are kept: `C` continues"),
         (2, 130, "fit C m.csv", "complete files are kept: `C` starts again"),
         (2, 130, "export C", "complete files are kept: `C --force` starts again"),
     ],

@@ -41,7 +41,7 @@ def test_it_says_how_far_off_how_fast_and_when_it_pays() -> None:
 def test_nothing_is_divided_by_the_seconds_that_an_import_states() -> None:
     imported = replace(TIMING, full_step=None, full_seconds=7.0, speed_up=None)
     answer = replace(ANSWER, timing=imported)
-    assert "The full run took 7 s, as its import says. There is no speed-up" in told(answer)
+    assert "The full run took 7 s, as stated at its import. No speed-up" in told(answer)
     assert "times as long" not in told(answer)
     assert answer.pays_from is None
 

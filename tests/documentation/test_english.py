@@ -16,16 +16,16 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-CODE = re.compile(r"```.*?```|\$\$.*?\$\$|`[^`]*`|\$[^$\n]*\$|^#+ .*?$", re.DOTALL | re.MULTILINE)
+CODE = re.compile(r"```.*?```|\$\$.*?\$\$|`[^`]*`|\$[^$\n]*\$|\]\([^)]*\)|^#+ .*?$", re.S | re.M)
 QUOTES = re.compile(r"^[rfbu]*[\"']+|[\"']+$|^#+")
 KINDS = {tokenize.COMMENT, tokenize.STRING, getattr(tokenize, "FSTRING_MIDDLE", tokenize.STRING)}
 ASKING = (
     "says?|said|sees?|saw|shows?|know|knows|known|tells?|told|asks?|explains?|describes?|about|on"
 )
 CEILINGS = {
-    ("sphrom", "what"): 372,
-    ("docs", "what"): 68,
-    ("sphrom", "those that"): 31,
+    ("sphrom", "what"): 289,
+    ("docs", "what"): 38,
+    ("sphrom", "those that"): 29,
     ("docs", "those that"): 3,
 }
 """Matches that are left in each folder. The goal is 60 of "what" in all."""

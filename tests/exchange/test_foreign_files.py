@@ -191,5 +191,5 @@ def test_archive_is_judged_by_its_size_before_it_is_unpacked(
     with pytest.raises(ArtifactError, match=r"unpacks to 1 MiB; a snapshot has at most"):
         read_foreign(Source(tmp_path / "a.npz"))
     np.savez(tmp_path / "many.npz", **{f"x{i}": 0 for i in range(1001)})
-    with pytest.raises(ArtifactError, match="holds 1001 arrays; a snapshot has at most 1000"):
+    with pytest.raises(ArtifactError, match="has 1001 arrays; a snapshot has at most 1000"):
         read_foreign(Source(tmp_path / "many.npz"))

@@ -40,7 +40,7 @@ def test_motion_by_a_cubic_polynomial_is_exact_across_periodic_edges(time: float
 def test_particles_that_interpolation_takes_out_of_the_box_are_refused() -> None:
     y = {0.0: 0.9, 0.6: 0.02, 1.2: 0.97, 2.0: 0.97}
     near = [(t, Snapshot(np.full((2, 2), y[t]), np.ones(2), np.ones((2, 2)))) for t in y]
-    with pytest.raises(CaseError, match=r"files 0\.8 s apart takes 2 particles out of the scene"):
+    with pytest.raises(CaseError, match=r"files 0\.8 s apart moves 2 particles out of the scene"):
         interpolated(near, 1.6, BOX, 0.1)
 
 

@@ -77,7 +77,7 @@ def test_columns_from_python_are_those_of_a_file():
     columns = {"time": [0.1, 0.2], "drag_torque": value, "drag_torque_noise": [0.1, 0.2]}
     (found,) = read_measurements(columns, CASE, CASE.plan.steps, None).histories
     assert (found.time.tolist(), found.noise.tolist()) == ([0.1], [0.1])
-    with pytest.raises(CaseError, match="of one length"):
+    with pytest.raises(CaseError, match="equal lengths"):
         read_measurements({"time": [0.1], "wake_pressure": [1.0, 2.0]}, CASE, CASE.plan.steps, 1.0)
 
 
@@ -85,15 +85,15 @@ def test_columns_from_python_are_those_of_a_file():
     ("text", "said"),
     [
         ("", "its first row must name the columns"),
-        ("time,wake_pressure\n0.1,\n0.2,NaN\n", "holds no values"),
+        ("time,wake_pressure\n0.1,\n0.2,NaN\n", "has no values"),
         ("time,wake_pressure,wake_pressure\n0,1,1\n", "each once"),
         ("time,x,pressure\n0,1,1\n", "x and y where rows have places"),
         ("time,wakes_pressure\n0,1\n", "did you mean wake_pressure"),
-        ("time,profile_velocity_x\n0,1\n", "pressure go with columns x and y"),
+        ("time,profile_velocity_x\n0,1\n", "pressure need columns x and y"),
         ("time,velocity_x\n0,1\n", "column velocity_x needs a place"),
         ("time,x,y,u\n0,1,1,1\n", "known: velocity_x, velocity_y, pressure, wake_velocity_x"),
         ("time [ms],wake_pressure\n0,1\n", "column time must be in s; got [ms]"),
-        ("time,wake_pressure,drag_torque_noise\n0,1,1\n", "is of none of the others"),
+        ("time,wake_pressure,drag_torque_noise\n0,1,1\n", "has no column 'drag_torque'"),
         ("time,wake_pressure\n0.1,1\n0.2,fast\n", "line 3: wake_pressure must be a number"),
         ("time,x,y,pressure\n0.1,0.5,,1\n", "line 2: has a value but no time, or no place"),
         ("time,wake_pressure\n0,1,2\n", "line 2: has 3 cells for 2 columns"),
@@ -111,7 +111,7 @@ def test_what_is_refused(tmp_path, text, said):
 
 
 def test_noise_has_to_be_known(tmp_path):
-    with pytest.raises(CaseError, match="give a column wake_pressure_noise, or --noise"):
+    with pytest.raises(CaseError, match="give a column wake_pressure_noise, or a share"):
         read(tmp_path, "time,wake_pressure,wake_pressure_noise\n0.1,1,0.1\n0.2,2,\n")
 
 

@@ -16,7 +16,7 @@ from sphrom.artifacts import open_artifact, read_record
 from sphrom.case.loader import load_case
 from sphrom.case.points import ParameterPoint
 from sphrom.online.fast_model import FastModel
-from sphrom.reduction.memory_operators import project_memory
+from sphrom.reduction.operator_projection import project_memory
 from sphrom.reduction.reduced_operators import MemoryOperators
 from sphrom.reduction.reference_model import automatic, step_tolerance
 from sphrom.setup import particles
@@ -216,7 +216,7 @@ def test_a_value_without_a_spin_up_starts_from_the_nearest(made):
     trained, unseen = (coordinates(out, f"fast-reynolds{re}") for re in (2400, 3000))
     np.testing.assert_array_equal(unseen[0], trained[0])
     assert np.abs(unseen[-1] - trained[-1]).max() > 0.0
-    assert "reynolds=3000 has no spin-up: its run starts from the end of" in told(out, "stderr")
+    assert "reynolds=3000 has no spin-up of its own, so its run starts from" in told(out, "stderr")
 
 
 @pytest.mark.parametrize("name", ["fast", "apg", "calibrated"])

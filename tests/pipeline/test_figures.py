@@ -42,7 +42,7 @@ def test_every_kind_is_drawn_and_asking_makes_nothing_another_case_s(
     sphrom, place, refused, case_with, digests
 ):
     result = sphrom("figures", "tiny.yaml", "--out", place)
-    assert (result.exit_code, "asks for no figure" in result.output) == (0, True)
+    assert (result.exit_code, "lists no figures" in result.output) == (0, True)
     before = digests(place)
     path = case_with(compare={"figures": FIGURES})
     sphrom("figures", path, "--out", place, code=0)
@@ -82,7 +82,7 @@ def test_stored_errors_and_fields_are_those_of_the_runs(place):
     ("figure", "told"),
     [
         ({"runs": [["galerkin", "gone"]]}, "no run has the name gone"),
-        ({"time": 0.5}, "within what is recorded, 0 s to 0.08 s; got 0.5"),
+        ({"time": 0.5}, "within the recorded time, 0 s to 0.08 s; got 0.5"),
         ({"reynolds": [125]}, "galerkin: not run at 125 beside a full run"),
         ({"kind": "modes", "runs": None, "time": None, "modes": [4]}, "at most basis.n_modes, 3"),
         ({"kind": "singular-values", "runs": None, "time": None, "modes": [2], "basis": "a"},

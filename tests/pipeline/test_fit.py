@@ -142,14 +142,14 @@ def test_what_the_data_do_not_determine_is_said(study, columns, change):
     one[U][1] += change
     found = model.fit(one)
     only, other, good = found.problems
-    assert only.startswith("the data determine a combination of reynolds and lid only")
+    assert only.startswith("the data determine only a combination of reynolds and lid")
     assert other.startswith("other fits are nearly as good: reynolds=102.5, lid=0.695")
     assert "the noise is smaller than stated" in good
     assert {each.remark for each in found.estimates} == {"not determined"}
     if not change:
         nothing = model.fit({**one, f"{U}_noise": [10.0] * 3}).problems
         assert nothing[:2] == tuple(
-            f"the data don't determine {name} within its range" for name in ("reynolds", "lid")
+            f"the data do not determine {name} within its range" for name in ("reynolds", "lid")
         )
 
 
@@ -192,7 +192,7 @@ def test_without_full_runs_intervals_are_of_the_noise_alone(study, columns):
     finally:
         aside.rename(full)
     assert named["lid"].by_model > found["lid"].by_model == 0.0
-    assert any(p.startswith("intervals are of the noise alone") for p in found.problems)
+    assert any(p.startswith("intervals include the noise only") for p in found.problems)
 
 
 @pytest.mark.parametrize(
@@ -200,8 +200,8 @@ def test_without_full_runs_intervals_are_of_the_noise_alone(study, columns):
     [
         ({}, ("length",), None, 1.0, "'length': does not vary in the case"),
         ({}, (), None, "little", "noise: must be a percentage"),
-        ({}, (), {"time": [0.1, 0.2], U: [0.1, 0.3]}, 1.0, "2 values can't tell 2"),
-        ({"lid": 0.7, "reynolds": 100.0}, (), None, 1.0, "nothing to look for"),
+        ({}, (), {"time": [0.1, 0.2], U: [0.1, 0.3]}, 1.0, "2 values can't determine 2"),
+        ({"lid": 0.7, "reynolds": 100.0}, (), None, 1.0, "fixes all parameters"),
     ],
 )
 def test_what_a_fit_refuses(study, columns, known, names, given, noise, said):
@@ -242,7 +242,7 @@ def test_a_fit_needs_operators(tmp_path):
     study = sphrom.Study(CASE, out=tmp_path, quiet=True)
     table = tmp_path / "lab.csv"
     table.write_text(f"time,{U},{U}_noise\n0.1,1,1\n0.2,1,1\n0.3,1,1\n")
-    with pytest.raises(CaseError, match="measurements: a fit needs some"):
+    with pytest.raises(CaseError, match="measurements: are missing"):
         study.run_stage("fit")
     with pytest.raises(ArtifactError, match=r"operators.h5 is missing"):
         study.run_stage("fit", measurements=table)
@@ -259,7 +259,7 @@ def test_after_a_spin_up_the_start_counts_as_fixed(tmp_path, capsys):
     study.run(until="operators")
     model = study.model("fast", reynolds=60)
     found = model.sensitivities("reynolds")
-    assert "fast: derivatives leave out how the spin-up changes" in capsys.readouterr().err
+    assert "fast: derivatives do not include changes of the spin-up" in capsys.readouterr().err
     assert np.abs(found.coordinates[:, 0]).max() < 1e-12  # rounding
     measured = model.run().measures
     data = {"time": measured.time, U: measured.there_velocity.sel(component="x")}

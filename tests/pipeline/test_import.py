@@ -95,7 +95,7 @@ def test_stages_go_on_from_what_pysph_wrote(case, sphrom) -> None:
         found = run.read("measure/centre/velocity")
     timings = json.loads((OUT / "compare.json").read_text())["timings"]
     assert {(each["full_seconds"], each["speed_up"]) for each in timings} == {(7.0, None)}
-    assert "There is no speed-up" in result.stdout
+    assert "No speed-up is given" in result.stdout
     flow = TaylorGreen(length=1.0, speed=1.0, reference_density=1.0, kinematic_viscosity=0.01)
     assert found.shape == (3, 1, 2)
     np.testing.assert_allclose(found[0], flow.velocity(np.array([[0.3, 0.3]]), 0.0), atol=0.05)
@@ -190,7 +190,7 @@ def test_one_array_of_several_is_taken(case, sphrom, refused) -> None:
 
 def test_files_without_times_need_a_step(case, sphrom, refused) -> None:
     names = write_npz(time=None)
-    assert "--time-step: is needed: their_0.npz" in refused("import", case, *names, code=2)
+    assert "--time-step: is required" in refused("import", case, *names, code=2)
     sphrom("import", case, *names, "--time-step", 0.05, code=0)
 
 
@@ -260,7 +260,7 @@ def write_uneven(order: Any = lambda time: np.arange(N)) -> list[str]:
 def test_uneven_times_are_interpolated(case, sphrom) -> None:
     names = write_uneven()
     result = sphrom("import", case, *names, code=0)
-    assert "2 of 3 instants interpolated in time, by cubic polynomials: the files" in result.stderr
+    assert "2 of 3 snapshots interpolated in time, by cubic polynomials; the" in result.stderr
     run = imported()
     np.testing.assert_allclose(run["time"], [0.0, 0.05, 0.1], rtol=1e-12)
     for index, time in enumerate((0.0, 0.05, 0.1)):
@@ -283,7 +283,7 @@ def test_case_with_the_times_of_the_files_is_written_and_imported(case, sphrom, 
     names = write_uneven() if uneven else write_npz()
     end, says = 0.0948 if uneven else 0.1, "interpolated"
     if not uneven:  # Many programs write a last file wherever they end.
-        names, says = [*names, "their_end.npz"], "1 of 4 snapshots left out, at no instant"
+        names, says = [*names, "their_end.npz"], "1 of 4 snapshots left out, because"
         np.savez(names[-1], **fields(0.1), time=0.113)
     wrong = ("--set", "time.final_time=0.3", "--write-case", "fitting.yaml")
     sphrom("import", case, *names, *wrong[:2], code=2)
@@ -298,7 +298,7 @@ def test_case_with_the_times_of_the_files_is_written_and_imported(case, sphrom, 
     assert {key: written[key] for key in kept} == kept
     np.testing.assert_allclose(imported()["time"], np.linspace(0.0, end, 7 if uneven else 3))
     again = sphrom("import", case, *names, "--write-case", "fitting.yaml", code=2)
-    assert "fitting.yaml: must be a new case, or one that --force writes over" in again.stderr
+    assert "fitting.yaml: must be a new .yaml file; --force overwrites one" in again.stderr
 
 
 def test_case_is_fitted_to_the_particles_of_the_files_and_has_no_spin_up(case, sphrom) -> None:
@@ -320,7 +320,7 @@ def test_advice_on_the_start_works_when_it_is_followed(case, sphrom) -> None:
         np.savez(names[-1], **fields(time), time=1e3 * (2.5 + time))
     about = ("--units", "time=ms", "--write-case", "fitting.yaml")
     refused = sphrom("import", case, *names, *about, code=2)
-    assert "--start 2500.0 makes it begin with them" in refused.stderr
+    assert "use --start 2500.0 to start it with the files" in refused.stderr
     assert not Path("fitting.yaml").exists()
     sphrom("import", case, *names, *about, "--start", 2500.0, code=0)
     np.testing.assert_allclose(imported()["time"], [0.0, 0.05, 0.1], atol=1e-12)
@@ -342,7 +342,7 @@ def test_particles_that_come_and_go_are_refused(case, sphrom) -> None:
     names = write_npz()
     np.savez(names[2], **{name: value[1:] for name, value in fields(0.1).items()}, time=0.1)
     result = sphrom("import", case, *names, code=3)
-    assert "their_10.npz: holds 99 particles, their_0.npz 100: particles that enter or leave" in (
+    assert "their_10.npz: has 99 particles, their_0.npz has 100; particles that enter or leave" in (
         result.stderr
     )
     assert not RUN.exists()
@@ -354,21 +354,21 @@ def test_particles_that_come_and_go_are_refused(case, sphrom) -> None:
         ({"rho": None}, (), 3, "has no field rho (--density, or use --pressure); it has x, y"),
         ({}, ("--velocity", "a,b,c"), 2, "--velocity: must be two"),
         ({}, ("--density", "rho", "--pressure", "p"), 2, "--density, --pressure"),
-        ({}, ("--units", "length=furlong"), 2, "--units: got 'length=furlong'"),
+        ({}, ("--units", "length=furlong"), 2, "got 'length=furlong'"),
         ({}, ("--units", "density=kg/mm3"), 2, "check the density or pressure of --units"),
-        ({}, ("--units", "time=ms"), 2, "writes a case that fits them; time=s of --units would"),
+        ({}, ("--units", "time=ms"), 2, "--write-case FILE; time=s of --units would"),
         ({"u": HIGH, "v": HIGH}, ("--units", "velocity=6"), 2, "speed); velocity=m/s of --units"),
-        ({}, ("--units", "length=1000"), 2, "the scene's size; length=m of --units would fit"),
+        ({}, ("--units", "length=1000"), 2, "the size of the scene; length=m of --units would fit"),
         ({}, ("--origin", "0.5,0", "--set", "scene={kind: lid-driven-cavity}"), 2,
          "50 of the particles are outside the scene; all span -0.45 to 0.45 m and 0.05 to 0.95 m"),
         ({}, ("--time-step", "0"), 2, "--time-step"),
         ({}, ("--start", "nan"), 2, "--start"),
         ({}, ("--set", "discretization.resolution=20"), 2, "discretization.resolution=10 is near"),
-        ({}, ("--set", "parameters.train.reynolds=[1,2]"), 2, "--only: name the one parameter"),
+        ({}, ("--set", "parameters.train.reynolds=[1,2]"), 2, "--only: name the parameter value"),
         ({"u": np.where(HIGH > 0.5, np.nan, 1.0)}, (), 3, "u of particle 50 is nan"),
-        ({"u": HIGH[1:]}, (), 3, "its fields are of different lengths"),
-        ({"time": 0.0}, (), 3, "their_5.npz: is of the same time as their_0.npz"),
-        ({"id": np.zeros(N)}, ("--sort-by", "id"), 3, "does not give each particle a number"),
+        ({"u": HIGH[1:]}, (), 3, "its fields have different lengths"),
+        ({"time": 0.0}, (), 3, "their_5.npz: has the same time as their_0.npz"),
+        ({"id": np.zeros(N)}, ("--sort-by", "id"), 3, "must be a unique number of each"),
         ({"\x1b[2J\u202e[red]": HIGH}, ("--velocity", "\x9bu,v"), 3, "has no field \\x9bu"),
     ],
 )  # fmt: skip
@@ -381,7 +381,7 @@ def test_what_does_not_fit_is_said(case, sphrom, changed, arguments, code, says)
 
 def test_files_without_pressure_are_refused(case, sphrom) -> None:
     result = sphrom("import", case, *write_npz(p=np.zeros(N)), "--pressure", "p", code=2)
-    assert "there is no pressure: --density or --pressure names" in result.stderr
+    assert "there is no pressure; name a field with" in result.stderr
     assert not RUN.exists()
 
 
@@ -406,7 +406,7 @@ def test_file_that_cannot_be_read_is_named(case, sphrom, name, content) -> None:
 def test_files_without_particles_say_so(case, sphrom) -> None:
     names = write_npz(**{name: np.empty(0) for name in ("x", "y", "u", "v", "rho")})
     result = sphrom("import", case, *names)
-    assert (result.exit_code, result.stderr) == (3, f"error: {names[0]} holds no particles\n")
+    assert (result.exit_code, result.stderr) == (3, f"error: {names[0]} has no particles\n")
 
 
 def test_import_of_another_flow_than_the_case_says_so(case, sphrom) -> None:
@@ -426,8 +426,8 @@ def test_import_of_another_flow_than_the_case_says_so(case, sphrom) -> None:
     vectors = ("--position", "position.x,position.y", "--threads", 1, "--force")
     for change, says in (
         ("scene.lid=uniform", ""),
-        ("scene.lid=regularised", " % slower per 1 s at first; with other schemes both are within"),
-        ("parameters.train.reynolds=[200]", "the case's own full model departs from the files by"),
+        ("scene.lid=regularised", " % slower per 1 s; for other schemes both are within"),
+        ("parameters.train.reynolds=[200]", "full model come to differ from the files by"),
     ):
         change = "--set", change
         files = Path().glob("own_*.npz")
@@ -440,7 +440,9 @@ def test_run_that_is_there_is_kept_unless_forced(case, sphrom, refused) -> None:
     names = write_npz()
     sphrom("fom", case, code=0)
     ours = RUN.read_bytes()
-    assert "is there, computed here, and not from ./their_*.npz" in refused("import", case, *names)
+    assert "exists already, computed here, and not from ./their_*.npz" in refused(
+        "import", case, *names
+    )
     assert RUN.read_bytes() == ours
     sphrom("import", case, *names, "--force", code=0)
     theirs = RUN.read_bytes()
@@ -457,7 +459,7 @@ def test_force_replaces_no_imported_run(case, sphrom) -> None:
     names = write_npz(id=np.arange(N))
     sphrom("import", case, *names, "--sort-by", "id", "--units", "time=1.0", code=0)
     theirs, again = RUN.read_bytes(), ("./their_*.npz", "--sort-by=id", "--units=time=1.0")
-    assert "fom-reynolds100.h5: there" in sphrom("fom", case, "--force").stdout
+    assert "fom-reynolds100.h5: up to date" in sphrom("fom", case, "--force").stdout
     other = ("--set", "fluid.mach_number=0.09")
     for words in (("map",), ("run",), ("fom",), ("run", "--force"), ("fom", "--force")):
         refused = sphrom(words[0], case, *words[1:], *other, code=3)

@@ -75,7 +75,7 @@ def test_comparison_tells_frequency_amplitude_and_phase(made: Path) -> None:
     assert ("shake", "map") not in found  # the map tells no forces
     answer = (made / "answer.txt").read_text()
     assert "The oscillation (beat) differs by" in answer
-    assert "degrees in phase, which all errors over time include." in answer
+    assert "degrees in phase; all errors over time include this phase." in answer
     later = {"scene.measure.beat.frequency.from_time": 0.5}
     study = package.Study(made / "case.yaml", out=made / "runs", set=later, quiet=True)
     workspace = Workspace(study._context)

@@ -257,7 +257,7 @@ def test_signals_leave_a_checkpoint(empty, wait_for, number, code, word) -> None
     finally:
         process.kill()
     assert (process.returncode, errors.partition(";")[0]) == (code, word)
-    assert "--checkpoint-every 0.1 --resume` goes on from them" in errors
+    assert "--checkpoint-every 0.1 --resume` continues from them" in errors
     assert f"{FULL}: checkpoint at step " in out
     assert all(name.startswith(f"{FULL}.") for name in leftovers(empty))
     shutil.rmtree(empty)

@@ -162,7 +162,7 @@ def test_a_sweep_of_other_values_has_another_name(sweep, ready):
     sweep("--set", VALUES)
     other = ("--set", "sweep.reynolds=[105]")
     refused = sweep(*other, code=3)
-    assert "has runs that the case no longer asks for, such as reynolds=101" in refused.stderr
+    assert "has runs at values that the case no longer has, such as reynolds=101" in refused.stderr
     sweep(*other, "--set", "sweep.name=low")
     assert (ready / "sweep-low.csv").exists()
     assert len(rows_of(ready / "sweep-fast.csv")) == 5
@@ -220,7 +220,7 @@ def test_full_runs_are_announced(sphrom, ready, monkeypatch):
         sphrom("sweep", "tiny.yaml", "--workers", "1", *slow)
     log = (ready / "sphrom.log").read_text()
     assert "add {name: fast, evaluation: operators} to rom" in log
-    assert re.search(r"the sweep makes 2 full runs, about [\d.]+ \w+ on one core", log)
+    assert re.search(r"the sweep makes 2 full runs, which take about [\d.]+ \w+ on one core", log)
 
 
 def test_full_runs_are_those_of_the_stage(sphrom, ready, digests, tmp_path):
@@ -293,10 +293,10 @@ def test_reduced_runs_on_particles(sphrom, sweep, ready):
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
-        ((), 2, "sweep.reynolds: there are no values to run at"),
-        (("--set", VALUES, "--force", "--shard", "1/2"), 2, "to start shards anew, remove"),
-        (("--set", VALUES, "--shard", "1/2", "--collect"), 2, "are not for one another"),
-        (("--set", VALUES, "--scheduler", "tcp://127.0.0.1:1"), 2, "--workers: is not for"),
+        ((), 2, "sweep.reynolds: has no values"),
+        (("--set", VALUES, "--force", "--shard", "1/2"), 2, "to restart shards, first remove"),
+        (("--set", VALUES, "--shard", "1/2", "--collect"), 2, "can't be combined"),
+        (("--set", VALUES, "--scheduler", "tcp://127.0.0.1:1"), 2, "--workers: can't be combined"),
         (("--set", VALUES, "--set", "sweep.model=slo"), 2, "did you mean slow?"),
         (("--set", VALUES, "--collect"), 3, "none of its 5 runs has been made"),
     ],

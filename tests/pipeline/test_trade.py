@@ -73,7 +73,7 @@ def test_models_are_weighed(weigh, place):
         assert float(row["speed_up"]) == pytest.approx(gain, rel=1e-6)
     fastest = min(rows, key=lambda row: float(row["online_seconds"]))
     assert (fastest["velocity_front"], fastest["pressure_front"]) == ("True", "True")
-    assert "online is a run of 0.08 s" in words
+    assert "online is the time of a run of 0.08 s" in words
 
     runs = rows_of(place, "runs")
     assert {row["parameters"] for row in runs} == {"reynolds=150"}
@@ -131,7 +131,7 @@ def test_quick_maps_say_where_models_are_stable_and_right(sphrom, weigh, place, 
     assert (place / "trade" / "extreme-16-reynolds1000-1" / "fom-reynolds1000.h5").exists()
     assert (place / "trade" / "extremes.png").stat().st_size > 10_000
     assert f"{len(rows)} runs: " in words
-    assert "a model is right with errors up to" in words
+    assert "right means errors of at most" in words
 
     (own,) = of(rows, varied=STEP, value="1.0", n_modes="3", steps="exponential", kind="fast",
                 projection="galerkin")  # fmt: skip
@@ -227,8 +227,8 @@ ONE = "basis.subsets={one: {reynolds: [100]}}"
     ("keys", "others", "words"),
     [
         (("rom=[]",), (), "rom: the case has no reduced models"),
-        ((), ("--tolerance", "1%", "--extremes"), "--tolerance: is not for --extremes"),
-        ((), ("--quick",), "--quick: is for --extremes"),
+        ((), ("--tolerance", "1%", "--extremes"), "--tolerance: can't be combined with --extremes"),
+        ((), ("--quick",), "--quick: needs --extremes"),
         ((ONE, "basis.n_modes=8", "trade.n_modes=[8]", "rom.0.basis=one", "rom.0.n_modes=6"), (),
          "trade.n_modes: the basis one has 6 modes; got 8"),
     ],

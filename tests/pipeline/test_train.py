@@ -85,7 +85,7 @@ def test_a_promise_is_tested_first_and_the_case_goes_on_with_the_same_artifacts(
     before = uuids()
     after = sphrom("run", PLACE / "training" / "case.yaml", "--out", PLACE, code=0)
     assert {name: uuids()[name] for name in before} == before
-    assert "pod: all is there" in after.stdout
+    assert "pod: all artifacts exist" in after.stdout
     assert {"pod.h5", "operators.h5", "rom-fast-reynolds150.h5"} <= digests(PLACE).keys()
     assert (PLACE / "training" / "training.png").stat().st_size > 10_000
 
@@ -149,10 +149,10 @@ def test_several_runs_at_once_are_apart_and_points_that_are_there_count(case, sp
 
 @pytest.mark.parametrize(
     ("low", "high", "words"),
-    [(80.0, 250.0, "nothing is promised near them"), (0.0, 1e9, "where the region ends")],
+    [(80.0, 250.0, "the tolerance is not ensured"), (0.0, 1e9, "a corner of the region")],
 )
 def test_a_full_run_that_becomes_unstable_is_left_out(case, train, monkeypatch, low, high, words):
-    """But where the region ends it has to be stable."""
+    """But a corner of the region it has to be stable."""
     case()
     ensure = fom.ensure_run
 
@@ -176,7 +176,7 @@ def test_a_tolerance_below_what_the_basis_can_reach_is_told(case, train):
     result = train("--tolerance", "0.0001%")
     assert about()["ending"] == "floor"
     assert len(trained()) == 2
-    assert "no further run would bring it there" in result.output
+    assert "further runs would not help" in result.output
 
 
 @pytest.mark.slow
@@ -200,11 +200,11 @@ def test_two_parameters_and_both_fields(case, sphrom):
 @pytest.mark.parametrize(
     ("training", "arguments", "message"),
     [
-        ({}, (), "the case names no region of parameters"),
+        ({}, (), "the case has no region of parameters"),
         (REGION, ("--budget", "2"), "starts from 2 full runs"),
         (REGION, ("--tolerance", "0"), "--tolerance"),
         (REGION, ("--write-case", "nowhere/a.yaml"), "--write-case"),
-        ({**REGION, "reynolds": [150, 400]}, (), "is trained on; test elsewhere"),
+        ({**REGION, "reynolds": [150, 400]}, (), "is a training value; test other"),
     ],
 )
 def test_what_can_not_be_done_is_told_before_anything_runs(

@@ -208,6 +208,16 @@ def test_training_finds_gravity_and_the_number_of_elevation_modes(basis: Surface
     assert errors[1] < 3e-3 < 0.05 < errors[0]
 
 
+def test_gravity_may_change_with_the_amplitude(basis: SurfaceBasis) -> None:
+    """A wave keeps its amplitude, so that it has the frequency of one changed gravity."""
+    changed = replace(model(basis), gravity_growth=-1.0)
+    same = replace(model(basis), gravity_factor=1.0 - 0.05**2)
+    times, start = np.linspace(0, 20, 101), first_wave(basis, 0.05)
+    runs = run_many([changed, same, model(basis)], times, [start] * 3)
+    differences = [np.abs(run.coordinates - runs[0].coordinates).max() for run in runs]
+    assert differences[1] < 0.1 * differences[2]
+
+
 def test_modes_below_the_noise_are_cut_off(basis: SurfaceBasis) -> None:
     runs = [training_run(basis, GRAVITY, 1.3)]
     noisy = SurfaceBasis(**vars(basis) | {"energies": np.array([1.0, 0.1, 1e-8])})

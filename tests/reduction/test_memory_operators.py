@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.reduction.memory_operators import project_memory
-from sphrom.reduction.operator_projection import project_operators
+from sphrom.reduction.operator_projection import project_memory, project_operators
 from sphrom.reduction.polynomial_model import OutputTimes, PolynomialModel
 
 NU = 0.01

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from sphrom.reduction import operator_projection
-from sphrom.reduction.memory_operators import project_memory
-from sphrom.reduction.operator_projection import project_operators, residual_factor
+from sphrom.reduction.operator_projection import project_memory, project_operators, residual_factor
 from sphrom.reduction.reduced_operators import residual_norm
 
 NU = 0.01

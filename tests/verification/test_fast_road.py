@@ -17,8 +17,7 @@ import pytest
 from numpy.typing import NDArray
 
 from sphrom.reduction.decomposition import decompose
-from sphrom.reduction.memory_operators import project_memory
-from sphrom.reduction.operator_projection import project_operators, residual_factor
+from sphrom.reduction.operator_projection import project_memory, project_operators, residual_factor
 from sphrom.reduction.polynomial_model import (
     OutputTimes,
     PolynomialModel,
