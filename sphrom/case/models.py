@@ -94,8 +94,9 @@ class Case(Section):
         filled = {name: value for name, value in values.items() if value is not None}
         filled.setdefault("scene", {})
         if isinstance(filled["scene"], Mapping) and filled["scene"].get("fluid") is not None:
-            slips = filled["scene"].get("slip") == "free"
-            filled = with_defaults(filled, surface_defaults(slips))
+            scene = filled["scene"]
+            along_axes = scene.get("slip") == "free" and not scene.get("solids")
+            filled = with_defaults(filled, surface_defaults(along_axes))
         return with_defaults(filled, DEFAULTS.get(kind_of(values), {}))
 
     @model_validator(mode="after")
