@@ -13,8 +13,8 @@ import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.case import studies
+from sphrom.case.custom_sections import SurfaceForce
 from sphrom.case.fields import only_one
-from sphrom.case.free_surfaces import SurfaceForce
 from sphrom.case.models import Case
 from sphrom.case.plan import MAX_STEPS, WHOLE_STEPS_TOLERANCE
 from sphrom.case.points import REYNOLDS, ParameterPoint, nearest_point

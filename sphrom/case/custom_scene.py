@@ -19,19 +19,22 @@ from pydantic import PrivateAttr, ValidationInfo, model_validator
 from shapely.geometry.base import BaseGeometry
 
 from sphrom.arrays import Array
-from sphrom.case.expressions import CONSTANTS, FUNCTIONS, MOST_QUOTED, Expression
-from sphrom.case.fields import Coordinate, Place, Positive, SafeName, Section, key
-from sphrom.case.free_surfaces import SurfaceFluidSection, SurfaceForce, hydrostatic
-from sphrom.case.initial_file import read_start, start_fields
-from sphrom.case.resistances import (
+from sphrom.case.custom_sections import (
     InflowSection,
     PorousSection,
     Rate,
+    SurfaceFluidSection,
+    SurfaceForce,
     Value,
     Vector,
+    hydrostatic,
     inverse_permeability,
     ramp_share,
+    read_start,
+    start_fields,
 )
+from sphrom.case.expressions import CONSTANTS, FUNCTIONS, MOST_QUOTED, Expression
+from sphrom.case.fields import Coordinate, Place, Positive, SafeName, Section, key
 from sphrom.case.scene_section import MEASURE, OF_WALLS, Defaults, Measures, SceneSection
 from sphrom.case.shapes import ShapeSection
 from sphrom.scenes.flows import BodyForce, CustomFlow, Scales, Scene

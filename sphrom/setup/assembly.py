@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from sphrom.arrays import Array
-from sphrom.case.free_surfaces import SurfaceForce
+from sphrom.case.custom_sections import SurfaceForce
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.scene_section import MeasureSection
