@@ -412,7 +412,8 @@ def _check_surface(case: Case) -> Found:
         yield "scene.resistance", f"{plain} {reason}; leave it out"
     for point in case.plan.points[:1]:
         force = case.plan.flow(point).body_force
-        if isinstance(force, SurfaceForce) and force.varies_in_space:
+        parts = force.parts if isinstance(force, SurfaceForce) else ()
+        if any(part.depends_on & {"x", "y"} for part in parts):
             yield "scene.body_force", f"must not depend on x and y for {reason}"
     if case.basis.subsets:
         yield "basis.subsets", f"{plain} {reason}, which have one basis; leave it out"

@@ -210,11 +210,6 @@ class SurfaceForce(BodyForce):
         force = cls(lambda at: force(at, 0.0), lambda time: 1.0, None, True, parts, gravity)
         return force
 
-    @property
-    def varies_in_space(self) -> bool:
-        """Whether the body force depends on x or y."""
-        return any(part.depends_on & {"x", "y"} for part in self.parts)
-
     def uniform(self, times: Array) -> Array:
         """Return a uniform body force at times (2, n_times) [m/s2], without gravity."""
         values = [part(x=0.0, y=0.0, t=times) for part in self.parts]

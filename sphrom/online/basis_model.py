@@ -461,15 +461,6 @@ def forces_of(
     return {name: force.at(*states) for name, force in reduced.forces.items()}
 
 
-def fields_of(
-    measures: Mapping[str, ReducedMeasure],
-    mean_density_fluctuation: Array | float,
-    coordinates: Array,
-) -> dict[str, Quantities]:
-    """Return measurements in the fluid by name, for states as in `forces_of`."""
-    return {name: m.at(coordinates, mean_density_fluctuation) for name, m in measures.items()}
-
-
 def quantities_of(
     case: Case,
     reduced: ReferenceModel,
@@ -481,5 +472,5 @@ def quantities_of(
     mean = reduced.mean_density_fluctuation if mean is None else mean
     forces = forces_of(reduced, time, coordinates, mean)
     measured = {name: totals(loads) for name, loads in forces.items()}
-    measured |= fields_of(reduced.measures, mean, coordinates)
+    measured |= reduced.measured(coordinates, mean)
     return {name: measured[name] for name in (*case.scene.recorded, *measured)}

@@ -17,8 +17,13 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.machine import seconds_of
 from sphrom.metrics.measures import UNITS, Quantities, components
-from sphrom.online import error_estimates
-from sphrom.online.basis_model import fields_of, forces_of
+from sphrom.online.basis_model import forces_of
+from sphrom.online.error_estimates import (
+    distance_from,
+    estimate_errors,
+    measured_once,
+    steady_errors,
+)
 from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.online.stable_ranges import against
 from sphrom.plots.tables import format_figure
@@ -63,8 +68,8 @@ def seek_steady_state(run: FastRun, artifact: ArtifactWriter) -> None:
         report.warn(text)
         return
     report.info(text)
-    distance = error_estimates.distance_from(model.states, found.coordinates)
-    errors = error_estimates.steady_errors(run, found.coordinates)
+    distance = distance_from(model.states, found.coordinates)
+    errors = steady_errors(run, found.coordinates)
     if errors is not None:
         distance = min(distance, errors.distance)
         stored = replace(
@@ -75,7 +80,7 @@ def seek_steady_state(run: FastRun, artifact: ArtifactWriter) -> None:
         )
     there = replace(run, time=run.time[-1:], coordinates=found.coordinates[None])
     quantities = there.measured
-    single = {name: error_estimates.measured_once(each) for name, each in quantities.items()}
+    single = {name: measured_once(each) for name, each in quantities.items()}
     write_record(artifact, replace(stored, training_distance=distance, measure=single), "steady")
     text = f"{run.name}: the steady state is {format_figure(100.0 * distance)} % of its norm away "
     text += "from the nearest state of the training runs, or between them"
@@ -121,7 +126,7 @@ def run_point(workspace: Workspace, section: ReducedModelSection, point: Paramet
         artifact.annotate("integrator", integrator.steps.system.integrator)
         _report(run, integrator, seconds)
         if run.failure is None:
-            error_estimates.estimate_errors(run, artifact)
+            estimate_errors(run, artifact)
             for doubt in run.doubts[len(run.outside) :]:
                 workspace.context.report.warn(f"{run.name}: {doubt}")
             if section.steady:
@@ -184,7 +189,7 @@ def _write(run: FastRun, artifact: ArtifactWriter) -> None:
     growth = largest_growth(reduced.polynomial.jacobian(reduced.start))
     artifact.annotate("largest_real_part", growth)
     mean = reduced.mean_density_fluctuation
-    datasets = field_datasets(fields_of(reduced.measures, mean, done.coordinates))
+    datasets = field_datasets(reduced.measured(done.coordinates, mean))
     for name, loads in forces_of(reduced, done.time, done.coordinates).items():
         datasets |= force_datasets(name, loads)
     write_positions(artifact, field_measures(workspace.case))

@@ -307,7 +307,8 @@ def _draw_pictures(
     for group in groups.values():
         fields, label = [field for _, field in group], group[0][1].label
         colours, scale = colour_scale(fields, scales or {})
-        if scales is None and any(f.label == label and _is_signed(f) for _, f in pictures):
+        alike = [f for _, f in pictures if f.label == label]
+        if scales is None and any(colour_scale([f])[0] == SIGNED_MAP for f in alike):
             colours = SIGNED_MAP  # one map for a quantity, also where a field has one sign
         for axes, field in group:
             image = _show(axes, frame, field.values, colours, scale)
@@ -327,10 +328,6 @@ def _draw_pictures(
         bar_label = label if scales is not None else ""
         _bar_below(figure, image, panels, bar_label, 18 * n_columns, EXTENDED[ends])
         image.colorbar.ax.tick_params(labelsize=min(rcParams["xtick.labelsize"], LETTERS * width))
-
-
-def _is_signed(field: Field) -> bool:
-    return colour_scale([field])[0] == SIGNED_MAP
 
 
 def colour_scale(fields: Sequence[Field], scales: Mapping[str, Range] = {}) -> tuple[str, Range]:

@@ -22,6 +22,7 @@ import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.machine import seconds_of
+from sphrom.metrics.measures import Quantities
 from sphrom.reduction import polynomial_model
 from sphrom.reduction.correction import faded
 from sphrom.reduction.exponential_steps import ExponentialModel, LinearPart
@@ -102,6 +103,13 @@ class ReferenceModel:
         if leading is not None and other.leading is not None:
             leading = replace(leading, linear=other.leading.linear)
         return replace(self, linear=other.linear, leading=leading)
+
+    def measured(self, coordinates: Array, mean: Array | float) -> dict[str, Quantities]:
+        """Return measurements in the fluid by name, for coordinates (n_states, n_modes).
+
+        `mean` is the separate density fluctuation [kg/m3], (n_states,) or one for all.
+        """
+        return {name: measure.at(coordinates, mean) for name, measure in self.measures.items()}
 
     def spread(self, leading: Array) -> Array:
         """Return coordinates (..., n_modes) with the leading ones, and zero for the others."""
