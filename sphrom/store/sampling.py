@@ -130,7 +130,9 @@ def sample_best(
     """
     densities, velocities = mapped.dataset("density_fluctuation"), mapped.dataset("velocity")
     snapshots = zip(densities, velocities, strict=True)
-    parts = [(project(basis, d, 0.0 * v), project(basis, 0.0 * d, v)) for d, v in snapshots]
+    # Where modes hold the mean density, a state of none has coordinates too: they count once.
+    rest = project(basis, 0.0 * densities[0], 0.0 * velocities[0])
+    parts = [(project(basis, d, 0.0 * v), project(basis, 0.0 * d, v) - rest) for d, v in snapshots]
     by_density, by_velocity = (np.array(part) for part in zip(*parts, strict=True))
     share = (basis.density_modes * basis.weights) @ basis.density_modes.T
     shares = (share, by_density), (np.eye(basis.n_modes) - share, by_velocity)

@@ -75,6 +75,7 @@ def test_option(run, peaks, option):
     from_map = peaks(out, "map")
     assert 0.0 < velocity < from_map[0] + 2.0
     assert 0.0 < pressure < from_map[1] + 30.0
+    assert 0.0 < peaks(out, "best possible, all M=3")[1] < from_map[1] + 30.0
 
 
 def test_models(run, peaks, errors_of):
