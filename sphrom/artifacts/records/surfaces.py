@@ -15,9 +15,8 @@ from sphrom.artifacts.records.runs import (
     Status,
 )
 from sphrom.declaration import Record, attribute, dataset, part
-from sphrom.reduction.graph_model import SurfaceBasis
-from sphrom.reduction.graph_training import TrainedGraph
 from sphrom.reduction.stream_functions import StreamSpace
+from sphrom.reduction.surface_basis import SurfaceBasis, TrainedGraph
 
 
 class SurfaceSnapshots(Medium, kind="sphrom/surface-snapshots"):
@@ -34,6 +33,7 @@ class SurfaceSnapshots(Medium, kind="sphrom/surface-snapshots"):
     residual: Array = dataset(
         "snapshot", "1", "norm of the velocity that the fit leaves out, over that of the particles"
     )
+    speed: Array = dataset("snapshot", "m/s", "root mean square velocity of the particles")
     parameters: Mapping[str, float] = attribute(*PARAMETERS, default_factory=dict)
 
 
