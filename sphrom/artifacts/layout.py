@@ -90,7 +90,7 @@ class Origin:
 def content_digest(
     schema: str, attributes: Mapping[str, Value], datasets: Mapping[str, str]
 ) -> str:
-    """Return the digest of the attributes, by path, and the `dataset_line`s, by dataset."""
+    """Return the digest of attributes (by path) and datasets (their `dataset_line`s by name)."""
     provenance = (*PROVENANCE, TIMING, Field("lineage/*/*", "text"))
     own = {
         name: value for name, value in attributes.items() if find_field(provenance, name) is None

@@ -1,6 +1,6 @@
-"""Compiled loops; here stand what is known, and what can be said, before they are loaded.
+"""Compiled loops. This module contains only the settings that are needed before they are imported.
 
-Loading them takes longer than many a command that runs none of them.
+Importing the loops takes longer than many commands that run none of them.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import sys
 
-# Threads that wait give way: where cores are shared, spinning ones keep out those they wait for.
+# Waiting threads yield: on shared cores, spinning threads would block those they wait for.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 SUPPORT_RATIO = 2.0
@@ -18,7 +18,7 @@ _asked: int | None = None
 
 
 def ask_for_threads(count: int | None) -> None:
-    """Let kernels use `count` threads, all cores by default, now or once they are loaded."""
+    """Set the number of threads of kernels, now or once they are imported; None is all cores."""
     global _asked
     _asked = count
     loaded = sys.modules.get("sphrom.kernels.jit")
@@ -27,5 +27,5 @@ def ask_for_threads(count: int | None) -> None:
 
 
 def asked_for() -> int | None:
-    """Return how many threads were asked for; None is all cores."""
+    """Return the requested number of threads; None is all cores."""
     return _asked

@@ -1,4 +1,4 @@
-"""Advection and gradients by sums over pairs: what the reduced model needs beside the functional.
+"""Advection and gradients by sums over pairs, which reduced models use beside the functional.
 
 Sources are sorted by cell and laid out as in `sphrom.kernels.sweeps`.
 """
@@ -27,7 +27,7 @@ from sphrom.kernels.sweeps import (
 from sphrom.kernels.wendland import gradient_factor, kernel, laplacian_weight
 
 FIRST = VOLUME + 1
-"""The row of `source` at which fields stand whose gradients are wanted."""
+"""The first row of `source` with additional fields for gradients."""
 
 
 @term
@@ -36,7 +36,7 @@ def _transport_pairs(
     second: Array, third: Array, volume: Array, depth: Array, nearness: float,
     inverse_length: float,
 ) -> tuple[float, float, float, float, float]:
-    """Sum the pair terms of `transport`; the last two fields are the velocity that carries."""
+    """Sum the pair terms of `transport`; the last two fields are the carrying velocity."""
     ta = tb = tc = sx = sy = 0.0
     for k in range(x.size):
         ox = xi - x[k]
@@ -69,16 +69,16 @@ def transport(
     reference_density: float,
     out: Array,
 ) -> None:
-    """Compute the advection of density and velocity by the velocity, as Eq. 3.5-3.6 have it.
+    """Compute the advection of density and velocity by the velocity, as in Eq. 3.5-3.6.
 
-    As the shifting terms of the functional: sum (f_j - f_i) (u_j . offset) G + 2 f_i u_i . s_i.
+    It has the form of the shifting terms: sum (f_j - f_i) (u_j . offset) G + 2 f_i u_i . s_i.
 
     Parameters
     ----------
     target : the fluid's sources, of which `targets` are the particles.
-    distance : (n_targets,) from the wall [m]; infinite if sources are the fluid.
-    source : the sources to sum over: the same, or ghosts.
-    depth : (n_sources,) how deep a ghost lies, where velocities are extrapolated [m].
+    distance : (n_targets,) from the wall [m]; infinite if the sources are fluid.
+    source : the sources of the sums: the same, or ghosts.
+    depth : (n_sources,) depth of ghosts for the extrapolation of velocities, else 0 [m].
     out : (3, n_particles) rows: u . grad rho [kg/m3/s], u . grad u [m/s2].
     """
     for t in prange(targets.size):
@@ -150,7 +150,7 @@ def _gradient_pairs(
         by += second[k] * wy
         cx += third[k] * wx
         cy += third[k] * wy
-    # A difference's sum, taken apart, is a subtraction less for each pair.
+    # Splitting the sum of a difference saves a subtraction per pair.
     return (
         lxx, lxy, lyy, gx, gy, sx, sy, dx, dy, moment, divergence, ax - a * sx, ay - a * sy,
         bx - b * sx, by - b * sy, cx - c * sx, cy - c * sy,
@@ -173,14 +173,14 @@ def regularity_and_gradients(
     out: Array,
     slopes: Array,
 ) -> None:
-    """Compute what `sweeps.regularity` does and, in the same pass, gradients of three fields.
+    """Compute the results of `sweeps.regularity` and, in the same pass, gradients of three fields.
 
     Parameters
     ----------
-    source : the three fields stand in the rows after the volume.
+    source : the three fields are in the rows after the volume.
     slopes : (n_particles, 3, 2) renormalised gradients (Eq. 2.11) of the fields.
 
-    The others are those of `sweeps.regularity`.
+    For the others see `sweeps.regularity`.
     """
     n_blocks = block_start.size - 1
     for chunk in prange(N_CHUNKS):

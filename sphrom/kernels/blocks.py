@@ -1,13 +1,13 @@
-"""Blocks of neighbouring targets, which share one list of candidates.
+"""Blocks of neighbouring targets with a common list of candidates.
 
-The targets of a few neighbouring cells of one row are a block. What may lie within reach of any of
-them is copied side by side once, row of cells after row of cells, and each target then sums over
-the whole list in one long loop. A loop for each row of cells is only a
-few vectors long, and what surrounds it costs as much again: with lists the whole right-hand side is
-1.5 to 1.7 times faster.
+A block consists of the targets in a few neighbouring cells of one row. All sources that may be
+within reach of any of them are copied once into a contiguous list, row of cells by row of cells,
+and each target sums over the whole list in one long loop. A loop per row of cells would be only a
+few vectors long, with as much overhead again: with lists the whole right-hand side is 1.5 to 1.7
+times faster.
 
-The list's length is a multiple of a vector's, filled up with a source beyond all supports, so that
-no loop has a scalar rest. Positions in the list are relative to the block's first target.
+The length of the list is a multiple of the vector length, so that no loop has a scalar remainder;
+it is padded with a source beyond all supports. Positions are relative to the block's first target.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from sphrom.kernels.cells import Grid, range_beside_box, rows_within
 from sphrom.kernels.jit import serial, term
 
 BLOCK_COLUMNS = 4
-"""Cells of a row whose targets are a block: the fastest of those tried."""
+"""Number of cells of a row whose targets form a block: the fastest of several tried."""
 VECTOR = 8
-"""A list's length is a multiple of it: the doubles in a vector of 512 bits."""
+"""Lengths of lists are multiples of this number: the doubles in a vector of 512 bits."""
 N_CHUNKS = 64
-"""Blocks are shared out in as many parts; each has its own memory for a list."""
+"""Number of parts into which blocks are divided; each has its own memory for a list."""
 FAR = 4.0
-"""Where the sources lie that fill up a list, over the reach and the block's size."""
+"""Position of the padding sources of a list, over the reach and the block's size."""
 
 
 @serial
 def split_targets(targets: Indices, grid: Grid, cell_start: Indices) -> Indices:
-    """Return where blocks begin among the targets, which are sorted, and their end."""
+    """Return the first target of each block in the sorted targets, and the end of the last."""
     start = np.empty(targets.size + 1, np.int64)
     n_blocks = 0
     t = 0
@@ -49,7 +49,7 @@ def split_targets(targets: Indices, grid: Grid, cell_start: Indices) -> Indices:
 
 @term
 def box_of(source: Array, targets: Indices) -> tuple[float, float, float, float]:
-    """Return the least and the largest x, and y, of some targets [m]."""
+    """Return the least and the largest x and y of some targets [m]."""
     west = east = source[0, targets[0]]
     south = north = source[1, targets[0]]
     for t in range(1, targets.size):
@@ -66,9 +66,9 @@ def longest_list(
     place: Array, targets: Indices, block_start: Indices, grid: Grid, cell_start: Indices,
     reach: float, move_limit: float,
 ) -> int:
-    """Return the length that no list exceeds while no target has moved beyond a limit [m].
+    """Return a bound for the length of lists while no target has moved beyond a limit [m].
 
-    `place` (2, n_sources) is where sources were when they were sorted, `reach` is the largest.
+    `place` (2, n_sources) are the positions when sources were sorted, `reach` is the largest.
     """
     longest = 0
     for b in range(block_start.size - 1):
@@ -88,7 +88,7 @@ def longest_list(
 
 @term
 def copy_range(values: Array, target: Array, origin: float) -> None:
-    """Copy a range of a field, less its origin."""
+    """Copy a range of a field, minus its origin."""
     for k in range(values.size):
         target[k] = values[k] - origin
 
@@ -98,13 +98,13 @@ def list_candidates(
     source: Array, targets: Indices, grid: Grid, cell_start: Indices, reach: float,
     candidates: Array,
 ) -> int:
-    """Copy what may lie within reach of a block's targets to a list, and return its length.
+    """Copy the sources that may be within reach of a block's targets to a list; return its length.
 
     Parameters
     ----------
     source : (>= n_fields, n_sources) sorted by cell; rows x, y [m], then others.
-    targets : the block's.
-    candidates : (n_fields, longest list) its rows are the first ones of `source`.
+    targets : the targets of the block.
+    candidates : (n_fields, longest list) the list; its rows are the first ones of `source`.
     """
     x_origin = source[0, targets[0]]
     y_origin = source[1, targets[0]]

@@ -1,11 +1,10 @@
 """Tensor-product cubic B-splines on a lattice: values and gradients at many positions.
 
-A position lies in one cell of the lattice of points; sixteen coefficients around the cell make its
-value, by weights that are products of one for each axis. Coefficients stand row by row, all columns
-of a node together, so that the four nodes of a row are one contiguous stretch of memory and the
-loop over columns vectorises. A position is served by the cell nearest to it, whose polynomials go
-on beyond it where the position lies outside. Every position is computed by itself: results are the
-same on any number of threads.
+A position is in one cell of the lattice of points. Its value is a sum over sixteen coefficients
+around the cell, with weights that are products of one per axis. Coefficients are stored row by row,
+all columns of a node together, so that the four nodes of a row are contiguous in memory and the
+loop over columns vectorises. Positions outside use the polynomials of the nearest cell. Every
+position is computed independently, so results are the same with any number of threads.
 """
 
 from __future__ import annotations
@@ -25,16 +24,16 @@ class Lattice(NamedTuple):
     """The cells between points of a lattice."""
 
     x_origin: float
-    """Of the first point [m]."""
+    """x of the first point [m]."""
     y_origin: float
     x_spacing: float
     """[m]"""
     y_spacing: float
     n_columns: int
-    """Cells along x: as many as points where periodic, else one less."""
+    """Cells along x: the number of points if periodic, else one less."""
     n_rows: int
     x_period: float
-    """Over the spacing; zero where the axis is not periodic."""
+    """Over the spacing; zero if the axis is not periodic."""
     y_period: float
 
 
@@ -42,7 +41,7 @@ class Lattice(NamedTuple):
 def locate(
     place: float, origin: float, spacing: float, n_cells: int, period: float
 ) -> tuple[int, float]:
-    """Return the cell that serves a coordinate, and how far into it that lies (0 to 1 inside)."""
+    """Return the cell for a coordinate, and the coordinate's position in it (0 to 1 inside)."""
     along = (place - origin) / spacing
     if period > 0.0:
         along -= period * math.floor(along / period)
@@ -52,7 +51,7 @@ def locate(
 
 @term
 def weights(t: float) -> Four:
-    """Return the four cubic B-splines of a cell, `t` into it."""
+    """Return the four cubic B-splines of a cell at the position `t` in it."""
     s = 1.0 - t
     return (
         s * s * s / 6.0,
@@ -64,7 +63,7 @@ def weights(t: float) -> Four:
 
 @term
 def slopes(t: float) -> Four:
-    """Return their derivatives."""
+    """Return the derivatives of the four B-splines."""
     s = 1.0 - t
     return -0.5 * s * s, 0.5 * t * (3.0 * t - 4.0), 0.5 * s * (4.0 - 3.0 * s), 0.5 * t * t
 

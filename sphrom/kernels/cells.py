@@ -1,8 +1,8 @@
 """The cell-linked list (Alg. 3.2): particles sorted by cell, so that a row of cells is contiguous.
 
 Cells are much smaller than the support. A particle's neighbours in one row of cells are then one
-contiguous range of the sorted sources, which a compiler can vectorise over, and few candidates lie
-outside the support. Sources are the particles themselves and their periodic images.
+contiguous range of the sorted sources, over which the compiler can vectorise, and few candidates
+are outside the support. Sources are the particles themselves and their periodic images.
 
 Cells are numbered row by row, and `cell_start[c]` is the first sorted source of cell c.
 """
@@ -19,7 +19,7 @@ from sphrom.kernels.jit import serial, term
 
 
 class Grid(NamedTuple):
-    """The cells, in [m]; scalars only, so that compiled threads can share it."""
+    """The cells, in [m]; only scalars, so that compiled threads can share it."""
 
     x_origin: float
     y_origin: float
@@ -35,7 +35,7 @@ def sort_by_cell(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the order (n_sources,) that sorts sources by cell, and `cell_start` (n_cells + 1,).
 
-    A counting sort, stable: sources of one cell stay in their order.
+    The counting sort is stable: sources of one cell keep their order.
     """
     n_columns, n_rows = grid.n_columns, grid.n_rows
     cell = np.empty(x.size, np.int64)
@@ -75,7 +75,7 @@ def range_beside_box(
     first = math.floor((west - half - grid.x_origin) / grid.cell_width)
     last = math.floor((east + half - grid.x_origin) / grid.cell_width)
     base = row * grid.n_columns
-    # A position may lie beyond the sources on either side.
+        # A position may be beyond the sources on either side.
     first = min(max(first, 0), grid.n_columns)
     last = min(max(last, -1), grid.n_columns - 1)
     return cell_start[base + first], cell_start[base + last + 1]

@@ -1,8 +1,8 @@
-"""Where compiled code is kept: in files that are read whole or not at all.
+"""The cache of compiled code: files that are read as a whole or not at all.
 
-Each file begins with a digest of the rest. A file that is empty, cut or changed, as a power cut may
-leave it, is ignored: the code is compiled and kept again. A file gets its name when it is complete,
-so that any number of processes may compile the same code at once.
+Each file begins with a digest of the rest. A file that is empty, truncated or changed, for example
+after a power failure, is ignored, and the code is compiled and stored again. A file gets its name
+when it is complete, so any number of processes may compile the same code at the same time.
 """
 
 from __future__ import annotations
@@ -16,27 +16,27 @@ from dataclasses import dataclass
 from pathlib import Path
 
 VARIABLES = ("SPHROM_CACHE", "NUMBA_CACHE_DIR", "XDG_CACHE_HOME")
-"""Environment variables that name the folder: the first that is set."""
+"""Environment variables that name the folder; the first one that is set is used."""
 DIGEST_SIZE = hashlib.sha256().digest_size
 
 
 class CodeCacheWarning(UserWarning):
-    """Compiled code can't be kept."""
+    """Compiled code cannot be stored."""
 
 
 class CompilingWarning(CodeCacheWarning):
-    """Code is compiled that is not kept yet."""
+    """Code that is not stored yet is being compiled."""
 
 
 @dataclass(frozen=True)
 class CodeCache:
-    """A folder of compiled code, None where the user has none."""
+    """A folder of compiled code; None if the user has none."""
 
     folder: Path | None
     writable: bool = True
 
     def read(self, name: str) -> bytes | None:
-        """Return what is kept under a name; None where there is nothing, or it is damaged."""
+        """Return the content stored under a name; None if there is none, or it is damaged."""
         try:
             kept = (self.folder / name).read_bytes() if self.folder else b""
         except OSError:
@@ -45,7 +45,7 @@ class CodeCache:
         return content if hashlib.sha256(content).digest() == digest else None
 
     def write(self, name: str, content: bytes) -> None:
-        """Keep something under a name, over what is there; warn where it can't be kept."""
+        """Store content under a name, replacing the old one; warn if it cannot be stored."""
         if self.folder is None or not self.writable:
             return
         temporary = self.folder / f".{name}.{secrets.token_hex(8)}"
@@ -59,7 +59,7 @@ class CodeCache:
 
 
 def find_cache(name: str) -> CodeCache:
-    """Return the cache of a name in the user's folder, and warn where it can't be written."""
+    """Return the cache of a name in the user's folder; warn if it is not writable."""
     named, folder = next(filter(None, map(os.environ.get, VARIABLES)), None), None
     try:
         folder = (Path(named) if named else Path.home() / ".cache") / "sphrom" / name

@@ -1,9 +1,9 @@
 """Exponential Runge-Kutta steps of small systems whose rates are polynomials.
 
-The rates are a linear part, which steps carry exactly, and a rest, which is a polynomial as in
+The rates are a linear part, which steps integrate exactly, and a rest, which is a polynomial as in
 `sphrom.kernels.polynomial`. A step evaluates the rest four times: at its start, twice in its middle
-and at its end. What follows from the linear part comes as matrices. Snapshots within a step cost a
-product with a matrix each, and the end of a step is the last of them.
+and at its end. The matrices that follow from the linear part are arguments. Each snapshot within a
+step costs one product with a matrix; the last of them is the end of the step.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from sphrom.kernels.polynomial import evaluate, fill_monomials
 
 @term
 def _stages(state: Array, rate: Array, matrices: Array, out: Array) -> None:
-    """Compute what the start of a step gives its three other stages (3 n_modes,)."""
-    # Inner loops run over what is computed: long and without gaps, they are vectorised.
+    """Compute the contribution of a step's start to its three other stages (3 n_modes,)."""
+    # Inner loops run over the results, which are long and contiguous, so they are vectorised.
     for r in range(out.size):
         out[r] = 0.0
     for i in range(state.size):
@@ -26,7 +26,7 @@ def _stages(state: Array, rate: Array, matrices: Array, out: Array) -> None:
 
 @term
 def _add(rate: Array, matrix: Array, out: Array) -> None:
-    """Add what the rest at one stage gives the next one."""
+    """Add the contribution of the rest at one stage to the next stage."""
     for i in range(rate.size):
         for r in range(out.size):
             out[r] += rate[i] * matrix[i, r]
@@ -55,25 +55,25 @@ def integrate(
     n_steps: int, steps_per_snapshot: int, degree: int, largest_square: float, monomials: Array,
     work: Array, out: Array,
 ) -> int:
-    """Advance a system from `out[0]`; return the steps done before it diverged, or all of them.
+    """Advance a system from `out[0]`; return the number of steps before it diverged, or all.
 
-    Either a step reaches one or more snapshots, or some steps make one. The last step may reach
-    beyond the last snapshot.
+    Either a step spans one or more snapshot intervals, or an interval several steps. The last step
+    may end beyond the last snapshot.
 
     Parameters
     ----------
     coefficients, used : of the rest, as in `sphrom.kernels.polynomial`.
-    amplitudes : (2 n_steps + 1,) at the start, the middle and the end of steps; of a system without
-        amplitude, (3,) of any values.
-    stages : (2, n_modes, 3 n_modes) what the state and the rest at a step's start give its other
-        stages.
-    links : (2, n_modes, n_modes) what the rest gives from the second stage to the third, and from
-        the third to the fourth.
-    ends : (4, n_modes, n_states * n_modes) what the state and the rest at the start, in the middle
-        and at the end of a step give the states that it reaches.
-    largest_square : of the coordinates' norm, beyond which the system is called divergent.
+    amplitudes : (2 n_steps + 1,) at the start, the middle and the end of steps; for a system
+        without amplitude, (3,) of any values.
+    stages : (2, n_modes, 3 n_modes) contribution of the state and the rest at a step's start to the
+        other stages.
+    links : (2, n_modes, n_modes) contribution of the rest from the second stage to the third, and
+        from the third to the fourth.
+    ends : (4, n_modes, n_states * n_modes) contribution of the state and of the rest at the start,
+        in the middle and at the end of a step to the states within it and at its end.
+    largest_square : of the coordinates' norm, beyond which the system has diverged.
     monomials, work : (n_monomials,) and (8 n_modes + n_states * n_modes,), scratch.
-    out : (n_snapshots, n_modes), of which those before the divergence are written.
+    out : (n_snapshots, n_modes); only those before a divergence are written.
     """
     n_modes = out.shape[1]
     points, rates = work[: 4 * n_modes].reshape(4, n_modes), work[4 * n_modes :]
@@ -84,7 +84,7 @@ def integrate(
     snapshot = 1
     for step in range(n_steps):
         first = 2 * step if used.size > 1 else 0
-        # The rest is evaluated in one place, where it is compiled in.
+        # The rest is evaluated at one place in the code, because it is inlined there.
         for stage in range(4):
             fill_monomials(points[stage], degree, monomials)
             amplitude = amplitudes[first + (stage + 1) // 2]
@@ -100,7 +100,7 @@ def integrate(
             last = reached[(n_kept - 1) * n_modes + i]
             square += last * last
             points[0, i] = reached[(n_states - 1) * n_modes + i]
-        # A comparison with NaN is false, so NaN fails it.
+        # A comparison with NaN is false, so NaN counts as diverged.
         if not square <= largest_square:
             return step
         if (step + 1) % steps_per_snapshot == 0:

@@ -1,6 +1,6 @@
-"""The fluid's fields, interpolated to the ghosts that stand for walls (Eq. 2.15).
+"""Interpolation of the fluid's fields to the ghosts of walls (Eq. 2.15).
 
-`source` is laid out as in `sphrom.kernels.sweeps`. Ghosts that no fluid is near get zero.
+`source` is laid out as in `sphrom.kernels.sweeps`. Ghosts without fluid nearby get zero.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ def ghost_means(
     ----------
     ghost : (2, n_ghosts) positions [m].
     source : the fluid's sources.
-    out : (5, n_ghosts) rows: density fluctuation [kg/m3] and velocity x, y [m/s], zero where no
-        fluid is near; the sum of the kernel [1/m2]; the flux phi towards the ghost [1/s].
+    out : (5, n_ghosts) rows: density fluctuation [kg/m3] and velocity x, y [m/s], zero without
+        fluid nearby; the sum of the kernel [1/m2]; the flux phi towards the ghost [1/s].
     """
     for i in prange(ghost.shape[1]):
         xi = ghost[0, i]
@@ -96,7 +96,7 @@ def ghost_heads(
     ghost: Array, source: Array, force: Array, weights: Array, grid: Grid, cell_start: Indices,
     reach: float, inverse_length: float, out: Array,
 ) -> None:
-    """Compute what a body force adds to the pressure at ghosts (Eq. 2.15).
+    """Compute the contribution of a body force to the pressure at ghosts (Eq. 2.15).
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def ghost_damping(
     ghost: Array, source: Array, values: Array, weights: Array, grid: Grid, cell_start: Indices,
     reach: float, inverse_length: float, out: Array,
 ) -> None:
-    """Add to ghosts what the fluid's damper has for them, interpolated as in Eq. 2.15.
+    """Add the pressure of the fluid's damper to ghosts, interpolated as in Eq. 2.15.
 
     Parameters
     ----------

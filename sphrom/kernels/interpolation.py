@@ -1,8 +1,8 @@
 """Interpolation from particles to fixed points: Shepard (Eq. 3.15) and moving least squares.
 
-Both take sources sorted by cell with three fields each, and any points. The moving least squares
-fit a full quadratic polynomial, weighted by the kernel, and return its value at the point.
-Coordinates are offsets over the smoothing length, so that the moments are of one size.
+Both take sources sorted by cell, with three fields each, and any points. Moving least squares fit a
+full quadratic polynomial, weighted by the kernel, and return its value at the point. Coordinates
+are offsets over the smoothing length, so that all moments have a similar size.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from sphrom.kernels.wendland import kernel
 N_TERMS = 6
 """Terms of a quadratic polynomial in two dimensions: 1, x, y, x^2, x y, y^2."""
 N_CHUNKS = 64
-"""Points are shared out in as many parts; each has its own scratch memory."""
+"""Number of parts into which points are divided; each has its own scratch memory."""
 N_SUMS = 33
 """15 moments up to the fourth order, and 3 fields times 6 terms."""
 
 LEAST_PIVOT = 1e-8
-"""A pivot below this share of its diagonal is rounding: there are too few sources, or they lie on
-one conic, such as one line or two. In corners of walls 1e-3 was seen, beside voids there 1e-5."""
+"""A pivot below this share of its diagonal is rounding: there are too few sources, or they are on
+one conic, such as one line or two. In corners of walls 1e-3 was found, beside voids there 1e-5."""
 
-# The powers of x and y of each term, and where the moment x^a y^b stands among the sums.
+# The powers of x and y of each term, which give the place of the moment x^a y^b among the sums.
 X_POWER = (0, 1, 0, 2, 1, 0)
 Y_POWER = (0, 0, 1, 0, 1, 2)
 
@@ -65,7 +65,7 @@ def shepard(
     ----------
     points : (2, n_points) [m].
     source : (5, n_sources) rows x, y [m] and three fields, sorted by cell.
-    out : (3, n_points), the fields; NaN where no source is within reach.
+    out : (3, n_points) the fields; NaN if no source is within reach.
     """
     for i in prange(points.shape[1]):
         xi = points[0, i]
@@ -153,7 +153,7 @@ def _add_moments(
 
 @term
 def _is_determined(sums: Array, factor: Array) -> bool:
-    """Return whether no pivot of M = C C^T is what rounding leaves of a diagonal of M."""
+    """Return whether every pivot of M = C C^T is larger than rounding of M's diagonal."""
     determined = True
     for i in range(N_TERMS):
         order = 2 * (X_POWER[i] + Y_POWER[i])
@@ -165,10 +165,10 @@ def _is_determined(sums: Array, factor: Array) -> bool:
 
 @term
 def _value_at_origin(sums: Array, factor: Array, solution: Array) -> None:
-    """Solve the 6 x 6 normal equations by Cholesky's method for the polynomials' constants.
+    """Solve the 6 x 6 normal equations by Cholesky's method for the constants of the polynomials.
 
-    With M = C C^T, the constant term of M^-1 b is z . b for M z = e_0; only z is solved for.
-    Where M is singular but for rounding, the result is NaN.
+    With M = C C^T, the constant term of M^-1 b is z . b for M z = e_0, so only z is solved for. If
+    M is singular up to rounding, the result is NaN.
     """
     for i in range(N_TERMS):
         for j in range(i + 1):
@@ -217,8 +217,8 @@ def moving_least_squares(
     ----------
     points : (2, n_points) [m].
     source : (5, n_sources) rows x, y [m] and three fields, sorted by cell.
-    scratch : (N_CHUNKS, 90) memory to work in.
-    out : (3, n_points), the fields; NaN where the sources within reach do not fix a polynomial.
+    scratch : (N_CHUNKS, 90) scratch memory.
+    out : (3, n_points) the fields; NaN if the sources within reach do not determine a polynomial.
     """
     n_points = points.shape[1]
     for chunk in prange(N_CHUNKS):

@@ -1,15 +1,15 @@
-"""How kernels are compiled.
+"""Compilation of kernels.
 
-Every loop over particles is `parallel`: it is compiled once, with threads, and each particle owns
-its sums, so that results are bitwise the same on any number of threads. The compiled code is kept
-in a folder named after a hash of all kernel sources, because the compiler's own cache does not
-notice when a function that is called from another file changes.
+Every loop over particles is `parallel`: it is compiled once, with threads, and each particle has
+its own sums, so results are bitwise the same with any number of threads. The compiled code is
+stored in a folder named after a hash of all kernel sources, because the compiler's own cache does
+not notice a change of a function that is called from another file.
 
-The process that compiles a kernel and those that load it compute with the same machine code, and
-so does a process that can't keep it. The compiler alone does not see to that: what it stores of a
-function holds copies of all that it calls, optimised once more, under names that give way to what
-is loaded already. Sums would then depend on what was compiled or loaded before. Here the copies
-belong to the function that they were made for (`_OwnCopies`).
+The process that compiles a kernel and those that load it use the same machine code, and so does a
+process that cannot store it. The compiler alone does not ensure that: the stored code of a function
+contains copies of all functions it calls, optimised once more, under names that are overridden by
+functions already loaded. Sums would then depend on the order of compilation and loading. Here the
+copies belong to the function that they were made for (`_OwnCopies`).
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ Function = TypeVar("Function", bound=Callable[..., object])
 # Contraction and reassociation let loops vectorise; NaN and infinities keep their meaning.
 FAST_MATH = {"contract", "reassoc", "nsz", "arcp"}
 LIBRARIES = ("numba", "llvmlite", "numpy")
-"""Those that compiled code depends on."""
+"""Libraries on which compiled code depends."""
 
 
 def term(function: Function) -> Function:
@@ -53,32 +53,32 @@ def term(function: Function) -> Function:
 
 
 def parallel(function: Function) -> Function:
-    """Compile a loop over particles, its `numba.prange` shared out over threads."""
+    """Compile a loop over particles; its `numba.prange` is divided among threads."""
     return _kept(
         numba.njit(fastmath=FAST_MATH, error_model="numpy", nogil=True, parallel=True)(function)
     )
 
 
 def serial(function: Function) -> Function:
-    """Compile a loop for one thread, in the order and the arithmetic that it is written in."""
+    """Compile a loop for one thread, with the order and the arithmetic of its source."""
     return _kept(numba.njit(error_model="numpy", nogil=True)(function))
 
 
 def set_threads(count: int | None) -> int:
-    """Use `count` threads (all cores by default) and return how many are used."""
+    """Use `count` threads (all cores by default) and return the number in use."""
     used = threads_for(count)
     numba.set_num_threads(used)
     return used
 
 
 def threads_for(count: int | None) -> int:
-    """Return how many threads there can be where `count` are asked for; None is all cores."""
+    """Return the available number of threads if `count` are requested; None is all cores."""
     available: int = numba.config.NUMBA_NUM_THREADS
     return available if count is None else max(1, min(count, available))
 
 
 def source_hash() -> str:
-    """Return a hash of every kernel source and of what compiles it."""
+    """Return a hash of every kernel source and of the compiler."""
     digest = hashlib.sha256(sys.version.encode())
     for library in LIBRARIES:
         digest.update(f"{library} {version(library)}".encode())
@@ -88,7 +88,7 @@ def source_hash() -> str:
 
 
 def compiled_with() -> dict[str, str]:
-    """Return what compiled code depends on besides its sources, by name."""
+    """Return the dependencies of compiled code other than its sources, by name."""
     _, processor, features = cpu_target.target_context.codegen().magic_tuple()
     marked = hashlib.sha256(features.encode()).hexdigest()[:8]
     versions = {library: version(library) for library in LIBRARIES}
@@ -115,7 +115,7 @@ JITCPUCodegen._library_class = _OwnCopies
 
 @lru_cache(maxsize=1)
 def code_cache() -> CodeCache:
-    """Return where code is kept; warns, once, where it can't be."""
+    """Return the cache of compiled code; warn once if it is not writable."""
     return find_cache(source_hash())
 
 
@@ -126,9 +126,9 @@ class _KeptCode(NullCache):
         self._name = f"{function.__module__.rpartition('.')[2]}.{function.__qualname__}"
 
     def load_overload(self, signature: Any, target_context: Any) -> Any:
-        """Return what was compiled for a signature, None where it has to be compiled."""
-        # The memory of arrays is all that loaded code needs. What a whole target knows, such as how
-        # to compile each of numpy's functions, takes longer to load than many a command does.
+        """Return the code compiled for a signature, or None if it must be compiled."""
+        # Loaded code needs only the memory management of arrays. The whole target, for example the
+        # compilation rules of all numpy functions, takes longer to load than many commands take.
         rtsys.initialize(target_context)
         content = code_cache().read(self._file(signature, target_context.codegen()))
         if content is None:
@@ -137,9 +137,9 @@ class _KeptCode(NullCache):
         return CompileResult._rebuild(target_context, *pickle.loads(content))
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
-        """Keep what was compiled for a signature.
+        """Store the code compiled for a signature.
 
-        A signal that arrives while LLVM hands the object code over costs the copy, not the code.
+        A signal that arrives while LLVM returns the object code only prevents the storing.
         """
         try:
             content = dumps(compiled._reduce())
@@ -160,7 +160,7 @@ def _tell_of_compiling() -> None:
 
 
 def _kept(compiled: Any) -> Any:
-    """Keep the code of a kernel; a function from elsewhere has no place in this folder."""
+    """Cache the code of a kernel; functions from elsewhere are not stored in this folder."""
     of_kernels = isinstance(compiled, CPUDispatcher) and (
         Path(compiled.py_func.__code__.co_filename).parent == Path(__file__).parent
     )
@@ -170,17 +170,17 @@ def _kept(compiled: Any) -> Any:
 
 
 class _Compiling(event.Listener):
-    """Counts the time of compiling functions, those that they call among them."""
+    """Counts the time spent on compiling functions, including those that they call."""
 
     depth = 0
 
     def on_start(self, event: Any) -> None:
-        """Start the clock with the outermost function."""
+        """Start the clock at the outermost function."""
         compiling[0] -= (self.depth == 0) * time.process_time()
         self.depth += 1
 
     def on_end(self, event: Any) -> None:
-        """Stop it with the same."""
+        """Stop the clock at the outermost function."""
         self.depth -= 1
         compiling[0] += (self.depth == 0) * time.process_time()
 

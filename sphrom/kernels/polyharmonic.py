@@ -1,13 +1,13 @@
 """Polyharmonic splines at many positions: radial functions, polynomials and their gradients.
 
 The radial function of order k is r^k for odd and r^k ln r for even k (Eq. 3.18). Powers are built
-by repeated products with r^2, pass by pass over the points of one cell, so that every pass
-vectorises and no order needs code of its own. The polynomial of a degree d has the monomials
-1, x, y, x^2, x y, y^2, ... up to that degree; a degree of -1 means none.
+by repeated products with r^2, in passes over the points of one cell, so that every pass vectorises
+and all orders share the code. The polynomial of degree d has the monomials 1, x, y, x^2, x y, y^2,
+... up to that degree; a degree of -1 means no polynomial.
 
-Coordinates are centred on the cell and measured in its `scale`. Weights are stored by column, so
-that the points of a cell are contiguous and each column's sum is one dot product. Positions come
-sorted by cell, so that a cell's weights are fetched once for all the positions inside it.
+Coordinates are relative to the cell's centre, in units of `scale`. Weights are stored by column, so
+that the points of a cell are contiguous and each column's sum is one dot product. Positions are
+sorted by cell, so that a cell's weights are loaded once for all positions inside it.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from sphrom.arrays import Array, Indices
 from sphrom.kernels.cells import Grid
 from sphrom.kernels.jit import parallel, term
 
-# Guards ln 0 and 1/0 where a position meets a point; the offset or r^2 in front is zero there.
+# Guards ln 0 and 1/0 if a position is at a point; the factor offset or r^2 is zero there.
 TINY = 1e-200
 N_CHUNKS = 64
-"""In which cells, and the points of all cells, are shared out."""
+"""Number of parts into which cells, and the points of all cells, are divided."""
 
 
 class Systems(NamedTuple):
-    """The local splines of all cells, as the sweeps need them."""
+    """The local splines of all cells, in the layout of the sweeps."""
 
     points: Array
     """(2, n_points) the points of each cell, cell after cell, in scaled coordinates."""
     cell_start: Indices
-    """(n_cells + 1,) where the points of each cell begin."""
+    """(n_cells + 1,) the first point of each cell."""
     radial_weights: Array
     """(n_columns, n_points)"""
     polynomial_weights: Array
@@ -136,7 +136,7 @@ def dot(left: Array, right: Array) -> float:
 
 @term
 def add(factor: float, values: Array, total: Array) -> None:
-    """Add values times a factor to a total."""
+    """Add `factor` times values to a total."""
     for j in range(total.size):
         total[j] += factor * values[j]
 

@@ -1,12 +1,12 @@
 """Runge-Kutta steps of small systems whose rates are polynomials (Eq. 2.18).
 
 The rates are a matrix of coefficients times the vector of all monomials of the coordinates, up to a
-degree. Monomials are ordered by degree, then by their indices, which never fall: 1, a_0, a_1, ...,
-a_0 a_0, a_0 a_1, ..., a_1 a_1, .... Those of one degree whose first index is at least j are
+degree. Monomials are ordered by degree, then by their nondecreasing indices: 1, a_0, a_1, ...,
+a_0 a_0, a_0 a_1, ..., a_1 a_1, .... Monomials of one degree whose first index is at least j are
 therefore the last ones, and the next degree is each coordinate times a tail of this one.
 
-Coefficients may depend on time through the powers of an amplitude: one matrix a power, of which
-only the leading columns are used.
+Coefficients may depend on time through the powers of an amplitude. There is one matrix per power,
+of which only the leading columns are used.
 """
 
 from __future__ import annotations
@@ -48,10 +48,10 @@ def evaluate(
     Parameters
     ----------
     coefficients : (n_powers, n_modes, n_monomials) by power of the amplitude.
-    used : (n_powers,) how many of the columns count.
+    used : (n_powers,) number of columns that are used.
     """
-    # Entries are indexed, not sliced into rows: of a small system views cost more than the sums.
-    # Four rows share what is loaded of the monomials: larger systems wait for memory.
+    # Entries are indexed rather than sliced into rows: for small systems views cost more than sums.
+    # Four rows share the loaded monomials, because larger systems are limited by memory access.
     n_together = 4 * (out.size // 4)
     for i in range(0, n_together, 4):
         factor = 1.0
@@ -88,7 +88,7 @@ def _between(
     share: float, time_step: float, state: Array, slope: Array, ahead: Array, rate: Array,
     snapshot: int, out: Array,
 ) -> None:
-    """Compute a snapshot at a share of a step, by the cubic of states and slopes at its ends."""
+    """Compute a snapshot within a step, by the cubic of states and slopes at its ends."""
     rest = 1.0 - share
     end = share * share * (3.0 - 2.0 * share)
     along, back = time_step * share * rest * rest, time_step * share * share * rest
@@ -102,19 +102,19 @@ def integrate(
     coefficients: Array, used: Indices, amplitudes: Array, time_step: float, n_steps: int,
     degree: int, largest_square: float, monomials: Array, work: Array, out: Array,
 ) -> int:
-    """Advance a system from `out[0]`; return the steps done before it diverged, or all of them.
+    """Advance a system from `out[0]`; return the number of steps before it diverged, or all.
 
-    Snapshots are equally spaced over the run. Those at the end of a step are its state; those
-    within one are interpolated, which is of fourth order as the steps are.
+    Snapshots are equally spaced over the run. At the end of a step they are its state; within a
+    step they are interpolated, with fourth order like the steps.
 
     Parameters
     ----------
-    amplitudes : (2 n_steps + 1,) at the start, the middle and the end of steps; of a system without
-        amplitude, (3,) of any values.
-    n_steps : steps of the whole run.
-    largest_square : of the coordinates' norm, beyond which the system is called divergent.
+    amplitudes : (2 n_steps + 1,) at the start, the middle and the end of steps; for a system
+        without amplitude, (3,) of any values.
+    n_steps : number of steps of the whole run.
+    largest_square : of the coordinates' norm, beyond which the system has diverged.
     monomials, work : (n_monomials,) and (5, n_modes), scratch.
-    out : (n_snapshots, n_modes), of which those before the divergence are written.
+    out : (n_snapshots, n_modes); only those before a divergence are written.
     """
     state, slope, stage = work[0], work[1], work[2]
     ahead, rate = work[3], work[4]
@@ -122,22 +122,22 @@ def integrate(
         stage[i] = ahead[i] = out[0, i]
     n_intervals = out.shape[0] - 1
     snapshot = 1
-    # Rates are evaluated in one place, where they are compiled in: small systems feel a call. The
-    # slope at the end of a step is the next one's first, which the last step has to wait for too.
+    # Rates are evaluated at one place in the code, because they are inlined there and calls are
+    # slow for small systems. The slope at the end of a step is the first one of the next step.
     for step in range(n_steps + 1):
         first = 2 * step if used.size > 1 else 0
         for substep in range(4):
             fill_monomials(stage, degree, monomials)
             evaluate(coefficients, used, amplitudes[first + (substep + 1) // 2], monomials, rate)
             if substep == 0:
-                # Whole numbers tell which snapshots the last step passed.
+                # Integers determine exactly which snapshots the last step passed.
                 passed = snapshot * n_steps - (step - 1) * n_intervals
                 while snapshot <= n_intervals and passed < n_intervals:
                     share = passed / n_intervals
                     _between(share, time_step, state, slope, ahead, rate, snapshot, out)
                     snapshot += 1
                     passed += n_steps
-                # Those on its end are its state.
+                # Snapshots at the end of the step are its state.
                 if step > 0 and passed == n_intervals:
                     for i in range(state.size):
                         out[snapshot, i] = ahead[i]
@@ -156,7 +156,7 @@ def integrate(
         for i in range(state.size):
             square += ahead[i] * ahead[i]
             stage[i] = ahead[i]
-        # A comparison with NaN is false, so NaN fails it.
+        # A comparison with NaN is false, so NaN counts as diverged.
         if not square <= largest_square:
             return step
     return n_steps

@@ -1,9 +1,9 @@
-"""Sums of the projection onto modes at particles: normal equations, and what is left out.
+"""Sums of the projection onto modes at particles: normal equations, and residuals.
 
-The modes' values are (n_particles, n_modes, 3): of each mode the first field and two components of
-velocity, all of a particle together, as splines give them. With `separate_mean`, one more vector
-stands last, whose first field is one and whose velocity is zero. Particles are shared out in a
-fixed number of chunks, whose sums are added up in their order: results don't depend on threads.
+The modes' values are (n_particles, n_modes, 3): for each mode the first field and two components of
+velocity, all values of a particle together, as splines return them. With `separate_mean`, the last
+vector has a first field of one and zero velocity. Particles are divided into a fixed number of
+chunks, whose sums are added in order, so results do not depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from sphrom.arrays import Array
 from sphrom.kernels.jit import parallel, term
 
 N_CHUNKS = 32
-"""In which particles are shared out."""
+"""Number of parts into which particles are divided."""
 BLOCK = 64
-"""Particles whose values are turned at once, so that sums run over particles."""
+"""Number of particles whose values are transposed at once, so that sums run over particles."""
 
 
 @term
@@ -36,7 +36,7 @@ def gram(modes: Array, weights: Array, separate_mean: bool, scratch: Array, part
     Parameters
     ----------
     modes, weights : (n_particles, n_modes, 3), (n_particles,).
-    scratch : (N_CHUNKS, n_vectors, 3 BLOCK) memory to work in, with the mean's vector last.
+    scratch : (N_CHUNKS, n_vectors, 3 BLOCK) scratch memory, with the mean's vector last.
     partial : (N_CHUNKS, n_vectors, n_vectors) the result, to be summed over chunks.
     """
     n_particles, n_modes = modes.shape[:2]
@@ -90,7 +90,7 @@ def products(
 def leave_out(
     modes: Array, separate_mean: bool, coordinates: Array, fields: Array, remainder: Array
 ) -> None:
-    """Subtract from fields (3, n_particles) what coordinates (n_vectors,) make of the modes."""
+    """Subtract from fields (3, n_particles) the modes times coordinates (n_vectors,)."""
     n_particles, n_modes = modes.shape[:2]
     for i in prange(n_particles):
         a = coordinates[n_modes] if separate_mean else 0.0
@@ -106,12 +106,12 @@ def leave_out(
 
 @parallel
 def take_out_advection(gradient: Array, carrier: Array, rates: Array) -> None:
-    """Subtract from rates (3, n_particles) how fields are carried.
+    """Subtract the advection of fields from rates (3, n_particles).
 
     Parameters
     ----------
     gradient : (n_particles, 3, 2) of the fields.
-    carrier : (2, n_particles) the velocity that carries them [m/s].
+    carrier : (2, n_particles) the carrying velocity [m/s].
     """
     for i in prange(rates.shape[1]):
         for f in range(3):

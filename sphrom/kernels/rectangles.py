@@ -1,4 +1,4 @@
-"""Distances from walls along the axes: solids are rectangles. Other walls are in `segments.py`."""
+"""Distances from walls parallel to the axes, as rectangles. See `segments.py` for other walls."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from sphrom.kernels.sweeps import U, V, X, Y
 
 @term
 def _gap(x: float, y: float, solid: Array) -> tuple[float, float]:
-    """Return the way from a point to a rectangle [m]."""
+    """Return the vector from a point to a rectangle [m]."""
     return min(max(x, solid[0]), solid[2]) - x, min(max(y, solid[1]), solid[3]) - y
 
 
 @parallel
 def wall_distances(targets: Indices, target: Array, solids: Array, out: Array) -> None:
-    """Compute how far particles are from solid.
+    """Compute the distances of particles from solids.
 
     Parameters
     ----------
-    targets, target : the fluid's sources, and which of them to look at.
+    targets, target : the particles among the fluid's sources, and the sources.
     solids : (n_solids, 4) lower and upper corners of rectangles, x before y [m].
     out : (n_targets,) [m].
     """
@@ -38,7 +38,7 @@ def wall_distances(targets: Indices, target: Array, solids: Array, out: Array) -
 
 @term
 def _ramp(distance: float, zero: float, one: float) -> float:
-    """Return 0 up to one distance, 1 from another on, and what lies between in between."""
+    """Return 0 up to one distance, 1 from another one on, and linear values in between."""
     return min(max((distance - zero) / (one - zero), 0.0), 1.0)
 
 
@@ -47,9 +47,9 @@ def shifting_change(
     towards: float, wanted: float, across: float, distance: float, closest: float, touching: float,
     felt: float,
 ) -> float:
-    """Return what a wall changes of a shifting velocity towards it.
+    """Return the change that a wall makes to a shifting velocity towards it.
 
-    `wanted` is what the velocity was before any wall changed it, `across` the fluid's velocity.
+    `wanted` is the velocity before any wall changed it, `across` that of the fluid.
     """
     allowed = max(wanted, 0.0) * _ramp(distance, touching, felt)
     held = max(across, 0.0) * (1.0 - _ramp(distance, closest, touching))
@@ -64,16 +64,16 @@ def hold_back(
     """Change shifting velocities so that no particle passes through a wall.
 
     Shifting never pushes towards a wall that a particle touches (compare Sun et al., Comput.
-    Methods Appl. Mech. Eng. 315, 2017, who let particles shift along boundaries only). And it takes
-    back what the velocity itself has across the wall at particles that come closer: velocity
-    vanishes there but for an error, and where shifting carries the particles is free.
+    Methods Appl. Mech. Eng. 315, 2017, who let particles shift only along boundaries). For closer
+    particles, it also compensates for the fluid's velocity across the wall. Apart from errors this
+    velocity is zero there, and shifting may be chosen freely.
 
     Parameters
     ----------
-    targets, target : the fluid's sources, and which of them to look at.
-    closest, touching, felt : distances from a wall [m] at which nothing moves closer, at which
-        shifting stops pushing and begins to hold back, and beyond which it is left alone.
-    against : how much of the velocity across a wall is taken back: 1 all of it, 0 none.
+    targets, target : the particles among the fluid's sources, and the sources.
+    closest, touching, felt : distances from a wall [m]: the least allowed; that at which shifting
+        stops pushing and starts to compensate; and that beyond which it is not changed.
+    against : share of the velocity across a wall that is compensated, 0 to 1.
     shifting : (>= 2, n_particles) rows: shifting velocity x, y [m/s].
     """
     for t in prange(targets.size):

@@ -1,11 +1,10 @@
 """Distances from walls of any shape: chains of straight segments, with the fluid on their left.
 
-Segments are listed by cell: a cell's list holds the segment nearest to any point in it, and those
-within some reach of it. A position beyond all cells looks at every segment.
+Segments are listed by cell: a cell's list contains the segment nearest to any point in it, and
+those within some reach of it. For a position beyond all cells, every segment is searched.
 
-The nearest point of a chain lies within a segment or is the corner at which one begins. There the
-side follows from the sum of both segments' normals, which at a corner is the only one that tells
-it right.
+The nearest point of a chain is within a segment or at the corner where one begins. At a corner, the
+side follows from the sum of both segments' normals; neither normal alone always gives it correctly.
 """
 
 from __future__ import annotations
@@ -20,19 +19,19 @@ from sphrom.kernels.jit import parallel, term
 from sphrom.kernels.rectangles import shifting_change
 from sphrom.kernels.sweeps import U, V, X, Y
 
-# Columns of a segment: its two ends, and where the segment before it begins [m].
+# Columns of a segment: its two ends, and the start of the segment before [m].
 X0, Y0, X1, Y1, X_BEFORE, Y_BEFORE = range(6)
 N_PASSES = 32
-"""How often walls in turn hold shifting back, at most: at an acute angle once isn't enough."""
+"""Largest number of passes in which walls limit shifting in turn; acute angles need several."""
 SETTLED = 1e-6
-"""A pass that changes less, over what the first changed, is the last."""
+"""The last pass changes less than this share of the first."""
 
 
 @term
 def _way(x: float, y: float, segment: Array) -> tuple[float, float, float]:
-    """Return the way from a point to a segment [m], and where along the segment it arrives.
+    """Return the vector from a point to a segment [m], and the position of its end along it.
 
-    Where is 0 to 1 within the segment, and less or more where the way arrives at an end.
+    The position is 0 to 1 within the segment, and less or more at its ends.
     """
     along_x = segment[X1] - segment[X0]
     along_y = segment[Y1] - segment[Y0]
@@ -45,7 +44,7 @@ def _way(x: float, y: float, segment: Array) -> tuple[float, float, float]:
 
 @term
 def _is_left(x: float, y: float, where: float, segment: Array) -> bool:
-    """Return whether a point is on the fluid's side of the segment or corner nearest to it."""
+    """Return whether a point is on the fluid's side of the nearest segment or corner."""
     along_x = segment[X1] - segment[X0]
     along_y = segment[Y1] - segment[Y0]
     if where <= 0.0:
@@ -68,7 +67,7 @@ def _is_passed(x: float, y: float, segment: Array) -> bool:
 
 @term
 def cell_of(x: float, y: float, grid: Grid) -> int:
-    """Return the cell that a point lies in, -1 beyond all."""
+    """Return the cell that contains a point, or -1 beyond all cells."""
     column = math.floor((x - grid.x_origin) / grid.cell_width)
     row = math.floor((y - grid.y_origin) / grid.cell_height)
     if column < 0 or column >= grid.n_columns or row < 0 or row >= grid.n_rows:
@@ -80,7 +79,7 @@ def cell_of(x: float, y: float, grid: Grid) -> int:
 def _nearest(
     x: float, y: float, segments: Array, listed: Indices, start: Indices, grid: Grid
 ) -> tuple[int, float, float, float]:
-    """Return the nearest segment, the way there [m], and where along the segment it arrives."""
+    """Return the nearest segment, the vector to it [m], and the vector's end along it."""
     cell = cell_of(x, y, grid)
     first = start[cell] if cell >= 0 else 0
     last = start[cell + 1] if cell >= 0 else segments.shape[0]
@@ -91,7 +90,7 @@ def _nearest(
         k = listed[n] if cell >= 0 else n
         wx, wy, where = _way(x, y, segments[k])
         square = wx * wx + wy * wy
-        # At an end the segment that begins there speaks for both.
+        # At an end, the segment that begins there represents both.
         if where < 1.0 and square < least:
             least = square
             nearest = k
@@ -104,12 +103,12 @@ def signed_distances(
     position: Array, segments: Array, listed: Indices, start: Indices, grid: Grid, out: Array,
     nearest: Indices,
 ) -> None:
-    """Compute how far points are from walls, and the normals there.
+    """Compute the distances of points from walls, and the normals there.
 
     Parameters
     ----------
     position : (2, n_points) [m].
-    segments, listed, start, grid : (n_segments, 6), and what `list_by_cell` made of
+    segments, listed, start, grid : (n_segments, 6), and the lists that `list_by_cell` made of
         them (`sphrom/sph/polygon_domain.py`).
     out : (3, n_points) rows: distance, positive in the fluid [m]; normal x, y, into the fluid.
     nearest : (n_points,) the nearest segment.
@@ -139,11 +138,11 @@ def wall_distances(
     targets: Indices, target: Array, segments: Array, listed: Indices, start: Indices, grid: Grid,
     out: Array,
 ) -> None:
-    """Compute how far particles are from solid, zero within it.
+    """Compute the distances of particles from solids, zero inside them.
 
     Parameters
     ----------
-    targets, target : the fluid's sources, and which of them to look at.
+    targets, target : the particles among the fluid's sources, and the sources.
     out : (n_targets,) [m].
     """
     for t in prange(targets.size):
@@ -160,14 +159,14 @@ def hold_back(
     start: Indices, grid: Grid, closest: float, touching: float, felt: float, against: float,
     shifting: Array,
 ) -> None:
-    """Change shifting velocities so that no particle passes a wall, as `rectangles.hold_back`.
+    """Change shifting velocities so that no particle passes a wall; see `rectangles.hold_back`.
 
-    Each place where a wall comes nearest holds back, and walls do so in turn more than once.
+    Every local nearest point of walls limits them, and all walls do so in several passes.
 
     Parameters
     ----------
-    targets, target : the fluid's sources, and which of them to look at.
-    closest, touching, felt, against, shifting : as `rectangles.hold_back` has them.
+    targets, target : the particles among the fluid's sources, and the sources.
+    closest, touching, felt, against, shifting : see `rectangles.hold_back`.
     """
     for t in prange(targets.size):
         j = targets[t]

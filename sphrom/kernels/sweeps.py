@@ -1,23 +1,23 @@
 """The two sweeps over pairs that make up the delta-plus-SPH functional (Eq. 2.6-2.14).
 
 Sources are sorted by cell (`cells.py`); `source[f]` is field f of all sources. A particle's
-candidates are the list of its block (`blocks.py`), contiguous, so that the loop over them
-vectorises.
-Every pair term carries the kernel gradient's factor, which vanishes beyond the support, and the
-pair of a particle with itself has no offset: no branch is needed, and only viscosity's 1/r^2 a
-guard.
+candidates are the contiguous list of its block (`blocks.py`), so that the loop over them
+vectorises. Every pair term contains the factor of the kernel's gradient, which vanishes beyond the
+support, and the pair of a particle with itself has no offset. No branch is therefore needed, and
+only the 1/r^2 of viscosity needs a guard.
 
-Written with G = F V_j and a_i = delta u_i . offset, the advective shifting terms of Eq. 2.6 are
-sum (rho_j - rho_i) a_i G, and those of Eq. 2.7 rho_0 / rho_i sum (u_j - u_i) a_i G: nothing is left
-for a uniform field. As printed they have a_j in place of a_i and, with s_i the sum of the kernel's
-gradient times V_j, 2 rho_i delta u_i . s_i and 2 rho_0 / rho_i u_i delta u_i . s_i besides.
+With G = F V_j and a_i = delta u_i . offset, the advective shifting terms of Eq. 2.6 are
+sum (rho_j - rho_i) a_i G, and those of Eq. 2.7 rho_0 / rho_i sum (u_j - u_i) a_i G: they vanish for
+a uniform field. As printed they have a_j in place of a_i, and the additional terms
+2 rho_i delta u_i . s_i and 2 rho_0 / rho_i u_i delta u_i . s_i, with s_i the sum of the kernel's
+gradient times V_j.
 
-The Laplacian of the velocity is -sum (c_i + c_j) (u_j - u_i) w G with the weight w that
-`wendland.py` has for it, normalised by its second moment 1/c_i = -1/2 sum r^2 w G. The mean of both
-factors keeps a pair's forces opposite.
+The Laplacian of the velocity is -sum (c_i + c_j) (u_j - u_i) w G with the weight w of
+`wendland.py`, normalised by its second moment 1/c_i = -1/2 sum r^2 w G. The mean of both factors
+keeps the forces of a pair opposite.
 
 The acoustic damper is a pressure -alpha rho_0 c0 h div u (Sun et al., Comput. Methods Appl. Mech.
-Eng. 2023), in the same sums as the other: a bulk viscosity, which only ever takes energy.
+Eng. 2023), in the same sums as the pressure: a bulk viscosity, which only removes energy.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ from sphrom.kernels.wendland import gradient_factor, kernel, laplacian_weight
 # Rows of `source`.
 X, Y, DENSITY, U, V, VOLUME, PRESSURE, VISCOUS, GRADIENT_X, GRADIENT_Y, SHIFT_U, SHIFT_V = range(12)
 N_FIELDS = 10
-"""Rows that the sums need."""
+"""Number of rows that the sums need."""
 N_PRINTED_FIELDS = 12
-"""Rows that the sums as printed need."""
+"""Number of rows that the sums as printed need."""
 
-# Rows of what `regularity` returns; the first ones in the order of `source`.
+# Rows of the result of `regularity`; the first ones are in the order of `source`.
 (
     OWN_PRESSURE, OWN_VISCOUS, OWN_GRADIENT_X, OWN_GRADIENT_Y, OWN_SHIFT_U, OWN_SHIFT_V, DIVERGENCE,
     SUPPORT_X, SUPPORT_Y,
@@ -52,7 +52,7 @@ TINY = 1e-30
 
 
 class RegularityConstants(NamedTuple):
-    """Eq. 2.13-2.14, and the acoustic damper."""
+    """Constants of Eq. 2.13-2.14, and of the acoustic damper."""
 
     magnitude: float
     """2 h c0 Ma [m2/s]."""
@@ -64,11 +64,11 @@ class RegularityConstants(NamedTuple):
     limit: float
     """U_max / 2 [m/s]."""
     damping: float
-    """alpha h rho_0 / c0 [kg s/m3]: of the damper's pressure over c0^2 and minus the divergence."""
+    """alpha h rho_0 / c0 [kg s/m3]: the damper's pressure over c0^2, per minus the divergence."""
 
 
 class FluidConstants(NamedTuple):
-    """What Eq. 2.6-2.8 need of the fluid."""
+    """The constants of the fluid in Eq. 2.6-2.8."""
 
     reference_density: float
     sound_speed: float
@@ -79,18 +79,18 @@ class FluidConstants(NamedTuple):
     diffusion: float
     """2 delta h c0 [m2/s]."""
     advective: float
-    """1 where shifting carries differences by its own velocity, 0 for the terms as printed."""
+    """1 if shifting carries differences by a particle's own velocity, 0 for terms as printed."""
 
 
 def n_fields(fluid: FluidConstants) -> int:
-    """Return the rows of `source` that the rates need: more for sums as printed."""
+    """Return the number of rows of `source` for the rates; sums as printed need more."""
     printed = fluid.advective == 0.0 or fluid.pair_viscosity > 0.0
     return N_PRINTED_FIELDS if printed else N_FIELDS
 
 
 @parallel
 def gather(particle: Indices, image: Array, fields: Array, first: int, source: Array) -> None:
-    """Copy particle fields (n_fields, n_particles) to sources, from row `first`; images too."""
+    """Copy particle fields (n_fields, n_particles) to sources and images, from row `first` on."""
     for k in prange(particle.size):
         i = particle[k]
         for f in range(fields.shape[0]):
@@ -146,7 +146,7 @@ def finish_regularity(
     dy: float, moment: float, divergence: float, density: float, walls: Array, i: int,
     constants: RegularityConstants, out: Array,
 ) -> None:
-    """Fill particle i's column of `regularity` from its sums, and from those of walls."""
+    """Fill particle i's column of `regularity` from its sums and those over walls."""
     if walls.shape[1] > 0:
         sx += walls[0, i]
         sy += walls[1, i]
@@ -177,17 +177,17 @@ def regularity(
     cell_start: Indices, reach: float, inverse_length: float, scratch: Array,
     constants: RegularityConstants, walls: Array, out: Array,
 ) -> None:
-    """Compute what follows from how particles lie, and what the rates need of their neighbours.
+    """Compute the shifting, and the values of particles and neighbours that the rates need.
 
-    The density's gradient is that of the fluid alone; the others count walls in.
+    The density's gradient is that of the fluid only; the other sums include walls.
 
     Parameters
     ----------
-    particle : (n_sources,) the particle that each source is, or is an image of.
+    particle : (n_sources,) the particle of each source; several sources may be its images.
     targets : (n_particles,) the sources that are particles, in sorted order.
-    block_start : (n_blocks + 1,) where blocks begin among the targets.
-    scratch : (N_CHUNKS, >= 6, longest list) memory to work in.
-    walls : (6, n_particles) what `wall_regularity` returned, or (6, 0) without walls.
+    block_start : (n_blocks + 1,) the first target of each block.
+    scratch : (N_CHUNKS, >= 6, longest list) scratch memory.
+    walls : (6, n_particles) the result of `wall_regularity`, or (6, 0) without walls.
     out : (9, n_particles) rows: density fluctuation with the damper's pressure over c0^2 [kg/m3];
         c of the Laplacian; renormalised density gradient x, y [kg/m4] (Eq. 2.11); shifting velocity
         x, y [m/s] (Eq. 2.13-2.14); divergence of the velocity [1/s]; sum of the kernel's gradient
@@ -250,7 +250,7 @@ def _printed_pairs(
     gradients_x: Array, gradients_y: Array, shift_u: Array, shift_v: Array, inverse_length: float,
     tiny: float, fluid: FluidConstants,
 ) -> tuple[float, float, float]:
-    """Sum the pair terms of `rates`, as printed where constants say so, over one range."""
+    """Sum the pair terms of `rates` over one range, with those as printed that constants select."""
     stiffness = fluid.sound_speed * fluid.sound_speed
     friction = fluid.pair_viscosity * fluid.reference_density
     drag = fluid.laplacian_viscosity * fluid.reference_density
@@ -289,9 +289,9 @@ def rates(
     Parameters
     ----------
     source : (10, n_sources), or for sums as printed (12, n_sources).
-    scratch : (N_CHUNKS, as many rows, longest list) memory to work in.
-    regular : (9, n_particles) what `regularity` returned.
-    out : (3, n_particles) rows: density's rate [kg/m3/s], acceleration x, y [m/s2].
+    scratch : (N_CHUNKS, same number of rows, longest list) scratch memory.
+    regular : (9, n_particles) the result of `regularity`.
+    out : (3, n_particles) rows: rate of density [kg/m3/s], acceleration x, y [m/s2].
     """
     tiny = TINY / (inverse_length * inverse_length)
     printed = source.shape[0] == N_PRINTED_FIELDS

@@ -1,9 +1,9 @@
 """Derivatives of runs by parameters: the tangent of exponential steps, in the same loop.
 
 A system da/dt = f(a) has the tangent ds/dt = J(a) s + df/dp for each parameter p. The steps of
-`sphrom.kernels.exponential` applied to both are the exact derivative of the run that they make.
-The product J(a) s needs no matrix: it is the coefficients times the derivative of the monomials
-along s.
+`sphrom.kernels.exponential`, applied to both, give the exact derivative of the discrete run. The
+product J(a) s needs no matrix: it is the coefficients times the derivative of the monomials along
+s.
 """
 
 from __future__ import annotations
@@ -52,10 +52,10 @@ def integrate(
     Parameters
     ----------
     coefficients, used : of the rest, as in `sphrom.kernels.polynomial`.
-    by_amplitude : their derivative by the amplitude, in the same shape.
-    by_parameter : (n_parameters, ...) theirs by each parameter.
+    by_amplitude : derivative of the coefficients by the amplitude, in the same shape.
+    by_parameter : (n_parameters, ...) derivatives of the coefficients by each parameter.
     amplitudes : (2 n_steps + 1,), or (3,) of any values without an amplitude.
-    amplitude_changes : (n_parameters, as many) their derivatives by each parameter.
+    amplitude_changes : (n_parameters, same length) derivatives of the amplitudes.
     stages, links, ends : the matrices of steps, as in `sphrom.kernels.exponential`.
     monomials, changes, rate : (n_monomials,), (n_monomials,) and (n_modes,), scratch.
     work : (1 + n_parameters, 8 n_modes + n_states * n_modes), scratch.

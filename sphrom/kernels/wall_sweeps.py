@@ -1,18 +1,19 @@
-"""What fluid particles and the ghosts that stand for walls do to each other (Eq. 2.15-2.16).
+"""The interaction of fluid particles with the ghosts of walls (Eq. 2.15-2.16).
 
-Ghosts never move: they are sorted once, apart from the fluid, and only scenes with walls run these
-sweeps. Every sweep sums over one kind of source at targets of the other kind. `source` is laid out
-as in `sphrom.kernels.sweeps`, except that ghosts have rows of their own at its end.
+Ghosts never move: they are sorted once, separately from the fluid, and only scenes with walls run
+these sweeps. Every sweep sums over one kind of source at targets of the other kind. `source` is
+laid out as in `sphrom.kernels.sweeps`, except that ghosts have additional rows at its end.
 
-Walls enter continuity in one of two ways. A ghost may add the difference of its velocity from the
-fluid's, along its wall's normals. Or walls return the flux into them: continuity is then minus the
-transpose of the ghosts' pressure force, so that sound neither gains nor loses energy at a wall,
-whatever the wall's velocity. With phi_g = sum_i u_i . grad_i W_ig V_i, the flux towards ghost g,
-and Shepard's weights w_gj of Eq. 2.15, the ghosts' part of particle j's divergence is
+Walls enter the continuity equation in one of two ways. A ghost may contribute the difference of its
+velocity from the fluid's, along its wall's normals. Or walls return the flux into them: the
+continuity term is then minus the transpose of the ghosts' pressure force, so that sound neither
+gains nor loses energy at a wall, for any velocity of the wall. With
+phi_g = sum_i u_i . grad_i W_ig V_i, the flux towards ghost g, and the Shepard weights w_gj of
+Eq. 2.15, the ghosts' part of particle j's divergence is
 - u_j . sum_g grad_j W_jg V_g - sum_g w_gj V_g phi_g / V_j.
 
-A ghost's velocity is its own, or with a depth d_g it is extrapolated from each particle through the
-wall (Morris, Fox and Zhu 1997): u_g - u_j = (1 + d_g / d_j) (U_g - u_j), d_j the particle's
+A ghost's velocity is its own. With a depth d_g it is extrapolated from each particle through the
+wall (Morris, Fox and Zhu 1997): u_g - u_j = (1 + d_g / d_j) (U_g - u_j), with d_j the particle's
 distance from the wall and U_g the wall's velocity. Shear along a flat wall is then exact.
 """
 
@@ -43,8 +44,8 @@ from sphrom.kernels.sweeps import (
 )
 from sphrom.kernels.wendland import gradient_factor, kernel, laplacian_weight
 
-# Rows of a ghost: how deep behind the wall it lies, where velocities are extrapolated, else 0; 1
-# along the normals of its wall that count, else 0; w_gj V_g phi_g over W_gj.
+# Rows of a ghost: its depth behind the wall if velocities are extrapolated, else 0; 1 along the
+# normals of its wall that are used, else 0; w_gj V_g phi_g over W_gj.
 DEPTH, NORMAL_X, NORMAL_Y, RETURN = range(PRESSURE + 1, PRESSURE + 5)
 N_GHOST_ROWS = RETURN + 1
 
@@ -86,14 +87,14 @@ def wall_regularity(
     cell_start: Indices, reach: float, inverse_length: float, walls_return: float,
     constants: RegularityConstants, out: Array,
 ) -> None:
-    """Sum over ghosts what `sweeps.regularity` needs of them.
+    """Compute the sums over ghosts that `sweeps.regularity` needs.
 
     Parameters
     ----------
-    particle, targets, target : the fluid's sources, and which of them are near walls.
+    particle, targets, target : particles of the fluid's sources, those near walls, and the sources.
     distance : (n_targets,) from the wall [m], not zero.
     source : the ghosts' sources.
-    walls_return : 1 where walls return the flux into them, 0 where ghosts' velocities count.
+    walls_return : 1 if walls return the flux into them, 0 if ghosts' velocities are used.
     out : (6, n_particles) rows: sum of the kernel's gradient x, y, and of Eq. 2.14 x, y [1/m];
         the gradient's second moment; the divergence of the velocity [1/s].
     """
@@ -161,17 +162,17 @@ def wall_rates(
     cell_start: Indices, reach: float, inverse_length: float, regular: Array, fluid: FluidConstants,
     out: Array,
 ) -> None:
-    """Add what ghosts contribute to the acceleration (Eq. 2.7).
+    """Add the contribution of ghosts to the acceleration (Eq. 2.7).
 
-    What continuity has of them is in the divergence already: density doesn't diffuse into ghosts.
-    Ghosts don't shift, and shifting carries nothing out of them: carried away from a wall, what is
-    extrapolated there grows, and flows at low viscosity become unstable. The Laplacian's factor is
-    the particle's own.
+    Their contribution to the continuity equation is already in the divergence; density does not
+    diffuse into ghosts. Ghosts do not shift, and shifting transports nothing out of them: if it
+    transported the extrapolated velocity away from walls, this velocity would grow, and flows at
+    low viscosity would become unstable. The Laplacian's factor is the particle's own.
 
     Parameters
     ----------
     distance : (n_targets,) from the wall [m], not zero.
-    regular : (9, n_particles) what `sweeps.regularity` returned.
+    regular : (9, n_particles) the result of `sweeps.regularity`.
     out : (2, n_particles) acceleration x, y [m/s2].
     """
     tiny = TINY / (inverse_length * inverse_length)
@@ -231,14 +232,14 @@ def ghost_forces(
     ghost: Array, source: Array, distance: Array, grid: Grid, cell_start: Indices, reach: float,
     inverse_length: float, fluid: FluidConstants, out: Array,
 ) -> None:
-    """Compute what the fluid does to each ghost: minus what the ghost does in `wall_rates`.
+    """Compute the force of the fluid on each ghost: minus that of the ghost in `wall_rates`.
 
     Parameters
     ----------
     ghost : (12, n_ghosts) the ghosts' rows.
     source : the fluid's sources, with their pressure and c of the Laplacian.
     distance : (n_sources,) of the fluid from the wall [m], not zero.
-    out : (4, n_ghosts) rows: the pressure's force x, y, and the viscous one, per depth [N/m].
+    out : (4, n_ghosts) rows: pressure force x, y and viscous force x, y, per depth [N/m].
     """
     tiny = TINY / (inverse_length * inverse_length)
     for i in prange(ghost.shape[1]):

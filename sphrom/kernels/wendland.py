@@ -1,8 +1,8 @@
 """Wendland's C2 kernel in two dimensions, with smoothing length h and support radius 2 h.
 
-W = 7 / (4 pi h^2) (1 - q/2)^4 (2 q + 1) with q = r/h (Wendland 1995), and its gradient is a
-factor times the offset, so that neither needs a division by the distance. Both vanish beyond the
-support without a branch.
+W = 7 / (4 pi h^2) (1 - q/2)^4 (2 q + 1) with q = r/h (Wendland 1995). Its gradient is a factor
+times the offset, so neither needs a division by the distance. Both vanish beyond the support
+without a branch.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ def gradient_factor(distance: float, inverse_length: float) -> float:
 def laplacian_weight(square: float, inverse_length: float) -> float:
     """Return the weight 1 - b q^2 of F in sums for the Laplacian, at a squared distance [m2].
 
-    Those sums are right to second order in h, as their fourth moment is left. With the weight it
-    vanishes: they are right to fourth order, and still damp waves of any length.
+    Without the weight the sums are of second order in h, because of their fourth moment. The weight
+    makes it vanish: the sums are of fourth order, and still damp waves of any length.
     """
     return 1.0 - LAPLACIAN_SHAPE * square * inverse_length * inverse_length
 

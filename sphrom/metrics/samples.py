@@ -37,17 +37,17 @@ class Probes:
 
     @property
     def on_line(self) -> slice:
-        """The indices of the line's points among all."""
+        """The slice of the line's points in `all`."""
         return slice(0, len(self.line))
 
     @property
     def on_grid(self) -> slice:
-        """The indices of the grid's points among all."""
+        """The slice of the grid's points in `all`."""
         return slice(len(self.line), len(self.line) + len(self.grid))
 
     @property
     def at_stations(self) -> slice:
-        """The indices of the stations among all."""
+        """The slice of the stations in `all`."""
         return slice(len(self.line) + len(self.grid), None)
 
     def picture(self, values: Array) -> Array:

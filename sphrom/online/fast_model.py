@@ -55,7 +55,7 @@ class FastModel:
     The initial condition is that of the scene, or the end of the spin-up at the point or at the
     nearest trained point, mapped onto the reference space and projected.
 
-    If training runs choose the number of modes, the section of `on_basis` contains it.
+    If training runs choose the number of modes, it is in the section of the model `on_basis`.
     """
 
     def __init__(self, workspace: Workspace, section: ReducedModelSection) -> None:

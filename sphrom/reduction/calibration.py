@@ -3,8 +3,7 @@
 Operators on fixed points differ slightly from those on moving particles. The difference hardly
 changes in time, so its effect accumulates in the mean flow. The pressure suffers most, because it
 depends on the divergence of the modes, which is a small difference of large terms. A constant and a
-linear term compensate for the difference. Like the rates, both are affine in the kinematic
-viscosity nu:
+linear term, affine in the kinematic viscosity nu like the rates, compensate for the difference:
 
     da/dt = f(a) + (c + A a) + (nu / nu_mean - 1) (c' + A' a)
 
@@ -26,9 +25,8 @@ With a constant term, a flow without a driving force would never come to rest. I
 at rest, c and c' are therefore multiplied by the energy |a|^2 over its mean. This factor is about
 one in training, and the errors of convection and pressure do grow with the square of the flow.
 
-All coordinates share one scale s. With a scale for each coordinate, the penalty would no longer
-limit the coupling of small coordinates, which the averages hardly determine: reduced models of
-cavities became unstable.
+All coordinates share one scale s. With a scale for each, the penalty would not limit the coupling
+of small coordinates, which the averages hardly determine, and models of cavities became unstable.
 """
 
 from __future__ import annotations

@@ -4,14 +4,12 @@ A point is an array (n_points, n_parameters) of scaled parameters, whose distanc
 positive parameters enter by their logarithms. The weights w of `interpolation_weights` are those of
 linear interpolation in the simplex of training points around the point (the Delaunay
 triangulation): of all w >= 0 with sum w = 1 that reproduce the point, they minimise the sum of
-w_k d_k^2, where d_k are the distances. With one parameter they are the weights of the two
-neighbours. A point outside the convex hull of the training points is replaced by the nearest point
-of the hull.
+w_k d_k^2, where d_k are the distances. With one parameter they are those of the two neighbours.
+Outside the convex hull of the training points, they are those of the nearest point of the hull.
 
 Rates projected on fixed points lack two effects of moving particles: particle noise, which has
 modes of its own, and slow drifts. At the training points k the defects d_k = Phi^T x_k - a_k are
-known; they are the differences between the projected full run and the reduced run. At other points
-the corrected coordinates are
+known, as x_k is the full run. At other points the corrected coordinates are
 
     a(t) + sum_k w_k d_k(t).
 

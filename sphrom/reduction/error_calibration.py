@@ -24,10 +24,9 @@ training points they are those of the nearest point of the hull; the second term
 change from that point, so the estimate grows with the distance. C may keep changing outside as it
 does between training points. It is therefore multiplied by the ratio of its largest to its smallest
 training value, raised to the distance over the largest distance between training points (at most
-one). The third term covers times beyond the training runs. A flow that is still accelerating then
-leaves the states for which its share was measured. The factor g is the size of the state over the
-largest size of sum_k w_k a_k, at least one; it is squared because convection and pressure grow with
-the square of the flow.
+one). The third term covers times beyond the training runs. An accelerating flow then leaves the
+states for which its share was measured. The factor g is the size of the state over the largest size
+of sum_k w_k a_k, at least one, squared because convection and pressure are quadratic in the flow.
 
 The estimate is not a bound. Its accuracy is measured within the training data: the errors of each
 training run are within some factor of an estimate with the constant of the other runs.

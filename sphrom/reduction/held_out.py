@@ -188,61 +188,61 @@ def unheld_shares(products: SnapshotProducts, places: Array, n_modes: int) -> Un
     time, parameters = np.ones((n_runs, n_modes, 2)), []
     for run in range(n_runs):
         if half < per_run:
-            learnt, asked = snapshots[:, :half].ravel(), snapshots[run, half:]
-            expected = np.zeros((len(products.states), len(asked)))
+            trained, left_out = snapshots[:, :half].ravel(), snapshots[run, half:]
+            expected = np.zeros((len(products.states), len(left_out)))
             expected[snapshots[run, half - 1]] = 1.0
-            time[run] = _shares(products, learnt, asked, expected, n_modes)
+            time[run] = _shares(products, trained, left_out, expected, n_modes)
         others = np.delete(np.arange(n_runs), run)
         if len(others) == 0:
             continue
         weights, distance = interpolation_weights(places[others], places[run])
         if distance > 0.0:
-            asked = snapshots[run, late:]
-            expected = np.zeros((len(products.states), len(asked)))
+            left_out = snapshots[run, late:]
+            expected = np.zeros((len(products.states), len(left_out)))
             for other, weight in zip(others, weights, strict=True):
-                expected[snapshots[other, late:], np.arange(len(asked))] = weight
-            learnt = snapshots[others].ravel()
-            parameters.append(_shares(products, learnt, asked, expected, n_modes))
+                expected[snapshots[other, late:], np.arange(len(left_out))] = weight
+            trained = snapshots[others].ravel()
+            parameters.append(_shares(products, trained, left_out, expected, n_modes))
     if not parameters:
         return UnheldShares(parameters=UNTRIED * time.max(axis=0), time=time)
     return UnheldShares(parameters=np.max(parameters, axis=0), time=time)
 
 
 def _shares(
-    products: SnapshotProducts, learnt: Indices, asked: Indices, expected: Array, n_modes: int
+    products: SnapshotProducts, trained: Indices, left_out: Indices, expected: Array, n_modes: int
 ) -> Array:
-    """Return the shares (n_modes, 2) of the change of the held-out snapshots `asked`.
+    """Return the shares (n_modes, 2) of the change of the held-out snapshots `left_out`.
 
-    `expected` (n_snapshots, n_asked) are their predictions, as combinations of snapshots.
+    `expected` (n_snapshots, n_left_out) are their predictions, as combinations of snapshots.
     """
     changes = -expected
-    changes[asked, np.arange(len(asked))] += 1.0
+    changes[left_out, np.arange(len(left_out))] += 1.0
     change = float(np.einsum("ik,ij,jk->", changes, products.states, changes))
-    size = float(products.states[asked, asked].sum())
+    size = float(products.states[left_out, left_out].sum())
     if change <= ROUNDING * size:
         return np.zeros((n_modes, 2))
     everything = np.arange(len(products.states))
     without, with_them = (
-        _errors(products, known, asked, n_modes) for known in (learnt, everything)
+        _errors(products, known, left_out, n_modes) for known in (trained, everything)
     )
-    return np.asarray(np.sqrt(np.maximum(without - with_them, 0.0) * len(asked) / change))
+    return np.asarray(np.sqrt(np.maximum(without - with_them, 0.0) * len(left_out) / change))
 
 
-def _errors(products: SnapshotProducts, learnt: Indices, asked: Indices, n_modes: int) -> Array:
-    """Return the mean square errors (n_modes, 2) of bases of `learnt` in the snapshots `asked`."""
-    values, vectors = np.linalg.eigh(products.states[np.ix_(learnt, learnt)])
+def _errors(products: SnapshotProducts, trained: Indices, left_out: Indices, n_modes: int) -> Array:
+    """Return the mean square errors (n_modes, 2) of bases of `trained` in snapshots `left_out`."""
+    values, vectors = np.linalg.eigh(products.states[np.ix_(trained, trained)])
     kept = np.flatnonzero(values > ROUNDING * values[-1])[::-1][:n_modes]
     modes = vectors[:, kept] / np.sqrt(values[kept])
-    coordinates = modes.T @ products.states[np.ix_(learnt, asked)]
+    coordinates = modes.T @ products.states[np.ix_(trained, left_out)]
     errors = np.empty((n_modes, 2))
     for k, field in enumerate(products.fields):
-        with_modes = modes.T @ field[np.ix_(learnt, asked)]
-        of_modes = modes.T @ field[np.ix_(learnt, learnt)] @ modes
+        with_modes = modes.T @ field[np.ix_(trained, left_out)]
+        of_modes = modes.T @ field[np.ix_(trained, trained)] @ modes
         for size in range(1, n_modes + 1):
             held = coordinates[:size]
             among = of_modes[: len(held), : len(held)] @ held
             more = np.sum(held * (among - 2.0 * with_modes[:size]), axis=0)
-            errors[size - 1, k] = np.maximum(field[asked, asked] + more, 0.0).mean()
+            errors[size - 1, k] = np.maximum(field[left_out, left_out] + more, 0.0).mean()
     return errors
 
 

@@ -1,12 +1,11 @@
 """A closure that makes reduced models settle on the limit cycles of training runs.
 
-In the periodic state of a wake, the modes hardly represent its damping: over a long time, a model
-settles on a cycle of its own, with another amplitude and frequency. Each training run determines
-the right cycle,
+In the periodic state of a wake, the modes hardly represent its damping. Over a long time a model
+settles on a cycle of its own, with another amplitude and frequency. Training runs give the cycle
 
     C(phi) = A_0 + Re sum_k A_k exp(i k phi),    dphi/dt = omega,
 
-which is fitted to the run's coordinates. Just beyond its onset, an oscillation follows the equation
+by a fit to their coordinates. Just beyond its onset, an oscillation follows the equation
 of Stuart and Landau (Landau 1944; Stuart 1960): squared amplitude and frequency are linear in the
 Reynolds number, and harmonic k grows with the power k of the amplitude r = |A_1|. Therefore omega,
 r^2 and A_k / r^k are interpolated in 1/nu and the other parameters, with A_1 of all runs in phase.
@@ -19,8 +18,8 @@ so that the cycle is a solution, while f determines how states approach it. Dire
 cycle does not move are damped. With too little damping, modes that training runs hardly determine
 lead away from the cycle; with too much, the mean flow cannot follow the oscillation and limit its
 amplitude. Of several dampings, the chosen one makes disturbances of the trained cycles decay
-fastest (by their Floquet multipliers). Forces get such terms too, fitted to the difference from
-the recorded ones. Below the onset all oscillations decay.
+fastest (by Floquet multipliers). Forces get such terms too, fitted to the recorded ones. Below the
+onset all oscillations decay.
 """
 
 from __future__ import annotations

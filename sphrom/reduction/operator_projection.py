@@ -137,7 +137,7 @@ def residual_factor(
 def _fields_of(
     by_part: Mapping[str, Any], names: Iterable[str], drive: type[DriveRates | DriveResidual]
 ) -> dict[str, Any]:
-    """Return arrays by part as the fields of a record; each driving parameter has a nested one."""
+    """Return the fields of a record from arrays by part; driving parameters have nested records."""
     own = {part: by_part.get(part) for part in ("inertia", "viscosity", "walls", "force")}
     drives = {
         name: drive(walls=by_part.get(f"walls/{name}"), force=by_part.get(f"force/{name}"))

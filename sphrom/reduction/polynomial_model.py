@@ -58,7 +58,7 @@ class OutputTimes:
 
     @property
     def duration(self) -> float:
-        """From the first snapshot to the last [s]."""
+        """Time from the first to the last snapshot [s]."""
         return self.interval * (self.n_snapshots - 1)
 
     @property

@@ -24,8 +24,8 @@ from sphrom.sph.domain import Domain
 from sphrom.sph.neighbourhood import sort_sources
 
 FULL, N_NEAR = 0.95, 6
-"""Where a smaller share is filled, which is within 1.7 spacings of a free surface, values stay
-within those of so many particles and of no pressure: polynomials overshoot between it and walls."""
+"""Where less than this share is filled, within 1.7 spacings of a free surface, values are limited
+to the range of so many nearest particles and zero: polynomials overshoot between it and walls."""
 
 
 class TooFewParticlesError(ValueError):
@@ -49,7 +49,7 @@ class ReferenceMap:
     smoothing_length : of the kernel that weights particles [m].
     method : "shepard" or "mls" (moving least squares of second order).
     filled : the share of space that fluid with a free surface fills at the points; fields are zero
-        where it is below one half. Where it is not whole, values are within those of particles.
+        where it is below one half, and limited to the values of particles where it is below `FULL`.
     """
 
     def __init__(

@@ -336,7 +336,7 @@ class Workspace:
         return self._target("compare", "", {}, parents)
 
     def sweep(self) -> Target:
-        """The runs of the case's sweep; its readers compare the values of the parameters."""
+        """The runs of the case's sweep, at any values of the parameters; readers check these."""
         model = sweep_model(self.case)
         about: dict[str, object] = {
             "sweep": _without(self.case.sweep.of_any_values, "name", "model")
