@@ -22,8 +22,7 @@ from small_picture import write_small
 
 from sphrom import Study
 from sphrom.errors import UnstableError
-from sphrom.plots.canvas import save
-from sphrom.plots.panels import Curve, Field, Frame, Panel, draw_grid
+from sphrom.plots.panels import Curve, Field, Frame, Panel, draw_grid, save
 
 ROOT = Path(__file__).parents[1]
 CASE, FIGURES = ROOT / "cases" / "gallery" / "sloshing.yaml", ROOT / "docs" / "figures"

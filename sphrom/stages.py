@@ -1,7 +1,6 @@
 """The list of stages, and functions that run one stage or all stages of a case.
 
-The command line and Python programs share it. A stage is imported when it runs, because some take
-long to load.
+The command line and Python programs share it. Stages are imported when they run: some load long.
 """
 
 from __future__ import annotations
@@ -71,8 +70,7 @@ def folder_of(case: Case, out: Path | None) -> Path:
 def with_checkpoints(context: StageContext, *, resume: bool, every: float) -> StageContext:
     """Return a context in which runs write a checkpoint `every` so many seconds.
 
-    With `resume`, stopped runs continue from their checkpoints. Raises CaseError for a negative
-    interval.
+    With `resume`, stopped runs continue from them. Raises CaseError for a negative interval.
     """
     if not every >= 0.0:
         raise CaseError(f"--checkpoint-every: must be a number of seconds; got {every:g}")

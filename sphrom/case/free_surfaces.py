@@ -20,14 +20,18 @@ from sphrom.scenes.flows import BodyForce
 from sphrom.sph.domain import Domain
 
 
-def surface_defaults(slips: bool) -> dict[str, Any]:
-    """Return defaults of other sections for scenes with a free surface, by whether walls slip.
+def surface_defaults(slip_along_axes: bool) -> dict[str, Any]:
+    """Return defaults of other sections for scenes with a free surface.
 
     A lattice under pressure resists shear like a solid, because the kernel's sums are inexact on a
     strained lattice: at h = 2 dx waves are 0.6 % too fast. Only viscous forces along pairs are
     consistent at the surface (Colagrossi et al., Phys. Rev. E 84, 2011). Walls that return the flux
     into them turn fluid that slides past their ghosts into noise. Other walls need a damper; it is
     weak, because sums over an incomplete support have a divergence at the surface.
+
+    Parameters
+    ----------
+    slip_along_axes : whether fluid slips freely along all walls, and all follow the axes.
     """
     return {
         "discretization": {
@@ -36,7 +40,7 @@ def surface_defaults(slips: bool) -> dict[str, Any]:
             "fixed_volume": False,
             "viscosity": "paper",
             "shifting": {"enabled": False},
-            "walls": {"continuity": "normal" if slips else "adjoint"},
+            "walls": {"continuity": "normal" if slip_along_axes else "adjoint"},
         }
     }
 
@@ -110,7 +114,6 @@ class SurfaceForce(BodyForce):
         return np.stack([np.broadcast_to(one, times.shape) for one in values])
 
     def __call__(self, position: Array, time: float) -> Array:
-        """Return the acceleration (2, n_particles) [m/s2]."""
         out = np.empty_like(position)
         for row, part in zip(out, self.parts, strict=True):
             row[:] = part(x=position[0], y=position[1], t=time)

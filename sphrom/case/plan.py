@@ -334,8 +334,7 @@ class Plan:
     def steps(self) -> TimeSteps:
         """The steps of all full runs, the same at all points so that snapshots coincide.
 
-        An automatic step is shortened so that the first snapshot is at the end of the spin-up and
-        the last one at the final time.
+        An automatic step is shortened: snapshots begin after the spin-up, and end with the run.
         """
         every, step = self._case.snapshots.every, self._case.time.step
         if step != "auto":

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, read_record
-from sphrom.artifacts.records.coordinates import MeasuredOnce
+from sphrom.artifacts.records.runs import MeasuredOnce
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
@@ -31,7 +31,7 @@ from sphrom.store.stored_run import StoredRun
 from sphrom.store.workspace import Workspace
 
 SURFACE = "surface"
-"""What tables call the elevation of the whole surface."""
+"""Name of the elevation of the whole surface in tables."""
 Measured = Mapping[str, Quantities]
 """Quantities (n_snapshots, ...) of measurements, by the name of the measurement."""
 

@@ -19,15 +19,12 @@ from sphrom.case.points import ParameterPoint
 from sphrom.metrics.samples import Probes
 from sphrom.scenes.reference_profiles import ReferenceProfile
 from sphrom.sph.fluid import ROUNDING
-from sphrom.store.sampling import ON_WALL, sample_run
+from sphrom.store.stored_run import ON_WALL, sample_run
 
 SETTLED = 0.01
 """Largest change of a settled flow, over U, or rho U2 for a pressure."""
 SETTLING_SHARE = 0.1
-"""The last part of a run, over which a steady flow must no longer change.
-
-Steady profiles are means over this part.
-"""
+"""Last part of a run, in which a steady flow must not change; steady profiles are its means."""
 SCALE = {"unit": "U, or rho U2"}
 
 

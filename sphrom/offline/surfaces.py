@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sphrom.artifacts import write_record
-from sphrom.artifacts.records.surfaces import StoredSurfaceBasis, SurfaceModels
+from sphrom.artifacts.records.runs import StoredSurfaceBasis, SurfaceModels
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ALL, AUTO
 from sphrom.errors import SphromError, UnstableError

@@ -1,9 +1,8 @@
 """Reduced runs on the reference points, whose cost does not depend on the number of particles.
 
 A steady state can be searched from the end of a run. A zero of the model's rates is not always a
-steady flow. A steady state is therefore stored with its distance from the nearest state of the
-training runs (or interpolated between them), the residual of the full rates, and an estimate of its
-errors.
+steady flow. A steady state is therefore stored with the residual of the full rates, an estimate of
+its errors, and its distance from the nearest state of the training runs or between them.
 """
 
 from __future__ import annotations
@@ -13,18 +12,13 @@ from dataclasses import replace
 from functools import lru_cache, partial
 
 from sphrom.artifacts import ArtifactWriter, write_record
-from sphrom.artifacts.records.coordinates import Converged, Steady
+from sphrom.artifacts.records.runs import Converged, Steady
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.machine import seconds_of
 from sphrom.metrics.measures import UNITS, Quantities, components
+from sphrom.online import error_estimates
 from sphrom.online.basis_model import fields_of, forces_of
-from sphrom.online.error_estimates import (
-    distance_from,
-    estimate_errors,
-    measured_once,
-    steady_errors,
-)
 from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.online.stable_ranges import against
 from sphrom.plots.tables import format_figure
@@ -69,8 +63,8 @@ def seek_steady_state(run: FastRun, artifact: ArtifactWriter) -> None:
         report.warn(text)
         return
     report.info(text)
-    distance = distance_from(model.states, found.coordinates)
-    errors = steady_errors(run, found.coordinates)
+    distance = error_estimates.distance_from(model.states, found.coordinates)
+    errors = error_estimates.steady_errors(run, found.coordinates)
     if errors is not None:
         distance = min(distance, errors.distance)
         stored = replace(
@@ -81,7 +75,7 @@ def seek_steady_state(run: FastRun, artifact: ArtifactWriter) -> None:
         )
     there = replace(run, time=run.time[-1:], coordinates=found.coordinates[None])
     quantities = there.measured
-    single = {name: measured_once(each) for name, each in quantities.items()}
+    single = {name: error_estimates.measured_once(each) for name, each in quantities.items()}
     write_record(artifact, replace(stored, training_distance=distance, measure=single), "steady")
     text = f"{run.name}: the steady state is {format_figure(100.0 * distance)} % of its norm away "
     text += "from the nearest state of the training runs, or between them"
@@ -127,7 +121,7 @@ def run_point(workspace: Workspace, section: ReducedModelSection, point: Paramet
         artifact.annotate("integrator", integrator.steps.system.integrator)
         _report(run, integrator, seconds)
         if run.failure is None:
-            estimate_errors(run, artifact)
+            error_estimates.estimate_errors(run, artifact)
             for doubt in run.doubts[len(run.outside) :]:
                 workspace.context.report.warn(f"{run.name}: {doubt}")
             if section.steady:

@@ -7,9 +7,12 @@ changes with the square of the waves' amplitude compensates for it:
     g (1 + alpha + beta A^2),    A^2 = |b|^2 + 2 |a|^2/(g L)
 
 The particles' mean level rises a little above the depth at the start; so does the calibrated
-model's depth. A closure, a matrix on the coordinates that is added to the rates, compensates for
-the modes that are left out. It has no entries from the elevation to the elevation's own rates. All
-of these numbers minimise the relative differences between the model's runs and the projected
+model's depth.
+
+A closure, a matrix on the coordinates that is added to the rates, compensates for the modes that
+are left out. It has no entries from the elevation to the elevation's own rates. A closure does not
+carry over to other depths: training runs of several depths have none. Both the closure and the
+change of gravity minimise the relative differences between the model's runs and the projected
 training runs,
 
     sum |x_model - x|^2 / sum |x|^2 + lambda (beta^2 + |C|^2)
@@ -162,7 +165,8 @@ def _train(
     n_most = min(n_modes, len(basis.surface_modes))
     fits = [fit_of(count, rise).improved(GRAVITY_STEPS, 2) for count in range(1, n_most + 1)]
     best = min(fits, key=lambda fit: float(np.linalg.norm(fit.errors(fit.numbers))))
-    fit = best.improved(CLOSURE_STEPS, len(best.numbers))
+    one_depth = len({run.depth for run in runs}) == 1
+    fit = best.improved(CLOSURE_STEPS, len(best.numbers)) if one_depth else best
     n_surface = len(fit.scale) - n_modes
     plain = fit_of(n_surface, 0.0)
     projections = [one.errors(one.coordinates) ** 2 for one in fit.projected]

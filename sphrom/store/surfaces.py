@@ -11,7 +11,7 @@ import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.artifacts import read_record
-from sphrom.artifacts.records.surfaces import SurfaceModels
+from sphrom.artifacts.records.runs import SurfaceModels
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ALL, AUTO, ReducedModelSection
@@ -22,7 +22,7 @@ from sphrom.reduction.stream_functions import StreamSpace
 from sphrom.reduction.surface_basis import SurfaceBasis, TrainedGraph, chosen_size
 from sphrom.setup.assembly import surface_columns, uniform_force
 from sphrom.sph.fluid import volume_of
-from sphrom.store.starts import start
+from sphrom.store.trained_models import start
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:

@@ -25,8 +25,7 @@ from sphrom.console import Reporter
 from sphrom.metrics.draws import Along, fewest_runs, sobol_indices, spread
 from sphrom.metrics.measures import PLACED, UNITS, Oscillating, components
 from sphrom.metrics.series import OSCILLATION
-from sphrom.plots.canvas import save
-from sphrom.plots.panels import Curve, Panel, draw_grid
+from sphrom.plots.panels import Curve, Panel, draw_grid, save
 from sphrom.plots.tables import format_figure, rows_of_columns, write_csv
 from sphrom.reduction.correction import interpolation_variance
 from sphrom.reduction.error_calibration import output_errors
@@ -141,8 +140,8 @@ def _outputs(
             differences, there = trained[path], over_fluid
             if head:  # the end alone
                 differences, there = differences[:, None], there[:, -1:]
-            known = output_errors(differences, trained[PLACE], sound_averages(case))
-            errors = known.at(variances, there)
+            model_error = output_errors(differences, trained[PLACE], sound_averages(case))
+            errors = model_error.at(variances, there)
             parts = components(quantity, errors[:, 0] if head else errors)
         for component, each in components(quantity, runs[path]).items():
             column, where = f"{name}_{head}{component}{ending}", LINE if head else along
@@ -200,22 +199,24 @@ def _indices(case: Case, records: Sequence[RunRecord]) -> dict[str, OutputIndice
     }
 
 
-def publish(case: Case, path: Path, records: Sequence[RunRecord], found: Statistics | None) -> None:
+def publish(
+    case: Case, path: Path, records: Sequence[RunRecord], result: Statistics | None
+) -> None:
     """Write tables and figures of statistics beside a sweep's artifact, and remove old ones."""
     for kind in FIGURES:
         for suffix in ("csv", "png"):
             beside(path, kind, suffix).unlink(missing_ok=True)
-    if found is None:
+    if result is None:
         return
     time, names = next(r.values["time"] for r in records if r.values), case.plan.parameter_names
-    tables = {"quantiles": _quantile_rows(found, time), "indices": _index_rows(found, names, time)}
-    for kind, rows in tables.items():
+    quantiles, indices = _quantile_rows(result, time), _index_rows(result, names, time)
+    for kind, rows in {"quantiles": quantiles, "indices": indices}.items():
         if cells := list(rows):
             write_csv(beside(path, kind, "csv"), rows_of_columns(dict.fromkeys(cells[0]), cells))
     if case.compare.plots:
-        save(draw_quantiles(found, time), beside(path, "quantiles", "png"))
-        if found.indices:
-            save(draw_indices(found, names, time), beside(path, "indices", "png"))
+        save(draw_quantiles(result, time), beside(path, "quantiles", "png"))
+        if result.indices:
+            save(draw_indices(result, names, time), beside(path, "indices", "png"))
 
 
 def beside(path: Path, kind: str, suffix: str) -> Path:
@@ -227,17 +228,17 @@ def _instants(along: str, n_instants: int, time: Array) -> Array:
     return np.linspace(0.0, 1.0, n_instants) if along == LINE else time[-n_instants:]
 
 
-def _quantile_rows(found: Statistics, time: Array) -> Iterator[dict[str, Any]]:
+def _quantile_rows(result: Statistics, time: Array) -> Iterator[dict[str, Any]]:
     """Yield mean, deviation and quantiles of each output at each time, with their intervals.
 
     `at` is the time [s], for means the final time, or the place along a line from zero to one.
     """
-    for name, each in found.outputs.items():
+    for name, each in result.outputs.items():
         rows: list[tuple[str, Array, Array, Array | None]] = [
             ("mean", each.mean, each.mean_interval, None),
             ("deviation", each.deviation, each.deviation_interval, None),
         ]
-        for i, level in enumerate(found.levels):
+        for i, level in enumerate(result.levels):
             ends = each.interval[:, i], each.sampling_interval[:, i]
             rows.append((f"quantile {level:g}", each.quantiles[i], *ends))
         for k, at in enumerate(_instants(each.along, len(each.mean), time).tolist()):
@@ -255,10 +256,10 @@ def _quantile_rows(found: Statistics, time: Array) -> Iterator[dict[str, Any]]:
                 }
 
 
-def _index_rows(found: Statistics, names: Sequence[str], time: Array) -> Iterator[dict[str, Any]]:
+def _index_rows(result: Statistics, names: Sequence[str], time: Array) -> Iterator[dict[str, Any]]:
     """Yield the Sobol indices of each output, at each time, for each parameter."""
-    for name, each in found.indices.items():
-        instants = _instants(found.outputs[name].along, each.first.shape[1], time)
+    for name, each in result.indices.items():
+        instants = _instants(result.outputs[name].along, each.first.shape[1], time)
         for k, at in enumerate(instants.tolist()):
             for i, parameter in enumerate(names):
                 row: dict[str, Any] = {"output": name, "at": at, "parameter": parameter}
@@ -269,28 +270,28 @@ def _index_rows(found: Statistics, names: Sequence[str], time: Array) -> Iterato
                 yield row
 
 
-def draw_quantiles(found: Statistics, time: Array) -> Figure:
+def draw_quantiles(result: Statistics, time: Array) -> Figure:
     """Draw quantiles over time, or along a line, with one panel per output."""
 
     def curves(name: str, x: Array) -> Iterator[Curve]:
-        each = found.outputs[name]
-        for level, values in zip(found.levels, each.quantiles, strict=True):
+        each = result.outputs[name]
+        for level, values in zip(result.levels, each.quantiles, strict=True):
             yield Curve(f"{100.0 * level:g} %", x, values)
         yield Curve("mean", x, each.mean, "full")
         for end, values in (("lowest", each.interval[0, 0]), ("highest", each.interval[1, -1])):
             yield Curve(f"{end} end of intervals", x, values, "level")
 
-    return _draw(found, time, curves)
+    return _draw(result, time, curves)
 
 
-def draw_indices(found: Statistics, parameters: Sequence[str], time: Array) -> Figure:
+def draw_indices(result: Statistics, parameters: Sequence[str], time: Array) -> Figure:
     """Draw Sobol indices with their intervals, with one panel per output.
 
     Grey lines are the share of the model's error in the variance of full runs.
     """
 
     def curves(name: str, x: Array) -> Iterator[Curve]:
-        each, share = found.indices[name], found.outputs[name].error_share
+        each, share = result.indices[name], result.outputs[name].error_share
         first = "first order", each.first, each.first_interval
         total = "total", each.total, each.total_interval
         for k, parameter in enumerate(parameters):
@@ -299,17 +300,17 @@ def draw_indices(found: Statistics, parameters: Sequence[str], time: Array) -> F
         if share is not None:
             yield Curve("the model's error", x, share, "level")
 
-    return _draw(found, time, curves, "Sobol index [–]")
+    return _draw(result, time, curves, "Sobol index [–]")
 
 
 def _draw(
-    found: Statistics,
+    result: Statistics,
     time: Array,
     curves: Callable[[str, Array], Iterator[Curve]],
     label: str | None = None,
 ) -> Figure:
     panels = []
-    for name, each in found.outputs.items():
+    for name, each in result.outputs.items():
         if each.along != MEAN:
             x = _instants(each.along, len(each.mean), time)
             along = "place along the line [–]" if each.along == LINE else "time [s]"
@@ -323,31 +324,31 @@ def _shown(output: OutputStatistics) -> int:
     return len(output.mean) // 2 if output.along == LINE else -1
 
 
-def show(report: Reporter, found: Statistics) -> None:
+def show(report: Reporter, result: Statistics) -> None:
     """Report the statistics of all outputs at the end, and warnings about them."""
-    middle = int(np.argmin(np.abs(found.levels - 0.5)))
-    levels = [f"{100.0 * level:g} %" for level in found.levels]
+    middle = int(np.argmin(np.abs(result.levels - 0.5)))
+    levels = [f"{100.0 * level:g} %" for level in result.levels]
     rows = []
-    for name, each in found.outputs.items():
+    for name, each in result.outputs.items():
         at = _shown(each)
         half = 0.5 * float(np.ptp(each.interval[:, middle, at]))
         cells = [each.mean[at], each.deviation[at], *each.quantiles[:, at], half]
         shown = [format_figure(float(cell)) for cell in cells]
         rows.append((f"{name.replace('_', ' ')} [{each.unit}]", *shown))
     report.table(
-        f"statistics of {found.n_runs} runs at the final time; of profiles, in the middle",
+        f"statistics of {result.n_runs} runs at the final time; of profiles, in the middle",
         ("output", "mean", "deviation", *levels, f"{levels[middle]} within +-"),
         rows,
     )
-    if found.n_extrapolated:
+    if result.n_extrapolated:
         report.warn(
-            f"statistics: {found.n_extrapolated} of {found.n_runs} draws are outside of the "
+            f"statistics: {result.n_extrapolated} of {result.n_runs} draws are outside of the "
             "trained range"
         )
-    if found.method == SALTELLI and not found.indices:
+    if result.method == SALTELLI and not result.indices:
         report.warn("statistics: no Sobol indices, because a run of their design has no result")
     shares = {}
-    for name, each in found.outputs.items():
+    for name, each in result.outputs.items():
         if (share := each.error_share) is not None:
             over_all = np.average(share, weights=each.deviation**2 + np.finfo(float).tiny)
             shares[name] = max(float(over_all), float(share[_shown(each)]))
@@ -359,5 +360,5 @@ def show(report: Reporter, found: Statistics) -> None:
             f"full runs may have other quantiles and Sobol indices of {names}: the percentage is "
             f"the share of the model's estimated error in the variance{less}"
         )
-    if unknown := ", ".join(k for k, v in found.outputs.items() if v.model_error == "unknown"):
+    if unknown := ", ".join(k for k, v in result.outputs.items() if v.model_error == "unknown"):
         report.warn(f"intervals of {unknown} include sampling only, without an error estimate")

@@ -62,8 +62,7 @@ class RunRow:
     model: str
     parameters: str
     role: str
-    """`trained` at a training value of a reduced model's basis, `predicted` between such values,
-    else `extrapolated`."""
+    """`trained` at a value that a basis learnt from, `predicted` between, else `extrapolated`."""
     status: str
     time_step: float = field(metadata=SECONDS)
     seconds: float | None = field(metadata=SECONDS)
@@ -95,8 +94,7 @@ class ModelRow:
     speed_up: float | None = None
     """Speed-up over the case's own full run."""
     break_even_runs: int | None = None
-    """Number of runs after which the full model would have taken longer; None if never or unknown.
-    """
+    """Number of runs from which it is cheaper than full runs; None if never or unknown."""
     beaten_by: str | None = None
     """An alternative that is as fast and as accurate: a full run, or one without a model."""
     fronts: Mapping[str, bool] = field(

@@ -85,9 +85,7 @@ def test_bases_are_put_together_once_for_all_subsets(load, monkeypatch):
     """As many times as there are subsets, thousands took minutes."""
     asked = []
     learnt = Plan._training_points
-    monkeypatch.setattr(
-        Plan, "_training_points", lambda *given: (asked.append(1), learnt(*given))[1]
-    )
+    monkeypatch.setattr(Plan, "_training_points", lambda *a: (asked.append(1), learnt(*a))[1])
     subsets = "".join(f"    s{i}: {{reynolds: [100]}}\n" for i in range(500))
     load(f"basis:\n  subsets:\n{subsets}")
     assert len(asked) == 500

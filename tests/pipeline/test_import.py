@@ -190,9 +190,7 @@ def test_one_array_of_several_is_taken(case, sphrom, refused) -> None:
 
 def test_files_without_times_need_a_step(case, sphrom, refused) -> None:
     names = write_npz(time=None)
-    assert "--time-step: is required, because their_0.npz" in refused(
-        "import", case, *names, code=2
-    )
+    assert "--time-step: is required" in refused("import", case, *names, code=2)
     sphrom("import", case, *names, "--time-step", 0.05, code=0)
 
 
@@ -429,10 +427,7 @@ def test_import_of_another_flow_than_the_case_says_so(case, sphrom) -> None:
     for change, says in (
         ("scene.lid=uniform", ""),
         ("scene.lid=regularised", " % slower per 1 s; for other schemes both are within"),
-        (
-            "parameters.train.reynolds=[200]",
-            "the case's own full model come to differ from the files by",
-        ),
+        ("parameters.train.reynolds=[200]", "full model come to differ from the files by"),
     ):
         change = "--set", change
         files = Path().glob("own_*.npz")

@@ -36,7 +36,7 @@ TANK: dict[str, Any] = {
         },
     },
     "fluid": {"reference_density": 1000.0, "reference_speed": 0.7},
-    "discretization": {"resolution": 16},
+    "discretization": {"resolution": 16, "smoothing_length_ratio": 2.0},
     "time": {"final_time": 11.1},
     "snapshots": {"every": 10},
     "parameters": {

@@ -19,7 +19,7 @@ from sphrom.metrics.draws import spread
 from sphrom.online.basis_model import fields_of
 from sphrom.online.error_estimates import measured_errors
 from sphrom.online.fast_model import FastModel
-from sphrom.plots.canvas import save
+from sphrom.plots.panels import save
 from sphrom.store.trajectory import measured_of
 from sphrom.store.workspace import Workspace
 from sphrom.sweep import sweep as stage
