@@ -9,9 +9,8 @@ import numpy as np
 
 from sphrom.arrays import Array, Indices
 from sphrom.declaration import Record, attribute, dataset, part
-from sphrom.reduction.graph_model import SurfaceBasis
-from sphrom.reduction.graph_training import TrainedGraph
 from sphrom.reduction.stream_functions import StreamSpace
+from sphrom.reduction.surface_basis import SurfaceBasis, TrainedGraph
 
 TIME = "s", "time of each snapshot", "t", "Eq. 2.18"
 """Units, meaning, symbol and equation that several records share; likewise for other fields."""
@@ -328,6 +327,7 @@ class SurfaceSnapshots(Medium, kind="sphrom/surface-snapshots"):
     residual: Array = dataset(
         "snapshot", "1", "norm of the velocity that the fit leaves out, over that of the particles"
     )
+    speed: Array = dataset("snapshot", "m/s", "root mean square velocity of the particles")
     parameters: Mapping[str, float] = attribute(*PARAMETERS, default_factory=dict)
 
 
