@@ -38,7 +38,7 @@ from sphrom.metrics.histories import effectivity
 from sphrom.online.fast_model import FastModel
 from sphrom.setup.context import StageContext
 from sphrom.sph.time_loop import TimeSteps
-from sphrom.store.sampling import probes_of, sample_run
+from sphrom.store.stored_run import probes_of, sample_run
 from sphrom.store.workspace import Workspace
 
 Row = dict[str, Any]

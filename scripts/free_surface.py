@@ -4,18 +4,17 @@ Runs cases of the gallery, and prints a table for each part:
 
 - `rest`: fluid at rest in the tank of `standing_wave` for twenty periods: the largest velocity over
   sqrt(g H), after the first period too, and the r.m.s. error of pressure over rho g H.
-- `wave`: standing waves of 0.05 and 0.2 H: frequency over that of linear theory, for the higher
-  wave beside the correction by Tadjbakhsh and Keller (J. Fluid Mech. 8, 1960), and the rate of
-  decay over 2 nu k^2, from the fluid's moment with the wave's potential.
+- `wave` and `high-wave`: standing waves of 0.05 and 0.2 H over five periods: frequency over that of
+  linear theory, beside the correction by Tadjbakhsh and Keller (J. Fluid Mech. 8, 1960), and the
+  rate of decay over 2 nu k^2, from the fluid's moment with the wave's potential.
 - `drop`: the drop's semi-axes, from its second moments, beside the ordinary differential equations.
-- `dam`: the front of the collapsing column beside Martin and Moyce (Phil. Trans. A 244, 1952),
-  n^2 = 2.
+- `dam`: the front of the collapsing column beside Martin and Moyce (Phil. Trans. A 244, 1952).
 - `noslip`: a wave at Re 1,000 between walls that fluid sticks to, beside theory of Stokes layers.
-- `shifting`: how evenly particles lie at the ends of those runs, without shifting and with it.
+- `evenness`: how evenly particles lie at the end of a high wave, of the drop and of the column.
 - `pictures`: the pictures of the gallery and of the page about free surfaces.
 
     python scripts/free_surface.py wave --resolution 32 64 --ratio 2 2.5
-    python scripts/free_surface.py rest drop dam noslip shifting pictures
+    python scripts/free_surface.py rest drop dam noslip evenness pictures
 
 Runs and `free_surface.json`, with all figures so far, are kept in `runs/free_surface`.
 """
@@ -40,7 +39,7 @@ from scipy.spatial import cKDTree
 from small_picture import write_small
 
 from sphrom.api.study import Study
-from sphrom.plots.canvas import COLOURS, EXACT_COLOUR, SPEED_MAP, new_figure, save, styled
+from sphrom.plots.panels import COLOURS, EXACT_COLOUR, SPEED_MAP, new_figure, save, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,6 +52,8 @@ PERIOD = 2.0 * math.pi / OMEGA
 FRONT = {0.832: 1.217, 1.997: 2.292, 3.345: 4.134}
 """Martin and Moyce: z / a at t sqrt(2 g / a)."""
 DROP_PERIOD = 4.567375
+WIDTH = 1100
+"""Of a picture [pixels]."""
 SPACING = "particle_spacing"
 
 
@@ -228,36 +229,25 @@ def dam(runs: Runs, resolution: int) -> dict[str, float]:
     }
 
 
-def evenness(run: Run, inner: np.ndarray) -> dict[str, float]:
-    """Return how evenly particles lie in the inner part at a run's end.
+def evenness(runs: Runs, resolution: int) -> dict[str, float]:
+    """Return how evenly particles lie at the ends of the gallery's runs, below the surface.
 
     On a lattice twelve others are within 2.1 spacings; beside a void there are far fewer.
     """
-    tree = cKDTree(run.position[-1])
-    near = tree.query(run.position[-1][inner], 2)[0][:, 1] / run.spacing
-    count = tree.query_ball_point(run.position[-1][inner], 2.1 * run.spacing, return_length=True)
-    return {
-        "nearest neighbour / spacing, least": float(near.min()),
-        "nearest neighbour / spacing, mean": float(near.mean()),
-        "neighbours within 2.1, least": float(count.min() - 1),
-        "neighbours within 2.1, most": float(count.max() - 1),
-    }
-
-
-def shifting(runs: Runs, resolution: int) -> dict[str, float]:
-    """Return how particles lie after a high wave, and after the drop, with and without shifting."""
     found = {}
-    for enabled in (False, True):
-        told = "with" if enabled else "without"
-        change = {"discretization__shifting__enabled": enabled}
-        run = runs("standing_wave", resolution, **change)
-        figures = evenness(run, run.position[-1, :, 1] < 0.3)
-        rate, decay = rate_and_decay(run)
-        figures |= {"frequency / linear": rate / OMEGA}
-        figures |= {"decay / (2 nu k^2)": decay / (2.0 * run.viscosity * WAVE_NUMBER**2)}
-        level = 2.0 * run.position[-1, :, 1].mean() - HEIGHT
-        figures |= {"twice the centre's height / H - 1": level / HEIGHT}
-        found |= {f"wave {told}: {name}": value for name, value in figures.items()}
+    for name in ("standing_wave", "oscillating_drop", "dam_break"):
+        run = runs(name, resolution)
+        last, spacing = run.position[-1], run.spacing
+        tree = cKDTree(last)
+        deep = tree.query_ball_point(last, 4.0 * spacing, return_length=True) > 40
+        nearest = tree.query(last[deep], 2)[0][:, 1] / spacing
+        count = tree.query_ball_point(last[deep], 2.1 * spacing, return_length=True) - 1
+        found |= {
+            f"{name}: nearest neighbour / spacing, least": float(nearest.min()),
+            f"{name}: the same, mean": float(nearest.mean()),
+            f"{name}: neighbours within 2.1 spacings, mean": float(count.mean()),
+            f"{name}: the same, least": float(count.min()),
+        }
     return found
 
 
@@ -268,22 +258,22 @@ PARTS: dict[str, tuple[Callable[[Runs, int], dict[str, float]], tuple[int, ...]]
     "drop": (drop, (20, 40)),
     "dam": (dam, (30, 60)),
     "noslip": (no_slip, (32, 64)),
-    "shifting": (shifting, (32,)),
+    "evenness": (evenness, (30,)),
 }
 """What measures, and the resolutions by default."""
 
 
 def draw(runs: Runs) -> None:
-    """Draw the gallery's cases: particles coloured by their speed, and a history beside theory."""
+    """Draw the gallery's cases: particles coloured by speed, and a history beside theory."""
     frames = {
         "standing_wave": ((0.25, 0.5, 3.25), PERIOD),
         "oscillating_drop": ((0.2, 0.5, 2.7), DROP_PERIOD),
-        "dam_break": ((1.2, 2.4, 4.0), 1.0),
+        "dam_break": ((1.2, 2.0, 2.6), 1.0),
     }
     for name, (instants, unit) in frames.items():
         run = runs(name)
         with styled():
-            figure = new_figure(12.0, 2.9)
+            figure = new_figure(12.0, 3.1)
             *panels, last = figure.subplots(1, 4)
             for panel, instant in zip(panels, instants, strict=True):
                 _draw_particles(panel, run, instant * unit, run.box)
@@ -292,7 +282,7 @@ def draw(runs: Runs) -> None:
         source = runs.folder / f"{name}.png"
         save(figure, source)
         path = FIGURES / f"gallery-{name}.png"
-        write_small(source, path)
+        write_small(source, path, WIDTH)
         print(f"{path.relative_to(ROOT)}: {path.stat().st_size / 1000:.0f} kB")
 
 
@@ -301,7 +291,9 @@ def _draw_particles(axes: Axes, run: Run, at: float, box: np.ndarray) -> None:
     k = int(np.argmin(np.abs(run.time - at)))
     speed, (width, height) = np.hypot(*run.velocity[k].T), box[1] - box[0]
     dot = (150.0 * run.spacing / max(width, height)) ** 2
-    axes.scatter(*run.position[k].T, c=speed, s=dot, cmap=SPEED_MAP, linewidths=0.0)
+    fastest = np.hypot(*np.moveaxis(run.velocity, -1, 0)).max()
+    colours = {"cmap": SPEED_MAP, "vmin": 0.0, "vmax": fastest}
+    axes.scatter(*run.position[k].T, c=speed, s=dot, linewidths=0.0, **colours)
     axes.set(title=f"speed, t = {run.time[k]:.2f} s", aspect="equal", xlabel="x [m]")
     axes.set(xlim=box[:, 0], ylim=box[:, 1], ylabel="y [m]")
 
@@ -312,11 +304,13 @@ def _draw_history(axes: Axes, name: str, run: Run) -> None:
     known = {"color": EXACT_COLOUR, "linewidth": 3.0}
     axes.set(xlabel="t [s]")
     if name == "dam_break":
-        fell = time < max(FRONT) / math.sqrt(2.0)
+        fell = time < 2.0  # then it arrives at the far wall
         front = run.position[fell, :, 0].max(axis=1) + 0.5 * run.spacing
         axes.plot(time[fell], front, color=COLOURS[0], label="front")
         at = np.array(list(FRONT)) / math.sqrt(2.0)
-        axes.plot(at, list(FRONT.values()), "o", color=EXACT_COLOUR, label="measured (1952)")
+        axes.plot(
+            at[:2], list(FRONT.values())[:2], "o", color=EXACT_COLOUR, label="measured (1952)"
+        )
         axes.set(title="front along the floor", ylabel="x [m]")
     elif name == "oscillating_drop":
         for index, (exact, found) in enumerate(zip(ellipse(fine), axes_of(run), strict=True)):
@@ -324,16 +318,16 @@ def _draw_history(axes: Axes, name: str, run: Run) -> None:
             axes.plot(time, found, color=COLOURS[index], label=f"along {'xy'[index]}")
         axes.set(title="semi-axes", ylabel="[m]")
     else:
-        # Of small waves, elevation at the wall and this moment are in proportion.
+        # Of low waves, this moment and the elevation at x = 0 are in proportion.
         moment = moment_of(run)
         scale = (moment - moment.mean()) / np.ptp(moment)
         friction = 2.0 * run.viscosity * WAVE_NUMBER**2
-        linear = np.exp(-friction * fine) * np.sin(OMEGA * fine)
+        linear = -np.exp(-friction * fine) * np.sin(OMEGA * fine)  # it falls first at x = 0
         sampled = np.interp(time, fine, linear)
         axes.plot(fine, linear / np.ptp(sampled), **known, label="linear theory")
         axes.plot(time, scale, color=COLOURS[0], label="full model")
         axes.set(title="amplitude of the wave", ylabel="over its range")
-    axes.legend(fontsize=7)
+    axes.legend(fontsize=7, loc="upper right")
 
 
 def main() -> None:

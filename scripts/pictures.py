@@ -36,6 +36,8 @@ GALLERY = {
     "wake": "reynolds90",
 }
 """Cases of the gallery, and the value that is drawn."""
+OF_SURFACES = ("gallery-standing_wave", "gallery-oscillating_drop", "gallery-dam_break")
+"""Pictures of particles, which a script of their own draws."""
 TRADES = {
     "trade": ("taylor_green", "3%"),
     "trade-lid-driven-cavity": ("lid_driven_cavity", "0.5%,15%"),
@@ -120,6 +122,9 @@ def main() -> None:
     for picture in pictures():
         if picture.name.startswith(names):
             draw(picture)
+    if any(name.startswith(names) for name in OF_SURFACES):
+        script = ROOT / "scripts" / "free_surface.py"
+        subprocess.run([sys.executable, script, "pictures"], check=True, cwd=ROOT)
 
 
 if __name__ == "__main__":

@@ -22,8 +22,7 @@ from small_picture import write_small
 
 from sphrom import Study
 from sphrom.errors import UnstableError
-from sphrom.plots.canvas import save
-from sphrom.plots.panels import Curve, Field, Frame, Panel, draw_grid
+from sphrom.plots.panels import Curve, Field, Frame, Panel, draw_grid, save
 
 ROOT = Path(__file__).parents[1]
 CASE, FIGURES = ROOT / "cases" / "gallery" / "sloshing.yaml", ROOT / "docs" / "figures"
@@ -35,8 +34,8 @@ FINE = {"discretization": {"resolution": 32}, "snapshots": {"every": 40}}
 """64 x 32 particles."""
 RATIOS = {
     "parameters": {
-        "train": {"points": [{"reynolds": 250, "ratio": r, "strength": 0.03} for r in (0.8, 0.9)]},
-        "test": {"points": [{"reynolds": 250, "ratio": 0.85, "strength": 0.03}]},
+        name: {"points": [{"reynolds": 250, "ratio": r, "strength": 0.03} for r in ratios]}
+        for name, ratios in {"train": (0.8, 0.9), "test": (0.85,)}.items()
     }
 }
 """Two training runs, and a frequency between."""

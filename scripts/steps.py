@@ -31,8 +31,8 @@ from sphrom.setup.context import StageContext
 from sphrom.setup.particles import sampler
 from sphrom.sph.fluid import pressure_of
 from sphrom.sph.time_loop import Clock, TimeSteps, march
-from sphrom.store.sampling import probes_of
-from sphrom.store.starts import start
+from sphrom.store.stored_run import probes_of
+from sphrom.store.trained_models import start
 from sphrom.store.trajectory import snapshot_fields
 from sphrom.store.workspace import Workspace
 

@@ -75,8 +75,7 @@ def _show_status(text: str) -> None:
 class LogFile:
     """The log of a command: lines with their times, appended to a file once its folder exists.
 
-    If the log can't be written, the command continues with a warning. Without a path there is no
-    log.
+    If the log can't be written, the command continues with a warning. No path means no log.
     """
 
     def __init__(self, path: Path | None = None) -> None:

@@ -1,7 +1,6 @@
 """The list of stages, and functions that run one stage or all stages of a case.
 
-The command line and Python programs share it. A stage is imported when it runs, because some take
-long to load.
+The command line and Python programs share it. Stages are imported when they run: some load long.
 """
 
 from __future__ import annotations

@@ -52,6 +52,6 @@ def _table(parameters: Iterable[Any], context: Any) -> Iterator[str]:
 
 
 def _plain(text: str) -> str:
-    """Return text without what Markdown would take for markup, and options as code."""
+    """Return text with Markdown's special characters escaped, and options as code."""
     escaped = re.sub(r"([<>|*_\[\]])", r"\\\1", text)
     return re.sub(r"(?<![\w`-])(--[a-z][a-z-]*)(?!`)", r"`\1`", escaped)

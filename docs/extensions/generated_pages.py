@@ -1,6 +1,6 @@
 """Fill in the parts of pages that are written elsewhere, or made from the program itself.
 
-A line `<!-- generated: command-line -->` is replaced by what `command_line.markdown` returns, and
+A line `<!-- generated: command-line -->` is replaced by the text of `command_line.markdown`, and
 `<!-- file: CONTRIBUTING.md -->` by a file of the repository, whose links to other files become
 links to the pages that show them.
 """

@@ -5,7 +5,7 @@ from sphinx.application import Sphinx
 
 
 def widen(app: Sphinx, page: nodes.document) -> None:
-    """Give each picture a width: Sphinx links those that have one to the whole picture."""
+    """Give each picture a width: Sphinx then links it to the whole picture."""
     for picture in page.findall(nodes.image):
         picture.setdefault("width", "100%")
 

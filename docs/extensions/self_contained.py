@@ -1,4 +1,4 @@
-"""Warn of what a built page would fetch from the network while it is read."""
+"""Warn of files that a built page would fetch from the network while it is read."""
 
 import re
 from pathlib import Path

@@ -35,7 +35,7 @@ from sphrom.reduction.polynomial_model import SteadyState, steady_state
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup.context import StageContext
 from sphrom.signals import guarded
-from sphrom.store.sampling import Samples, sample_run
+from sphrom.store.stored_run import Samples, sample_run
 from sphrom.store.surfaces import SurfaceModelAt
 from sphrom.store.trajectory import measured_of
 from sphrom.store.workspace import Workspace

@@ -19,7 +19,7 @@ from sphrom.online.sensitivities import Tangents
 from sphrom.online.surface_model import SurfaceRun
 from sphrom.setup.assembly import field_measures
 from sphrom.signals import guarded
-from sphrom.store.sampling import Samples
+from sphrom.store.stored_run import Samples
 
 if TYPE_CHECKING:
     import xarray

@@ -170,8 +170,7 @@ def open(path: str | os.PathLike[str], group: str = "") -> xarray.Dataset:
     are verified block by block at the first use of their values. Values are read when they are
     used, so the file stays open until the dataset is closed; use `with`, or `load`.
 
-    Raises ArtifactError when the file is missing, damaged or not an artifact, CaseError when it has
-    no such group.
+    Raises ArtifactError when the file is missing, damaged or foreign, CaseError for no such group.
     """
     from sphrom.artifacts.labelled import open_labelled
 

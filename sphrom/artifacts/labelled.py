@@ -1,7 +1,6 @@
 """Artifacts as xarray datasets with named axes, units and times, read when needed.
 
-Values are verified like all others. This module is imported separately, because importing xarray
-takes longer than a reduced run.
+Values are verified like all others. This module is separate: importing xarray takes long.
 """
 
 from __future__ import annotations
@@ -30,11 +29,9 @@ _MEASURED = re.compile("((?:error_estimate|steady)/)?(measure|force)/([^/]+)/([^
 def open_labelled(path: str | Path, group: str = "") -> xarray.Dataset:
     """Open an artifact, or a group of one such as `bases/all` with the data common to all groups.
 
-    `sphrom.open` documents the names of variables and attributes. The file stays open until the
-    dataset is closed.
+    `sphrom.open` documents the names. The file stays open until the dataset is closed.
 
-    Raises ArtifactError if the file is missing, damaged or not an artifact, CaseError if it has no
-    such group.
+    Raises ArtifactError if the file is missing, damaged or foreign, CaseError for no such group.
     """
     group = group.strip("/")
     with contextlib.ExitStack() as stack:

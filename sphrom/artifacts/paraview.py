@@ -2,8 +2,7 @@
 
 A view is a group of virtual datasets. It shows the particles or reference points as PolyData, once
 per snapshot, or once per mode if the artifact holds modes. Vectors (snapshot, particle, 2) appear
-as (snapshot times particle, 3) with a zero third component. The cells that contain the points are
-stored once for all steps.
+as (snapshot times particle, 3) with a zero third component. Cells are stored once for all steps.
 
 A view follows from the axes in the schema. It holds no data of its own and is not part of the
 content digest; reading an artifact never uses it.

@@ -29,15 +29,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from sphrom.artifacts.layout import (
-    Identity,
-    Origin,
-    Shape,
-    Value,
-    content_digest,
-    dataset_line,
-    text_digest,
-)
+from sphrom.artifacts import layout
 from sphrom.artifacts.paraview import VIEW
 from sphrom.artifacts.records import SCHEMAS
 from sphrom.declaration import (
@@ -77,7 +69,7 @@ _known: dict[tuple[int, ...], Contents] = {}
 
 @contextlib.contextmanager
 def open_artifact(
-    path: str | Path, schema: str | None, *, made_by: str, origin: Origin | None = None
+    path: str | Path, schema: str | None, *, made_by: str, origin: layout.Origin | None = None
 ) -> Iterator[Artifact]:
     """Open the artifact `path` of the kind `schema`, or of any kind, for reading, and check it.
 
@@ -94,7 +86,7 @@ def open_artifact(
 def probe(
     path: str | Path,
     schema: str,
-    origin: Origin | None = None,
+    origin: layout.Origin | None = None,
     at_least: Mapping[str, int] | None = None,
 ) -> str | None:
     """Return why the artifact `path` cannot be used as it is, in words, or None if it can.
@@ -113,7 +105,7 @@ def probe(
 
 @contextlib.contextmanager
 def _opened(
-    path: Path, schema: str | None, made_by: str, origin: Origin | None
+    path: Path, schema: str | None, made_by: str, origin: layout.Origin | None
 ) -> Iterator[Artifact]:
     """Open and check an artifact. Raises Fault."""
     with open_file(path) as file:
@@ -146,10 +138,10 @@ class Artifact:
         self._file = file
         self._contents = contents
         self.case_text = contents.case_text
-        self.attributes: Mapping[str, Value] = contents.attributes
+        self.attributes: Mapping[str, layout.Value] = contents.attributes
         self.datasets = sorted(name for name in contents.datasets if name != CASE)
         self.schema, self.content_sha256 = self.text("schema"), self.text("content_sha256")
-        self.identity = Identity(path.name, self.text("uuid"), self.content_sha256)
+        self.identity = layout.Identity(path.name, self.text("uuid"), self.content_sha256)
 
     def number(self, name: str) -> float:
         """Return a numeric attribute. Raises KeyError if there is none."""
@@ -166,8 +158,7 @@ class Artifact:
     def read(self, name: str) -> NDArray[Any]:
         """Return a whole dataset.
 
-        Raises ArtifactError if it is damaged, ResourceError if it does not fit into memory,
-        KeyError if there is none.
+        Raises ArtifactError if damaged, ResourceError without memory for it, KeyError if absent.
         """
         dataset = self._file[name]
         needed: int = dataset.nbytes
@@ -210,7 +201,7 @@ class Artifact:
             raise Fault(f"is damaged: {name} is not what was written")
         self._contents.verified.add(name)
 
-    def form(self, name: str) -> tuple[Shape, np.dtype[np.generic]]:
+    def form(self, name: str) -> tuple[layout.Shape, np.dtype[np.generic]]:
         """Return the shape and the type of a dataset. Raises KeyError if there is none."""
         return self._contents.datasets[name]
 
@@ -264,21 +255,24 @@ def _looked_through(file: h5py.File) -> Contents:
             raise Fault(f"is damaged: attribute {own.name} is missing")
     with damage("the case"):
         contents.case_text = plain_text(file[CASE][()])
-    if contents.digests.pop(CASE, "") != text_digest(contents.case_text):
+    if contents.digests.pop(CASE, "") != layout.text_digest(contents.case_text):
         raise Fault("is damaged: the case in it is not what was written")
     for name in contents.datasets.keys() - contents.digests.keys() - {CASE}:
         if SCHEMAS[kind].dataset(name) is not None:
             raise Fault(f"is damaged: {name} is not what was written")
     lines = {
-        name: dataset_line(contents.datasets[name][1], contents.datasets[name][0], digest)
+        name: layout.dataset_line(contents.datasets[name][1], contents.datasets[name][0], digest)
         for name, digest in contents.digests.items()
     }
-    if content_digest(kind, contents.attributes, lines) != contents.attributes["content_sha256"]:
+    if (
+        layout.content_digest(kind, contents.attributes, lines)
+        != contents.attributes["content_sha256"]
+    ):
         raise Fault("is damaged: its digest does not match its contents")
     return contents
 
 
-def _check_origin(contents: Contents, origin: Origin) -> None:
+def _check_origin(contents: Contents, origin: layout.Origin) -> None:
     """Raise Fault if the artifact was made with another case or from other inputs."""
     if contents.attributes["inputs_sha256"] != origin.inputs_digest:
         text = contents.case_text
@@ -436,8 +430,8 @@ class Contents:
     """The contents of a file by path: shapes and types of datasets, and attributes of groups."""
 
     case_text: str = ""
-    datasets: dict[str, tuple[Shape, np.dtype[np.generic]]] = field(default_factory=dict)
-    attributes: dict[str, Value] = field(default_factory=dict)
+    datasets: dict[str, tuple[layout.Shape, np.dtype[np.generic]]] = field(default_factory=dict)
+    attributes: dict[str, layout.Value] = field(default_factory=dict)
     digests: dict[str, str] = field(default_factory=dict)
     """The stored digests of datasets."""
     verified: set[str] = field(default_factory=set)
@@ -492,7 +486,7 @@ def _require_plain(dataset: h5py.Dataset, path: str) -> None:
         raise Fault(f"is refused: {path} is compressed or changed by a filter")
 
 
-def attributes_at(item: h5py.HLObject, path: str) -> dict[str, Value]:
+def attributes_at(item: h5py.HLObject, path: str) -> dict[str, layout.Value]:
     """Return the attributes of `item` by path, if they are numbers or texts of fixed length.
 
     Raises Fault if they are damaged.
@@ -502,14 +496,14 @@ def attributes_at(item: h5py.HLObject, path: str) -> dict[str, Value]:
     return {name: value for name, value in values.items() if value is not None}
 
 
-def _value(attribute: h5py.h5a.AttrID) -> Value | None:
+def _value(attribute: h5py.h5a.AttrID) -> layout.Value | None:
     if attribute.shape is None or attribute.dtype.kind not in "fiuS":
         return None
     stored = np.empty(attribute.shape, attribute.dtype)
     attribute.read(stored)
     if attribute.shape:
         return tuple(stored.ravel().tolist())
-    value: Value = stored.item()
+    value: layout.Value = stored.item()
     return plain_text(value) if isinstance(value, bytes) else value
 
 

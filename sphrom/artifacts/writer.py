@@ -17,17 +17,7 @@ import h5py
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sphrom.artifacts.layout import (
-    Origin,
-    Shape,
-    Value,
-    attribute_value,
-    content_digest,
-    dataset_line,
-    index_not_finite,
-    text_digest,
-    valid_name,
-)
+from sphrom.artifacts import layout
 from sphrom.artifacts.paraview import add_view
 from sphrom.artifacts.records import SCHEMAS
 from sphrom.declaration import SCHEMA_VERSION, Field, Record, fields_of_record, joined
@@ -48,20 +38,19 @@ def create_artifact(
     schema: str,
     *,
     stage: str,
-    origin: Origin,
+    origin: layout.Origin,
     threads: int = 1,
     force: bool = False,
     attributes: Mapping[str, object] | None = None,
 ) -> Iterator[ArtifactWriter]:
     """Write the artifact `path`; it appears under its name when the block ends without an error.
 
-    `schema` is a name such as `sphrom/basis`; `attributes` are by path, such as `sound_speed` or
-    `parameters/reynolds`.
+    `schema` is a name such as `sphrom/basis`; `attributes` are by path, as `parameters/reynolds`.
 
     Raises ArtifactError if the target cannot be written or a value is not finite, ValueError if the
     data do not match the schema.
     """
-    provenance: dict[str, Value] = {
+    provenance: dict[str, layout.Value] = {
         "schema": schema,
         "schema_version": SCHEMA_VERSION,
         "stage": stage,
@@ -70,7 +59,7 @@ def create_artifact(
         "softwareVersion": __version__,
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "machine": f"{os.cpu_count()} cores",
-        "case_sha256": text_digest(origin.case_text),
+        "case_sha256": layout.text_digest(origin.case_text),
         "inputs_sha256": origin.inputs_digest,
         "threads": threads,
     }
@@ -102,7 +91,7 @@ class ArtifactWriter:
         self._schema = SCHEMAS[schema]
         self._started, self._computing = time.monotonic(), computing_seconds()
         self._streams: dict[str, Stream] = {}
-        self._attributes: dict[str, Value] = {}
+        self._attributes: dict[str, layout.Value] = {}
         with GarbageCollectionPaused():
             self._hdf5 = h5py.File(file, "w", libver=LIBVER)
 
@@ -125,14 +114,14 @@ class ArtifactWriter:
         values = np.asarray(array)
         self.stream(name, values.shape[1:], len(values)).extend(values)
 
-    def stream(self, name: str, item_shape: Shape, n_items: int) -> Stream:
+    def stream(self, name: str, item_shape: layout.Shape, n_items: int) -> Stream:
         """Start a dataset (n_items, *item_shape) that is written item by item.
 
         If `status` is set to a value other than `complete`, there may be fewer items.
         """
         shape = (n_items, *item_shape)
         field = self._schema.dataset(name)
-        if field is None or not valid_name(name) or name in self._streams:
+        if field is None or not layout.valid_name(name) or name in self._streams:
             raise ValueError(f"{name} is no dataset of {self._schema.name}, or written already")
         if len(shape) != len(field.axes):
             raise ValueError(f"{name} has the axes {field.axes}, not the shape {shape}")
@@ -150,23 +139,25 @@ class ArtifactWriter:
     def annotate(self, name: str, value: object) -> None:
         """Set an attribute by its path, such as `status` or `bases/all/gram_error`."""
         field = self._schema.attribute(name)
-        if field is None or not valid_name(name):
+        if field is None or not layout.valid_name(name):
             raise ValueError(f"{name} is no attribute of {self._schema.name}")
-        self._set(name, attribute_value(field, value))
+        self._set(name, layout.attribute_value(field, value))
 
-    def _begin(self, case_text: str, provenance: Mapping[str, Value]) -> None:
+    def _begin(self, case_text: str, provenance: Mapping[str, layout.Value]) -> None:
         for name, value in provenance.items():
             self._set(name, value)
         with self._guarded():
             case = self._hdf5.create_dataset("case", data=fixed_text(case_text))
-            case.attrs["sha256"] = fixed_text(text_digest(case_text))
+            case.attrs["sha256"] = fixed_text(layout.text_digest(case_text))
 
     def _finish(self) -> None:
         if self._attributes.get("status", "complete") != "complete":
             for stream in self._streams.values():
                 stream.shorten()
         lines = {name: stream.seal() for name, stream in self._streams.items()}
-        self._set("content_sha256", content_digest(self._schema.name, self._attributes, lines))
+        self._set(
+            "content_sha256", layout.content_digest(self._schema.name, self._attributes, lines)
+        )
         self._set("wall_seconds", self.age)
         self._set("timing/processor", computing_seconds() - self._computing)
         there = {*self._attributes, *self._streams}
@@ -178,7 +169,7 @@ class ArtifactWriter:
             add_view(self._hdf5, self._schema.name, shapes)
             self._hdf5.flush()
 
-    def _set(self, name: str, value: Value) -> None:
+    def _set(self, name: str, value: layout.Value) -> None:
         group, _, key = name.rpartition("/")
         stored = fixed_text(value) if isinstance(value, str) else value
         with self._guarded():
@@ -197,7 +188,7 @@ class Stream:
     ) -> None:
         self.field = field
         self.written = 0
-        self.shape: Shape = dataset.shape
+        self.shape: layout.Shape = dataset.shape
         self._writer = writer
         self._name = name
         self._dataset = dataset
@@ -220,7 +211,7 @@ class Stream:
             raise ValueError(
                 f"{self._name} {self.shape} can't take {items.shape} after {self.written}"
             )
-        if (bad := index_not_finite(items)) is not None:
+        if (bad := layout.index_not_finite(items)) is not None:
             index = (self.written + bad[0], *bad[1:])
             where = (f"{axis} {at}" for axis, at in zip(self.field.axes, index, strict=True))
             raise ArtifactError(
@@ -257,11 +248,11 @@ class Stream:
         with self._writer._guarded():
             self._dataset.attrs["sha256"] = fixed_text(digest)
             self._dataset = None
-        self._line = dataset_line(np.dtype(self.field.kind), self.shape, digest)
+        self._line = layout.dataset_line(np.dtype(self.field.kind), self.shape, digest)
         return self._line
 
 
-def chunk_shape(field: Field, shape: Shape) -> Shape | None:
+def chunk_shape(field: Field, shape: layout.Shape) -> layout.Shape | None:
     """Return one field per chunk for a series of fields, else rows of about `CHUNK_BYTES`.
 
     Return None if there is nothing to store.
@@ -305,8 +296,7 @@ def fixed_text(text: str) -> NDArray[Any]:
 def write_record(artifact: ArtifactWriter, record: Record, group: str = "") -> None:
     """Write a record into a group of an artifact, or into its root.
 
-    Raises ArtifactError if it cannot be written or is not finite, ValueError if an array does not
-    have the declared type and axes.
+    Raises ArtifactError if it cannot be written or is not finite, ValueError for other types.
     """
     for name, field in fields_of_record(type(record)).items():
         value, path = getattr(record, name), joined(group, field.name)

@@ -12,22 +12,14 @@ from typing import Any
 import numpy as np
 
 from sphrom.arrays import Array
+from sphrom.case import studies
+from sphrom.case.custom_sections import SurfaceForce
 from sphrom.case.fields import only_one
-from sphrom.case.free_surfaces import SurfaceForce
 from sphrom.case.models import Case
 from sphrom.case.plan import MAX_STEPS, WHOLE_STEPS_TOLERANCE
 from sphrom.case.points import REYNOLDS, ParameterPoint, nearest_point
 from sphrom.case.scene_section import MeasureSection
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection
-from sphrom.case.studies import (
-    Region,
-    at_resolution,
-    fast_section,
-    require_basis,
-    rows_of,
-    sweep_model,
-    sweep_points,
-)
 from sphrom.case.study_sections import FULL, ErrorFigure, FieldFigure, ModeFigure, OfModes, OfRuns
 from sphrom.case.yaml_reader import Problem
 from sphrom.errors import CaseError
@@ -202,7 +194,7 @@ def nearest_fitting_resolution(case: Case) -> int | None:
 def coarser_resolution(case: Case) -> int | None:
     """Return half the resolution, or None if particles would not fit the scene."""
     half = case.discretization.resolution // 2
-    fits = half >= COARSEST and not any(_check_geometry(at_resolution(case, half)))
+    fits = half >= COARSEST and not any(_check_geometry(studies.at_resolution(case, half)))
     return half if fits else None
 
 
@@ -420,7 +412,8 @@ def _check_surface(case: Case) -> Found:
         yield "scene.resistance", f"{plain} {reason}; leave it out"
     for point in case.plan.points[:1]:
         force = case.plan.flow(point).body_force
-        if isinstance(force, SurfaceForce) and force.varies_in_space:
+        parts = force.parts if isinstance(force, SurfaceForce) else ()
+        if any(part.depends_on & {"x", "y"} for part in parts):
             yield "scene.body_force", f"must not depend on x and y for {reason}"
     if case.basis.subsets:
         yield "basis.subsets", f"{plain} {reason}, which have one basis; leave it out"
@@ -499,7 +492,7 @@ def _figure_problems(case: Case, figure: OfModes | OfRuns) -> Found:
     start, end = case.time.spin_up, case.time.final_time
     if isinstance(figure, OfModes):
         return
-    for names, (_, points) in zip(figure.runs, rows_of(case, figure), strict=True):
+    for names, (_, points) in zip(figure.runs, studies.rows_of(case, figure), strict=True):
         missing = set(figure.reynolds or ()) - {point.reynolds for point in points}
         if missing or not points:
             at = f"at {exact(min(missing))} " if missing else ""
@@ -515,12 +508,12 @@ def _check_trade(case: Case) -> Found:
         reason = f"must be at most basis.n_modes, {plan.n_modes}; got {size}"
         yield "trade.n_modes", reason
     for resolution in section.resolutions or ():
-        for _, reason in _check_geometry(at_resolution(case, resolution)):
+        for _, reason in _check_geometry(studies.at_resolution(case, resolution)):
             yield "trade.resolutions", f"{resolution}: {reason}"
 
 
 def _check_sweep(case: Case) -> Found:
-    model, points, steps = sweep_model(case), sweep_points(case), case.plan.steps
+    model, points, steps = studies.sweep_model(case), studies.sweep_points(case), case.plan.steps
     if case.sweep.sensitivities and (model is None or not model.from_operators):
         reason = "needs a model with evaluation: operators, whose equations can be differentiated"
         yield "sweep.sensitivities", reason
@@ -536,21 +529,21 @@ def _check_sweep(case: Case) -> Found:
     elif model is not None:
         try:
             for point in points:
-                require_basis(case, model, point)
+                studies.require_basis(case, model, point)
         except CaseError as error:
             yield "sweep", str(error)
 
 
 def _check_training(case: Case) -> Found:
     section, plan = case.training, case.plan
-    model = fast_section(case, section.model)
+    model = studies.fast_section(case, section.model)
     if not section.ranges:
         return
     for name in plan.parameter_names:
         several = len({point.as_dict()[name] for point in plan.train_points}) > 1
         if name not in section.ranges and (several or name != REYNOLDS):
             yield "training", f"{name} varies in parameters; give its range, too, or one value"
-    if (least := len(Region(case).starts(())) + 1) > section.budget:
+    if (least := len(studies.Region(case).starts(())) + 1) > section.budget:
         reason = f"training starts from {least - 1} full runs, and tests its model at one more"
         yield "training.budget", f"must be at least {least}: {reason}; got {section.budget}"
     if model is None:

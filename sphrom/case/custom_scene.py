@@ -1,8 +1,7 @@
 """The scene of kind custom: a box with solids of any shape, moving walls and a body force.
 
 Walls' velocities and the force must be affine in the parameters, because operators are projected
-once for all values: each parameter that drives the flow has its own operators, which its value
-multiplies.
+once: each parameter that drives the flow has its own operators, which its value multiplies.
 """
 
 from __future__ import annotations
@@ -20,19 +19,22 @@ from pydantic import PrivateAttr, ValidationInfo, model_validator
 from shapely.geometry.base import BaseGeometry
 
 from sphrom.arrays import Array
-from sphrom.case.expressions import CONSTANTS, FUNCTIONS, MOST_QUOTED, Expression
-from sphrom.case.fields import Coordinate, Place, Positive, SafeName, Section, key
-from sphrom.case.free_surfaces import SurfaceFluidSection, SurfaceForce, hydrostatic
-from sphrom.case.initial_file import read_start, start_fields
-from sphrom.case.resistances import (
+from sphrom.case.custom_sections import (
     InflowSection,
     PorousSection,
     Rate,
+    SurfaceFluidSection,
+    SurfaceForce,
     Value,
     Vector,
+    hydrostatic,
     inverse_permeability,
     ramp_share,
+    read_start,
+    start_fields,
 )
+from sphrom.case.expressions import CONSTANTS, FUNCTIONS, MOST_QUOTED, Expression
+from sphrom.case.fields import Coordinate, Place, Positive, SafeName, Section, key
 from sphrom.case.scene_section import MEASURE, OF_WALLS, Defaults, Measures, SceneSection
 from sphrom.case.shapes import ShapeSection
 from sphrom.scenes.flows import BodyForce, CustomFlow, Scales, Scene
@@ -175,27 +177,22 @@ class CustomScene(SceneSection):
 
     @property
     def has_surface(self) -> bool:
-        """Whether the fluid has a free surface."""
         return self.fluid is not None
 
     @property
     def gravity(self) -> float:
-        """The acceleration along -y of fluid with a free surface [m/s2]."""
         return 0.0 if self.fluid is None else self.fluid.gravity
 
     @property
     def free_slip(self) -> bool:
-        """Whether fluid slips along walls without friction."""
         return self.slip == "free"
 
     def level_at(self, values: Mapping[str, float] = NONE) -> float:
-        """Return the height y of a level free surface at rest [m], else infinity."""
         if self.fluid is None or self.fluid.level is None:
             return math.inf
         return float(self._at(values)._expression("fluid.level", self.fluid.level)())
 
     def fill(self, particle_spacing: float, values: Mapping[str, float] = NONE) -> Array:
-        """Return the initial positions of particles on a lattice (n_particles, 2) [m]."""
         if self.fluid is None:
             return super().fill(particle_spacing, values)
         return self.fluid.fill(self.domain, particle_spacing, self.level_at(values))
@@ -264,7 +261,6 @@ class CustomScene(SceneSection):
                 yield f"solids.{name}", "is in the strip of the inflow, which forces the flow there"
 
     def flow(self, scales: Scales) -> Scene:
-        """Return the flow."""
         here = self._at(scales.values)
         # Initial fields are evaluated when a run starts; they may be any function of constants.
         return CustomFlow(
@@ -335,7 +331,6 @@ class CustomScene(SceneSection):
                 )
 
     def driving(self, names: Collection[str]) -> tuple[str, ...]:
-        """Return the parameters among `names` that change walls' velocities or the force field."""
         drives = [expression for _, _, expression in self._drives()]
         return tuple(
             name
@@ -353,7 +348,6 @@ class CustomScene(SceneSection):
             yield from ((KEYS[name], "", field) for field in push.fields)
 
     def check_at(self, values: Mapping[str, float]) -> None:
-        """Raise ValueError if the scene is impossible with some values of its parameters."""
         here = self._at(values)
         for name in here.walls:
             here._check_along(name)
@@ -371,7 +365,6 @@ class CustomScene(SceneSection):
 
     @property
     def resolved_length(self) -> float:
-        """L of the Reynolds number [m]."""
         return self.reference_length or self.domain.lengths[0]
 
     def _expression(self, where: str, value: float | str, *variables: str) -> Expression:
@@ -419,7 +412,6 @@ class CustomScene(SceneSection):
         return at
 
     def starts_by(self, name: str) -> bool:
-        """Return whether the initial state of runs depends on a parameter of the scene."""
         level = None if self.fluid is None else self.fluid.level
         starts = (*self._start.values(), self._expression("fluid.level", level or 0.0))
         return any(part.degree_in([name]) > 0.0 for part in starts)
@@ -582,7 +574,6 @@ class CustomScene(SceneSection):
         return Resistance(own, inverse, self._strip, self._in_box)
 
     def largest_resistance(self, viscosity: float) -> float:
-        """Return the largest rate of resistance [1/s], at a viscosity [m2/s]."""
         resistance = self._resistance
         return 0.0 if resistance is None else resistance.largest(self._samples.T, viscosity)
 
@@ -598,7 +589,6 @@ class CustomScene(SceneSection):
         return max(ways)
 
     def largest_head(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
-        """Return a bound of the body force's head along the box until a time [m2/s2]."""
         here = self._at(values)
         times = np.linspace(0.0, final_time, N_INSTANTS)
         if here.has_surface and here._force is not None:

@@ -16,27 +16,24 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationInfo, model_validator
 
+from sphrom.case.custom_sections import surface_defaults
 from sphrom.case.fields import SafeName, Section, key
-from sphrom.case.free_surfaces import surface_defaults
-from sphrom.case.full_model_sections import (
-    DiscretizationSection,
-    FluidSection,
-    SnapshotSection,
-    TimeSection,
-)
 from sphrom.case.plan import Plan
 from sphrom.case.points import ParameterSection
 from sphrom.case.scenes import DEFAULTS, AnyScene, kind_of, with_defaults
 from sphrom.case.sections import (
     BasisSection,
     CompareSection,
+    DiscretizationSection,
+    FluidSection,
     OperatorSection,
     ReducedModelSection,
     ReferenceSection,
+    SnapshotSection,
     SplineSection,
+    TimeSection,
 )
-from sphrom.case.study_sections import FitSection, TradeSection, TrainingSection
-from sphrom.case.sweep_section import SweepSection
+from sphrom.case.study_sections import FitSection, SweepSection, TradeSection, TrainingSection
 from sphrom.case.yaml_reader import dump_yaml
 
 MOST_MODELS = 100
@@ -97,8 +94,9 @@ class Case(Section):
         filled = {name: value for name, value in values.items() if value is not None}
         filled.setdefault("scene", {})
         if isinstance(filled["scene"], Mapping) and filled["scene"].get("fluid") is not None:
-            slips = filled["scene"].get("slip") == "free"
-            filled = with_defaults(filled, surface_defaults(slips))
+            scene = filled["scene"]
+            along_axes = scene.get("slip") == "free" and not scene.get("solids")
+            filled = with_defaults(filled, surface_defaults(along_axes))
         return with_defaults(filled, DEFAULTS.get(kind_of(values), {}))
 
     @model_validator(mode="after")

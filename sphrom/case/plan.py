@@ -21,6 +21,7 @@ from sphrom.arrays import Array
 from sphrom.case.points import REYNOLDS, GivenPoints, ParameterPoint, Values, nearest_point
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection, SubsetSection
 from sphrom.errors import CaseError
+from sphrom.reduction.stream_functions import StreamSpace
 from sphrom.scenes.flows import Scales, Scene
 from sphrom.sph import fluid
 from sphrom.sph.box_domain import BoxDomain
@@ -32,6 +33,10 @@ from sphrom.sph.time_loop import TimeSteps
 if TYPE_CHECKING:
     from sphrom.case.models import Case
 
+MOST_COLUMNS, ROWS_OF_FLUID, LEAST_CELL = 16, 9, 2
+"""Of a tank's splines: cells along it, along the depth, and the least size over the spacing."""
+HIGHEST_CREST = 1.6
+"""The height of the splines' box over the depth."""
 MOST_TRIED = 12
 """The largest number of modes that `n_modes: auto` tries where the fluid has a free surface."""
 SURFACE_CHANGE = 0.01
@@ -238,6 +243,26 @@ class Plan:
         area = len(scene.fill(self.particle_spacing, values)) * self.particle_spacing**2
         return area / scene.domain.lengths[0]
 
+    @cached_property
+    def stream_space(self) -> StreamSpace:
+        """The splines of stream functions in a tank, the same for all runs.
+
+        Their rows resolve the shallowest fluid, and their box holds crests above the deepest.
+        """
+        domain, depths = self._case.scene.domain, [self.depth(point) for point in self.points]
+        left, bottom, right, top = (*domain.lower, *domain.upper)
+        height = min((right - left) / MOST_COLUMNS, min(depths) / ROWS_OF_FLUID)
+        n_rows = math.ceil(min(top - bottom, HIGHEST_CREST * max(depths)) / height)
+        n_columns = int((right - left) / (LEAST_CELL * self.particle_spacing))
+        return StreamSpace(
+            left=left,
+            right=right,
+            bottom=bottom,
+            top=min(top, bottom + n_rows * height),
+            n_columns=min(MOST_COLUMNS, n_columns),
+            n_rows=n_rows,
+        )
+
     def weight_at(self, point: ParameterPoint, position: Array) -> Array | None:
         """Return the pressure at rest (n_positions,) [Pa] below a level; None without a surface."""
         scene = self._case.scene
@@ -309,8 +334,7 @@ class Plan:
     def steps(self) -> TimeSteps:
         """The steps of all full runs, the same at all points so that snapshots coincide.
 
-        An automatic step is shortened so that the first snapshot is at the end of the spin-up and
-        the last one at the final time.
+        An automatic step is shortened: snapshots begin after the spin-up, and end with the run.
         """
         every, step = self._case.snapshots.every, self._case.time.step
         if step != "auto":

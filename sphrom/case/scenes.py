@@ -14,15 +14,7 @@ from sphrom.arrays import Array
 from sphrom.case.custom_scene import CustomScene
 from sphrom.case.fields import Duration, Number, Positive, Section, key
 from sphrom.case.scene_section import MEASURE, OF_WALLS, Defaults, Measures, SceneSection
-from sphrom.scenes.flows import (
-    Channel,
-    LidDrivenCavity,
-    LogisticForce,
-    OpenCavity,
-    Scales,
-    Scene,
-    TaylorGreen,
-)
+from sphrom.scenes import flows
 from sphrom.scenes.reference_profiles import OPEN_CAVITY_SPEED, ReferenceProfile, profiles_for
 from sphrom.sph.fluid import NONE
 from sphrom.text import exact
@@ -43,9 +35,8 @@ class TaylorGreenScene(SceneSection):
     )
     measure: Measures = MEASURE
 
-    def flow(self, scales: Scales) -> Scene:
-        """Return the vortex."""
-        return TaylorGreen(
+    def flow(self, scales: flows.Scales) -> flows.Scene:
+        return flows.TaylorGreen(
             length=self.length,
             speed=scales.speed,
             reference_density=scales.density,
@@ -78,10 +69,9 @@ class LidDrivenCavityScene(SceneSection):
     )
     measure: Measures = MEASURE
 
-    def flow(self, scales: Scales) -> Scene:
-        """Return the cavity."""
+    def flow(self, scales: flows.Scales) -> flows.Scene:
         speed = scales.values.get("lid", scales.speed)
-        return LidDrivenCavity(self.length, speed, lid=self.lid, ramp=self.lid_ramp)
+        return flows.LidDrivenCavity(self.length, speed, lid=self.lid, ramp=self.lid_ramp)
 
     def parameters(self, reference_speed: float) -> dict[str, float]:
         """Return the lid's speed [m/s]."""
@@ -112,18 +102,18 @@ class LidDrivenCavityScene(SceneSection):
 class BodyForceSection(Section):
     """The body force above the cavity, b0 [1 / (1 + exp(k (t - f0))) + k0] (Eq. 4.5)."""
 
-    magnitude: Positive = key(LogisticForce.magnitude, "b0", unit="m/s2")
-    rate: Positive = key(LogisticForce.rate, "k", unit="1/s")
-    switch_time: Positive = key(LogisticForce.switch_time, "f0", unit="s")
+    magnitude: Positive = key(flows.LogisticForce.magnitude, "b0", unit="m/s2")
+    rate: Positive = key(flows.LogisticForce.rate, "k", unit="1/s")
+    switch_time: Positive = key(flows.LogisticForce.switch_time, "f0", unit="s")
     sustained_share: Number = key(
-        LogisticForce.sustained_share,
+        flows.LogisticForce.sustained_share,
         "k0, the share of b0 that always acts",
         unit="-",
         ge=0.0,
         le=1.0,
     )
     form: Literal["kick", "ramp-up"] = key(
-        LogisticForce.form,
+        flows.LogisticForce.form,
         "kick: b0 until f0, as printed in Eq. 4.5; ramp-up: b0 from f0 on, with the sign of k "
         "reversed",
     )
@@ -149,14 +139,16 @@ class OpenCavityScene(SceneSection):
     measure: Measures = MEASURE
 
     @cached_property
-    def _cavity(self) -> OpenCavity:
-        return OpenCavity(force=self._force(NONE))
+    def _cavity(self) -> flows.OpenCavity:
+        return flows.OpenCavity(force=self._force(NONE))
 
-    def _force(self, values: Mapping[str, float]) -> LogisticForce:
+    def _force(self, values: Mapping[str, float]) -> flows.LogisticForce:
         own = self.body_force.model_dump()
-        return LogisticForce(**{**own, "magnitude": values.get("body_force", own["magnitude"])})
+        return flows.LogisticForce(
+            **{**own, "magnitude": values.get("body_force", own["magnitude"])}
+        )
 
-    def flow(self, scales: Scales) -> Scene:
+    def flow(self, scales: flows.Scales) -> flows.Scene:
         """Return the cavity; the body force determines the speed of its flow."""
         return replace(self._cavity, force=self._force(scales.values))
 
@@ -166,12 +158,10 @@ class OpenCavityScene(SceneSection):
 
     @property
     def length_scale(self) -> float:
-        """L of the Reynolds number, the length of the cavity [m]."""
         return self._cavity.cavity_length
 
     @property
     def probe_line(self) -> float:
-        """x of the vertical line on which runs are compared [m]."""
         return PROBE_SHARE * self._cavity.channel_length
 
     def largest_head(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
@@ -184,7 +174,7 @@ class OpenCavityScene(SceneSection):
         return np.array([[line, self._cavity.cavity_height]])
 
     @property
-    def channel(self) -> Channel:
+    def channel(self) -> flows.Channel:
         """The channel beside the cavity; above the cavity, part of the flow turns back below."""
         cavity = self._cavity.cavity
 
@@ -193,7 +183,7 @@ class OpenCavityScene(SceneSection):
             outside = (x < cavity.lower[0]) | (x > cavity.upper[0])
             return np.asarray((y > cavity.upper[1]) & outside)
 
-        return Channel(self._cavity.channel_height, beside)
+        return flows.Channel(self._cavity.channel_height, beside)
 
     def reference_profiles(
         self, reynolds: float, reference_speed: float

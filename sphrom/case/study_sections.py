@@ -1,13 +1,41 @@
-"""The sections `trade`, `fit` and `training` of a case, and those of its figures."""
+"""The sections `sweep`, `trade`, `fit` and `training` of a case, and those of its figures."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
+from functools import cached_property
 from typing import Annotated, Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
-from sphrom.case.fields import Coordinate, Duration, Flag, Number, SafeName, Section, Whole, key
-from sphrom.case.points import Range, ReynoldsValues, viscous
+from sphrom.case.fields import (
+    LARGEST,
+    SMALLEST,
+    Coordinate,
+    Duration,
+    Flag,
+    Number,
+    SafeName,
+    Section,
+    Whole,
+    key,
+)
+from sphrom.case.points import (
+    REYNOLDS,
+    OtherValues,
+    PointValues,
+    Range,
+    ReynoldsValues,
+    SampleSection,
+    rising,
+    unit_sample,
+    viscous,
+)
+from sphrom.metrics import draws
+from sphrom.metrics.draws import fewest_runs, saltelli_design
 
 Modes = Annotated[tuple[Annotated[Whole, Field(ge=1, le=10_000)], ...], Field(min_length=1)]
 Resolution = Annotated[Whole, Field(ge=8, le=100_000)]
@@ -191,3 +219,202 @@ class ModeFigure(_Figure):
 OfRuns = FieldFigure | LineFigure | ErrorFigure
 OfModes = SpectrumFigure | ModeFigure
 FigureSection = Annotated[OfRuns | OfModes, Field(discriminator="kind")]
+
+
+MOST_VALUES = 100_000
+"""Most points of one sweep."""
+NEVER = 1e-9
+"""Probability of impossible values that is small enough to ignore."""
+
+Share = Annotated[Number, Field(ge=1e-4, le=1.0 - 1e-4)]
+
+
+class SpreadSection(Section):
+    """Values that are spread over a range."""
+
+    low: Coordinate = key(..., "least value", unit="as the parameter")
+    high: Coordinate = key(..., "greatest value", unit="as the parameter")
+    count: Whole = key(..., "number of values", ge=1, le=MOST_VALUES)
+    spacing: Literal["linear", "logarithmic"] = key(
+        "linear", "spacing of the values: equal steps, or equal factors"
+    )
+
+    @model_validator(mode="after")
+    def _rising(self) -> SpreadSection:
+        if self.low > self.high or (self.spacing == "logarithmic" and self.low <= 0.0):
+            raise ValueError("low: must be at most high, and above zero for spacing: logarithmic")
+        return self
+
+    @property
+    def values(self) -> NDArray[np.float64]:
+        """The values (n_values,)."""
+        spread = np.linspace if self.spacing == "linear" else np.geomspace
+        return np.asarray(spread(self.low, self.high, self.count))
+
+
+class DistributionSection(Section):
+    """The distribution of a parameter; every other key is one of its arguments in scipy."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, Coordinate] = Field(init=False)
+
+    distribution: SafeName = key(
+        ...,
+        "name in scipy.stats, such as norm, uniform, truncnorm, lognorm, triang or beta; every "
+        "other key is one of its arguments, such as loc and scale",
+    )
+
+    @property
+    def arguments(self) -> dict[str, float]:
+        """The arguments of the distribution."""
+        return dict(self.__pydantic_extra__ or {})
+
+    def check(self, parameter: str) -> None:
+        """Raise ValueError unless a parameter's values can be drawn from it."""
+        name, arguments = self.distribution, self.arguments
+        if (problem := draws.problem(name, arguments)) is not None:
+            raise ValueError(f"{parameter}: {problem}")
+        low = SMALLEST if parameter == REYNOLDS else -LARGEST
+        share = draws.share_outside(name, arguments, low, LARGEST)
+        if share > NEVER:
+            raise ValueError(
+                f"{parameter}: {100.0 * share:.2g} % of the values of {name} are below {low:g} or "
+                f"above {LARGEST:g}, which is impossible; truncate it (truncnorm, truncexpon), or "
+                "choose a distribution above zero (uniform, lognorm, beta)"
+            )
+
+
+class DrawnSection(SampleSection):
+    """Draws of parameters; every other key is a parameter with its range or distribution."""
+
+    __pydantic_extra__: dict[str, Range | DistributionSection]  # type: ignore[assignment]
+
+    count: Whole = key(..., "number of points; for saltelli, a power of 2", ge=1, le=MOST_VALUES)
+    method: Literal["sobol", "halton", "latin-hypercube", "random", "saltelli"] = key(  # type: ignore[assignment]
+        "sobol",
+        "a sequence that fills the box evenly (sobol, halton), latin-hypercube, independent draws "
+        "(random), or saltelli, which makes count (2 + number of parameters) runs for Sobol "
+        "indices; except with latin-hypercube, a larger count keeps the earlier points",
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> DrawnSection:
+        for name, entry in self.entries.items():
+            if isinstance(entry, DistributionSection):
+                entry.check(name)
+        if self.method == "saltelli":
+            if len(self.entries) < 2:
+                raise ValueError("method: saltelli compares parameters: name two or more")
+            if self.count & (self.count - 1):
+                raise ValueError("count: must be a power of two for method: saltelli")
+            if self.count * (len(self.entries) + 2) > MOST_VALUES:
+                raise ValueError(f"count: makes more than {MOST_VALUES} runs")
+        return self
+
+    @property
+    def is_random(self) -> bool:
+        """Whether its points are random draws rather than a sequence that fills a box."""
+        drawn = any(isinstance(entry, DistributionSection) for entry in self.entries.values())
+        return drawn or self.method in ("random", "saltelli")
+
+    @cached_property
+    def points(self) -> list[dict[str, float]]:
+        """The points: random draws with all digits, others with six."""
+        if not self.is_random:
+            return super().points
+        n_parameters = len(self.entries)
+        if self.method == "saltelli":
+            pairs = unit_sample("sobol", self.count, self.seed, 2 * n_parameters)
+            shares = saltelli_design(pairs)
+        else:
+            shares = unit_sample(self.method, self.count, self.seed, n_parameters)
+        columns = []
+        for entry, column in zip(self.entries.values(), shares.T, strict=True):
+            if isinstance(entry, DistributionSection):
+                columns.append(draws.quantiles(entry.distribution, entry.arguments, column))
+            else:
+                low, high = entry
+                columns.append(low + (high - low) * column)
+        rows = np.stack(columns, axis=1).tolist()
+        return [dict(zip(self.entries, row, strict=True)) for row in rows]
+
+
+class SweepSection(Section):
+    """One model, run at many parameter values."""
+
+    name: SafeName | None = key(None, "name of its files; null is the name of the model")
+    model: SafeName | None = key(
+        None,
+        "full, or the name of a reduced model; null is the first with evaluation: operators, or "
+        "full if there is none",
+    )
+    reynolds: ReynoldsValues | SpreadSection | None = key(
+        None,
+        "Reynolds numbers: a list, or a range such as {low: 100, high: 200, count: 1000}",
+        unit="-",
+    )
+    parameters: dict[SafeName, OtherValues | SpreadSection] = key(
+        {},
+        "further parameters by name, each a list or a range; all combinations with the Reynolds "
+        "numbers are run",
+    )
+    points: tuple[PointValues, ...] = key(
+        (), "list of points, each with its values by name, instead of reynolds and parameters"
+    )
+    sample: DrawnSection | None = key(
+        None,
+        "points that fill a box or are drawn from distributions, instead of reynolds and "
+        "parameters; the sweep then computes quantiles and other statistics of the outputs",
+    )
+    quantiles: Annotated[
+        tuple[Share, ...], Field(min_length=1, max_length=99), AfterValidator(rising)
+    ] = key((0.05, 0.25, 0.5, 0.75, 0.95), "levels of the quantiles of a sample's outputs, rising")
+    sensitivities: Flag = key(
+        False,
+        "whether to compute derivatives of the final kinetic energy, forces, flow rates and probes "
+        "by the parameters, for models with operators",
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> SweepSection:
+        if bool(self.grid) + bool(self.points) + (self.sample is not None) > 1:
+            keys = "reynolds and parameters, points, or sample"
+            raise ValueError(f"give values in one way only: {keys}; null removes a key")
+        if math.prod(map(len, self.grid.values())) > MOST_VALUES:
+            raise ValueError(f"parameters: makes more than {MOST_VALUES} combinations")
+        viscous(self.grid)
+        if self.sample is not None and self.levels:
+            runs = self.sample.count * (2 if self.sample.method == "saltelli" else 1)
+            if runs < (least := fewest_runs(self.levels)):
+                reason = f"is too small for intervals of sweep.quantiles: {least} runs are needed"
+                raise ValueError(f"sample.count: {reason}; got {runs}")
+        return self
+
+    @property
+    def of_any_values(self) -> SweepSection:
+        """The section without its values, on which a single run does not depend."""
+        values = ("reynolds", "parameters", "points", "sample", "quantiles")
+        return SweepSection(**{name: each for name, each in self if name not in values})
+
+    @property
+    def grid(self) -> Mapping[str, tuple[float, ...]]:
+        """The values of each parameter; all their combinations are run."""
+        reynolds = {} if self.reynolds is None else {REYNOLDS: self.reynolds}
+        return {
+            name: tuple(entry.values.tolist()) if isinstance(entry, SpreadSection) else entry
+            for name, entry in {**reynolds, **self.parameters}.items()
+        }
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of all parameters."""
+        drawn = self.sample.entries if self.sample else {}
+        listed = (name for point in self.points for name in point)
+        return tuple(dict.fromkeys((REYNOLDS, *self.parameters, *listed, *drawn)))
+
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """The levels of quantiles to compute; none for a box with too few runs."""
+        sample = self.sample
+        some = sample and (sample.is_random or sample.count >= fewest_runs(self.quantiles))
+        return self.quantiles if some else ()

@@ -47,10 +47,7 @@ class Options:
     case: Annotated[Path, argument("CASE", "The case file (YAML).")]
     out: Annotated[
         Path | None,
-        option(
-            "DIR",
-            "Folder of the artifacts.  [default: runs/CASE in the current folder]",
-        ),
+        option("DIR", "Folder of the artifacts.  [default: runs/CASE in the current folder]"),
     ] = None
     overrides: Annotated[
         list[str] | None,

@@ -233,8 +233,7 @@ def fit(
     measurements: Annotated[
         Path,
         argument(
-            "MEASUREMENTS",
-            "Measured histories (CSV), one per column, such as time, drag_force_x.",
+            "MEASUREMENTS", "Measured histories (CSV), one per column, such as time, drag_force_x."
         ),
     ],
     noise: Annotated[
@@ -268,8 +267,7 @@ def train(
     write_case: Annotated[
         Path | None,
         option(
-            "FILE",
-            "Case with the chosen runs.  [default: training/case.yaml beside the artifacts]",
+            "FILE", "Case with the chosen runs.  [default: training/case.yaml beside the artifacts]"
         ),
     ] = None,
 ) -> None:
@@ -339,8 +337,7 @@ def import_(
 def export(
     options: Options,
     to: Annotated[
-        str,
-        option("FORMAT", "vtu: files for ParaView and a .pvd list; csv: histories at points."),
+        str, option("FORMAT", "vtu: files for ParaView and a .pvd list; csv: histories at points.")
     ] = "vtu",
     into: Annotated[
         Path | None, option("DIR", "Folder to write to.  [default: export, beside the artifacts]")

@@ -47,8 +47,7 @@ from sphrom.scenes.flows import TaylorGreen
 from sphrom.setup.assembly import role_of
 from sphrom.setup.context import StageContext
 from sphrom.setup.particles import sampler
-from sphrom.store.sampling import probes_of, sample_best, sample_mapped
-from sphrom.store.stored_run import StoredRun
+from sphrom.store.stored_run import StoredRun, probes_of, sample_best, sample_mapped
 from sphrom.store.trained_models import basis_used, read_modes
 from sphrom.store.trajectory import measured_of, require_complete
 from sphrom.store.workspace import Workspace

@@ -25,12 +25,10 @@ from sphrom.compare.stored_comparison import StoredComparison
 from sphrom.metrics.histories import without_mean
 from sphrom.metrics.measures import UNITS, components
 from sphrom.metrics.samples import Samples
-from sphrom.plots.canvas import save
-from sphrom.plots.panels import Curve, Field, Panel, Role, draw_grid
+from sphrom.plots.panels import Curve, Field, Panel, Role, draw_grid, save
 from sphrom.scenes.flows import TaylorGreen
 from sphrom.setup.assembly import field_measures
-from sphrom.store.sampling import probes_of
-from sphrom.store.stored_run import StoredRun
+from sphrom.store.stored_run import StoredRun, probes_of
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:

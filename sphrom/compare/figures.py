@@ -28,8 +28,7 @@ from sphrom.case.study_sections import (
 from sphrom.compare.comparison_figures import LABELS, draw_lines, lettered
 from sphrom.compare.mode_figures import draw_spectrum, frame_of, mode_fields
 from sphrom.compare.stored_comparison import StoredComparison
-from sphrom.plots.canvas import COLOURS, save
-from sphrom.plots.panels import Curve, Field, Panel, draw_grid
+from sphrom.plots.panels import COLOURS, Curve, Field, Panel, draw_grid, save
 from sphrom.setup.context import StageContext
 from sphrom.store.stored_run import StoredRun
 from sphrom.store.workspace import Workspace

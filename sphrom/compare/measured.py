@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, read_record
-from sphrom.artifacts.records.coordinates import MeasuredOnce
+from sphrom.artifacts.records.runs import MeasuredOnce
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection

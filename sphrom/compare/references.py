@@ -19,7 +19,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.metrics.samples import Probes
 from sphrom.scenes.reference_profiles import ReferenceProfile
 from sphrom.sph.fluid import ROUNDING
-from sphrom.store.sampling import ON_WALL, sample_run
+from sphrom.store.stored_run import ON_WALL, sample_run
 
 SETTLED = 0.01
 """Largest change of a settled flow, over U, or rho U2 for a pressure."""

@@ -31,8 +31,7 @@ from sphrom.exchange.import_options import place
 from sphrom.plots.tables import rows_of_columns, write_csv
 from sphrom.setup.context import StageContext
 from sphrom.sph.fluid import pressure_of
-from sphrom.store.sampling import probes_of
-from sphrom.store.stored_run import StoredRun
+from sphrom.store.stored_run import StoredRun, probes_of
 from sphrom.store.workspace import Target, Workspace, make_folder
 from sphrom.whole_files import replacement
 
@@ -75,8 +74,7 @@ def run(
 ) -> None:
     """Export all existing artifacts of a case that have fields.
 
-    With `to="csv"`, only runs are exported, at points `at`, each like `0.5,0.5`, or by default
-    along the line of comparison.
+    With `to="csv"`, only runs are exported, at points `at` like `0.5,0.5`, or along the line.
 
     Raises ArtifactError when there is none, one does not belong to the case, or a file can't be
     written; CaseError when the format is unknown, or a point is not in the fluid.

@@ -3,8 +3,7 @@
 A file has one snapshot, except VTK's HDF files, which may have many. Fields are returned by name
 with one number per particle; the components of a vector `velocity` are `velocity.x`, `velocity.y`
 and `velocity.z`. No code from a file is run: archives with pickles and HDF5 files with external
-links are refused. VTK files are read by VTK (the extra `vtk`) in a separate process, see
-`vtk_process`.
+links are refused. VTK reads its files (the extra `vtk`) in a process of its own, `vtk_process`.
 """
 
 from __future__ import annotations
@@ -139,8 +138,7 @@ def read_foreign(source: Source, array: str | None = None) -> ForeignSnapshot:
 
     In PySPH's files, `array` is a name. In others it is a field with a value, such as `Type=3`.
 
-    Raises ArtifactError when the file is missing, damaged, of an unknown kind, unsafe, or contains
-    numbers that are not finite.
+    Raises ArtifactError when the file is missing, damaged, unknown, unsafe, or not finite.
     """
     path, suffix = source.path, source.path.suffix.lower()
     if suffix not in KINDS:

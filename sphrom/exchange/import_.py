@@ -2,7 +2,9 @@
 
 The trajectory is used by `map` and later stages like one from `fom`. The case describes the
 simulation, and the options describe the files. Either density or pressure is read, and the other
-follows from the equation of state (Eq. 2.8).
+follows from the equation of state (Eq. 2.8). If the files have no snapshot at a time of the case,
+each particle's position, velocity and density are interpolated by a polynomial in time through the
+nearest four. Therefore particles must be the same, in the same order, in all files.
 """
 
 from __future__ import annotations
@@ -11,10 +13,13 @@ import hashlib
 import math
 import re
 import shlex
+from bisect import bisect_left
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,18 +31,14 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.yaml_reader import dump_yaml
 from sphrom.errors import ArtifactError, CaseError, UnstableError
-from sphrom.exchange.foreign_files import COMPONENTS, ForeignSnapshot, Source, read_foreign
-from sphrom.exchange.import_options import ImportOptions, pair, place
-from sphrom.exchange.instants import (
-    N_NODES,
-    TIME_TOLERANCE,
-    Choice,
-    choose,
-    find_sources,
-    interpolated,
-    interval,
-    series,
+from sphrom.exchange.foreign_files import (
+    COMPONENTS,
+    ForeignSnapshot,
+    Source,
+    read_foreign,
+    snapshots_in,
 )
+from sphrom.exchange.import_options import ImportOptions, pair, place
 from sphrom.offline.fom import ensure_packed
 from sphrom.plots.tables import format_figure
 from sphrom.setup import assembly, particles
@@ -45,12 +46,158 @@ from sphrom.setup.context import StageContext
 from sphrom.setup.cost import require_room
 from sphrom.setup.particles import MeasuredParticles
 from sphrom.sph import fluid
+from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import fluctuation_of
 from sphrom.sph.functional import Functional
 from sphrom.sph.time_loop import DENSITY_LIMIT, Clock, Snapshot, TimeSteps, march
 from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Target, Workspace
-from sphrom.text import shortened
+from sphrom.text import counted, shortened
+
+TIME_TOLERANCE = 1e-2
+"""Tolerance for the times of snapshots that are used unchanged, over the snapshot interval."""
+SAME_TIME = 1e-9
+"""The same tolerance if other snapshots are interpolated."""
+N_NODES = 4
+"""Number of snapshots to interpolate from, by cubic polynomials."""
+FARTHEST = 2.0
+"""Largest motion of a particle between two snapshots, over that at the largest speed."""
+Choice = tuple[float, list[Source]]
+"""A time [s] with the snapshot to use unchanged, or with those to interpolate between."""
+
+
+def find_sources(files: Sequence[Path], about: ImportOptions) -> list[Source]:
+    """Return the snapshots in files from the start on, ordered by time after the start [s].
+
+    Raises CaseError when neither the files nor --time-step provide times, or fewer than two
+    snapshots remain; ArtifactError when a file can't be read, or two have the same time.
+    """
+    listed = [source for path in sorted(files, key=_natural) for source in snapshots_in(path)]
+    if about.time_step is not None:
+        listed = [replace(s, time=index * about.time_step) for index, s in enumerate(listed)]
+    listed = [replace(source, time=_time_of(source, about)) for source in listed]
+    listed.sort(key=lambda source: source.time)
+    for source, later in pairwise(listed):
+        if source.time == later.time:
+            raise ArtifactError(f"{later.path}: has the same time as {source.path}")
+    scale, rounding = about.scales["time"], 1e-9 * abs(listed[-1].time)
+    sources = [
+        replace(source, time=scale * time if abs(time) > rounding else 0.0)
+        for source in listed
+        if (time := source.time - about.start) >= -rounding
+    ]
+    if len(sources) < 2:
+        raise CaseError(f"--start: leaves {counted(len(sources), 'snapshot')}; name more files")
+    if sources[0].time > TIME_TOLERANCE * interval(sources):
+        start = float(f"{about.start + sources[0].time / scale:.12g}")
+        raise CaseError(
+            f"--start: the files have {series(sources)}, and the case starts at 0 s; use "
+            f"--start {start!r} to start it with the files"
+        )
+    return sources
+
+
+def _time_of(source: Source, about: ImportOptions) -> float:
+    if not math.isnan(source.time):
+        return source.time
+    time = read_foreign(source, about.array).time
+    if math.isnan(time):
+        raise CaseError(f"--time-step: is required, because {source.path} has no time")
+    return time
+
+
+def _natural(path: Path) -> list[Any]:
+    """Return a sort key that orders `a_2` before `a_10`."""
+    return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", str(path))]
+
+
+def interval(sources: Sequence[Source]) -> float:
+    """Return the mean time between snapshots [s], even if some are missing.
+
+    If there are more than two, the last one is ignored: many programs write it at the final time.
+    """
+    apart = np.diff([source.time for source in sources[: max(2, len(sources) - 1)]])
+    return float(apart.sum() / np.rint(apart / np.median(apart)).sum())
+
+
+def series(sources: Sequence[Source]) -> str:
+    """Describe the number and the times of snapshots."""
+    times = ", ".join(f"{source.time:.6g}" for source in sources)
+    return f"{counted(len(sources), 'snapshot')}, at t = {shortened(times, 60)} s"
+
+
+def choose(sources: Sequence[Source], steps: TimeSteps, about: ImportOptions) -> list[Choice]:
+    """Return the snapshots to use for each snapshot time of a case.
+
+    Raises CaseError if the files end before the case, or have less than half as many snapshots,
+    which suggests other units of time.
+    """
+    apart = steps.snapshot_interval
+    instants = [apart * index for index in range(steps.n_snapshots)]
+    times = np.array([source.time for source in sources])
+    nearest = [sources[int(np.argmin(np.abs(times - instant)))] for instant in instants]
+    gaps = [abs(source.time - time) for source, time in zip(nearest, instants, strict=True)]
+    slack = TIME_TOLERANCE * apart
+    tolerance = slack if max(gaps) <= slack else SAME_TIME * apart
+    choices: list[Choice] = []
+    for instant, source, gap in zip(instants, nearest, gaps, strict=True):
+        after = bisect_left(times, instant)
+        first = min(max(0, after - N_NODES // 2), max(0, len(times) - N_NODES))
+        around = instant, [*sources[first : first + N_NODES]]
+        choices.append((source.time, [source]) if gap <= tolerance else around)
+    n_within = int((times <= instants[-1] + slack).sum())
+    if times[-1] < instants[-1] - slack or 2 * n_within <= len(instants):
+        raise CaseError(
+            f"the files have {series(sources)}; the case has {len(instants)}, every {apart:g} s "
+            f"until {instants[-1]:g} s; check --units time, --time-step and --start, or write a "
+            "fitting case with --write-case FILE" + about.fitting("time", instants[-1] / times[-1])
+        )
+    return choices
+
+
+def interpolated(
+    near: Sequence[tuple[float, Snapshot]], time: float, domain: Domain, spacing: float
+) -> Snapshot:
+    """Return the snapshot at a time [s], interpolated by a polynomial through `near` ones.
+
+    A single snapshot is returned unchanged.
+
+    Raises CaseError if particles leave the fluid, or move `spacing` [m] farther than speeds allow.
+    """
+    if len(near) == 1:
+        return near[0][1]
+    nodes = np.array([node for node, _ in near])
+    weights = [
+        np.prod([(time - other) / (node - other) for other in nodes if other != node])
+        for node in nodes
+    ]
+    nearest = int(np.argmax(weights))
+    base = near[nearest][1].position
+    fastest = max(float(np.hypot(*snapshot.velocity).max()) for _, snapshot in near)
+    length, periodic = (np.array(each)[:, None] for each in (domain.lengths, domain.periodic))
+    moved, velocity, fluctuation = np.zeros_like(base), np.zeros_like(base), np.zeros(base.shape[1])
+    for (node, snapshot), weight in zip(near, weights, strict=True):
+        offset = snapshot.position - base
+        offset -= np.where(periodic, length * np.round(offset / length), 0.0)  # the shortest way
+        farthest, seconds = float(np.hypot(*offset).max()), abs(node - nodes[nearest])
+        if farthest > FARTHEST * fastest * seconds + spacing:
+            raise CaseError(
+                f"--sort-by: a particle moves by {farthest:.4g} m within {seconds:.4g} s, faster "
+                "than the largest speed, so the order differs between files; name the field that "
+                "numbers the particles"
+            )
+        moved += weight * offset
+        velocity += weight * snapshot.velocity
+        fluctuation += weight * snapshot.density_fluctuation
+    position = domain.wrap((base + moved).T)
+    if outside := int(np.sum(~domain.contains(position))):
+        raise CaseError(
+            f"at t = {time:.6g} s, interpolation between files {np.diff(nodes).max():.3g} s apart "
+            f"moves {counted(outside, 'particle')} out of the scene; use files closer in time, or "
+            "a case with the times of the files (--write-case)"
+        )
+    return Snapshot(np.ascontiguousarray(position.T), fluctuation, velocity)
+
 
 VELOCITIES = (("u", "v"), ("velocity.x", "velocity.y"))
 """Default names of the components of velocity."""
@@ -59,8 +206,7 @@ FLUCTUATION = "density_fluctuation"
 ROUNDING = 1e-6
 """Share of the largest speed up to which a third component of velocity counts as zero."""
 FOLLOWED = 0.5
-"""Time for which the case's own model follows an imported run, over the time in which the flow
-crosses the scene."""
+"""Time for which the case's own model follows an imported run, over that of crossing the scene."""
 MODEL_OFF, PER_SPACING, START_OFF = 3.0, 240.0, 20.0
 """Limits of differences in velocity [%]: the least limit of an imported run, the limit over spacing
 per length, and that of its start. A finite-volume solution of the cavity departs by 4.2 and 8.2 %

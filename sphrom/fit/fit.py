@@ -16,17 +16,9 @@ from sphrom.arrays import Array
 from sphrom.artifacts import write_record
 from sphrom.artifacts.records import fit as records
 from sphrom.artifacts.records.fit import FittedHistory
+from sphrom.case import studies
 from sphrom.case.fields import NAME_PATTERN
 from sphrom.case.points import REYNOLDS
-from sphrom.case.studies import (
-    Box,
-    fast_section,
-    fit_ranges,
-    fit_values,
-    percent,
-    place_of,
-    trained_ranges,
-)
 from sphrom.console import Reporter
 from sphrom.errors import CaseError, UnstableError
 from sphrom.fit.forward_model import (
@@ -50,8 +42,7 @@ from sphrom.metrics.estimation import (
 )
 from sphrom.online.fast_model import FastModel, fast_model
 from sphrom.online.surface_model import SurfaceModel
-from sphrom.plots.canvas import save
-from sphrom.plots.panels import Curve, Panel, draw_grid
+from sphrom.plots.panels import Curve, Panel, draw_grid, save
 from sphrom.plots.tables import format_figure, write_csv
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
@@ -186,10 +177,10 @@ def run(
     if measurements is None:
         raise CaseError("measurements: are missing; give the name of a CSV file")
     workspace, case = Workspace(context), context.case
-    model = fast_section(case, case.fit.model)
+    model = studies.fast_section(case, case.fit.model)
     if model is None:
         raise CaseError("fit.model: no reduced model has evaluation: operators; add one to rom")
-    share = case.fit.noise if noise is None else percent(noise, "--noise")
+    share = case.fit.noise if noise is None else studies.percent(noise, "--noise")
     data = read_measurements(Path(measurements), case, case.plan.model_steps(model), share)
     name = name or Path(data.source).stem
     if not re.fullmatch(NAME_PATTERN, name):
@@ -197,13 +188,13 @@ def run(
     target = workspace.fit(name, data.digest, share)
     must_make = workspace.must_make(target)
     workspace.require(workspace.operators())
-    box = box_of(fit_ranges(case, model), fit_values(case))
+    box = box_of(studies.fit_ranges(case, model), studies.fit_values(case))
     fitted = fit(fast_model(workspace, model), box, data, {})
     if must_make:
         with workspace.create(target) as artifact:
             write_record(artifact, fitted)
         write_csv(target.path.with_suffix(".csv"), fitted.estimates)
-        fitted.draw(target.path.with_suffix(".png"), place_of(case, model.name))
+        fitted.draw(target.path.with_suffix(".png"), studies.place_of(case, model.name))
     show(context.report, fitted)
     context.report.info(f"a table and a figure are in {target.path.with_suffix('')}.csv, .png")
 
@@ -250,7 +241,10 @@ def _shown(estimate: Estimate) -> tuple[str, ...]:
 
 
 def fit(
-    fast: FastModel | SurfaceModel, box: Box, measurements: Measurements, known: TrainingDifferences
+    fast: FastModel | SurfaceModel,
+    box: studies.Box,
+    measurements: Measurements,
+    known: TrainingDifferences,
 ) -> Fit:
     """Estimate parameters of a model from measured histories.
 
@@ -258,8 +252,7 @@ def fit(
     ----------
     known : a cache of differences in training runs, shared by fits of the model.
 
-    Raises CaseError unless there are more values than free parameters, UnstableError when the model
-    is unstable at all starts.
+    Raises CaseError unless there are more values than parameters, UnstableError without a start.
     """
     case = fast.workspace.case
     values = measurements.values
@@ -369,7 +362,7 @@ def _histories(
 
 def _about_the_case(model: FittedModel, samples: Array | None) -> Iterator[str]:
     case, box = model.fast.workspace.case, model.box
-    for name, (low, high) in trained_ranges(case, model.fast.section).items():
+    for name, (low, high) in studies.trained_ranges(case, model.fast.section).items():
         ends = box.ranges[name] if name in box.ranges else (box.fixed[name],)
         if min(ends) < low or max(ends) > high:
             yield (
@@ -388,7 +381,7 @@ def _about_the_case(model: FittedModel, samples: Array | None) -> Iterator[str]:
         )
 
 
-def _about_the_search(box: Box, likely: Sequence[Minimum], shares: Array) -> Iterator[str]:
+def _about_the_search(box: studies.Box, likely: Sequence[Minimum], shares: Array) -> Iterator[str]:
     """Yield warnings about minima that the noise can't distinguish from the first, the fit."""
     best = likely[0]
     if not best.converged:

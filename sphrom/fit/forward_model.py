@@ -143,8 +143,7 @@ class FittedModel:
         """Return the histories at all snapshots, and their derivatives by the place.
 
         Times are (n_snapshots,), histories (n_snapshots, n_histories) and derivatives
-        (n_snapshots, n_histories, n_free). Returns None if the run is unstable, or has no frequency
-        to compare with a measured one.
+        (n_snapshots, n_histories, n_free). Returns None if the run is unstable or has no frequency.
         """
         point = self.point(place)
         reduced = self.reduced(point)
@@ -272,8 +271,7 @@ def error_samples(model: FittedModel, place: Array, known: TrainingDifferences) 
 def _differences(model: FittedModel, name: str) -> tuple[Array, Array]:
     """Return the differences of histories in training runs, and the sizes of errors over the fluid.
 
-    They are (n_runs, n_compared, n_histories) and (n_runs, n_compared, 2) [m/s], without diverged
-    runs.
+    They are (n_runs, n_compared, n_histories) and (n_runs, n_compared, 2) [m/s], of complete runs.
     """
     workspace, trained = model.fast.workspace, model.fast.on_basis(name)
     points, compared = trained.points, compared_snapshots(workspace.case.plan.steps.n_snapshots)

@@ -8,8 +8,7 @@ Except for `time`, the name of a column consists of the measurement in the case,
 its component, if any. In a table with columns `x` and `y`, the columns velocity_x, velocity_y and
 pressure are values at that place and time, as in tables of `sphrom export --to csv`. Units, in
 brackets, are optional. Columns whose names end in `_noise` have standard deviations. Empty cells
-and NaN are missing values, and lines that begin with # are comments. All other cells must be
-numbers.
+and NaN are missing values, lines that begin with # are comments, and other cells are numbers.
 """
 
 from __future__ import annotations

@@ -3,34 +3,21 @@
 A distribution is a name in scipy.stats with its arguments: its shape parameters, `loc` and `scale`.
 Draws are its quantile function at points of a unit cube.
 
-The true value y* of a run is known up to the model's error: |y* - y| <= e. With y_(k) the k-th of n
-sorted values, the p-quantile of the true values lies with a confidence of 95 % in
-
-    [ (y - e)_(l), (y + e)_(u) ],
-
-where l and u - 1 are the 2.5 % and 97.5 % quantiles of the binomial distribution of n draws with
-probability p, for any distribution of y. Without e it is the interval due to sampling alone. By the
-central limit theorem, the mean and the standard deviation s lie in
+`docs/uncertainty.md` explains the intervals of quantiles and Sobol indices. With e the model's
+error, by the central limit theorem, the mean and the standard deviation s lie in
 
     mean(y) +- (z s / sqrt(n) + mean(e)),    s +- (z sqrt((m4 - s^4) / n) / 2 s + sqrt(mean(e^2))),
 
-with z = 1.96 and m4 the fourth central moment. The intervals are for independent draws; for
-space-filling draws, such as Sobol's, they are too wide.
+with z = 1.96 and m4 the fourth central moment. If the errors are independent of the parameters,
+full runs have the variance s^2 + mean(e^2).
 
-Full runs contain sound and particle noise that the model lacks. If its errors are independent of
-the parameters, full runs have the variance s^2 + mean(e^2). The share of the errors in it is about
-the error of a Sobol index of the model.
-
-The Sobol index of a parameter is its share in the variance of an output: the share that it causes
-alone (first order), or that it contributes to (total). In Saltelli's design (2010), two samples A
-and B of n points are mixed: AB_i is A with column i of B. Then
+In Saltelli's design (2010) of two samples A and B of n points, AB_i is A with column i of B. Then
 
     V = var(y_A, y_B),  S_i = mean(y_B (y_ABi - y_A)) / V,  T_i = mean((y_A - y_ABi)^2) / 2 V,
 
 after subtracting the mean of y_A and y_B from all, with n (d + 2) runs for d parameters, computed
 by `scipy.stats.sobol_indices`. Intervals are percentiles of a bootstrap, which resamples the n
-points. Scipy's bootstrap takes memory that grows with the square of n; here a resample is a row of
-counts.
+points. The memory of scipy's grows with the square of n; here a resample is a row of counts.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The share of space filled with particles: the height of a free surface, and dry places.
 
 The share at a place is the sum of the particles' volumes times their kernel. Mirror images complete
-it beside the sides of the box. Beside solids it is divided by the share that they leave. On the
-surface it is one half.
+it beside the sides of the box; beside solids it is divided by the share that they leave. The
+surface is where it is one half.
 """
 
 from __future__ import annotations

@@ -2,8 +2,7 @@
 
 Eq. 4.1 divides by a range, max - min of the reference. The choice of points for the range matters
 more than the error: a few points with large values, such as the corners under a lid, make any error
-small. A comparison of part of a field therefore states whether its range is that of the part or of
-the whole field.
+small. A comparison of part of a field therefore says whether its range is that of the whole field.
 
 Fields are (n_snapshots, n_points) or (n_points,): the last axis, or the last two of a vector field,
 is one instant, and each function returns one number per instant. Results that are not finite raise
@@ -12,8 +11,7 @@ ValueError; they arise from fields that are not finite, or a reference of zero.
 Quantities and the points of their comparison have one name, such as `velocity_field` or
 `pressure_line`. In the L2 norm, velocities are compared as vectors, and pressures less their mean
 over the points; in Eq. 4.1, speeds and the pressures themselves are. Estimated errors, and the true
-ones that they are compared with, are root mean squares over the grid, of velocities and of
-pressures less their mean.
+ones beside them, are root mean squares over the grid, of velocities and pressures less their mean.
 """
 
 from __future__ import annotations
@@ -59,8 +57,7 @@ def relative_l2(approximation: Array, reference: Array, *, field_axes: int = 1) 
     """Return 100 |error| / |reference| in the L2 norm of every instant [%].
 
     `field_axes` is 1 for scalars (..., n_points), 2 for vectors (..., n_points, n_dim); with one
-    more, the norm is over points and time. Raises ValueError for a field that is not finite, or a
-    reference of zero.
+    more, over points and time. Raises ValueError for fields that aren't finite, zero references.
     """
     axes = tuple(range(-field_axes, 0))
     error, norm = (np.sqrt(np.sum(f**2, axis=axes)) for f in (approximation - reference, reference))

@@ -2,8 +2,7 @@
 
 A flow rate is the integral of u . n along a segment, by the three-point Gauss rule on pieces of
 limited length, which is exact for velocities up to the fifth degree. The normal points to the right
-of the segment's direction, so the flow rate is the increase of the stream function from the start
-to the end.
+of the segment's direction, so the flow rate is the increase of the stream function along it.
 
 Measured quantities have the axes (snapshot, ...), then place and component if they have any.
 """
@@ -156,8 +155,7 @@ def items(measured: Mapping[str, Quantities], index: int | Indices) -> dict[str,
 def of_a_run(quantities: Quantities) -> Quantities:
     """Return the stored part of a run's measurements: series over time, and lines at the end.
 
-    A probe's series have no axis of places. The ends of lines are called `final_velocity` and
-    `final_pressure`.
+    A probe's series have no axis of places. Ends of lines are `final_velocity`, `final_pressure`.
     """
     if "velocity" not in quantities:
         return quantities
@@ -205,8 +203,7 @@ def errors_of(
 ) -> tuple[float | None, float | None]:
     """Return the relative L2 errors [%]: over all snapshots, and the largest of one snapshot.
 
-    Both are root mean squares over the root of `size`, the mean square of a reference. They are
-    None if it is zero.
+    Both are root mean squares over the root of `size`, a reference's mean square; None if it is 0.
     """
     if not size > 0.0:
         return None, None

@@ -74,9 +74,8 @@ def exponential_rate(time: Array, value: Array) -> float:
 def dominant_frequency(time: Array, signal: Array) -> float:
     """Return the frequency [Hz] of the strongest oscillation of a signal (n_samples,).
 
-    A plain spectrum of a record of n periods has a resolution of 1/n. Therefore the trend is
-    removed, a Hann window applied, and the peak found by a parabola through the logarithm of the
-    three amplitudes around it.
+    A plain spectrum of a record of n periods has a resolution of 1/n. Therefore the trend is taken
+    out, a Hann window applied, and a parabola put through the logarithms of the peak's amplitudes.
 
     Raises ValueError for times that are not evenly spaced, values that are not finite, and a record
     shorter than two periods of its strongest oscillation.
@@ -104,8 +103,7 @@ def oscillation(time: Array, signal: Array) -> dict[str, float]:
     The frequency is the one at which the phase of the demodulated signal has no trend. The
     amplitude is half the peak to peak of the fundamental, and the mean is over whole periods.
     Scatters are standard deviations over the record, with frequencies of single periods. A signal
-    without three periods of an oscillation has only an amplitude of zero and a mean; one without
-    samples has no figures.
+    without three periods has only an amplitude of zero and a mean, one without samples no figures.
     """
     with suppress(ValueError):
         most, frequency = 0.5 / _interval(time, signal), 0.0

@@ -17,8 +17,8 @@ from sphrom.setup.particles import MeasuredParticles
 from sphrom.sph.packing import MAX_ITERATIONS, pack
 from sphrom.sph.time_loop import Clock, TimeSteps, march
 from sphrom.store.checkpoints import Checkpoints, integrate, remove_checkpoints
-from sphrom.store.sampling import described_inflow
-from sphrom.store.starts import scene_start, start
+from sphrom.store.stored_run import described_inflow
+from sphrom.store.trained_models import scene_start, start
 from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Target, Workspace
 

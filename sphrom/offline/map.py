@@ -16,7 +16,7 @@ from sphrom.setup import particles
 from sphrom.setup.assembly import medium
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import require_room
-from sphrom.store.starts import initial_positions
+from sphrom.store.trained_models import initial_positions
 from sphrom.store.trajectory import require_complete, snapshot_fields
 from sphrom.store.workspace import Workspace
 

@@ -2,8 +2,7 @@
 
 Beside the operators, the stage stores the data of error estimates, so that no run needs the points:
 the factor of the residual, and products of some training snapshots with the basis, from which the
-errors of reduced training runs follow. Held-out training runs also determine the number of modes,
-and how many of them to integrate.
+errors of reduced training runs follow. Held-out training runs also determine the numbers of modes.
 """
 
 from __future__ import annotations
@@ -30,17 +29,9 @@ from sphrom.machine import computing_seconds
 from sphrom.metrics.series import smoothed
 from sphrom.offline import surfaces
 from sphrom.plots.tables import format_figure
-from sphrom.reduction import reference_model
+from sphrom.reduction import held_out, reference_model
 from sphrom.reduction.decomposition import N_FIELD_VALUES
 from sphrom.reduction.error_calibration import LEFT_OUT, compared_snapshots
-from sphrom.reduction.held_out import (
-    TrainedSizes,
-    UnheldShares,
-    best_size,
-    choose_integrated,
-    snapshot_products,
-    unheld_shares,
-)
 from sphrom.reduction.mode_fields import BLOCK_VALUES, FieldProjections, blocks, mode_fields
 from sphrom.reduction.operator_projection import (
     project_forces,
@@ -61,7 +52,6 @@ from sphrom.setup.context import StageContext
 from sphrom.setup.cost import require_room
 from sphrom.setup.particles import MeasuredFields
 from sphrom.sph.fixed_points import FixedPoints
-from sphrom.store.starts import starts_record
 from sphrom.store.trained_models import (
     calibrated,
     mapped_runs,
@@ -70,6 +60,7 @@ from sphrom.store.trained_models import (
     read_points,
     read_splines,
     snapshot_times,
+    starts_record,
     training_runs,
 )
 from sphrom.store.trajectory import measured_of, read_forces
@@ -300,7 +291,7 @@ class _Projection:
             squares=np.stack(squares),
         )
 
-    def _unheld(self) -> UnheldShares:
+    def _unheld(self) -> held_out.UnheldShares:
         """Return the shares of held-out training snapshots that bases cannot represent."""
         n_snapshots, scale = len(self.trained) * len(self.compared), self.points.density_scale
 
@@ -317,9 +308,9 @@ class _Projection:
         with ExitStack() as stack:
             mapped = map(self.workspace.mapped, self.trained)
             runs = [stack.enter_context(self.workspace.open(target)) for target in mapped]
-            products = snapshot_products(self.basis, n_snapshots, scale, read(runs))
+            products = held_out.snapshot_products(self.basis, n_snapshots, scale, read(runs))
         places = scaled_parameters(self.case, self.trained)
-        return unheld_shares(products, places, self.basis.n_modes)
+        return held_out.unheld_shares(products, places, self.basis.n_modes)
 
     def _held_out(self, runs: Array | None, estimate: Estimate | None) -> HeldOut | None:
         """Return the numbers of modes that training runs determine for calibrated models.
@@ -337,9 +328,9 @@ class _Projection:
                 )
             return None
         places = scaled_parameters(self.case, self.trained)
-        sizes = TrainedSizes(places, runs, products=estimate, compared=self.compared)
+        sizes = held_out.TrainedSizes(places, runs, products=estimate, compared=self.compared)
         repeated = [self._repeated(runs, n + 1) for n in range(sizes.largest)]
-        integrated, error = choose_integrated(sizes, repeated)
+        integrated, error = held_out.choose_integrated(sizes, repeated)
         return HeldOut(integrated=integrated, error=error)
 
     def _repeated(self, runs: Array, n_modes: int) -> Array:
@@ -388,7 +379,7 @@ class _Projection:
         """Report the automatic numbers of modes, and of integrated modes."""
         plan, name, size = self.case.plan, self.name, 0
         if self.name in plan.sized_bases:
-            size = best_size(chosen.error)
+            size = held_out.best_size(chosen.error)
             velocity, pressure = (format_figure(100.0 * e) for e in chosen.error[size - 1])
             self.report.info(
                 f"basis {name}: n_modes: auto takes {size} of {len(chosen.error)} modes, expected "

@@ -8,22 +8,25 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sphrom.artifacts import write_record
-from sphrom.artifacts.records.surfaces import StoredSurfaceBasis, SurfaceModels
+from sphrom.artifacts.records.runs import StoredSurfaceBasis, SurfaceModels
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ALL, AUTO
 from sphrom.errors import SphromError, UnstableError
 from sphrom.metrics.histories import energy
 from sphrom.plots.tables import format_figure
-from sphrom.reduction.graph_model import make_basis
-from sphrom.reduction.graph_training import TrainedGraph, TrainingRun, chosen_size, train
-from sphrom.setup.assembly import medium, stream_space, surface_columns, uniform_force
+from sphrom.reduction.surface_basis import TrainedGraph, chosen_size, make_basis
+from sphrom.setup.assembly import medium, surface_columns, uniform_force
 from sphrom.store.surfaces import elevation_of, read_surface_basis
 from sphrom.store.trajectory import require_complete, snapshot_fields
 from sphrom.store.workspace import Workspace
+
+if TYPE_CHECKING:
+    from sphrom.reduction.graph_training import TrainingRun
 
 SHOWN_MODES = (1, 2, 3, 5, 10, 20)
 MOST_KEPT = 50
@@ -35,7 +38,7 @@ def map_point(workspace: Workspace, point: ParameterPoint) -> None:
 
     Raises UnstableError where a column has no fluid or more than one surface.
     """
-    case, space = workspace.case, stream_space(workspace.case)
+    case, space = workspace.case, workspace.case.plan.stream_space
     columns = surface_columns(case)
     find = elevation_of(case, space, columns)
     with workspace.open(workspace.full_run(point)) as trajectory:
@@ -45,6 +48,7 @@ def map_point(workspace: Workspace, point: ParameterPoint) -> None:
             "stream_function": (space.n_coefficients,),
             "elevation": columns.shape,
             "residual": (),
+            "speed": (),
         }
         with (
             workspace.create(workspace.mapped(point), medium(case, point)) as artifact,
@@ -66,7 +70,9 @@ def map_point(workspace: Workspace, point: ParameterPoint) -> None:
                     ) from error
                 coefficients, residual = space.fit(position, velocity)
                 residuals.append(residual)
-                for name, value in zip(shapes, (coefficients, elevation, residual), strict=True):
+                speed = np.sqrt(np.mean(np.sum(velocity**2, axis=1)))
+                found = coefficients, elevation, residual, speed
+                for name, value in zip(shapes, found, strict=True):
                     streams[name].append(np.asarray(value))
                 advance(1)
             artifact.annotate("timing/map", time.perf_counter() - started)
@@ -79,16 +85,17 @@ def decompose(workspace: Workspace) -> None:
     """Write the basis of the training runs."""
     case, target = workspace.case, workspace.basis()
     with workspace.create(target, medium(case)) as artifact:
-        coefficients, elevations, residuals = [], [], []
+        coefficients, elevations, speeds, lost = [], [], [], []
         for point in case.plan.train_points:
             with workspace.open(workspace.mapped(point)) as mapped:
                 coefficients.append(mapped.read("stream_function"))
                 elevations.append(mapped.read("elevation"))
-                residuals.append(mapped.read("residual"))
+                speeds.append(mapped.read("speed"))
+                lost.append(mapped.read("residual") * speeds[-1])
         started = time.perf_counter()
-        runs, noise = np.stack(coefficients), float(np.median(residuals))
+        runs, noise = np.stack(coefficients), np.linalg.norm(lost) / np.linalg.norm(speeds)
         most = min(MOST_KEPT, runs.shape[2], runs.shape[0] * runs.shape[1])
-        whole = make_basis(stream_space(case), runs, np.stack(elevations), noise, most)
+        whole = make_basis(case.plan.stream_space, runs, np.stack(elevations), float(noise), most)
         artifact.annotate("timing/decomposition", time.perf_counter() - started)
         kept = whole.reduced(case.plan.basis_size(ALL), len(whole.surface_modes))
         values = np.sqrt(np.clip(whole.energies, 0.0, None))
@@ -109,6 +116,8 @@ def decompose(workspace: Workspace) -> None:
 
 def train_models(workspace: Workspace) -> None:
     """Train models of all numbers of modes that the case's models have, and write them."""
+    from sphrom.reduction.graph_training import train  # it loads kernels
+
     case, sizes = workspace.case, workspace.case.plan.surface_sizes
     basis = read_surface_basis(workspace)
     with workspace.create(workspace.operators()) as artifact:
@@ -124,6 +133,8 @@ def train_models(workspace: Workspace) -> None:
 
 
 def _training_runs(workspace: Workspace) -> Iterator[TrainingRun]:
+    from sphrom.reduction.graph_training import TrainingRun
+
     case = workspace.case
     for point in case.plan.train_points:
         with workspace.open(workspace.mapped(point)) as mapped:

@@ -44,8 +44,8 @@ from sphrom.setup.assembly import (
     scaled_parameters,
     sound_averages,
 )
-from sphrom.store.starts import Fields
 from sphrom.store.trained_models import (
+    Fields,
     calibrated,
     cycle_closure,
     read_basis,
@@ -166,7 +166,7 @@ class BasisModel:
 
         `mean` is the separate density fluctuation [kg/m3].
         """
-        from sphrom.store.sampling import expand
+        from sphrom.store.stored_run import expand
 
         case, means = self.workspace.case, np.full(len(time), mean)
         return expand(case, self.basis, self.splines, points, time, coordinates, means)
@@ -201,8 +201,7 @@ class BasisModel:
     def projected(self, point: ParameterPoint, *, in_training: bool = False) -> ReferenceModel:
         """Return the model at a point, without its correction and forces.
 
-        Its steps use the linear part of the nearest training point. Runs `in_training` have the
-        times of training runs.
+        Its steps use the linear part of the nearest training point, runs `in_training` its times.
         """
         linear = self._linear_parts[self._nearest(point)]
         model = self._equations(point, in_training)
@@ -451,8 +450,7 @@ def forces_of(
     ----------
     time : (n_states,) [s].
     coordinates : (n_states, n_modes).
-    mean : separate density fluctuation [kg/m3], (n_states,) or one for all; by default the model's
-        own.
+    mean : separate density fluctuation [kg/m3], (n_states,) or one; by default the model's own.
     """
     mean = reduced.mean_density_fluctuation if mean is None else mean
     amplitude = np.zeros(len(time)) if reduced.amplitude is None else reduced.amplitude(time)
@@ -461,15 +459,6 @@ def forces_of(
     rates = reduced.polynomial.along(coordinates, amplitude)
     states = time, coordinates, rates, amplitude, mean
     return {name: force.at(*states) for name, force in reduced.forces.items()}
-
-
-def fields_of(
-    measures: Mapping[str, ReducedMeasure],
-    mean_density_fluctuation: Array | float,
-    coordinates: Array,
-) -> dict[str, Quantities]:
-    """Return measurements in the fluid by name, for states as in `forces_of`."""
-    return {name: m.at(coordinates, mean_density_fluctuation) for name, m in measures.items()}
 
 
 def quantities_of(
@@ -483,5 +472,5 @@ def quantities_of(
     mean = reduced.mean_density_fluctuation if mean is None else mean
     forces = forces_of(reduced, time, coordinates, mean)
     measured = {name: totals(loads) for name, loads in forces.items()}
-    measured |= fields_of(reduced.measures, mean, coordinates)
+    measured |= reduced.measured(coordinates, mean)
     return {name: measured[name] for name in (*case.scene.recorded, *measured)}

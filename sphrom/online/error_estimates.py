@@ -17,8 +17,8 @@ import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.artifacts import ArtifactWriter, read_record, write_record
-from sphrom.artifacts.records.coordinates import ErrorEstimate as StoredEstimate
-from sphrom.artifacts.records.coordinates import MeasuredOnce
+from sphrom.artifacts.records.runs import ErrorEstimate as StoredEstimate
+from sphrom.artifacts.records.runs import MeasuredOnce
 from sphrom.case.points import ParameterPoint
 from sphrom.metrics.histories import QUANTITIES
 from sphrom.metrics.measures import Quantities, mean_square

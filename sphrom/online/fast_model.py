@@ -30,7 +30,7 @@ from sphrom.reduction.reference_model import Integrator, ReferenceModel, automat
 from sphrom.reduction.trial_basis import ModeVelocities
 from sphrom.setup.assembly import MOST_GROWTH
 from sphrom.sph.fluid import ROUNDING
-from sphrom.store.starts import MappedStarts
+from sphrom.store.trained_models import MappedStarts
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:

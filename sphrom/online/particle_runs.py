@@ -17,8 +17,7 @@ from sphrom.setup.assembly import memory_length_of
 from sphrom.setup.particles import MeasuredParticles
 from sphrom.sph.time_loop import TimeSteps
 from sphrom.store.checkpoints import Checkpoints, integrate
-from sphrom.store.starts import start
-from sphrom.store.trained_models import read_modes, read_points
+from sphrom.store.trained_models import read_modes, read_points, start
 from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Workspace
 

@@ -1,9 +1,8 @@
 """Reduced runs on the reference points, whose cost does not depend on the number of particles.
 
 A steady state can be searched from the end of a run. A zero of the model's rates is not always a
-steady flow. A steady state is therefore stored with its distance from the nearest state of the
-training runs (or interpolated between them), the residual of the full rates, and an estimate of its
-errors.
+steady flow. A steady state is therefore stored with the residual of the full rates, an estimate of
+its errors, and its distance from the nearest state of the training runs or between them.
 """
 
 from __future__ import annotations
@@ -13,12 +12,12 @@ from dataclasses import replace
 from functools import lru_cache, partial
 
 from sphrom.artifacts import ArtifactWriter, write_record
-from sphrom.artifacts.records.coordinates import Converged, Steady
+from sphrom.artifacts.records.runs import Converged, Steady
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.machine import seconds_of
 from sphrom.metrics.measures import UNITS, Quantities, components
-from sphrom.online.basis_model import fields_of, forces_of
+from sphrom.online.basis_model import forces_of
 from sphrom.online.error_estimates import (
     distance_from,
     estimate_errors,
@@ -190,7 +189,7 @@ def _write(run: FastRun, artifact: ArtifactWriter) -> None:
     growth = largest_growth(reduced.polynomial.jacobian(reduced.start))
     artifact.annotate("largest_real_part", growth)
     mean = reduced.mean_density_fluctuation
-    datasets = field_datasets(fields_of(reduced.measures, mean, done.coordinates))
+    datasets = field_datasets(reduced.measured(done.coordinates, mean))
     for name, loads in forces_of(reduced, done.time, done.coordinates).items():
         datasets |= force_datasets(name, loads)
     write_positions(artifact, field_measures(workspace.case))

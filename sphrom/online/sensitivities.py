@@ -26,7 +26,7 @@ from sphrom.arrays import Array
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
 from sphrom.metrics.measures import Quantities
-from sphrom.online.basis_model import fields_of, forces_of
+from sphrom.online.basis_model import forces_of
 from sphrom.online.fast_model import FastModel
 from sphrom.reduction import reference_model
 from sphrom.reduction.exponential_steps import Change, ExponentialModel
@@ -179,9 +179,9 @@ def _fields(
 ) -> dict[str, Quantities]:
     """Return the derivatives of flow rates, probes and lines, which are linear in the state."""
     mean = reduced.mean_density_fluctuation
-    here = fields_of(reduced.measures, mean, run)
+    here = reduced.measured(run, mean)
     moved = [
-        fields_of(reduced.measures, mean + of_mean, run + change)
+        reduced.measured(run + change, mean + of_mean)
         for change, of_mean in zip(changes, means, strict=True)
     ]
     return {

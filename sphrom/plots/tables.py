@@ -1,9 +1,8 @@
 """Tables as CSV and JSON, from rows that are instances of one frozen record.
 
 A field of the record may have `metadata={"unit": "%"}`; its CSV heading is then `name [%]`. A field
-with `metadata=columns(...)` maps names of several columns to their figures. A missing figure, such
-as the error of an unstable run, is None: an empty cell in CSV, null in JSON. NaN and infinities are
-refused.
+with `metadata=columns(...)` maps names of several columns to their figures. A missing figure is
+None: an empty cell in CSV, null in JSON. NaN and infinities are refused.
 """
 
 from __future__ import annotations
@@ -98,8 +97,7 @@ def _rows_of(record: type[DataclassInstance], rows: Any) -> list[Any]:
 def write_csv(path: Path, rows: Sequence[DataclassInstance]) -> None:
     """Write rows of one record as CSV, with a heading, and figures with full precision.
 
-    Raises ValueError without rows and for figures that aren't finite, ArtifactError when the file
-    can't be written.
+    Raises ValueError without rows and for figures that aren't finite, ArtifactError for the file.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

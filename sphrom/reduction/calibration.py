@@ -1,29 +1,19 @@
 """Calibration: a small correction of the reduced rates, fitted to the coordinates of training runs.
 
-Operators on fixed points differ slightly from those on moving particles. The difference hardly
-changes in time, so its effect accumulates in the mean flow. The pressure suffers most, because it
-depends on the divergence of the modes, which is a small difference of large terms. A constant and a
-linear term, affine in the kinematic viscosity nu like the rates, compensate for the difference:
-
     da/dt = f(a) + (c + A a) + (nu / nu_mean - 1) (c' + A' a)
 
+compensates for the difference between moving particles and fixed points (`docs/fast-models.md`).
 Every other parameter adds such a term; its factor is the parameter's difference from the mean of
-the runs, divided by the runs' largest value.
-
-The terms minimise the squared residual, averaged over a window that moves along each run, with a
-penalty that pulls them to zero:
+the runs, divided by the runs' largest value. The terms minimise the squared residual, averaged over
+a window that moves along each run, with a penalty that pulls them to zero:
 
     sum |<da/dt - f(a)> - c - A <a> - ...|^2 + lambda n s^2 (|c|^2 / s^2 + |A|^2 + ...)
 
 where n is the number of averages, s^2 the mean square of the averaged coordinates and nu_mean the
 mean viscosity of the runs. The window is a hat whose half-width is the period of the longest sound
 wave: snapshots are too far apart to resolve the time derivative of sound, and sound cancels in
-averages over a period. One calibration serves all parameters, also those between the training
-points. If all runs have the same viscosity, c' and A' are zero.
-
-With a constant term, a flow without a driving force would never come to rest. If the rates vanish
-at rest, c and c' are therefore multiplied by the energy |a|^2 over its mean. This factor is about
-one in training, and the errors of convection and pressure do grow with the square of the flow.
+averages over a period. If all runs have the same viscosity, c' and A' are zero. If the rates vanish
+at rest, the energy |a|^2 over its mean multiplies c and c', so that the flow can come to rest.
 
 All coordinates share one scale s. With a scale for each, the penalty would not limit the coupling
 of small coordinates, which the averages hardly determine, and models of cavities became unstable.

@@ -7,37 +7,22 @@ triangulation): of all w >= 0 with sum w = 1 that reproduce the point, they mini
 w_k d_k^2, where d_k are the distances. With one parameter they are those of the two neighbours.
 Outside the convex hull of the training points, they are those of the nearest point of the hull.
 
-Rates projected on fixed points lack two effects of moving particles: particle noise, which has
-modes of its own, and slow drifts. At the training points k the defects d_k = Phi^T x_k - a_k are
-known, as x_k is the full run. At other points the corrected coordinates are
-
-    a(t) + sum_k w_k d_k(t).
-
-The weights w are those of kriging (Gaussian process regression) with mean zero and the correlation
-exp(-|p - p_k| / l) of defects at a distance in the parameters:
+At the training points k the defects d_k = Phi^T x_k - a_k are known, as x_k is the full run. At
+other points the corrected coordinates are a(t) + sum_k w_k d_k(t), with the weights of kriging
+(`docs/fast-models.md`) with mean zero and the correlation exp(-|p - p_k| / l):
 
     w = K^-1 (exp(-|p - p_k| / l))_k,    K_jk = exp(-|p_j - p_k| / l).
 
-With a long l they interpolate linearly between neighbours and, outside the training points, give
-the nearest defect. With a short l they vanish away from the training points. The length l is chosen
-by leave-one-out cross-validation: it minimises the sum over the runs of |e_k|^2 with
-
-    e_k = (K^-1 d)_k / (K^-1)_kk
-
-(Dubrule 1983). Defects that differ from run to run, such as sound with a random phase, are
-therefore hardly added. If the other runs predict too little of the defects, there is no correction.
-At the training points the corrected coordinates equal those of the projected full run.
+The length l is chosen by leave-one-out cross-validation: it minimises the sum over the runs of
+|e_k|^2 with e_k = (K^-1 d)_k / (K^-1)_kk (Dubrule 1983). Defects that differ from run to run, such
+as sound with a random phase, are therefore hardly added.
 
 All modes share one length. Pressure is a small difference of large contributions of modes. A sum of
 states with the same weights for all modes keeps such relations between modes; with one length per
-mode, the pressure error in channels grew by up to a half.
+mode, the pressure error in channels grew by up to a half. Modes that a model does not integrate are
+zero in its runs; they have a length of their own.
 
-A model may integrate only its first modes. The other coordinates are zero in its runs, so their
-defects are the coordinates of the training runs. The two groups of modes have separate lengths, and
-each group is corrected only if cross-validation supports it.
-
-In a run that is longer than the training runs, the correction fades out before their end and is
-zero after it.
+In a run that is longer than the training runs, the correction fades out before their end.
 """
 
 from __future__ import annotations

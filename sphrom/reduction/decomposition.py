@@ -4,11 +4,9 @@ The matrix S has one column per snapshot. It is read in blocks of points and nev
 Its R factor is built up block by block (TSQR), so singular values are accurate to rounding times
 the largest one; a Gram matrix would lose all values below the square root of rounding. A second
 pass over the blocks gives the modes S V / sigma. As S = Q R, any subset of the columns has the
-singular values and right vectors of the same columns of R, so one factorization serves every
-training set.
+singular values and right vectors of the same columns of R: one factor serves all training sets.
 
-Shapes: density (n_snapshots, n_points), velocity (n_snapshots, n_points, 2). Modes have the same
-shapes with the mode first.
+Shapes: density (n_snapshots, n_points), velocity (n_snapshots, n_points, 2); of modes the same.
 """
 
 from __future__ import annotations

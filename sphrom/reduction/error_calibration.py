@@ -1,35 +1,22 @@
 """Estimates of the errors in velocity and pressure from the norm of a model's residual.
 
-The residual r(t) = |R - Phi da/dt| is the source of the errors, which also decay at some rate. At a
-training point k their model is
-
-    C_k E(t),    dE/dt = r - lambda E,    E = 0 at the start,
-
-with one constant C_k per field and one rate lambda. They are fitted to reduced runs at the training
-points, where the errors against the snapshots are known. C_k is the geometric mean of error over E.
-The candidates for lambda range from slower than the run to faster than the snapshots resolve; the
-chosen one has the least variation of error over E within runs (sum over the fields of the variance
-of the logarithm). The first tenth of every run is left out, as E has no memory of the start.
-
-The residual does not show the error of a basis away from its training states, because most of that
-error has the same size everywhere. It grows with the change of the state from the training runs,
-times the share of such a change that the basis cannot represent. This share is measured by leaving
-training snapshots out (`sphrom.reduction.held_out`):
+`docs/estimates.md` explains the estimate, and measures its accuracy. With E the integral of the
+residual r = |R - Phi da/dt| with decay, dE/dt = r - lambda E, the errors are
 
     error(t)^2 = (C E(t))^2 + (s_p |a(t') - sum_k w_k a_k(t')|)^2 + (s_t g^2 |a(t) - a(t')|)^2,
     log C = sum_k w_k log C_k,    s_t = sum_k w_k s_tk,    t' = min(t, end of the training runs).
 
-The weights w interpolate in the parameters (`sphrom.reduction.correction`). Outside the hull of the
-training points they are those of the nearest point of the hull; the second term is then the whole
-change from that point, so the estimate grows with the distance. C may keep changing outside as it
-does between training points. It is therefore multiplied by the ratio of its largest to its smallest
-training value, raised to the distance over the largest distance between training points (at most
-one). The third term covers times beyond the training runs. An accelerating flow then leaves the
-states for which its share was measured. The factor g is the size of the state over the largest size
-of sum_k w_k a_k, at least one, squared because convection and pressure are quadratic in the flow.
+One constant C_k per training run and field, and one rate lambda, are fitted to reduced runs at the
+training points, where the errors against the snapshots are known. C_k is the geometric mean of
+error over E. The candidates for lambda range from slower than the run to faster than the snapshots
+resolve; the chosen one has the least variation of error over E within runs (sum over the fields of
+the variance of the logarithm). The first tenth of every run is left out, as E has no memory of the
+start. The shares s_p and s_t are measured by `sphrom.reduction.held_out`.
 
-The estimate is not a bound. Its accuracy is measured within the training data: the errors of each
-training run are within some factor of an estimate with the constant of the other runs.
+The weights w interpolate in the parameters (`sphrom.reduction.correction`). Outside the hull of the
+training points they are those of the nearest point of the hull. C is then multiplied by the ratio
+of its largest to its smallest training value, raised to the distance over the largest distance
+between training points (at most one).
 
 Errors are root mean squares over the fluid: of the velocity [m/s], and of q = c0 rho'/rho0 [m/s]
 less its mean, which is the pressure over rho0 c0. For many runs they follow from products of
@@ -137,8 +124,7 @@ class LocalErrorCalibration:
         """Return the estimated errors (2,) [m/s] of a steady state.
 
         `change` (2,) is the change up to the end of the run, `steady_change` the norm of the change
-        from there to the steady state. No share is known for arbitrarily long times, so the whole
-        change of the velocity counts.
+        from there to the steady state, all of whose velocity counts, as no share is known.
         """
         known = residual / self.decay_rate * self.constants
         later = change + np.array([0.0, steady_change])

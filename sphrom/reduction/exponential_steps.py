@@ -4,8 +4,7 @@ The rates around a flow are stiff because of sound, whose frequencies are those 
 rates(a) = L a + N(a). Exponential Runge-Kutta steps (Cox and Matthews 2002, Krogstad 2005)
 integrate L exactly. They are of fourth order in the rest N, which changes as slowly as the flow.
 The values of N within a step define a parabola in time. Its exact integral (by the functions phi_1
-to phi_3 of L) gives the state anywhere in the step, and so at snapshots between which sound may
-complete many periods.
+to phi_3 of L) gives the state anywhere in the step: at snapshots many periods of sound apart.
 
 The closer L is to the Jacobian along a run, the longer the steps may be. The Jacobian at the mean
 of the training states serves all runs near a training point. The solution does not depend on L.

@@ -24,125 +24,29 @@ import numpy as np
 from numpy.polynomial.legendre import legint, legvander
 
 from sphrom.arrays import Array
-from sphrom.declaration import Record, attribute, dataset, part
 from sphrom.kernels import graph_model as kernels
-from sphrom.reduction.stream_functions import DEGREE, StreamSpace, cosine_coordinates
+from sphrom.reduction.stream_functions import DEGREE
+from sphrom.reduction.surface_basis import (
+    N_COLUMNS,
+    N_HEIGHTS,
+    SurfaceBasis,
+    gauss_points,
+    integration_columns,
+    surface_modes_at,
+)
 
 STEPS_A_PERIOD = 24
 """Of the fastest mode of the elevation."""
 SLOPE_BEYOND_TRAINING, LEAST_DEPTH = 1.5, 0.05
 """The largest slope of a run over the largest trained, and the least depth over the mean depth."""
-N_COLUMNS, N_HEIGHTS, N_BELOW = 24, 6, 16
-"""Of the points of integration; N_BELOW of those between a point and the surface."""
-SURFACE_VARIANCE = 1e-6
-"""Share of the elevation's variance that its modes leave out."""
+N_BELOW = 16
+"""Of the points of integration of the pressure's slope, from the bottom to the surface."""
 REASONS = {
     kernels.STEEP: "the surface is steeper than in training",
     kernels.ABOVE: "a crest is above the splines' box",
     kernels.DRY: "the bottom falls dry",
     kernels.DIVERGED: "the run has diverged",
 }
-
-
-class SurfaceBasis(Record):
-    """Modes of a velocity below a surface, and of the surface."""
-
-    space: StreamSpace = part()
-    stream_modes: Array = dataset("mode coefficient", "m2/s", "stream functions of unit energy")
-    surface_modes: Array = dataset("surface_mode cosine", "1", "orthonormal amplitudes of cosines")
-    energies: Array = dataset("mode", "1", "coordinates' mean squares in training")
-    noise: float = attribute("1", "share of the energy that the fit of snapshots leaves out")
-    largest_slope: float = attribute("1", "of the surface in training")
-
-    @property
-    def modes_above_noise(self) -> int:
-        """How many modes have more energy than the noise of one direction."""
-        share = self.energies / self.energies.sum()
-        return int((share > self.noise / share.size).sum())
-
-    def reduced(self, n_modes: int, n_surface: int) -> SurfaceBasis:
-        """Return the basis of the leading modes."""
-        changed = {
-            "stream_modes": self.stream_modes[:n_modes],
-            "surface_modes": self.surface_modes[:n_surface],
-            "energies": self.energies[:n_modes],
-        }
-        return SurfaceBasis(**vars(self) | changed)
-
-    def project(self, coefficients: Array, elevation: Array) -> Array:
-        """Return the coordinates (n_snapshots, n_modes + n_surface) of snapshots.
-
-        Velocities are projected in the energy of the fluid below each snapshot's surface.
-
-        Parameters
-        ----------
-        coefficients : (n_snapshots, n_coefficients) [m2/s].
-        elevation : (n_snapshots, n_columns) [m] at the midpoints of equal columns.
-        """
-        cosines = cosine_coordinates(elevation, self.surface_modes.shape[1])
-        matrices, right_sides, _ = self.products(coefficients, elevation)
-        velocities = np.linalg.solve(matrices, right_sides[..., None])[..., 0]
-        return np.concatenate([velocities, cosines @ self.surface_modes.T], axis=1)
-
-    def products(self, coefficients: Array, elevation: Array) -> tuple[Array, Array, Array]:
-        """Return scalar products of velocities below each snapshot's surface [m4/s2].
-
-        Returns
-        -------
-        (n_snapshots, n_modes, n_modes) of modes, (n_snapshots, n_modes) of modes and the snapshot's
-        velocity, (n_snapshots,) of that with itself.
-        """
-        n_snapshots, n_modes = len(coefficients), len(self.stream_modes)
-        matrices, sides = (
-            np.empty((n_snapshots, n_modes, n_modes)),
-            np.empty((n_snapshots, n_modes)),
-        )
-        squares = np.empty(n_snapshots)
-        for number, (own, heights) in enumerate(zip(coefficients, elevation, strict=True)):
-            matrix, weights = _weighted_curl(self.space, heights)
-            modes, velocity = (
-                weights[:, None] * (matrix @ self.stream_modes.T),
-                weights * (matrix @ own),
-            )
-            matrices[number], sides[number] = modes.T @ modes, velocity @ modes
-            squares[number] = velocity @ velocity
-        return matrices, sides, squares
-
-
-def make_basis(
-    space: StreamSpace, coefficients: Array, elevation: Array, noise: float, n_modes: int
-) -> SurfaceBasis:
-    """Return the modes of training runs, and as many of the elevation as its variance asks for.
-
-    Parameters
-    ----------
-    coefficients : (n_runs, n_snapshots, n_coefficients) [m2/s].
-    elevation : (n_runs, n_snapshots, n_columns) [m] at the midpoints of equal columns.
-    noise : root of the residuals' share in the energy of all snapshots.
-    """
-    snapshots = coefficients.reshape(-1, coefficients.shape[-1])
-    heights = elevation.reshape(-1, elevation.shape[-1])
-    product = np.zeros((snapshots.shape[1],) * 2)
-    for own in heights:
-        matrix, weights = _weighted_curl(space, own)
-        product += (matrix.T * weights**2) @ matrix / len(heights)
-    energies, vectors = np.linalg.eigh(snapshots @ product @ snapshots.T / len(snapshots))
-    energies, vectors = energies[::-1][:n_modes], vectors[:, ::-1][:, :n_modes]
-    modes = vectors.T @ snapshots / np.sqrt(len(snapshots) * energies)[:, None]
-    cosines = cosine_coordinates(heights, elevation.shape[-1] // 2)
-    _, sizes, directions = np.linalg.svd(cosines, full_matrices=False)
-    left = 1 - np.cumsum(sizes**2) / np.sum(sizes**2)
-    n_surface = int((left > SURFACE_VARIANCE).sum()) + 1
-    basis = SurfaceBasis(
-        space=space,
-        stream_modes=modes,
-        surface_modes=directions[:n_surface],
-        energies=energies,
-        noise=noise**2,
-        largest_slope=0.0,
-    )
-    slopes = cosines @ directions[:n_surface].T @ _surface(basis, _columns(space)[0], 1).T
-    return SurfaceBasis(**vars(basis) | {"largest_slope": float(np.abs(slopes).max())})
 
 
 @dataclass(frozen=True)
@@ -219,7 +123,7 @@ class GraphModel:
     def elevation(self, coordinates: Array, x: Array) -> Array:
         """Return heights (..., n_places) [m] of the surface."""
         fluctuation = (
-            coordinates[..., len(self.basis.stream_modes) :] @ _surface(self.basis, x, 0).T
+            coordinates[..., len(self.basis.stream_modes) :] @ surface_modes_at(self.basis, x, 0).T
         )
         return np.asarray(self.basis.space.bottom + self.depth + fluctuation)
 
@@ -228,7 +132,7 @@ class GraphModel:
 
         The pressure is the integral up to the surface of weight, acceleration and viscosity.
         """
-        rates, (nodes, weights) = self.rates(times, coordinates), _gauss_points(N_BELOW)
+        rates, (nodes, weights) = self.rates(times, coordinates), gauss_points(N_BELOW)
         degrees = np.arange(N_BELOW)
         to_series = legvander(2.0 * nodes - 1.0, N_BELOW - 1) * weights[:, None] * (2 * degrees + 1)
         out, bottom = np.empty((len(times), len(points))), self.basis.space.bottom
@@ -259,13 +163,13 @@ class GraphModel:
         """
         space, forces = self.basis.space, np.zeros((len(times), 2))
         if wall == "bottom":
-            columns, widths = _columns(space)
+            columns, widths = integration_columns(space)
             points = np.stack([columns, np.full(N_COLUMNS, space.bottom)], axis=-1)
             pressure = self.pressure(times, coordinates, points)
             forces[:, 1] = -pressure @ widths
             return forces, -pressure @ (widths * (columns - centre[0]))
         x, sign = (space.left, -1.0) if wall == "left" else (space.right, 1.0)
-        nodes, weights = _gauss_points(N_BELOW)
+        nodes, weights = gauss_points(N_BELOW)
         height = self.elevation(coordinates, np.array([x])) - space.bottom
         y = height * nodes
         rates = self.rates(times, coordinates)
@@ -288,8 +192,8 @@ class GraphModel:
 
     def kinetic_energy(self, coordinates: Array) -> Array:
         """Return the kinetic energy (n_times,) over the density [m4/s2]."""
-        space, (nodes, weights) = self.basis.space, _gauss_points(N_HEIGHTS)
-        columns, widths = _columns(space)
+        space, (nodes, weights) = self.basis.space, gauss_points(N_HEIGHTS)
+        columns, widths = integration_columns(space)
         stream = coordinates[:, : len(self.basis.stream_modes)] @ self.basis.stream_modes
         heights = self.elevation(coordinates, columns) - space.bottom
         out = np.zeros(len(coordinates))
@@ -358,7 +262,7 @@ def run_many(models: Sequence[GraphModel], times: Array, starts: Sequence[Array]
             runs.append(GraphRun(times, own))
             continue
         kept = 1 + (step - 1) // n_substeps
-        place = float(_columns(basis.space)[0][column])
+        place = float(integration_columns(basis.space)[0][column])
         end_time = float(instants[2 * step])
         runs.append(GraphRun(times[:kept], own[:kept], REASONS[code], end_time, place))
     return runs
@@ -368,8 +272,8 @@ def run_many(models: Sequence[GraphModel], times: Array, starts: Sequence[Array]
 def _tables(basis: SurfaceBasis) -> kernels.Tables:
     """Return the modes at the points of integration."""
     space = basis.space
-    columns, weights = _columns(space)
-    nodes, node_weights = _gauss_points(N_HEIGHTS)
+    columns, weights = integration_columns(space)
+    nodes, node_weights = gauss_points(N_HEIGHTS)
     row_height = (space.top - space.bottom) / space.n_rows
     stream = np.empty((len(columns), space.n_rows, 3, DEGREE + 1, len(basis.stream_modes)))
     for row in range(space.n_rows):
@@ -388,8 +292,8 @@ def _tables(basis: SurfaceBasis) -> kernels.Tables:
                 )
     return kernels.Tables(
         stream,
-        _surface(basis, columns, 0),
-        _surface(basis, columns, 1),
+        surface_modes_at(basis, columns, 0),
+        surface_modes_at(basis, columns, 1),
         weights,
         nodes,
         node_weights,
@@ -397,37 +301,3 @@ def _tables(basis: SurfaceBasis) -> kernels.Tables:
         row_height,
         space.width / 2,
     )
-
-
-def _gauss_points(count: int) -> tuple[Array, Array]:
-    """Return points between 0 and 1, and their weights."""
-    nodes, weights = np.polynomial.legendre.leggauss(count)
-    return (1 + nodes) / 2, weights / 2
-
-
-def _columns(space: StreamSpace) -> tuple[Array, Array]:
-    """Return the midpoints of equal columns [m], and their widths."""
-    width = space.width / N_COLUMNS
-    columns: Array = space.left + width * (np.arange(N_COLUMNS, dtype=np.float64) + 0.5)
-    return columns, np.full(N_COLUMNS, width, dtype=np.float64)
-
-
-def _surface(basis: SurfaceBasis, x: Array, order: int) -> Array:
-    """Return the elevation's modes, or their slopes, (n_places, n_surface) at places."""
-    wave_numbers = np.arange(1, basis.surface_modes.shape[1] + 1) * math.pi / basis.space.width
-    phase = np.outer(x - basis.space.left, wave_numbers)
-    waves = np.cos(phase) if order == 0 else -wave_numbers * np.sin(phase)
-    return np.asarray(waves @ basis.surface_modes.T)
-
-
-def _weighted_curl(space: StreamSpace, elevation: Array) -> tuple[Array, Array]:
-    """Return both velocities of all splines below a surface, and roots of areas of the points."""
-    columns, widths = _columns(space)
-    midpoints = space.left + space.width * (np.arange(len(elevation)) + 0.5) / len(elevation)
-    heights = np.interp(columns, midpoints, elevation) - space.bottom
-    nodes, weights = _gauss_points(N_HEIGHTS)
-    y = space.bottom + np.outer(heights, nodes).ravel()
-    points = np.stack([np.repeat(columns, N_HEIGHTS), y], axis=-1)
-    d_x, d_y = space.derivatives(points, (1, 0), (0, 1))
-    areas = np.outer(widths * heights, weights).ravel()
-    return np.concatenate([d_y, -d_x]), np.sqrt(np.tile(areas, 2))

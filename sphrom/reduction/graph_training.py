@@ -7,9 +7,12 @@ changes with the square of the waves' amplitude compensates for it:
     g (1 + alpha + beta A^2),    A^2 = |b|^2 + 2 |a|^2/(g L)
 
 The particles' mean level rises a little above the depth at the start; so does the calibrated
-model's depth. A closure, a matrix on the coordinates that is added to the rates, compensates for
-the modes that are left out. It has no entries from the elevation to the elevation's own rates. All
-of these numbers minimise the relative differences between the model's runs and the projected
+model's depth.
+
+A closure, a matrix on the coordinates that is added to the rates, compensates for the modes that
+are left out. It has no entries from the elevation to the elevation's own rates. A closure does not
+carry over to other depths: training runs of several depths have none. Both the closure and the
+change of gravity minimise the relative differences between the model's runs and the projected
 training runs,
 
     sum |x_model - x|^2 / sum |x|^2 + lambda (beta^2 + |C|^2)
@@ -29,9 +32,9 @@ from typing import Any
 import numpy as np
 
 from sphrom.arrays import Array
-from sphrom.declaration import Record, attribute, dataset
-from sphrom.reduction.graph_model import GraphModel, GraphRun, SurfaceBasis, run_many
+from sphrom.reduction.graph_model import GraphModel, GraphRun, run_many
 from sphrom.reduction.stream_functions import cosine_coordinates
+from sphrom.reduction.surface_basis import SurfaceBasis, TrainedGraph
 
 PENALTY = 1e-2
 """lambda."""
@@ -63,49 +66,6 @@ class TrainingRun:
     """The body force (2, n_times) [m/s2] at times [s]."""
 
 
-class TrainedGraph(Record):
-    """What training runs teach a model with one number of modes; errors are relative, in L2."""
-
-    n_surface: int = attribute("1", "modes of the elevation")
-    rise: float = attribute("m", "of the mean level above the depth, in training runs")
-    gravity_factor: float = attribute("1", "of gravity in the calibrated model")
-    gravity_growth: float = attribute("1/m2", "of gravity with the square of the waves' amplitude")
-    closure: Array = dataset("rate coordinate", "1/s", "linear closure of the calibrated model")
-    elevation_error: float = attribute("1", "of the elevation, calibrated")
-    velocity_error: float = attribute("1", "of the velocity, calibrated")
-    uncalibrated_elevation_error: float = attribute("1", "of the elevation, not calibrated")
-    uncalibrated_velocity_error: float = attribute("1", "of the velocity, not calibrated")
-    best_elevation_error: float = attribute("1", "of the elevation's projection")
-    best_velocity_error: float = attribute("1", "of the velocity's projection")
-
-    @property
-    def n_modes(self) -> int:
-        """Modes of the velocity: those asked for, as far as they are above the noise."""
-        return len(self.closure) - self.n_surface
-
-    def model(
-        self,
-        basis: SurfaceBasis,
-        depth: float,
-        gravity: float,
-        viscosity: float,
-        force: Callable[[Array], Array],
-        calibrated: bool,
-    ) -> GraphModel:
-        """Return the model of this size from the basis that it was trained with."""
-        own = basis.reduced(self.n_modes, self.n_surface)
-        plain = GraphModel(own, depth, gravity, viscosity, force)
-        if not calibrated:
-            return plain
-        return replace(
-            plain,
-            depth=depth + self.rise,
-            gravity_factor=self.gravity_factor,
-            gravity_growth=self.gravity_growth,
-            closure=self.closure,
-        )
-
-
 def train(
     basis: SurfaceBasis,
     runs: Sequence[TrainingRun],
@@ -128,15 +88,6 @@ def train(
         found[size] = next(same, None) or _train(basis, n_modes, runs, products)
         advance(1)
     return found
-
-
-def chosen_size(trained: dict[int, TrainedGraph]) -> int:
-    """Return the number of modes whose calibrated runs are nearest to the training runs."""
-    return min(trained, key=lambda size: _error(trained[size]))
-
-
-def _error(trained: TrainedGraph) -> float:
-    return float(np.hypot(trained.elevation_error, trained.velocity_error))
 
 
 @dataclass(frozen=True)
@@ -214,7 +165,8 @@ def _train(
     n_most = min(n_modes, len(basis.surface_modes))
     fits = [fit_of(count, rise).improved(GRAVITY_STEPS, 2) for count in range(1, n_most + 1)]
     best = min(fits, key=lambda fit: float(np.linalg.norm(fit.errors(fit.numbers))))
-    fit = best.improved(CLOSURE_STEPS, len(best.numbers))
+    one_depth = len({run.depth for run in runs}) == 1
+    fit = best.improved(CLOSURE_STEPS, len(best.numbers)) if one_depth else best
     n_surface = len(fit.scale) - n_modes
     plain = fit_of(n_surface, 0.0)
     projections = [one.errors(one.coordinates) ** 2 for one in fit.projected]

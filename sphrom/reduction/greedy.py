@@ -9,8 +9,7 @@ An estimate is not a bound. Each new full run is therefore first predicted by th
 trained without it, and all estimates are multiplied by the largest ratio of error to estimate found
 so far, at least one. Training does not end within the tolerance before one such held-out run.
 
-Errors and estimates have the same unit. An estimate is infinite where the model has none, for
-example where its run diverges.
+Errors and estimates have one unit. An estimate is infinite where the model has none.
 """
 
 from __future__ import annotations
@@ -29,8 +28,7 @@ APART = 0.5
 NEAR = 0.25
 """Least distance from the trained places, over that of the farthest candidate.
 
-Close to a training run the error is the remaining training error, which a further run there would
-not reduce.
+Close to a training run the error is that of training, which a further run would not reduce.
 """
 
 Ending = Literal["within", "floor", "budget"]

@@ -1,8 +1,8 @@
 """Held-out snapshots and runs: which share of a change a basis misses, and how many modes to use.
 
-Away from the training states, the error of a model contains the part of the change from them that
-the basis cannot represent. Training errors do not show this part, but a basis of fewer snapshots
-does. With e the root mean square error of a field's best approximation,
+Training errors do not show the part of a change from the training states that the basis cannot
+represent, but a basis of fewer snapshots does. With e the root mean square error of a field's best
+approximation,
 
     share^2 = (e^2 of a basis without the held-out snapshots - e^2 of one with them) / |change|^2,
 
@@ -16,23 +16,9 @@ number of modes. There are two kinds of held-out snapshots:
 Everything follows from the products of snapshots with each other, so the points are read once. The
 products lose digits below the square root of rounding, far below the error of a basis.
 
-Beyond some number of modes, the coordinates that a model integrates may have errors of 100 %, and
-more of them make the others worse. A model of M modes can therefore integrate only its first m. The
-training runs predict the other coordinates and correct the first (`sphrom.reduction.correction`).
-
-Each training run is predicted twice: with a correction from the other runs, and with its own.
-Errors are relative to the size of the run, in velocity and in c0 rho'/rho0 less its mean. With h
-and o their root mean squares over the runs, the expected error between training runs is
-
-    e^2 = o^2 + (h^2 - o^2) / 4,
-
-because a held-out run is twice as far from its neighbours. If some runs are surrounded by the
-others in the parameters, h contains those runs only, because at the ends of the trained range the
-others extrapolate. The basis and the calibration are those of all runs: rates fitted without the
-predicted run would extrapolate too, and lead to far worse choices.
-
-- For each M, the number m minimises the product of both fields' errors.
-- M is the smallest number whose product is within 3 % of the least.
+`docs/modes.md` explains the choice of the numbers of modes, by the errors of training runs that are
+predicted with their own correction and with one from the other runs. The basis and the calibration
+are those of all runs: rates without the predicted run would lead to far worse choices.
 """
 
 from __future__ import annotations
@@ -324,8 +310,7 @@ def choose_integrated(sizes: TrainedSizes, runs: Sequence[Array]) -> tuple[Indic
     """Return how many of 1, 2, ... modes to integrate (n_sizes,), and the errors (n_sizes, 2).
 
     `runs` (n_runs, n_snapshots, n_integrated) are the runs at the training points of models that
-    integrate 1, 2, ... modes. With a single training run all modes are integrated, because it
-    cannot predict any.
+    integrate 1, 2, ... modes. A single training run predicts no mode, so all are integrated.
     """
     chosen, errors = [], []
     for n_modes in range(1, sizes.largest + 1):

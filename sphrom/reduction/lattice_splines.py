@@ -80,8 +80,7 @@ def fit_lattice_splines(points: ArrayLike, values: ArrayLike, domain: Domain) ->
     points : (n_points, 2) the reference points [m].
     values : (n_points, n_columns), the values of the functions there, such as the modes by field.
 
-    Raises ValueError if the points are too few, or not the cell centres of a lattice that fills the
-    domain's box.
+    Raises ValueError if the points are not the cell centres of a lattice that fills the box.
     """
     shape, order = _lattice_order(domain.wrap(np.asarray(points, dtype=np.float64)), domain)
     ordered = np.asarray(values)[order].reshape(shape[1], shape[0], -1)

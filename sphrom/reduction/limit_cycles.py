@@ -17,9 +17,8 @@ The rates f at a point get a constant and a linear term, fitted to the interpola
 so that the cycle is a solution, while f determines how states approach it. Directions in which the
 cycle does not move are damped. With too little damping, modes that training runs hardly determine
 lead away from the cycle; with too much, the mean flow cannot follow the oscillation and limit its
-amplitude. Of several dampings, the chosen one makes disturbances of the trained cycles decay
-fastest (by Floquet multipliers). Forces get such terms too, fitted to the recorded ones. Below the
-onset all oscillations decay.
+amplitude. The chosen damping makes disturbances of the trained cycles decay fastest (by Floquet
+multipliers). Forces get such terms too, fitted to the recorded ones.
 """
 
 from __future__ import annotations

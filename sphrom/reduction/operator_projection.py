@@ -10,8 +10,7 @@ Everything is computed alike for the modes and the constant part of a state, and
 is then folded into the modes. Points are read in blocks; the memory holds the basis, its copy as
 fields, and the diffusion of q, a third of that size.
 
-With a separate mean, states have no mean density here: it induces no velocity, and is conserved on
-fixed points.
+With a separate mean, states have no mean density here: it drives no flow, and is conserved.
 
 The closure of adjoint Petrov-Galerkin (Eq. 3.22) is a polynomial too. Its rates are
 Phi^T W (f + tau J r), where f are the rates at all points, r = Pi' f is their residual after
@@ -26,8 +25,7 @@ where R_kl = Pi' F_kl. Symmetrised over its indices this is one tensor of the th
 cubic polynomial in a, which needs neither residual nor Jacobian online. It has n^4/6 entries for
 n modes and is quadratic in the viscosity. With a body force or driven walls, L and the sources have
 a part proportional to the amplitude, and the polynomial contains its first two powers. A residual
-is not a combination of modes, so its gradients are sums over points (Eq. 2.11), as for moving
-particles.
+is no combination of modes, so its gradients are sums over points (Eq. 2.11).
 """
 
 from __future__ import annotations
@@ -500,7 +498,7 @@ class _Rates:
         return 1 + (self.head is not None or self.points.walls_driven)
 
     def _dragged(self, power: int) -> Array | None:
-        """Return the friction of moving walls if it belongs to this power of the amplitude."""
+        """Return the friction of moving walls if it varies with this power of the amplitude."""
         return self.drag if power == int(self.points.walls_driven) else None
 
     def source(self, power: int) -> Array:

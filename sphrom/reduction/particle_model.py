@@ -4,13 +4,11 @@ The state is a vector: the generalized coordinates (n_modes,), the mean density 
 then the positions x and y of all particles [m]. Each evaluation computes the modes at the particles
 by splines, reconstructs the fields, evaluates the full functional, removes the advection (Eq. 3.4)
 and projects. Galerkin projection (Eq. 3.21) uses the rates directly. Adjoint Petrov-Galerkin
-(Eq. 3.22, Alg. 3.5; Parish, Wentland and Duraisamy 2020) adds the effect of the unresolved
-residual.
+(Eq. 3.22, Alg. 3.5; Parish, Wentland and Duraisamy 2020) adds the effect of the residual.
 
 Advection is removed in one of two ways. `paper` subtracts Eq. 3.5-3.6, which advect with u and
-leave the shifting terms in. `consistent` subtracts (u + delta u) . grad of the reduced field, with
-the exact gradient of the modes' splines, because the points move with u + delta u while the
-coordinates belong to fixed modes.
+leave the shifting terms in. `consistent` subtracts (u + delta u) . grad of the reduced field by the
+modes' splines, because points move with u + delta u while coordinates belong to fixed modes.
 
 A separate mean density is subtracted from the snapshots, so no mode contains it. The model carries
 it as one more coordinate, whose mode is a constant density.
@@ -44,8 +42,7 @@ JACOBIAN_STEP = 1e-5
 def relative_step(state: Array, direction: Array) -> float:
     """Return the largest step that changes no field by more than its own size.
 
-    Density and velocity differ by orders of magnitude, so a constant step (1e-5 in Eq. 3.22) would
-    not suit both.
+    Density and velocity differ by orders of magnitude: no constant step (Eq. 3.22) suits both.
     """
     norms = [
         [math.sqrt(np.sum(fields[f] ** 2)) for fields in (state, direction)]
@@ -240,8 +237,7 @@ class ParticleModel:
     ) -> Array:
         """Return the derivative of f-bar along a field, by a finite difference (Alg. 3.5, 3).
 
-        The particles do not move. The field is known only at the particles, so its gradient is the
-        renormalised one.
+        The particles do not move. The gradient is the renormalised one, from values at particles.
         """
         state = np.vstack((self._scale * fields.density_fluctuation, fields.velocity))
         if (step := JACOBIAN_STEP * relative_step(state, along)) == 0.0:

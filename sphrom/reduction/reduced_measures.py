@@ -1,8 +1,7 @@
 """Forces on walls, flow rates and fields at places as functions of generalized coordinates.
 
-They are projected once; no field is reconstructed. Flow rates and fields at places are linear in
-the state: products of constant arrays with the terms (1, separate mean density fluctuation,
-coordinates).
+They are projected once; no field is reconstructed. Flow rates and fields at places are products of
+constant arrays with the terms (1, separate mean density fluctuation, coordinates).
 
 A force follows from the balance of momentum of the whole fluid, tested with the Stokes flow w of
 the wall's motion (`sphrom.reduction.stokes_fields`). With the velocity sum_k a_k phi_k and the
@@ -19,14 +18,8 @@ ghosts of fields at fixed points (`sphrom.sph.fixed_points`), linear in the stat
 
     pressure: P z + beta(t) B z,    viscous: nu (V z + s w).
 
-They depend on the pressure and on gradients at the wall, which are the most sensitive to errors of
-coordinates.
-
-The recorded forces of training runs differ from the model's: particles beside a wall move closer
-to it and lose their order, and their pressures depend on their arrangement, which the map smooths.
-The difference is interpolated between training runs (`sphrom.reduction.correction`) and added in
-two parts, the average over a period of the longest sound wave and the rest, each only as far as
-the runs predict each other's. After the trained time, its mean over the later half is added.
+The difference from the recorded forces of training runs is interpolated between them
+(`sphrom.reduction.correction`) and added; `docs/forces.md` explains how.
 
 Rows are the components of the force, then the torque.
 """

@@ -8,8 +8,7 @@ Stability is not accuracy. Sound limits Runge-Kutta steps, and at 0.9 of the lim
 the amplitude of the fastest sound; the resulting pressure error is once or twice that of the model
 itself. Exponential steps have no limit, but an error from the change of the flow within a step.
 Runs are therefore repeated with twice as many steps until the coordinates change little compared
-with the truncation error of the basis. That error follows from the singular values and is about the
-error of models.
+with the truncation error of the basis, which follows from the singular values.
 """
 
 from __future__ import annotations
@@ -23,16 +22,10 @@ import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.machine import seconds_of
+from sphrom.metrics.measures import Quantities
+from sphrom.reduction import polynomial_model
 from sphrom.reduction.correction import faded
 from sphrom.reduction.exponential_steps import ExponentialModel, LinearPart
-from sphrom.reduction.polynomial_model import (
-    Amplitude,
-    OutputTimes,
-    PolynomialModel,
-    Run,
-    step_limit,
-    steps_within,
-)
 from sphrom.reduction.reduced_measures import PointForce, ReducedMeasure
 from sphrom.reduction.reduced_rates import Polynomial
 from sphrom.reduction.trial_basis import JOINT, TrialBasis
@@ -46,11 +39,11 @@ class ReferenceModel:
     basis: TrialBasis
     start: Array
     """(n_modes,) the coordinates at the start."""
-    output_times: OutputTimes
+    output_times: polynomial_model.OutputTimes
     """The snapshot times of a run, and the norm beyond which it counts as diverged."""
     mean_density_fluctuation: float = 0.0
     """The separate mean [kg/m3]."""
-    amplitude: Amplitude | None = None
+    amplitude: polynomial_model.Amplitude | None = None
     """Of the body force or of driven walls, if it changes."""
     closure: Polynomial | None = None
     """The part of the polynomial that a closure or calibration added to the projected rates."""
@@ -85,12 +78,14 @@ class ReferenceModel:
         """The largest stable Runge-Kutta step [s]; infinite without training states."""
         if self.states is None:
             return math.inf
-        return step_limit(self.polynomial, np.vstack((self.start, self.states)), self.strongest)
+        return polynomial_model.step_limit(
+            self.polynomial, np.vstack((self.start, self.states)), self.strongest
+        )
 
     @property
     def n_stable(self) -> int:
         """Number of stable Runge-Kutta steps of a run."""
-        return steps_within(self.output_times.duration, self.step_limit)
+        return polynomial_model.steps_within(self.output_times.duration, self.step_limit)
 
     def around(self, states: Array) -> ReferenceModel:
         """Return the model with the step limit and linear part of states (n_states, n_modes)."""
@@ -108,6 +103,13 @@ class ReferenceModel:
         if leading is not None and other.leading is not None:
             leading = replace(leading, linear=other.leading.linear)
         return replace(self, linear=other.linear, leading=leading)
+
+    def measured(self, coordinates: Array, mean: Array | float) -> dict[str, Quantities]:
+        """Return measurements in the fluid by name, for coordinates (n_states, n_modes).
+
+        `mean` is the separate density fluctuation [kg/m3], (n_states,) or one for all.
+        """
+        return {name: measure.at(coordinates, mean) for name, measure in self.measures.items()}
 
     def spread(self, leading: Array) -> Array:
         """Return coordinates (..., n_modes) with the leading ones, and zero for the others."""
@@ -172,7 +174,7 @@ class Steps:
     """Time steps of a model in all modes, from its start to its last snapshot."""
 
     model: ReferenceModel
-    system: PolynomialModel
+    system: polynomial_model.PolynomialModel
     n_steps: int
     """Number of steps of the whole run."""
 
@@ -185,7 +187,7 @@ class Steps:
         """Return steps that are `factor` times as long."""
         return replace(self, n_steps=max(1, round(self.n_steps / factor)))
 
-    def run(self) -> Run:
+    def run(self) -> polynomial_model.Run:
         """Integrate the rates."""
         model = self.model
         return self.system.run(self.n_steps, model.start, model.output_times, model.amplitude)
@@ -256,7 +258,7 @@ class Integrator:
         whole, leading = (steps and steps.scaled(factor) for steps in (self.whole, self.leading))
         return replace(self, whole=whole, leading=leading)
 
-    def run(self) -> Run:
+    def run(self) -> polynomial_model.Run:
         """Run the model and add its correction."""
         whole = None if self.whole is None else self.whole.run()
         leading = None if self.leading is None else self.leading.run()
@@ -272,7 +274,7 @@ class Integrator:
             diverged_at = float(np.fmin(leading.diverged_at, diverged_at))
         return replace(run, coordinates=coordinates, correction=correction, diverged_at=diverged_at)
 
-    def timed(self, repeats: int) -> tuple[Run, float]:
+    def timed(self, repeats: int) -> tuple[polynomial_model.Run, float]:
         """Return a run and the least processor time [s] of some repetitions, after compilation.
 
         The matrices of exponential steps are computed once and not timed.
@@ -296,14 +298,13 @@ def choose(model: ReferenceModel, steps: Callable[[ReferenceModel], Steps]) -> I
 
 def runge_kutta(model: ReferenceModel, n_steps: int) -> Steps:
     """Return Runge-Kutta steps (Eq. 2.18) of all modes."""
-    return Steps(model, PolynomialModel(model.polynomial), n_steps)
+    return Steps(model, polynomial_model.PolynomialModel(model.polynomial), n_steps)
 
 
 def automatic_whole(model: ReferenceModel) -> Steps:
     """Return steps of all modes that are accurate enough for the basis, exponential if possible.
 
-    The first trial has at most one step per snapshot, which suffices if the stiffness comes from
-    something other than sound.
+    The first trial has at most one step per snapshot: enough if sound is not what is stiff.
     """
     if model.linear is None:
         return accurate(runge_kutta(model, model.n_stable), step_tolerance(model.basis))

@@ -2,14 +2,10 @@
 
 Let w be a velocity field without divergence that moves with one wall as a rigid body and vanishes
 at all others. The momentum equation of an incompressible fluid, tested with w, gives the force
-along that motion,
-
-    F = rho int (f . w - du/dt . w + u . (u . grad) w - 2 nu E(u) : E(w)) dV
-
-with the strain rates E. The pressure drops out. Any such field is valid. Errors of the velocity
-have the least effect if w itself is a flow without inertia, because its stress then does no work on
-errors that have no divergence and vanish at walls. Finite element codes evaluate drag and lift as
-integrals of this kind (John and Matthies, Int. J. Numer. Meth. Fluids 37, 2001).
+along that motion (`docs/forces.md`). Any such field is valid. Errors of the velocity have the least
+effect if w itself is a flow without inertia, because its stress then does no work on errors that
+have no divergence and vanish at walls. Finite element codes evaluate drag and lift as integrals of
+this kind (John and Matthies, Int. J. Numer. Meth. Fluids 37, 2001).
 
 Damping of the fluid at a rate lambda adds -rho int lambda u . w to the force, and lambda/nu w^2 to
 the minimised dissipation. In the strip of an open flow w is held at zero, so that the forcing that

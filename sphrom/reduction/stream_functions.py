@@ -15,8 +15,6 @@ import math
 from functools import lru_cache
 
 import numpy as np
-import scipy.linalg
-from scipy.interpolate import BSpline
 
 from sphrom.arrays import Array
 from sphrom.declaration import Record, attribute
@@ -92,7 +90,7 @@ class StreamSpace(Record):
         d_x, d_y = self.derivatives(position, (1, 0), (0, 1))
         normal = (d_x.T @ d_x + d_y.T @ d_y) / len(position) + _penalty(self)
         right_side = (d_y.T @ velocity[:, 0] - d_x.T @ velocity[:, 1]) / len(position)
-        coefficients = scipy.linalg.solve(normal, right_side, assume_a="pos")
+        coefficients = np.linalg.solve(normal, right_side)
         difference = velocity - np.stack([d_y @ coefficients, -(d_x @ coefficients)], axis=-1)
         norm = float(np.linalg.norm(velocity))
         residual = float(np.linalg.norm(difference)) / norm if norm > 0.0 else 0.0
@@ -134,6 +132,8 @@ def _breaks(start: float, end: float, n_cells: int) -> Array:
 def _splines(places: Array, breaks: Array, order: int) -> Array:
     """Return derivatives of all B-splines at places; beyond the breaks, polynomials go on."""
     knots = np.concatenate([[breaks[0]] * DEGREE, breaks, [breaks[-1]] * DEGREE])
+    from scipy.interpolate import BSpline  # it takes long to load, and few scenes need it
+
     spline = BSpline(knots, np.eye(len(knots) - DEGREE - 1), DEGREE)
     return np.asarray(spline(places, nu=order))
 

@@ -8,8 +8,7 @@ In a closed box the spatial mean of the density drives no flow, and it may drift
 therefore treat it as a separate variable. Every state is then stripped of its mean (with the
 weights of the rows), so all modes have zero mean and are orthogonal to a constant density.
 
-Shapes: density (n_snapshots, n_points), velocity (n_snapshots, n_points, 2). Modes have the same
-shapes with the mode first.
+Shapes: density (n_snapshots, n_points), velocity (n_snapshots, n_points, 2); of modes the same.
 
 The largest speed and the kinetic energy of a reduced run follow from its coordinates. The largest
 speed over all points and snapshots is found without evaluating most points: the speed at a point is

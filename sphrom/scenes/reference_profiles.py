@@ -1,8 +1,7 @@
 """Profiles of incompressible reference solutions, by scene and Reynolds number.
 
 They are dimensionless: lengths over the scene's reference length, velocities over its reference
-speed U, pressures over rho U^2, times over length / U. `reference_data/README.md` gives sources and
-accuracy.
+speed U, pressures over rho U^2, times over length / U. `reference_data/README.md` has the sources.
 """
 
 from __future__ import annotations

@@ -6,13 +6,12 @@ functional, walls and maps, which import the kernels.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from sphrom.arrays import Array
-from sphrom.case.free_surfaces import SurfaceForce
+from sphrom.case.custom_sections import SurfaceForce
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.scene_section import MeasureSection
@@ -23,7 +22,6 @@ from sphrom.metrics.series import hat
 from sphrom.reduction.correction import interpolation_weights
 from sphrom.reduction.polynomial_model import Amplitude, OutputTimes
 from sphrom.reduction.reduced_rates import memory_length
-from sphrom.reduction.stream_functions import StreamSpace
 from sphrom.reduction.trial_basis import InnerProduct
 from sphrom.sph.time_loop import TimeSteps
 
@@ -31,12 +29,8 @@ MOST_GROWTH = 3.0
 """Largest growth of a model's coordinates over training. Flows that start from rest grow 1.7 times
 at up to ten times the trained Reynolds numbers, and 5.4 times in five times the trained time."""
 
-N_COLUMNS, ROWS_OF_FLUID, LEAST_CELL = 16, 9, 2
-"""Of a tank's splines: cells along it, along the depth, and the least size over the spacing."""
 COLUMNS_A_CELL = 4
 """Columns where the surface is looked for, in each cell of the splines."""
-HIGHEST_CREST = 1.6
-"""The height of the splines' box over the depth."""
 
 
 def inner_product(case: Case) -> InnerProduct:
@@ -107,27 +101,10 @@ def memory_length_of(
     return model.memory_length
 
 
-def stream_space(case: Case) -> StreamSpace:
-    """Return the splines of stream functions in a tank, the same for all runs of a case.
-
-    Their rows resolve the shallowest fluid, and their box holds crests above the deepest.
-    """
-    domain, spacing = case.scene.domain, case.plan.particle_spacing
-    left, bottom, right, top = (*domain.lower, *domain.upper)
-    depths = [case.plan.depth(point) for point in case.plan.points]
-    height = min((right - left) / N_COLUMNS, min(depths) / ROWS_OF_FLUID)
-    n_rows = math.ceil(min(top - bottom, HIGHEST_CREST * max(depths)) / height)
-    end = min(top, bottom + n_rows * height)
-    n_columns = min(N_COLUMNS, int((right - left) / (LEAST_CELL * spacing)))
-    return StreamSpace(
-        left=left, right=right, bottom=bottom, top=end, n_columns=n_columns, n_rows=n_rows
-    )
-
-
 def surface_columns(case: Case) -> Array:
     """Return the midpoints (n_columns,) [m] of the columns where surfaces are looked for."""
     domain = case.scene.domain
-    cells = stream_space(case).n_columns
+    cells = case.plan.stream_space.n_columns
     return midpoints(domain.lower[0], domain.upper[0], COLUMNS_A_CELL * cells)
 
 

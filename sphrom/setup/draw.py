@@ -10,8 +10,7 @@ import numpy as np
 from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
-from sphrom.plots.canvas import COLOURS, FORMATS, INK, new_figure, save, styled
-from sphrom.plots.panels import Extent, Solids, cover
+from sphrom.plots import panels
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.sph.domain import SIDES, Domain, Walls
@@ -31,7 +30,7 @@ WIDTH, HEIGHT = 9.0, 7.5
 """Largest size of the frame [inch]."""
 LONGEST_ARROW, MOST_ARROWS = 0.08, 12
 """Length for the fastest wall, over the frame's diagonal, and number per wall."""
-FLUID, GHOST, MOVING, MEASURED = COLOURS[5], "#8a8a8a", COLOURS[1], COLOURS[3]
+FLUID, GHOST, MOVING, MEASURED = panels.COLOURS[5], "#8a8a8a", panels.COLOURS[1], panels.COLOURS[3]
 NAME: Any = {
     "fontsize": 8.5,
     "bbox": {"facecolor": "white", "alpha": 0.85, "edgecolor": "none", "pad": 1.2},
@@ -48,13 +47,13 @@ def run(context: StageContext, output: Path | None = None, folder: Path | None =
     """
     case = context.case
     path = output or (folder or Path()) / f"{case.name}.png"
-    if path.suffix.lower() not in FORMATS:
-        raise CaseError(f"--output: must end in {' or '.join(FORMATS)}; got {path}")
+    if path.suffix.lower() not in panels.FORMATS:
+        raise CaseError(f"--output: must end in {' or '.join(panels.FORMATS)}; got {path}")
     if path.is_dir() or (path.exists() and not context.force):
         reason = "is a folder" if path.is_dir() else "is there already; --force writes over it"
         raise CaseError(f"{path}: {reason}")
     (folder or Path()).mkdir(parents=True, exist_ok=True)
-    save(draw(case), path)
+    panels.save(draw(case), path)
     context.report.info(f"wrote {path}")
 
 
@@ -76,8 +75,8 @@ def draw(case: Case) -> Figure:
     size, frame = upper - lower, (lower[0], upper[0], lower[1], upper[1])
     width, height = size * min((WIDTH, HEIGHT) / size)
     arrow = LONGEST_ARROW * float(np.hypot(*size))
-    with styled():
-        figure = new_figure(max(5.0, width + 0.9), height + 1.8)
+    with panels.styled():
+        figure = panels.new_figure(max(5.0, width + 0.9), height + 1.8)
         axes = figure.subplots()
         dot = max(0.4, 36.0 * width * spacing / size[0]) ** 2
         _draw_points(axes, case.scene.fill(spacing), dot, FLUID, "fluid particles")
@@ -97,7 +96,7 @@ def draw(case: Case) -> Figure:
     return figure
 
 
-def solids_within(domain: Domain, frame: Extent) -> Solids:
+def solids_within(domain: Domain, frame: panels.Extent) -> panels.Solids:
     """Return signed distances from walls on a grid over a frame (left, right, lower, upper) [m]."""
     left, right, lower, upper = frame
     width = max(right - left, upper - lower) / PIXELS
@@ -113,11 +112,11 @@ def _draw_points(axes: Axes, position: Array, size: float, colour: str, label: s
     axes.scatter(x, y, s=size, color=colour, linewidths=0.0, label=label, rasterized=many)
 
 
-def _draw_walls(axes: Axes, case: Case, walls: Walls, solids: Solids, arrow: float) -> None:
+def _draw_walls(axes: Axes, case: Case, walls: Walls, solids: panels.Solids, arrow: float) -> None:
     """Draw walls with their names; the fastest velocity is as long as an arrow [m]."""
     domain, spacing = case.scene.domain, case.plan.particle_spacing
-    cover(axes, solids)
-    axes.contour(*solids, levels=(0.0,), colors=[INK], linewidths=1.6)
+    panels.cover(axes, solids)
+    axes.contour(*solids, levels=(0.0,), colors=[panels.INK], linewidths=1.6)
     surface = -domain.distance_and_normal(walls.position)[0] < spacing
     speed = np.hypot(*walls.velocity.T)
     fastest = float(speed[surface].max(initial=0.0))
@@ -132,7 +131,7 @@ def _draw_walls(axes: Axes, case: Case, walls: Walls, solids: Solids, arrow: flo
             middle = walls.position[mine[np.argmin(away)]]
         first = mine[surface[mine]]
         own = float(speed[first].max(initial=0.0))
-        text, colour = (f"{name}, {own:.3g} m/s", MOVING) if own else (name, INK)
+        text, colour = (f"{name}, {own:.3g} m/s", MOVING) if own else (name, panels.INK)
         (x, y), turned = middle, 90.0 if name in SIDES[0] else 0.0
         axes.text(x, y, text, color=colour, rotation=turned, ha="center", va="center", **NAME)
         if own:
@@ -154,7 +153,9 @@ def _draw_compared(axes: Axes, case: Case) -> None:
     """Draw the line of comparisons, stations, and periodic edges."""
     domain, x = case.scene.domain, case.plan.probe_line
     for interval in domain.sections(x):
-        axes.plot([x, x], interval, color=COLOURS[0], ls="--", label="compared line", zorder=4)
+        axes.plot(
+            [x, x], interval, color=panels.COLOURS[0], ls="--", label="compared line", zorder=4
+        )
     for station in case.scene.stations(x):
         axes.plot(*station, "D", ms=6.0, color=MEASURED, label="stations", zorder=5)
     periodic = [axis for axis in range(2) if domain.periodic[axis]]
@@ -162,7 +163,7 @@ def _draw_compared(axes: Axes, case: Case) -> None:
     for axis in periodic:
         draw_edge = (axes.axvline, axes.axhline)[axis]
         for end in (domain.lower[axis], domain.upper[axis]):
-            draw_edge(end, color=COLOURS[2], ls=":", lw=2.5, label=label, zorder=4)
+            draw_edge(end, color=panels.COLOURS[2], ls=":", lw=2.5, label=label, zorder=4)
 
 
 def _draw_measured(axes: Axes, case: Case, arrow: float) -> None:

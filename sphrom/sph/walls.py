@@ -151,15 +151,13 @@ class GhostParticles:
             force = density * body_force[:, sources.particle]
             head = np.empty_like(fluctuation)
             ghost_fields.ghost_heads(self._position, source, force, weights, *search, head)
-            own, fluctuation = (
-                fluctuation,
-                fluctuation + fluctuation_of(head, self.fluid.sound_speed),
-            )
+            beside = fluctuation
+            fluctuation = beside + fluctuation_of(head, self.fluid.sound_speed)
             if self._full_weights is not None:
                 row = self.discretization.particle_spacing * np.hypot(*force).max(initial=0.0)
                 share = self._below_surface(weights, head / max(row, TINY))
                 # What falls has no such head, which would pull it to the wall.
-                fluctuation = np.maximum(fluctuation, np.minimum(own, 0.0))
+                fluctuation = np.maximum(fluctuation, np.minimum(beside, 0.0))
         volume = share * volume_of(fluctuation, self.fluid.reference_density, self._mass)
         fields = np.zeros((wall_sweeps.N_GHOST_ROWS, fluctuation.size))
         fields[:2] = self._position

@@ -3,8 +3,7 @@
 Beside the unfinished artifact, `NAME.part-1`, `NAME.part-2`, ... hold the finished snapshots, each
 file those since the one before. `NAME.checkpoint` holds the state and the number of parts that
 belong to it. Parts never change once they are written, and are written before the state that refers
-to them, which replaces the previous state as a whole. So whenever a process is killed, the state
-and its parts are complete.
+to them, which replaces the previous state as a whole: a killed process leaves both complete.
 """
 
 from __future__ import annotations
@@ -304,8 +303,7 @@ def _left(target: Target) -> list[Path]:
 def _remove(target: Target) -> None:
     """Remove all files of a checkpoint, including those that a killed process was writing.
 
-    The state goes first, because it refers to the parts. Raises ArtifactError if a folder has the
-    name of a file; it is not removed.
+    The state goes first, as it refers to the parts. Raises ArtifactError for a folder of that name.
     """
     files = _left(target)
     if folder := next(filter(Path.is_dir, files), None):

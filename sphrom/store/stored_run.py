@@ -7,24 +7,37 @@ places have the same values. Within a spacing of walls they include the walls' v
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.artifacts import Artifact
+from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
+from sphrom.errors import ArtifactError, CaseError
 from sphrom.metrics.measures import Quantities
-from sphrom.reduction.trial_basis import TrialBasis, reconstruct, truncate
+from sphrom.metrics.samples import Probes, Samples, grid_points, midpoints, spread
+from sphrom.reduction.mode_splines import ModeSplines
+from sphrom.reduction.reference_space import ReferenceMap
+from sphrom.reduction.trial_basis import (
+    TrialBasis,
+    mean_density_fluctuation,
+    project,
+    reconstruct,
+    truncate,
+)
 from sphrom.setup.assembly import surface_columns
+from sphrom.setup.particles import sampler
 from sphrom.sph.fluid import fluctuation_of, pressure_of
-from sphrom.store.sampling import Samples, expand, sample_run
 from sphrom.store.surfaces import SurfaceModelAt, trained_surface
 from sphrom.store.trained_models import basis_used, read_basis, read_modes, read_points
-from sphrom.store.trajectory import read_quantities
+from sphrom.store.trajectory import read_quantities, snapshot_fields
 from sphrom.store.workspace import Workspace
 
 
@@ -138,3 +151,147 @@ class StoredRun:
         means = np.full(len(chosen), run.number("mean_density_fluctuation"))
         coordinates = self._coordinates[chosen]
         return expand(case, basis, splines, points, self.time[chosen], coordinates, means)
+
+
+ON_WALL = 1e-6
+"""Points closer to a wall than this share of the spacing are on it."""
+N_INFLOWS = 10
+"""Number of instants at which the inflow of a run is sampled."""
+LEAST_SHARE = 1e-10
+"""Relative size of a combination of modes that contains nothing of a field."""
+
+
+def probes_of(case: Case) -> Probes:
+    """Return the probes at which the runs of a case are compared.
+
+    Raises CaseError if there is no fluid on the line.
+    """
+    domain = case.scene.domain
+    x = case.plan.probe_line
+    spans = domain.sections(x)
+    if not spans:
+        raise CaseError(f"compare.line: there is no fluid at x = {x:g} m")
+    n_line, longer = case.compare.line_points, max(domain.lengths)
+    n_columns, n_rows = (max(2, round(case.compare.grid * s / longer)) for s in domain.lengths)
+    shape = n_rows, n_columns
+    points = grid_points(domain.lower, domain.upper, shape)
+    # A grid inside the box may have points exactly on walls; they are not in the fluid.
+    in_fluid = domain.wall_distance(points) > ON_WALL * case.plan.particle_spacing
+    if (strip := case.plan.strip) is not None:  # the flow in it is artificial
+        in_fluid &= ~strip.contains(points.T)
+    return Probes(
+        line=np.stack((np.full(n_line, float(x)), spread(spans, n_line)), axis=1),
+        grid=points[in_fluid],
+        grid_shape=shape,
+        in_fluid=in_fluid,
+        stations=case.scene.stations(case.plan.probe_line),
+    )
+
+
+def sample_run(
+    case: Case,
+    trajectory: Artifact,
+    points: Array,
+    advance: Callable[[int], None] = lambda done: None,
+    snapshots: Sequence[int] | None = None,
+) -> Samples:
+    """Sample the particles of a run at points (n_points, 2) [m], at some or all snapshots.
+
+    A run that became unstable is sampled as long as there are particles near all points.
+    """
+    times, sample = trajectory.read("time"), sampler(case, points)
+    chosen = range(len(times)) if snapshots is None else snapshots
+    velocities = np.empty((len(chosen), len(points), 2))
+    pressures = np.empty((len(chosen), len(points)))
+    for i, snapshot in enumerate(chosen):
+        try:
+            density, velocities[i] = sample(*snapshot_fields(trajectory, snapshot))
+        except ValueError as error:
+            if trajectory.text("status") == "complete":
+                raise ArtifactError(f"{trajectory.path}, snapshot {snapshot}: {error}") from error
+            return Samples(times[chosen[:i]], velocities[:i], pressures[:i])
+        pressures[i] = pressure_of(density, case.plan.sound_speed)
+        advance(1)
+    return Samples(times[chosen], velocities, pressures)
+
+
+def described_inflow(case: Case, point: ParameterPoint, trajectory: Artifact) -> str | None:
+    """Return the target inflow and that of a run's later half, in words; None without a strip."""
+    strip, force = case.plan.strip, case.plan.flow(point).body_force
+    if strip is None or force is None:
+        return None
+    domain, across = case.scene.domain, 1 - strip.axis
+    n_places = max(2, round(domain.lengths[across] / case.plan.particle_spacing))
+    points = np.empty((n_places, 2))
+    points[:, strip.axis] = strip.end if strip.speed > 0.0 else strip.start
+    points[:, across] = midpoints(domain.lower[across], domain.upper[across], n_places)
+    points = points[domain.contains(points)]
+    width = domain.lengths[across] * len(points) / n_places  # solids may cross the strip
+    times = trajectory.read("time")
+    chosen = np.unique(np.linspace(len(times) // 2, len(times) - 1, N_INFLOWS).astype(int))
+    sampled = sample_run(case, trajectory, points, snapshots=chosen.tolist())
+    inside = points.copy()
+    inside[:, strip.axis] = 0.5 * (strip.start + strip.end)
+    profile = (force.field(inside.T) / strip.rates(inside.T)).T
+    wanted = np.array([force.amplitude(t) for t in sampled.time])[:, None, None] * profile
+    flows = [width * v[..., strip.axis].mean() for v in (wanted, sampled.velocity)]
+    off = np.linalg.norm(sampled.velocity.mean(axis=0) - wanted.mean(axis=0), axis=1)
+    return (
+        f"{point.label}: target inflow {flows[0]:.4g} m2/s, actual inflow {flows[1]:.4g} m2/s "
+        f"({100.0 * (flows[1] / flows[0] - 1.0):+.2f} %); the profile differs by "
+        f"{100.0 * math.sqrt(np.mean(off**2)) / abs(strip.speed):.2g} % of its largest speed"
+    )
+
+
+def sample_mapped(case: Case, mapped: Artifact, sample: ReferenceMap) -> Samples:
+    """Sample mapped snapshots; they contain only the error of the map."""
+    position = mapped.read("reference_position")
+    snapshots = zip(mapped.dataset("density_fluctuation"), mapped.dataset("velocity"), strict=True)
+    fields = [sample(position, density, velocity) for density, velocity in snapshots]
+    density, velocity = map(np.array, zip(*fields, strict=True))
+    return Samples(mapped.read("time"), velocity, pressure_of(density, case.plan.sound_speed))
+
+
+def sample_best(
+    case: Case, mapped: Artifact, basis: TrialBasis, splines: ModeSplines, probes: Probes
+) -> tuple[Samples, Samples]:
+    """Sample the best approximations of mapped snapshots in a basis: of states, and of each field.
+
+    The first result is the projection of states in the inner product of the basis. In the second
+    each field has coordinates of its own, so no state with these modes is closer in either field.
+    """
+    densities, velocities = mapped.dataset("density_fluctuation"), mapped.dataset("velocity")
+    snapshots = zip(densities, velocities, strict=True)
+    # Where modes hold the mean density, a state of none has coordinates too: they count once.
+    rest = project(basis, 0.0 * densities[0], 0.0 * velocities[0])
+    parts = [(project(basis, d, 0.0 * v), project(basis, 0.0 * d, v) - rest) for d, v in snapshots]
+    by_density, by_velocity = (np.array(part) for part in zip(*parts, strict=True))
+    share = (basis.density_modes * basis.weights) @ basis.density_modes.T
+    shares = (share, by_density), (np.eye(basis.n_modes) - share, by_velocity)
+    alone = [np.linalg.lstsq(gram, part.T, LEAST_SHARE)[0].T for gram, part in shares]
+    means = np.array([mean_density_fluctuation(basis, density) for density in densities])
+    times = mapped.read("time")
+    both, density, velocity = (
+        expand(case, basis, splines, probes.all, times, each, means)
+        for each in (by_density + by_velocity, *alone)
+    )
+    return both, replace(density, velocity=velocity.velocity)
+
+
+def expand(
+    case: Case,
+    basis: TrialBasis,
+    splines: ModeSplines,
+    points: Array,
+    times: Array,
+    coordinates: Array,
+    mean_density: Array,
+) -> Samples:
+    """Sample the states with coordinates (n_snapshots, n_modes) at points by the modes' splines.
+
+    `mean_density` (n_snapshots,) [kg/m3] is the separate mean of a basis that has one, else zero.
+    """
+    values = splines.values(points).reshape(len(points), -1, 3)
+    fields = np.tensordot(coordinates, values, (1, 1))
+    density = basis.inner_product.density_fluctuation(fields[..., 0]) + mean_density[:, None]
+    return Samples(times, fields[..., 1:], pressure_of(density, case.plan.sound_speed))

@@ -5,25 +5,28 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.artifacts import read_record
-from sphrom.artifacts.records.surfaces import SurfaceModels
+from sphrom.artifacts.records.runs import SurfaceModels
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ALL, AUTO, ReducedModelSection
 from sphrom.metrics.elevation import find_elevation
 from sphrom.metrics.samples import Samples
-from sphrom.reduction.graph_model import GraphModel, GraphRun, SurfaceBasis
-from sphrom.reduction.graph_training import TrainedGraph, chosen_size
 from sphrom.reduction.polynomial_model import OutputTimes
 from sphrom.reduction.stream_functions import StreamSpace
+from sphrom.reduction.surface_basis import SurfaceBasis, TrainedGraph, chosen_size
 from sphrom.setup.assembly import surface_columns, uniform_force
 from sphrom.sph.fluid import volume_of
-from sphrom.store.starts import start
+from sphrom.store.trained_models import start
 from sphrom.store.workspace import Workspace
+
+if TYPE_CHECKING:
+    from sphrom.reduction.graph_model import GraphModel, GraphRun
 
 
 def read_surface_basis(workspace: Workspace) -> SurfaceBasis:

@@ -29,7 +29,6 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import fast_section, sweep_model, sweep_name
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.kernels import ask_for_threads
-from sphrom.setup.assembly import stream_space
 from sphrom.setup.context import StageContext
 
 FULL_RUN = ("scene", "fluid", "discretization", "time", "snapshots")
@@ -273,7 +272,7 @@ class Workspace:
         parents = {"trajectory": self.full_run(point)}
         about: dict[str, object] = {"point": point.as_dict()}
         if self.case.scene.has_surface:
-            about["space"] = vars(stream_space(self.case))
+            about["space"] = vars(self.case.plan.stream_space)
         elif self.case.reference.points == "relaxed":
             parents["points"] = self.full_run(self.case.plan.train_points[0])
         return self._target(f"map{self._own_kind}", point.file_label, about, parents)

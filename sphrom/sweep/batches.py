@@ -118,8 +118,7 @@ class SweptModel:
     def in_training(self, points: Sequence[ParameterPoint]) -> list[dict[str, Any]]:
         """Return the differences of the models' training runs from full runs, for models at points.
 
-        They are values as in records, with the scaled parameters of their points; empty without
-        error estimates.
+        They are values as in records, with the scaled parameters of points; none without estimates.
         """
         if self._fast is None:
             return []

@@ -25,8 +25,7 @@ from sphrom.console import Reporter
 from sphrom.metrics.draws import Along, fewest_runs, sobol_indices, spread
 from sphrom.metrics.measures import PLACED, UNITS, Oscillating, components
 from sphrom.metrics.series import OSCILLATION
-from sphrom.plots.canvas import save
-from sphrom.plots.panels import Curve, Panel, draw_grid
+from sphrom.plots.panels import Curve, Panel, draw_grid, save
 from sphrom.plots.tables import format_figure, rows_of_columns, write_csv
 from sphrom.reduction.correction import interpolation_variance
 from sphrom.reduction.error_calibration import output_errors

@@ -233,8 +233,7 @@ def _attempt_there(do: Do, task: Task) -> Failures:
 def start_workers(number: int, scheduler: str | None, report: Reporter) -> Iterator[Workers]:
     """Provide workers on this machine, or on the Dask cluster with a scheduler's address.
 
-    Raises CaseError when no scheduler answers at the address, such as tcp://node:8786, or the
-    library is not installed.
+    Raises CaseError without the library, or if no scheduler answers at tcp://node:8786 or the like.
     """
     if scheduler is None:
         yield Workers(number, report)

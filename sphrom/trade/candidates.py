@@ -63,8 +63,7 @@ def candidates(
 ) -> list[ReducedModelSection]:
     """Return the reduced models in a basis, to compare or map at parameter points.
 
-    Their sizes are those of `trade.n_modes`, by default SIZES up to the size of the basis, and
-    those in `also`.
+    Their sizes are `also`, and those of `trade.n_modes`, by default SIZES up to that of the basis.
 
     Raises CaseError when the basis has fewer modes than are listed, or there is no local basis.
     """
@@ -94,8 +93,7 @@ def candidates(
 def prepared(context: StageContext, models: Sequence[ReducedModelSection]) -> Workspace:
     """Return a workspace whose case includes the models, and has their operators.
 
-    Operators that the case lacks are projected. Raises ArtifactError when artifacts of the case are
-    missing.
+    Operators that the case lacks are projected. Raises ArtifactError when artifacts are missing.
     """
     own, workspace = context.case, Workspace(context)
     workspace.require(workspace.basis())
@@ -146,8 +144,7 @@ def with_steps(
 ) -> Case:
     """Return the full model at a resolution and at most a Courant number, with equal snapshots.
 
-    Steps are shortened so that a whole number of them fits between snapshots. Pass `snapshots` to
-    use another case's snapshot times.
+    Steps are shortened so that whole ones fit between snapshots: `snapshots`, or the case's.
     """
     plan = snapshots or case.plan.steps
     time = case.time.model_copy(update={"step": "auto", "courant_number": courant})

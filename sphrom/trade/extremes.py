@@ -42,10 +42,8 @@ from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.sph.fluid import fluctuation_of, pressure_of
 from sphrom.sph.time_loop import Clock, Model, TimeSteps, march
-from sphrom.store.sampling import probes_of
-from sphrom.store.starts import start
-from sphrom.store.stored_run import StoredRun
-from sphrom.store.trained_models import sized_in
+from sphrom.store.stored_run import StoredRun, probes_of
+from sphrom.store.trained_models import sized_in, start
 from sphrom.store.workspace import Workspace
 from sphrom.text import exact
 from sphrom.trade.candidates import (

@@ -17,7 +17,7 @@ import numpy as np
 from sphrom.arrays import Array
 from sphrom.online.fast_model import FastRun
 from sphrom.online.stable_ranges import FILE, MEMORY, MOST_ERROR, STEP, TIME, UNITS, StableRange
-from sphrom.plots.canvas import new_figure, save, styled
+from sphrom.plots.panels import new_figure, save, styled
 from sphrom.plots.tables import format_figure, write_csv, write_json
 from sphrom.reduction.polynomial_model import EXPONENTIAL, RUNGE_KUTTA
 from sphrom.reduction.reduced_rates import stability_limits

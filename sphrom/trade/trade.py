@@ -1,8 +1,7 @@
 """Stage `trade`: weigh the speed of models against their accuracy.
 
 Fast models of several sizes, and full models at other steps and resolutions, are run, timed on this
-machine, and compared with the case's own full runs. Tables, a figure and the recommended model go
-into the folder `trade`.
+machine, and compared with the case's own full runs. The folder `trade` gets tables and a figure.
 """
 
 from __future__ import annotations
@@ -17,14 +16,7 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.study_sections import FULL
-from sphrom.compare.costs import (
-    N_TIMED_STEPS,
-    full_run_timer,
-    is_imported,
-    largest_step,
-    offline_seconds,
-    taking_turns,
-)
+from sphrom.compare import costs
 from sphrom.errors import CaseError
 from sphrom.metrics.histories import EXACT, Errors, compare, errors_of
 from sphrom.metrics.measures import errors_of as relative_errors
@@ -34,38 +26,23 @@ from sphrom.online.error_estimates import measured_errors, measured_shares
 from sphrom.online.fast_model import FastModel, fast_model
 from sphrom.online.stable_ranges import TIME, StableRange, stable_ranges
 from sphrom.online.surface_model import SurfaceModel, SurfaceRun
-from sphrom.plots.canvas import save
-from sphrom.plots.panels import Curve, Panel, draw_grid
+from sphrom.plots.panels import Curve, Panel, draw_grid, save
 from sphrom.plots.tables import UNKNOWN, format_figure, rows_of_columns, write_csv, write_json
 from sphrom.reduction.polynomial_model import EXPONENTIAL
 from sphrom.setup.assembly import role_of
 from sphrom.setup.context import StageContext
-from sphrom.store.sampling import probes_of
+from sphrom.store.stored_run import probes_of
 from sphrom.store.trajectory import require_complete
 from sphrom.store.workspace import Workspace
 from sphrom.text import counted
 from sphrom.trade import candidates as weighed_models
+from sphrom.trade import weighing
 from sphrom.trade.candidates import FOLDER, candidates, first_model, trade_points
-from sphrom.trade.weighing import (
-    ESTIMATE,
-    FRONTS,
-    NO_MEASURED,
-    OSCILLATION,
-    UNSTABLE,
-    Alternative,
-    Measure,
-    ModelRow,
-    RunRow,
-    Tolerance,
-    alternatives,
-    recommend,
-    weighed,
-)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Rows = tuple[ModelRow, list[RunRow]]
+Rows = tuple[weighing.ModelRow, list[weighing.RunRow]]
 
 MARGIN = 0.2
 """Margin around points for their names, over the axes."""
@@ -80,11 +57,11 @@ HEADINGS = ("offline [s]", "online [s]", "speed-up", "break-even", "no better th
 class Results:
     """The rows of a trade."""
 
-    rows: Sequence[ModelRow]
+    rows: Sequence[weighing.ModelRow]
     """The rows of models, with the case's own full run first."""
-    without: Sequence[Alternative]
-    runs: Sequence[RunRow]
-    measure: Measure
+    without: Sequence[weighing.Alternative]
+    runs: Sequence[weighing.RunRow]
+    measure: weighing.Measure
 
 
 def run(context: StageContext, tolerance: str | None = None) -> None:
@@ -95,7 +72,7 @@ def run(context: StageContext, tolerance: str | None = None) -> None:
     Raises CaseError when the case has no reduced models, or the listed ones are impossible,
     ArtifactError when a full run, the basis, its splines or the operators are missing.
     """
-    allowed = None if tolerance is None else Tolerance.of_text(tolerance)
+    allowed = None if tolerance is None else weighing.Tolerance.of_text(tolerance)
     trade = _Trade(context)
     publish(trade.workspace, trade.results(), allowed)
 
@@ -123,18 +100,18 @@ class _Trade:
 
     def _full_seconds(self, workspace: Workspace, step: float) -> float:
         """Return the measured time of a full run on this machine [s], with a time step [s]."""
-        timer = {FULL: full_run_timer(workspace, next(iter(self.full)), step)}
-        return float(taking_turns(timer, self.case.trade.repeats)[FULL].min())
+        timer = {FULL: costs.full_run_timer(workspace, next(iter(self.full)), step)}
+        return float(costs.taking_turns(timer, self.case.trade.repeats)[FULL].min())
 
     def results(self) -> Results:
         """Run all models, and return their rows, with the case's own full run first."""
-        first, step = next(iter(self.full)), largest_step(self.case)
+        first, step = next(iter(self.full)), costs.largest_step(self.case)
         with self.workspace.open(self.workspace.full_run(first)) as artifact:
-            imported = is_imported(artifact)
+            imported = costs.is_imported(artifact)
         # Only times that were measured alike are divided, so its steps are timed now, too.
         own_seconds = None if imported else self._full_seconds(self.workspace, step)
         self.full_seconds = own_seconds
-        own = ModelRow(
+        own = weighing.ModelRow(
             model="full, as in the case",
             family="full",
             kind="full",
@@ -149,9 +126,9 @@ class _Trade:
         def trained(point: ParameterPoint) -> Samples:
             return self.full.get(point) or self._sampled(self.workspace, point)
 
-        without = list(alternatives(self.case, self.full, trained, self._errors))
-        measure = Measure.of_case(self.case)
-        rows = weighed([own, *(row for row, _ in each)], without, measure)
+        without = list(weighing.alternatives(self.case, self.full, trained, self._errors))
+        measure = weighing.Measure.of_case(self.case)
+        rows = weighing.weighed([own, *(row for row, _ in each)], without, measure)
         return Results(rows, without, [run for _, runs in each for run in runs], measure)
 
     def _full(self, label: str, variant: Case) -> Rows:
@@ -165,7 +142,7 @@ class _Trade:
                 self._row(point, samples, seconds, model=label, role="full", time_step=step)
             )
         resolution = variant.discretization.resolution
-        return ModelRow.of(runs, family="full", kind="full", resolution=resolution), runs
+        return weighing.ModelRow.of(runs, family="full", kind="full", resolution=resolution), runs
 
     def _reduced(self) -> list[Rows]:
         with self.workspace.context.report.progress("reduced models", len(self.models)) as advance:
@@ -184,8 +161,10 @@ class _Trade:
         listed = (*own, section)[0].model_dump(exclude_defaults=True)
         keys = ", ".join(f"{key}: {value}" for key, value in listed.items())
         runs = [self._fast(fast, label, point) for point in self.full]
-        offline, training = offline_seconds(self.wider, section, list(self.full), self.full_seconds)
-        row = ModelRow.of(
+        offline, training = costs.offline_seconds(
+            self.wider, section, list(self.full), self.full_seconds
+        )
+        row = weighing.ModelRow.of(
             runs,
             family=family,
             keys=f"{{{keys}}}",
@@ -197,7 +176,9 @@ class _Trade:
         )
         return row, runs
 
-    def _fast(self, fast: FastModel | SurfaceModel, label: str, point: ParameterPoint) -> RunRow:
+    def _fast(
+        self, fast: FastModel | SurfaceModel, label: str, point: ParameterPoint
+    ) -> weighing.RunRow:
         measure, role = self.measured, role_of(self.case, fast.basis_at(point), point)
         run, seconds = fast.timed(point, self.case.trade.repeats)
         samples = None
@@ -211,18 +192,18 @@ class _Trade:
         if isinstance(run, SurfaceRun):  # it has no estimates
             return row
         estimate = measured_shares(run, measured_errors(run)).get(measure)
-        return replace(row, errors={**row.errors, ESTIMATE: estimate})
+        return replace(row, errors={**row.errors, weighing.ESTIMATE: estimate})
 
     def _row(
         self, point: ParameterPoint, samples: Samples | None, seconds: float | None, **about: Any
-    ) -> RunRow:
+    ) -> weighing.RunRow:
         """Return the row of a run; without samples, it became unstable."""
-        return RunRow(
+        return weighing.RunRow(
             **about,
             parameters=point.label,
             status="unstable" if samples is None else "complete",
             seconds=None if samples is None else seconds,
-            errors=UNSTABLE if samples is None else self._errors(point, samples),
+            errors=weighing.UNSTABLE if samples is None else self._errors(point, samples),
         )
 
     def _errors(self, point: ParameterPoint, samples: Samples) -> Errors:
@@ -238,10 +219,12 @@ class _Trade:
         return {**errors_of(history), **self._measured_errors(point, samples)}
 
     def _measured_errors(self, point: ParameterPoint, samples: Samples) -> Errors:
-        errors, full = dict(NO_MEASURED), self.full[point]
+        errors, full = dict(weighing.NO_MEASURED), self.full[point]
         if (of := self.oscillating) is not None:
             figures = of.of(samples.time, samples.measured, full.measured)
-            names = {f"measured_{name}_relative_l2": f"{name}_error" for name in OSCILLATION}
+            names = {
+                f"measured_{name}_relative_l2": f"{name}_error" for name in weighing.OSCILLATION
+            }
             return errors | {name: figures.get(error) for name, error in names.items()}
         compared = full.time >= self.case.compare.from_time
         for quantity, reference in full.measured.items():
@@ -253,7 +236,7 @@ class _Trade:
         return errors
 
 
-def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None) -> None:
+def publish(workspace: Workspace, results: Results, tolerance: weighing.Tolerance | None) -> None:
     """Write tables and the plot, and show the table and its conclusions."""
     report, folder = workspace.context.report, workspace.folder(FOLDER)
     rows, without, measure = results.rows, results.without, results.measure
@@ -266,7 +249,7 @@ def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None)
         maps = {row.model: _mapped(workspace, row) for row in rows if row.kind != "full"}
         unstable = [name for name, ranges in maps.items() if any(r.is_unstable for r in ranges)]
         possible = [row for row in rows if row.model not in unstable]
-        advice, words = recommend(possible, without, tolerance, measure)
+        advice, words = weighing.recommend(possible, without, tolerance, measure)
         advice["unstable_by_maps"] = ", ".join(unstable)
         if ranges := "; ".join(each.words for each in maps.get(advice["model"], ())):
             words += f". Its maps of extremes: {ranges}"
@@ -291,7 +274,7 @@ def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None)
     report.info(f"tables, trade.json and trade.png are in {folder}")
 
 
-def _mapped(workspace: Workspace, row: ModelRow) -> list[StableRange]:
+def _mapped(workspace: Workspace, row: weighing.ModelRow) -> list[StableRange]:
     """Return the stable ranges of a model with automatic steps, from maps of the extremes."""
     name = "apg" if row.family == "APG" else "galerkin"
     maps = (r for r in stable_ranges(workspace) if (r.kind, r.steps) == ("fast", EXPONENTIAL))
@@ -307,12 +290,12 @@ def timed_words(case: Case) -> str:
     return (
         f"online is the time of a run of {case.plan.recorded_time:g} s on one thread, without "
         f"reading and writing, the least of {counted(case.trade.repeats, 'time')}; full runs are "
-        f"timed over {N_TIMED_STEPS} steps, and the case's own has its largest stable step"
+        f"timed over {costs.N_TIMED_STEPS} steps, and the case's own has its largest stable step"
         f"{spin_up if case.time.spin_up > 0.0 else ''}"
     )
 
 
-def _cells(row: ModelRow, measure: Measure) -> tuple[str, ...]:
+def _cells(row: weighing.ModelRow, measure: weighing.Measure) -> tuple[str, ...]:
     reduced = row.kind != "full"
     pays = "never" if row.break_even_runs is None else counted(row.break_even_runs, "run")
     if row.offline_seconds is None or row.speed_up is None:
@@ -328,14 +311,16 @@ def _cells(row: ModelRow, measure: Measure) -> tuple[str, ...]:
     return row.model, format_figure(row.time_step), *_errors(row.errors, measure, row), *gains
 
 
-def _errors(errors: Errors, measure: Measure, row: ModelRow | None = None) -> list[str]:
+def _errors(
+    errors: Errors, measure: weighing.Measure, row: weighing.ModelRow | None = None
+) -> list[str]:
     """Return the compared errors, overall / at the worst time, with a mark on the Pareto front."""
     cells = []
     for quantity in measure.quantities:
         both = (measure.of(errors, quantity, peak=peak) for peak in (False, True))
-        mark = ON_FRONT if row is not None and row.fronts[FRONTS[quantity]] else " "
+        mark = ON_FRONT if row is not None and row.fronts[weighing.FRONTS[quantity]] else " "
         cells.append(" / ".join(map(format_figure, both)) + mark)
-    if (estimate := errors[ESTIMATE]) is not None:
+    if (estimate := errors[weighing.ESTIMATE]) is not None:
         cells[0] += f" ({format_figure(estimate)})"
     return cells
 
@@ -389,7 +374,7 @@ def _panel(results: Results, quantity: str) -> Panel:
     return Panel("", "seconds of a run [s]", label, curves, "both logarithmic")
 
 
-def _places(results: Results, quantity: str) -> list[tuple[float, float, ModelRow]]:
+def _places(results: Results, quantity: str) -> list[tuple[float, float, weighing.ModelRow]]:
     """Return seconds, error and row of the stable models with an error above zero."""
     return [
         (row.online_seconds, error, row)
@@ -398,6 +383,8 @@ def _places(results: Results, quantity: str) -> list[tuple[float, float, ModelRo
     ]
 
 
-def _front(results: Results, quantity: str) -> list[tuple[float, float, ModelRow]]:
-    on = [place for place in _places(results, quantity) if place[2].fronts[FRONTS[quantity]]]
+def _front(results: Results, quantity: str) -> list[tuple[float, float, weighing.ModelRow]]:
+    on = [
+        place for place in _places(results, quantity) if place[2].fronts[weighing.FRONTS[quantity]]
+    ]
     return sorted(on, key=lambda place: place[:2])

@@ -62,8 +62,7 @@ class RunRow:
     model: str
     parameters: str
     role: str
-    """`trained` at a training value of a reduced model's basis, `predicted` between such values,
-    else `extrapolated`."""
+    """`trained` at a value that a basis learnt from, `predicted` between, else `extrapolated`."""
     status: str
     time_step: float = field(metadata=SECONDS)
     seconds: float | None = field(metadata=SECONDS)

@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 
 from sphrom.artifacts import open_artifact
-from sphrom.artifacts.records.coordinates import Coordinates
 from sphrom.artifacts.records.reduced_models import Basis
-from sphrom.artifacts.records.runs import Packing, ReferenceSnapshots, Trajectory
+from sphrom.artifacts.records.runs import Coordinates, Packing, ReferenceSnapshots, Trajectory
 from sphrom.declaration import Record
 
 pytest.importorskip("vtkmodules", reason="VTK is not installed")

@@ -9,7 +9,7 @@ import pytest
 
 from sphrom.compare.comparison_tables import estimate_row
 from sphrom.metrics.samples import Samples
-from sphrom.store.sampling import probes_of
+from sphrom.store.stored_run import probes_of
 
 TIMES = np.linspace(0.0, 2.0, 21)
 NAMES = {"compared": "fast", "parameters": "reynolds=1", "role": "predicted"}

@@ -10,7 +10,7 @@ from sphrom.compare.comparison_tables import Tables, error_row, show
 from sphrom.compare.references import ReferenceRow
 from sphrom.metrics.histories import compare
 from sphrom.metrics.samples import Samples
-from sphrom.store.sampling import probes_of
+from sphrom.store.stored_run import probes_of
 
 
 def _shown(**tables):

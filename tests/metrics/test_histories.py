@@ -9,7 +9,7 @@ from sphrom.compare.comparison_tables import error_row
 from sphrom.metrics.histories import EQ41, PLACES, History, Series, compare
 from sphrom.metrics.samples import Samples
 from sphrom.plots.tables import flat
-from sphrom.store.sampling import probes_of
+from sphrom.store.stored_run import probes_of
 
 TIMES = np.array([0.0, 1.0, 2.0])
 

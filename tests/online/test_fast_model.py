@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from sphrom.case.sections import ReducedModelSection
-from sphrom.errors import CaseError
 from sphrom.metrics.series import kinetic_energy
-from sphrom.online.fast_model import FastModel, FastRun, fast_model
+from sphrom.online.fast_model import FastRun, fast_model
 from sphrom.reduction.polynomial_model import Run
 
 SECTION = ReducedModelSection(name="quick", evaluation="operators")
@@ -35,9 +34,3 @@ def test_a_run_knows_its_energy_and_its_largest_speed() -> None:
     expected = [kinetic_energy(each * modes[0], 0.5) for each in state]
     np.testing.assert_allclose(run.kinetic_energy, expected, rtol=1e-14)
     assert run.largest_speed == pytest.approx(10.0, rel=1e-14)
-
-
-def test_a_model_for_fluid_without_a_surface_is_refused_where_there_is_one() -> None:
-    assert isinstance(fast_model(workspace_with(surface=False), SECTION), FastModel)
-    with pytest.raises(CaseError, match=r"rom: quick .* free surface"):
-        fast_model(workspace_with(surface=True), SECTION)

@@ -16,10 +16,9 @@ from sphrom.artifacts.records.sweep import Statistics
 from sphrom.case.loader import load_case
 from sphrom.errors import UnstableError
 from sphrom.metrics.draws import spread
-from sphrom.online.basis_model import fields_of
 from sphrom.online.error_estimates import measured_errors
 from sphrom.online.fast_model import FastModel
-from sphrom.plots.canvas import save
+from sphrom.plots.panels import save
 from sphrom.store.trajectory import measured_of
 from sphrom.store.workspace import Workspace
 from sphrom.sweep import sweep as stage
@@ -140,7 +139,7 @@ def test_training_runs_tell_the_errors_of_what_is_measured(folder):
     for k, (reduced, run) in enumerate(basis.held_out):
         with fast.workspace.open(fast.workspace.full_run(basis.points[k])) as full:
             recorded = measured_of(study.case, full)
-        given = fields_of(reduced.measures, reduced.mean_density_fluctuation, run)
+        given = reduced.measured(run, reduced.mean_density_fluctuation)
         for name, quantities in given.items():
             for quantity, values in quantities.items():
                 expected = recorded[name][quantity] - values

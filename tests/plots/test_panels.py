@@ -11,8 +11,7 @@ import pytest
 
 from sphrom.errors import ArtifactError
 from sphrom.metrics.samples import grid_points
-from sphrom.plots.canvas import save
-from sphrom.plots.panels import Curve, Field, Frame, Panel, colour_scale, draw_grid
+from sphrom.plots.panels import Curve, Field, Frame, Panel, colour_scale, draw_grid, save
 
 FRAME = Frame((0.0, 1.0, 0.0, 1.0))
 X = np.linspace(0.0, 1.0, 31)

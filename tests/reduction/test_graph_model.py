@@ -11,9 +11,10 @@ import pytest
 from sphrom.arrays import Array
 from sphrom.errors import SphromError
 from sphrom.metrics.elevation import find_elevation
-from sphrom.reduction.graph_model import GraphModel, SurfaceBasis, make_basis, run_many
-from sphrom.reduction.graph_training import TrainingRun, chosen_size, train
+from sphrom.reduction.graph_model import GraphModel, run_many
+from sphrom.reduction.graph_training import TrainingRun, train
 from sphrom.reduction.stream_functions import StreamSpace
+from sphrom.reduction.surface_basis import SurfaceBasis, chosen_size, make_basis
 
 SPACE = StreamSpace(left=1.0, right=3.0, bottom=-1.0, top=0.5, n_columns=10, n_rows=8)
 DEPTH, GRAVITY = 1.0, 2.0

@@ -26,7 +26,7 @@ def tank(measure: dict[str, Any], **scene: Any) -> Case:
             "name": "x",
             "scene": {**own, "measure": measure, **scene},
             "fluid": {"reference_density": 3.0, "reference_speed": 1.0},
-            "discretization": {"resolution": 32},
+            "discretization": {"resolution": 32, "smoothing_length_ratio": 2.0},
             "rom": [],
         }
     )

@@ -8,10 +8,9 @@ from typing import Any
 import pytest
 
 from sphrom.case.fields import Section, key
-from sphrom.case.full_model_sections import DiscretizationSection
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection, SplineSection
+from sphrom.case.sections import DiscretizationSection, ReducedModelSection, SplineSection
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Target, Workspace
 

@@ -7,7 +7,7 @@ import pytest
 
 from sphrom.errors import CaseError
 from sphrom.sph.box_domain import BoxDomain, Rectangle
-from sphrom.store.sampling import probes_of, sample_run
+from sphrom.store.stored_run import probes_of, sample_run
 
 
 def test_probes_of_a_periodic_box(case_of):

@@ -11,7 +11,7 @@ from sphrom.case.models import Case
 from sphrom.case.points import REYNOLDS
 from sphrom.case.sections import ReducedModelSection
 from sphrom.online.stable_ranges import STEP, TIME, StableRange
-from sphrom.plots.canvas import save
+from sphrom.plots.panels import save
 from sphrom.reduction.polynomial_model import OutputTimes
 from sphrom.reduction.reduced_rates import Polynomial
 from sphrom.reduction.reference_model import ReferenceModel

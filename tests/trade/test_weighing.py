@@ -13,7 +13,7 @@ from sphrom.compare.costs import break_even
 from sphrom.errors import CaseError
 from sphrom.metrics.histories import ERRORS, EXACT, NO_ERRORS, Errors, mean_errors
 from sphrom.metrics.samples import Samples
-from sphrom.plots.canvas import save
+from sphrom.plots.panels import save
 from sphrom.trade.trade import Results, draw_trade
 from sphrom.trade.weighing import (
     INTERPOLATED,

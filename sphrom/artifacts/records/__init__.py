@@ -2,11 +2,9 @@
 
 from sphrom.artifacts.records import (  # noqa: F401
     comparison,
-    coordinates,
     fit,
     reduced_models,
     runs,
-    surfaces,
     sweep,
 )
 from sphrom.declaration import DECLARED, Schema

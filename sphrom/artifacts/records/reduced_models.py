@@ -24,11 +24,9 @@ class Basis(Medium, kind="sphrom/basis"):
     reference_position: Array = dataset("particle component", *REFERENCE_POSITION)
     volume: Array = dataset("particle", "m2", "area represented by each point", "V", "Eq. 3.15")
     mean_density_fluctuation: Mapping[str, Array] = dataset(
-        "snapshot",
-        "kg/m3",
+        "snapshot", "kg/m3",
         "spatial mean of each snapshot of a training run, if it is subtracted as a separate "
-        "variable",
-        default_factory=dict,
+        "variable", default_factory=dict,
     )
     bases: Mapping[str, StoredBasis] = part()
     train: Mapping[str, Array] = dataset(
@@ -47,8 +45,7 @@ class WallForce(ReducedForce):
     """A projected force, and the recorded forces of training runs."""
 
     training_loads: Array = dataset(
-        "run snapshot part load",
-        "N/m, N of the torque",
+        "run snapshot part load", "N/m, N of the torque",
         "pressure and viscous force in the full training runs, for corrections",
     )
 

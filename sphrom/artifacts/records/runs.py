@@ -1,4 +1,4 @@
-"""The contents of full runs and runs of particles: starts, snapshots, and checkpoints."""
+"""The contents of runs: starts, snapshots, checkpoints, and coordinates of reduced models."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import numpy as np
 
 from sphrom.arrays import Array, Indices
 from sphrom.declaration import Record, attribute, dataset, part
+from sphrom.reduction.stream_functions import StreamSpace
+from sphrom.reduction.surface_basis import SurfaceBasis, TrainedGraph
 
 TIME = "s", "time of each snapshot", "t", "Eq. 2.18"
 """Units, meaning, symbol and equation that several records share; likewise for other fields."""
@@ -137,8 +139,7 @@ class Trajectory(Snapshots, Settings, kind="sphrom/trajectory"):
         default=None,
     )
     ghost_wall_velocity: Array | None = dataset(
-        "ghost component", "m/s",
-        "velocity of each ghost's wall at full speed", "U_wall",
+        "ghost component", "m/s", "velocity of each ghost's wall at full speed", "U_wall",
         "Eq. 2.15", at="ghost/wall_velocity", default=None,
     )
     status: Status = attribute("", "how the run ended")
@@ -169,8 +170,7 @@ class ReferenceSnapshots(Medium, kind="sphrom/reference-snapshots"):
     round_trip_error: Mapping[str, float] = attribute(
         "%",
         "relative L2 loss of the last snapshot by the map and back, by field, where no exact "
-        "solution is known",
-        default_factory=dict,
+        "solution is known", default_factory=dict,
     )
 
 
@@ -199,3 +199,168 @@ class TrajectoryPart(Snapshots, kind="sphrom/trajectory-part"):
     """Snapshots of an unfinished run, from one checkpoint to the next."""
 
     number: int = attribute("", "place in the order of parts, from 1")
+
+
+Converged = Literal["converged", "not converged"]
+_CONSTANT = "error in training over the residual's integral with decay"
+_FACTOR = (
+    "factor, either way, between 95 % of the training errors and their estimates from the other "
+    "training runs; absent outside of training"
+)
+
+
+class MeasuredOnce(Record):
+    """One value per measured quantity: in a steady state, or an error over a run."""
+
+    force: Array | None = dataset("component", "N/m", "force on a wall", default=None)
+    torque: float | None = attribute("N", "torque on a wall, anticlockwise", default=None)
+    flow_rate: float | None = attribute(*FLOW_RATE, default=None)
+    velocity: Array | None = dataset("place component", *VELOCITY_AT_PLACES, default=None)
+    pressure: Array | None = dataset("place", *PRESSURE_AT_PLACES, default=None)
+
+
+class ErrorEstimate(Record):
+    """The errors of a run, estimated without a full run."""
+
+    velocity: Array = dataset("snapshot", *VELOCITY_ERROR)
+    pressure: Array = dataset("snapshot", *PRESSURE_ERROR)
+    change: Array = dataset(
+        "snapshot cause", "of the inner product",
+        "distance of coordinates from those that training runs predict: due to the parameters, and "
+        "since the training runs ended",
+    )
+    decay_rate: float = attribute("1/s", "decay rate of errors")
+    training: Literal["inside", "outside"] = attribute(
+        "",
+        "whether the run is inside or outside of the trained parameters and times; outside the "
+        "estimate is extrapolated",
+    )
+    velocity_constant: float = attribute("m/s over the inner product's", _CONSTANT)
+    pressure_constant: float = attribute("Pa over the inner product's", _CONSTANT)
+    velocity_factor: float | None = attribute("1", _FACTOR, default=None)
+    pressure_factor: float | None = attribute("1", _FACTOR, default=None)
+    measure: Mapping[str, MeasuredOnce] = part(default_factory=dict)
+
+
+class Steady(Record):
+    """A steady state, found from the end of a run."""
+
+    coordinates: Array = dataset(
+        "mode", "of the inner product",
+        "zero of the rates, or the closest state that was found, from the end of the run",
+        "omega-hat", "Eq. 3.11",
+    )
+    status: Converged = attribute("", "whether a steady state was found")
+    residual: float = attribute("of the modes, /s", "norm of its rates")
+    training_distance: float | None = attribute(
+        "1", "distance from the nearest of some training states, over the norm of the steady state",
+        default=None,
+    )
+    residual_left_out: float | None = attribute(
+        "of the inner product, /s", "norm of the residual of the full rates there",
+        default=None,
+    )
+    velocity_error_estimate: float | None = attribute(*VELOCITY_ERROR, default=None)
+    pressure_error_estimate: float | None = attribute(
+        "Pa", "estimated root mean square error of the pressure", default=None
+    )
+    n_steps: int = attribute("", "steps of Newton's method")
+    largest_real_part: float = attribute("1/s", "largest real part of the spectrum there")
+    measure: Mapping[str, MeasuredOnce] = part(default_factory=dict)
+
+
+class Coordinates(Settings, kind="sphrom/coordinates"):
+    """The time series of a reduced run on the reference points."""
+
+    time: Array = dataset("snapshot", *TIME)
+    generalized_coordinates: Array = dataset(
+        "snapshot mode", "of the inner product", "coordinates in the basis", "omega-hat", "Eq. 3.11"
+    )
+    correction: Array | None = dataset(
+        "snapshot mode", "of the inner product",
+        "the part of the coordinates that is a correction by training runs", default=None,
+    )
+    integrated_modes: int | None = attribute(
+        "1", "number of leading modes that are integrated within the trained time; training runs "
+        "predict the others", default=None,
+    )
+    force: Mapping[str, Force] = part(default_factory=dict)
+    measure: Mapping[str, Measured] = part(default_factory=dict)
+    residual: Array | None = dataset(
+        "snapshot", "of the inner product, /s", "norm of the residual of the model's rates",
+        default=None,
+    )
+    error_estimate: ErrorEstimate | None = part(default=None)
+    steady: Steady | None = part(default=None)
+    reference_position: Array | None = dataset(
+        "particle component", "m", "points of the reference space, where fields are stored", "x_G",
+        "Eq. 3.14", default=None,
+    )
+    density_fluctuation: Array | None = dataset("snapshot particle", *DENSITY, default=None)
+    velocity: Array | None = dataset("snapshot particle component", *VELOCITY, default=None)
+    pressure: Array | None = dataset("snapshot particle", *PRESSURE, default=None)
+    status: Status = attribute("", "how the run ended")
+    status_detail: str | None = attribute("", "reason and time of a failure", default=None)
+    memory_length: float | None = attribute("s", "tau of Eq. 3.22", default=None)
+    mean_density_fluctuation: float = attribute("kg/m3", "separate mean, constant")
+    integrator: Literal["runge-kutta", "exponential"] | None = attribute(
+        "", "kind of steps: Runge-Kutta (Eq. 2.18), or exponential, with an exact linear part",
+        default=None,
+    )
+    step_limit: float | None = attribute(
+        "s", "largest stable Runge-Kutta step; absent if every step is stable", default=None
+    )
+    largest_real_part: float = attribute("1/s", "largest real part of the spectrum at the start")
+
+
+class SurfaceSnapshots(Medium, kind="sphrom/surface-snapshots"):
+    """The snapshots of one run as stream functions and elevations."""
+
+    space: StreamSpace = part()
+    time: Array = dataset("snapshot", *TIME)
+    stream_function: Array = dataset(
+        "snapshot coefficient", "m2/s", "coefficients of the stream function's B-splines", "psi"
+    )
+    elevation: Array = dataset(
+        "snapshot column", "m", "height y of the surface at the midpoints of equal columns", "eta"
+    )
+    residual: Array = dataset(
+        "snapshot", "1", "norm of the velocity that the fit leaves out, over that of the particles"
+    )
+    speed: Array = dataset("snapshot", "m/s", "root mean square velocity of the particles")
+    parameters: Mapping[str, float] = attribute(*PARAMETERS, default_factory=dict)
+
+
+class StoredSurfaceBasis(SurfaceBasis):
+    """A basis and the singular values of its snapshots."""
+
+    singular_values: Mapping[str, Array] = dataset(
+        "singular_value", "m2/s", "singular values of the snapshots", "sigma", "Eq. 3.16"
+    )
+
+
+class SurfaceBases(Medium, kind="sphrom/surface-basis"):
+    """Modes of stream functions and elevations."""
+
+    bases: Mapping[str, StoredSurfaceBasis] = part()
+
+
+class SurfaceModels(Record, kind="sphrom/surface-operators"):
+    """Reduced models of a flow with a free surface, trained for some numbers of modes."""
+
+    sizes: Mapping[str, TrainedGraph] = part(at="sizes/*")
+
+
+class SurfaceRun(Settings, kind="sphrom/surface-run"):
+    """The time series of a reduced run with a free surface."""
+
+    time: Array = dataset("snapshot", *TIME)
+    generalized_coordinates: Array = dataset(
+        "snapshot coordinate", "of the modes, m",
+        "coordinates of the velocity's modes, then those of the elevation's", "omega-hat",
+        "Eq. 3.11",
+    )  # fmt: skip
+    force: Mapping[str, Force] = part(default_factory=dict)
+    measure: Mapping[str, Measured] = part(default_factory=dict)
+    status: Status = attribute("", "how the run ended")
+    status_detail: str | None = attribute("", "why it ended early, where and when", default=None)

@@ -113,10 +113,8 @@ class Sweep(Record, kind="sphrom/sweep"):
     measure: Mapping[str, Measured] = part(default_factory=dict)
     error_estimate: Estimates | None = part(default=None)
     derivatives: Array | None = dataset(
-        "complete_run derivative",
-        "of the figures, per unit of the parameter",
-        "derivatives of figures at the end by parameters",
-        default=None,
+        "complete_run derivative", "of the figures, per unit of the parameter",
+        "derivatives of figures at the end by parameters", default=None,
     )
     statistics: Statistics | None = part(default=None)
     model: str = attribute("", "model of the runs, full or a reduced model's name")

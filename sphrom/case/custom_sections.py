@@ -1,0 +1,320 @@
+"""Sections of the scene of kind custom: resistances, free surfaces, and files of initial fields."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import shapely
+from pydantic import ConfigDict, Field, model_validator
+from shapely.geometry.base import BaseGeometry
+
+from sphrom.arrays import Array
+from sphrom.case.expressions import Expression
+from sphrom.case.fields import (
+    LARGEST,
+    Coordinate,
+    Duration,
+    Place,
+    Positive,
+    Section,
+    key,
+    only_one,
+)
+from sphrom.case.shapes import CircleSection, RectangleSection, ShapeSection
+from sphrom.errors import CaseError
+from sphrom.scenes.flows import BodyForce
+from sphrom.sph.domain import Domain
+from sphrom.sph.resistance import Rates, Strip
+from sphrom.text import shortened, visible
+from sphrom.whole_files import read_whole
+
+Value = Coordinate | Annotated[str, Field(max_length=1000)]
+"""A number, or an expression."""
+Rate = Duration | Annotated[str, Field(max_length=1000)]
+"""A non-negative number, or an expression."""
+Vector = Annotated[tuple[Value, ...], Field(min_length=2, max_length=2)]
+NO_FLOW = 1e-6
+"""Least mean speed of an inflow along the axis, over the largest speed."""
+
+
+class PorousSection(ShapeSection):
+    """A porous body: fluid flows through its shape against Darcy's resistance nu/k."""
+
+    permeability: Positive = key(..., "permeability k", unit="m2")
+
+
+class StripSection(Section):
+    """The place of a strip across the box along its periodic axis."""
+
+    # `from` is a keyword of Python.
+    model_config = ConfigDict(serialize_by_alias=True)
+
+    start: Coordinate = key(..., "start of the strip", unit="m", alias="from")
+    end: Coordinate = key(..., "end of the strip", unit="m", alias="to")
+
+
+class InflowSection(Section):
+    """An inflow: in a strip across a periodic box, the flow is forced to a given velocity."""
+
+    strip: StripSection = key(..., "the strip, on the periodic axis along which the fluid flows")
+    velocity: Vector = key(
+        ...,
+        "velocity of the fluid that leaves the strip, numbers or expressions in x, y, t",
+        unit="m/s",
+    )
+    strength: Positive = key(
+        200.0,
+        "K, the integral of the rate of forcing over the strip, divided by the largest speed",
+        unit="-",
+    )
+    ramp: Duration | None = key(
+        None,
+        "time in which the inflow reaches its speed; null means the length of the box over the "
+        "largest speed, or 0 for runs that start with a velocity",
+        unit="s",
+    )
+
+    def strip_in(self, domain: Domain, samples: Array, velocity: Callable[[Array], Array]) -> Strip:
+        """Return the strip in a domain, from samples of its points (n_samples, 2) [m].
+
+        Velocities are (2, n_samples) [m/s]. Raises ValueError unless the strip is part of the box
+        and fluid flows through it.
+        """
+        start, end, inflows = self.strip.start, self.strip.end, dict[int, Array]()
+        for axis in np.flatnonzero(domain.periodic).tolist():
+            inside = (samples[:, axis] >= start) & (samples[:, axis] <= end)
+            within = domain.lower[axis] <= start < end <= domain.upper[axis]
+            if within and end - start < domain.lengths[axis] and inside.any():
+                inflows[axis] = velocity(samples[inside].T)
+        if not inflows:
+            raise ValueError(
+                "inflow.strip: must be part of the box, with `from` below `to`, on an axis that "
+                "box.periodic names; fluid that leaves the box enters the strip"
+            )
+        means = {axis: float(inflow[axis].mean()) for axis, inflow in inflows.items()}
+        axis = max(means, key=lambda each: abs(means[each]))
+        speed = float(np.linalg.norm(inflows[axis], axis=0).max())
+        if not abs(means[axis]) > NO_FLOW * speed:
+            raise ValueError("inflow.velocity: must have a mean along the periodic axis of the box")
+        return Strip(axis, start, end, math.copysign(speed, means[axis]), self.strength)
+
+
+def ramp_share(ramp: float, time: Array | float) -> Array | float:
+    """Return the share of its speed that an inflow has reached at times [s], half a cosine."""
+    if ramp == 0.0:
+        return 1.0
+    return 0.5 - 0.5 * np.cos(math.pi * np.clip(np.divide(time, ramp), 0.0, 1.0))
+
+
+def inverse_permeability(bodies: Iterable[tuple[PorousSection, BaseGeometry]]) -> Rates | None:
+    """Return a function for 1/k [1/m2] at positions (2, n_positions) [m]; None without bodies.
+
+    It is zero outside of porous bodies.
+    """
+    inverses = [(shape, 1.0 / body.permeability) for body, shape in bodies]
+    shapely.prepare([shape for shape, _ in inverses])
+
+    def at(position: Array) -> Array:
+        return sum(inverse * shapely.contains_xy(shape, *position) for shape, inverse in inverses)
+
+    return at if inverses else None
+
+
+def surface_defaults(slip_along_axes: bool) -> dict[str, Any]:
+    """Return defaults of other sections for scenes with a free surface.
+
+    A lattice under pressure resists shear like a solid, because the kernel's sums are inexact on a
+    strained lattice: at h = 2 dx waves are 0.6 % too fast. Only viscous forces along pairs are
+    consistent at the surface (Colagrossi et al., Phys. Rev. E 84, 2011). Walls that return the flux
+    into them turn fluid that slides past their ghosts into noise. Other walls need a damper; it is
+    weak, because sums over an incomplete support have a divergence at the surface.
+
+    Parameters
+    ----------
+    slip_along_axes : whether fluid slips freely along all walls, and all follow the axes.
+    """
+    return {
+        "discretization": {
+            "smoothing_length_ratio": 2.5,
+            "acoustic_damping": 0.1,
+            "fixed_volume": False,
+            "viscosity": "paper",
+            "shifting": {"enabled": False},
+            "walls": {"continuity": "normal" if slip_along_axes else "adjoint"},
+        }
+    }
+
+
+SHAPES = "level", "circle", "rectangle", "polygon"
+"""The keys for the shape of the fluid; a case has exactly one."""
+
+
+class SurfaceFluidSection(Section):
+    """Fluid that fills part of the box, below a level or within a shape."""
+
+    level: Value | None = key(
+        None, "height y of the surface at rest, a number or an expression of constants", unit="m"
+    )
+    circle: CircleSection | None = key(None, "a circle that fluid fills")
+    rectangle: RectangleSection | None = key(None, "a rectangle along the axes that fluid fills")
+    polygon: Annotated[tuple[Place, ...], Field(min_length=3)] | None = key(
+        None, "corners of a polygon that fluid fills, in order", unit="m"
+    )
+    gravity: Duration = key(9.81, "acceleration along -y", unit="m/s2")
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> SurfaceFluidSection:
+        only_one(self, SHAPES)
+        return self
+
+    def geometry(self) -> BaseGeometry:
+        """Return the polygon of a shape [m]. Raises ValueError if it is not a polygon."""
+        kind = only_one(self, SHAPES)
+        return ShapeSection.model_validate({kind: getattr(self, kind)}).geometry()
+
+    def fill(self, domain: Domain, particle_spacing: float, level: float) -> Array:
+        """Return the points (n_particles, 2) [m] of the domain's lattice in the fluid.
+
+        Parameters
+        ----------
+        level : height of the surface at rest [m]; not used for a shape.
+        """
+        points = domain.fill(particle_spacing)
+        if self.level is not None:
+            return points[points[:, 1] < level]
+        return points[shapely.contains_xy(self.geometry(), *points.T)]
+
+
+@dataclass(frozen=True)
+class SurfaceForce(BodyForce):
+    """Gravity and a body force whose components may change differently with time.
+
+    `field` is its value at the start, and `amplitude` is one.
+    """
+
+    parts: tuple[Expression, ...] = ()
+    """Components of the body force, in x, y and t."""
+    gravity: float = 0.0
+    """Acceleration along -y [m/s2]."""
+
+    @classmethod
+    def of(cls, parts: tuple[Expression, ...], gravity: float) -> SurfaceForce:
+        """Return the acceleration by the components of a body force and by gravity [m/s2]."""
+        force = cls(lambda at: force(at, 0.0), lambda time: 1.0, None, True, parts, gravity)
+        return force
+
+    def uniform(self, times: Array) -> Array:
+        """Return a uniform body force at times (2, n_times) [m/s2], without gravity."""
+        values = [part(x=0.0, y=0.0, t=times) for part in self.parts]
+        return np.stack([np.broadcast_to(one, times.shape) for one in values])
+
+    def __call__(self, position: Array, time: float) -> Array:
+        out = np.empty_like(position)
+        for row, part in zip(out, self.parts, strict=True):
+            row[:] = part(x=position[0], y=position[1], t=time)
+        out[1] -= self.gravity
+        return out
+
+
+def hydrostatic(
+    start: Callable[[Array], Array], level: float, weight: float
+) -> Callable[[Array], Array]:
+    """Return initial conditions with the hydrostatic pressure below a level [m] added.
+
+    Parameters
+    ----------
+    start : returns velocity and pressure (n_points, 3) at positions (n_points, 2) [m].
+    weight : density times gravity [N/m3].
+    """
+
+    def at(position: Array) -> Array:
+        fields = start(position)
+        fields[:, 2] += weight * (level - position[:, 1])
+        return fields
+
+    return at
+
+
+COLUMNS = ("x", "y", "u", "v", "p")
+"""The columns of a file; the last is optional."""
+MOST_BYTES = 16 * 1024 * 1024
+"""Largest size of a file [bytes]."""
+MOST_POINTS = 200_000
+"""Largest number of points, whose triangulation takes seconds."""
+
+
+_FIELDS: dict[str, Callable[[Array], Array]] = {}
+"""A cache of fields by the digests of their files, because copies of a case have no folder."""
+
+
+def start_fields(name: str, digest: str, position: Array) -> Array:
+    """Return u, v [m/s] and p [Pa] (n_points, 3) from the file with a digest.
+
+    Raises CaseError when the file is missing or has changed.
+    """
+    try:
+        if digest not in _FIELDS and read_start(Path(name)) != digest:
+            raise ValueError(f"{visible(name)} has changed since the case was read")
+        return _FIELDS[digest](position)
+    except ValueError as error:
+        raise CaseError(f"scene.initial.file: {error}") from error
+
+
+def read_start(path: Path) -> str:
+    """Read u, v [m/s] and p [Pa] at points, cache them, and return the SHA-256 of their file.
+
+    Fields are linear between the points. Outside, they have the values of the nearest point.
+
+    Raises ValueError where the file can't be read, or is not such a table.
+    """
+    # Imported late, because few cases start from files.
+    from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
+    from scipy.spatial import QhullError
+
+    name = visible(path.name)
+    try:
+        content = read_whole(path, MOST_BYTES)
+        points = _points(content.decode("utf-8-sig"))
+        between = LinearNDInterpolator(points[:, :2], points[:, 2:])
+        nearest = NearestNDInterpolator(points[:, :2], points[:, 2:])
+    except OSError as error:
+        raise ValueError(f"{visible(str(path))}: can't be read: {error.strerror}") from error
+    except QhullError as error:
+        raise ValueError(f"{name}: all points lie on one line") from error
+    except (csv.Error, ValueError) as error:
+        raise ValueError(f"{name}: {shortened(str(error))}") from error
+
+    def fields(position: Array) -> Array:
+        values = np.asarray(between(position))
+        beyond = np.isnan(values).any(axis=1)
+        values[beyond] = nearest(position[beyond])
+        return values
+
+    digest = hashlib.sha256(content).hexdigest()
+    _FIELDS[digest] = fields
+    return digest
+
+
+def _points(text: str) -> Array:
+    """Return x, y, u, v and p of each point (n_points, 5)."""
+    rows = [line for line in text.splitlines() if line.strip()]
+    names = [name.strip() for name in next(csv.reader(rows), [])]
+    if any(names.count(name) != 1 for name in COLUMNS[:4]):
+        raise ValueError("its first line must name the columns x, y, u, v and perhaps p, once each")
+    if not 3 <= len(rows) - 1 <= MOST_POINTS:
+        raise ValueError(f"must hold 3 to {MOST_POINTS} points; got {len(rows) - 1}")
+    columns = [names.index(name) for name in COLUMNS if name in names]
+    values = np.loadtxt(rows, delimiter=",", usecols=columns, ndmin=2, skiprows=1, comments=None)
+    values = np.pad(values, ((0, 0), (0, 5 - len(columns))))
+    if not np.all(np.abs(values) <= LARGEST):  # also refuses NaN
+        raise ValueError(f"values must be numbers up to {LARGEST:g}")
+    if len(np.unique(values[:, :2], axis=0)) < len(values):
+        raise ValueError("a point appears twice")
+    return values

@@ -1,0 +1,219 @@
+"""Bases of flows below a free surface, and what training teaches their models; both are stored.
+
+They load no kernels, as reading an artifact needs none.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sphrom.arrays import Array
+from sphrom.declaration import Record, attribute, dataset, part
+from sphrom.reduction.stream_functions import StreamSpace, cosine_coordinates
+
+if TYPE_CHECKING:
+    from sphrom.reduction.graph_model import GraphModel
+
+N_COLUMNS, N_HEIGHTS = 24, 6
+"""Of the points of integration."""
+SURFACE_VARIANCE = 1e-6
+"""Share of the elevation's variance that its modes leave out."""
+
+
+class SurfaceBasis(Record):
+    """Modes of a velocity below a surface, and of the surface."""
+
+    space: StreamSpace = part()
+    stream_modes: Array = dataset("mode coefficient", "m2/s", "stream functions of unit energy")
+    surface_modes: Array = dataset("surface_mode cosine", "1", "orthonormal amplitudes of cosines")
+    energies: Array = dataset("mode", "1", "coordinates' mean squares in training")
+    noise: float = attribute("1", "share of the energy that the fit of snapshots leaves out")
+    largest_slope: float = attribute("1", "of the surface in training")
+
+    @property
+    def modes_above_noise(self) -> int:
+        """How many modes have more energy than the noise of one direction."""
+        share = self.energies / self.energies.sum()
+        return int((share > self.noise / share.size).sum())
+
+    def reduced(self, n_modes: int, n_surface: int) -> SurfaceBasis:
+        """Return the basis of the leading modes."""
+        changed = {
+            "stream_modes": self.stream_modes[:n_modes],
+            "surface_modes": self.surface_modes[:n_surface],
+            "energies": self.energies[:n_modes],
+        }
+        return SurfaceBasis(**vars(self) | changed)
+
+    def project(self, coefficients: Array, elevation: Array) -> Array:
+        """Return the coordinates (n_snapshots, n_modes + n_surface) of snapshots.
+
+        Velocities are projected in the energy of the fluid below each snapshot's surface.
+
+        Parameters
+        ----------
+        coefficients : (n_snapshots, n_coefficients) [m2/s].
+        elevation : (n_snapshots, n_columns) [m] at the midpoints of equal columns.
+        """
+        cosines = cosine_coordinates(elevation, self.surface_modes.shape[1])
+        matrices, right_sides, _ = self.products(coefficients, elevation)
+        velocities = np.linalg.solve(matrices, right_sides[..., None])[..., 0]
+        return np.concatenate([velocities, cosines @ self.surface_modes.T], axis=1)
+
+    def products(self, coefficients: Array, elevation: Array) -> tuple[Array, Array, Array]:
+        """Return scalar products of velocities below each snapshot's surface [m4/s2].
+
+        Returns
+        -------
+        (n_snapshots, n_modes, n_modes) of modes, (n_snapshots, n_modes) of modes and the snapshot's
+        velocity, (n_snapshots,) of that with itself.
+        """
+        n_snapshots, n_modes = len(coefficients), len(self.stream_modes)
+        matrices, sides = (
+            np.empty((n_snapshots, n_modes, n_modes)),
+            np.empty((n_snapshots, n_modes)),
+        )
+        squares = np.empty(n_snapshots)
+        for number, (own, heights) in enumerate(zip(coefficients, elevation, strict=True)):
+            matrix, weights = _weighted_curl(self.space, heights)
+            modes, velocity = (
+                weights[:, None] * (matrix @ self.stream_modes.T),
+                weights * (matrix @ own),
+            )
+            matrices[number], sides[number] = modes.T @ modes, velocity @ modes
+            squares[number] = velocity @ velocity
+        return matrices, sides, squares
+
+
+def make_basis(
+    space: StreamSpace, coefficients: Array, elevation: Array, noise: float, n_modes: int
+) -> SurfaceBasis:
+    """Return the modes of training runs, and as many of the elevation as its variance asks for.
+
+    Parameters
+    ----------
+    coefficients : (n_runs, n_snapshots, n_coefficients) [m2/s].
+    elevation : (n_runs, n_snapshots, n_columns) [m] at the midpoints of equal columns.
+    noise : root of the residuals' share in the energy of all snapshots.
+    """
+    snapshots = coefficients.reshape(-1, coefficients.shape[-1])
+    heights = elevation.reshape(-1, elevation.shape[-1])
+    product = np.zeros((snapshots.shape[1],) * 2)
+    for own in heights:
+        matrix, weights = _weighted_curl(space, own)
+        product += (matrix.T * weights**2) @ matrix / len(heights)
+    energies, vectors = np.linalg.eigh(snapshots @ product @ snapshots.T / len(snapshots))
+    energies, vectors = energies[::-1][:n_modes], vectors[:, ::-1][:, :n_modes]
+    modes = vectors.T @ snapshots / np.sqrt(len(snapshots) * energies)[:, None]
+    cosines = cosine_coordinates(heights, elevation.shape[-1] // 2)
+    _, sizes, directions = np.linalg.svd(cosines, full_matrices=False)
+    left = 1 - np.cumsum(sizes**2) / np.sum(sizes**2)
+    n_surface = int((left > SURFACE_VARIANCE).sum()) + 1
+    basis = SurfaceBasis(
+        space=space,
+        stream_modes=modes,
+        surface_modes=directions[:n_surface],
+        energies=energies,
+        noise=noise**2,
+        largest_slope=0.0,
+    )
+    slopes = (
+        cosines
+        @ directions[:n_surface].T
+        @ surface_modes_at(basis, integration_columns(space)[0], 1).T
+    )
+    return SurfaceBasis(**vars(basis) | {"largest_slope": float(np.abs(slopes).max())})
+
+
+class TrainedGraph(Record):
+    """What training runs teach a model with one number of modes; errors are relative, in L2."""
+
+    n_surface: int = attribute("1", "modes of the elevation")
+    rise: float = attribute("m", "of the mean level above the depth, in training runs")
+    gravity_factor: float = attribute("1", "of gravity in the calibrated model")
+    gravity_growth: float = attribute("1/m2", "of gravity with the square of the waves' amplitude")
+    closure: Array = dataset("rate coordinate", "1/s", "linear closure of the calibrated model")
+    elevation_error: float = attribute("1", "of the elevation, calibrated")
+    velocity_error: float = attribute("1", "of the velocity, calibrated")
+    uncalibrated_elevation_error: float = attribute("1", "of the elevation, not calibrated")
+    uncalibrated_velocity_error: float = attribute("1", "of the velocity, not calibrated")
+    best_elevation_error: float = attribute("1", "of the elevation's projection")
+    best_velocity_error: float = attribute("1", "of the velocity's projection")
+
+    @property
+    def n_modes(self) -> int:
+        """Modes of the velocity: those asked for, as far as they are above the noise."""
+        return len(self.closure) - self.n_surface
+
+    @property
+    def error(self) -> float:
+        """Of elevation and velocity together, calibrated."""
+        return float(np.hypot(self.elevation_error, self.velocity_error))
+
+    def model(
+        self,
+        basis: SurfaceBasis,
+        depth: float,
+        gravity: float,
+        viscosity: float,
+        force: Callable[[Array], Array],
+        calibrated: bool,
+    ) -> GraphModel:
+        """Return the model of this size from the basis that it was trained with."""
+        from sphrom.reduction.graph_model import GraphModel  # it loads kernels
+
+        own = basis.reduced(self.n_modes, self.n_surface)
+        plain = GraphModel(own, depth, gravity, viscosity, force)
+        if not calibrated:
+            return plain
+        return replace(
+            plain,
+            depth=depth + self.rise,
+            gravity_factor=self.gravity_factor,
+            gravity_growth=self.gravity_growth,
+            closure=self.closure,
+        )
+
+
+def chosen_size(trained: Mapping[int, TrainedGraph]) -> int:
+    """Return the number of modes whose calibrated runs are nearest to the training runs."""
+    return min(trained, key=lambda size: trained[size].error)
+
+
+def gauss_points(count: int) -> tuple[Array, Array]:
+    """Return points between 0 and 1, and their weights."""
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    return (1 + nodes) / 2, weights / 2
+
+
+def integration_columns(space: StreamSpace) -> tuple[Array, Array]:
+    """Return the midpoints of equal columns [m], and their widths."""
+    width = space.width / N_COLUMNS
+    columns: Array = space.left + width * (np.arange(N_COLUMNS, dtype=np.float64) + 0.5)
+    return columns, np.full(N_COLUMNS, width, dtype=np.float64)
+
+
+def surface_modes_at(basis: SurfaceBasis, x: Array, order: int) -> Array:
+    """Return the elevation's modes, or their slopes, (n_places, n_surface) at places."""
+    wave_numbers = np.arange(1, basis.surface_modes.shape[1] + 1) * math.pi / basis.space.width
+    phase = np.outer(x - basis.space.left, wave_numbers)
+    waves = np.cos(phase) if order == 0 else -wave_numbers * np.sin(phase)
+    return np.asarray(waves @ basis.surface_modes.T)
+
+
+def _weighted_curl(space: StreamSpace, elevation: Array) -> tuple[Array, Array]:
+    """Return both velocities of all splines below a surface, and roots of areas of the points."""
+    columns, widths = integration_columns(space)
+    midpoints = space.left + space.width * (np.arange(len(elevation)) + 0.5) / len(elevation)
+    heights = np.interp(columns, midpoints, elevation) - space.bottom
+    nodes, weights = gauss_points(N_HEIGHTS)
+    y = space.bottom + np.outer(heights, nodes).ravel()
+    points = np.stack([np.repeat(columns, N_HEIGHTS), y], axis=-1)
+    d_x, d_y = space.derivatives(points, (1, 0), (0, 1))
+    areas = np.outer(widths * heights, weights).ravel()
+    return np.concatenate([d_y, -d_x]), np.sqrt(np.tile(areas, 2))
