@@ -126,7 +126,7 @@ class _PointComparison:
                 writer.profile(row, profile)
             self._describe_flow(FULL, run, self.full)
             self.measured = measured_of(self.case, trajectory)
-        if self.case.scene.has_surface:
+        if self.case.scene.has_surface and self.models:
             with workspace.open(workspace.mapped(point)) as mapped:
                 self.measured |= {SURFACE: {"elevation": mapped.read("elevation")}}
         self.references = {FULL: self.full}

@@ -23,7 +23,7 @@ ASKING = (
     "says?|said|sees?|saw|shows?|know|knows|known|tells?|told|asks?|explains?|describes?|about|on"
 )
 CEILINGS = {
-    ("sphrom", "what"): 14,
+    ("sphrom", "what"): 15,
     ("docs", "what"): 5,
     ("sphrom", "those that"): 11,
     ("docs", "those that"): 2,

@@ -20,6 +20,7 @@ RESOLUTIONS = {
     "kolmogorov": 16,
     "l_shaped_cavity": 20,
     "oscillating_drop": 10,
+    "sloshing": 8,
     "standing_wave": 12,
     "taylor_couette": 12,
     "wake": 8,
@@ -63,6 +64,7 @@ def test_a_case_runs(sphrom, tmp_path, name):
         "rom.0.calibrated=auto",  # so short a run has no period
         "compare.grid=16",
         *(["scene.inflow.ramp=0"] if name == "wake" else []),
+        *(["scene.measure={}"] if name == "sloshing" else []),
     ]
     options = [word for setting in settings for word in ("--set", setting)]
     out = ("--out", tmp_path, "--threads", 1, "--quiet")
@@ -77,4 +79,5 @@ def test_a_full_run_of_a_surface_runs(sphrom, tmp_path, name):
     path, resolution = GALLERY / f"{name}.yaml", f"discretization.resolution={RESOLUTIONS[name]}"
     step = load_case(path, [resolution]).plan.steps.time_step
     options = ("--set", resolution, "--set", f"time.final_time={N_STEPS * step}")
+    options += ("--set", "snapshots.every=1")
     sphrom("fom", path, *options, "--out", tmp_path, "--threads", 1, "--quiet", code=0)
