@@ -62,8 +62,7 @@ class Identity:
     """The identity of an artifact, as recorded in artifacts made from it.
 
     The digest covers the datasets, each in C order, and the attributes set by the stage, in the
-    order of their names; it excludes when, where and how fast the artifact was made. Two runs that
-    compute the same bits have the same digest.
+    order of their names, but not when, where and how fast it was made: same bits, same digest.
     """
 
     path: str

@@ -554,8 +554,7 @@ class Plan:
     def corrected_bases(self) -> tuple[str, ...]:
         """The names of the bases with a model that their training runs calibrate or correct.
 
-        In scenes with measured forces these are all bases on the reference points, because the
-        calibration of forces needs training runs too.
+        With measured forces these are all bases on the reference points: forces need them too.
         """
         if self._case.scene.measured_walls:
             return self.reference_bases

@@ -1,7 +1,6 @@
 """The sections of a case file for the full model, bases, reduced models and their comparison.
 
-`sphrom.case.study_sections` has those of studies. `sphrom.case.scenes` has the scenes, with the
-defaults that depend on the kind of scene.
+`sphrom.case.study_sections` has those of studies, `sphrom.case.scenes` the scenes and defaults.
 """
 
 from __future__ import annotations

@@ -129,8 +129,7 @@ def series(sources: Sequence[Source]) -> str:
 def choose(sources: Sequence[Source], steps: TimeSteps, about: ImportOptions) -> list[Choice]:
     """Return the snapshots to use for each snapshot time of a case.
 
-    Raises CaseError if the files end before the case, or have less than half as many snapshots,
-    which suggests other units of time.
+    Raises CaseError if the files end before the case, or have less than half as many snapshots.
     """
     apart = steps.snapshot_interval
     instants = [apart * index for index in range(steps.n_snapshots)]
@@ -218,8 +217,7 @@ second, the unit is probably wrong."""
 Kept = dict[int, tuple[float, Snapshot]]
 """Snapshots with their times [s], by number."""
 COUNT_TOLERANCE = 0.05
-"""Relative tolerance of the number of particles: programs fill edges differently, but each particle
-must represent about the same area."""
+"""Relative tolerance of the number of particles: programs fill edges differently."""
 
 
 def run(context: StageContext, files: Sequence[Path], about: ImportOptions) -> list[str]:

@@ -165,14 +165,9 @@ def run(
     noise : standard deviation over each history's range, such as `1%`; by default the case's.
     name : name of the results; by default that of the measurements.
 
-    Raises
-    ------
-    CaseError
-        When the measurements can't be read, or the case has no model or no parameter to fit.
-    ArtifactError
-        When the operators are missing, or another fit has this name.
-    UnstableError
-        When the model is unstable at all starts.
+    Raises CaseError when the measurements can't be read, or the case has no model or no parameter
+    to fit, ArtifactError when the operators are missing or another fit has this name, UnstableError
+    when the model is unstable at all starts.
     """
     if measurements is None:
         raise CaseError("measurements: are missing; give the name of a CSV file")

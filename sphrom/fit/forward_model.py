@@ -4,8 +4,7 @@ The samples come from the training runs. The model repeats each of them without 
 that run, so its histories differ from those of the full run like a prediction, with the same
 correlations over time and between places. The differences are scaled by the model's estimated error
 at the fitted parameters over that of the training run, both root mean squares over the fluid and
-the run. Velocities and flow rates are scaled by the error of the velocity, pressures by that of the
-pressure, and forces by the larger of both.
+the run: that of the velocity for flow rates too, and for forces the larger of both.
 """
 
 from __future__ import annotations
@@ -38,8 +37,7 @@ from sphrom.store.trajectory import snapshot_fields
 from sphrom.text import exact
 
 TrainingDifferences = dict[Hashable, tuple[Array, Array]]
-"""Differences of histories in training runs, with the sizes of errors over the fluid, by basis and
-histories. Fits of one model share them."""
+"""Differences in training runs with the sizes of errors, by basis and histories, for all fits."""
 
 DIFFERENCE = 1e-3
 """Of the place, from which derivatives of models of a free surface follow."""

@@ -107,10 +107,7 @@ def find_elevation(
     radius : of the kernel's support [m].
     walls : left, right and bottom [m]; images of the particles complete the sums there.
 
-    Raises
-    ------
-    SphromError
-        If a column has no fluid or more than one surface.
+    Raises SphromError if a column has no fluid or more than one surface.
     """
     left, right, bottom = walls
     heights = np.arange(bottom, position[:, 1].max() + radius, radius / 16)

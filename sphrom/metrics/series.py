@@ -29,8 +29,7 @@ UNIFORM_TOLERANCE = 1e-3
 def hat(n_half: int) -> Array:
     """Return weights (2 n_half - 1,) that rise and fall linearly, with sum one.
 
-    Averages with them cancel oscillations whose period is n_half intervals or an integer fraction
-    of it, and nearly cancel other fast ones.
+    Averages with them cancel oscillations whose period is n_half intervals or a whole part of it.
     """
     box = np.full(n_half, 1.0 / n_half)
     return np.convolve(box, box)

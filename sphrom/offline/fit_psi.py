@@ -1,5 +1,4 @@
-"""Stage `fit-psi`: splines of the modes, local polyharmonic ones (Eq. 3.17-3.19, Alg. 3.3) or
-B-splines on a lattice."""
+"""Stage `fit-psi`: splines of the modes (Eq. 3.17-3.19, Alg. 3.3), or B-splines on a lattice."""
 
 from __future__ import annotations
 

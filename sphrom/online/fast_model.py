@@ -118,8 +118,7 @@ class FastModel:
     ) -> list[tuple[Array, dict[str, Quantities]]]:
         """Return the places of the training runs of models at points, and their differences.
 
-        These are measurements of full runs less the model's (n_snapshots, ...), by name and
-        quantity. Empty without error estimates.
+        These are measurements of full runs less the model's; empty without error estimates.
         """
         bases = [self.on_basis(name) for name in dict.fromkeys(map(self.basis_at, points))]
         if any(basis.trained_errors is None for basis in bases):

@@ -22,8 +22,7 @@ from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Workspace
 
 LONGEST_STEP = 4.0
-"""Largest step of models on particles over the full model's: no longer one was accurate
-(`docs/stability.md`)."""
+"""Largest accurate step of models on particles over the full model's (`docs/stability.md`)."""
 
 
 def build_model(
@@ -31,8 +30,7 @@ def build_model(
 ) -> tuple[ParticleModel, Array]:
     """Return a reduced model at a parameter point, without its closure, and its initial state.
 
-    The initial condition is that of the full run (the scene's, or the end of the spin-up), mapped
-    onto the reference space and projected.
+    The initial condition is that of the full run, mapped onto the reference space and projected.
     """
     case = workspace.case
     name = case.plan.basis_for(model, point)

@@ -4,8 +4,7 @@ Pictures take fields on a regular grid (ny, nx), with rows from below, and NaN, 
 outside of the fluid. If a frame has solids, their exact outline is drawn instead of grid cells. In
 all figures the full model and measurements are black, the exact solution is grey, and a reduced
 model has the colour, line style and marker of its index in the case. Colours are those of Okabe and
-Ito, which colour-blind readers can distinguish. Agg draws figures without a display, and matplotlib
-is imported only when a figure is drawn.
+Ito, which colour-blind readers can distinguish. Matplotlib is imported when a figure is drawn.
 """
 
 from __future__ import annotations

@@ -14,9 +14,8 @@ the variance of the logarithm). The first tenth of every run is left out, as E h
 start. The shares s_p and s_t are measured by `sphrom.reduction.held_out`.
 
 The weights w interpolate in the parameters (`sphrom.reduction.correction`). Outside the hull of the
-training points they are those of the nearest point of the hull. C is then multiplied by the ratio
-of its largest to its smallest training value, raised to the distance over the largest distance
-between training points (at most one).
+training points C is multiplied by the ratio of its largest to its smallest training value, raised
+to the distance over the largest distance between training points (at most one).
 
 Errors are root mean squares over the fluid: of the velocity [m/s], and of q = c0 rho'/rho0 [m/s]
 less its mean, which is the pressure over rho0 c0. For many runs they follow from products of

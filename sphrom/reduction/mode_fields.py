@@ -1,8 +1,7 @@
 """The modes of a trial basis as fields at fixed points, in the acoustic scaling, with gradients.
 
-The first field of a state is q = c0 rho'/rho0 [m/s] here, for every inner product of the basis.
-States in the raw product have a constant part, a uniform density. It is one more field after the
-modes, with a coordinate that is always one.
+The first field of a state is q = c0 rho'/rho0 [m/s] here, for every inner product of the basis. The
+constant part of states in the raw product is one more field, whose coordinate is always one.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """The common interface of the splines of modes.
 
-There are two kinds: the paper's local polyharmonic splines for arbitrarily placed points
-(`sphrom.reduction.spline`), and tensor-product B-splines on a lattice
-(`sphrom.reduction.lattice_splines`).
+There are two kinds: the paper's local polyharmonic splines through any points, and tensor-product
+B-splines on a lattice (`sphrom.reduction.spline`, `sphrom.reduction.lattice_splines`).
 """
 
 from __future__ import annotations

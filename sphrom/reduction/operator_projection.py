@@ -1,10 +1,9 @@
 """Projection of rates, their residual, and forces on walls from the reference points, done once.
 
 The rates of `sphrom.sph.fixed_points` are quadratic once rho0/rho is expanded, so their Galerkin
-projection (Eq. 3.21) is quadratic in the generalized coordinates (see
-`sphrom.reduction.reduced_operators`). That module also describes the columns of the residual. They
-are replaced by the triangular factor of their QR decomposition, without the directions that no
-state near the training states reaches.
+projection (Eq. 3.21) is quadratic in the generalized coordinates. As in
+`sphrom.reduction.reduced_operators`, the columns of the residual are replaced by the triangular
+factor of their QR decomposition, without directions that no state near the training states reaches.
 
 Everything is computed alike for the modes and the constant part of a state, and the constant part
 is then folded into the modes. Points are read in blocks; the memory holds the basis, its copy as
@@ -147,8 +146,7 @@ def _fields_of(
 class _Fields:
     """The modes as fields, and their rates at some points.
 
-    Rates caused by moving walls and body forces are named by part, such as `walls`, or
-    `walls/lid` for the parameter `lid`.
+    Rates by moving walls and body forces are named `walls`, or `walls/lid` for a parameter `lid`.
     """
 
     def __init__(self, points: FixedPoints, basis: TrialBasis, splines: ModeSplines | None) -> None:

@@ -3,9 +3,8 @@
 They are projected once; no field is reconstructed. Flow rates and fields at places are products of
 constant arrays with the terms (1, separate mean density fluctuation, coordinates).
 
-A force follows from the balance of momentum of the whole fluid, tested with the Stokes flow w of
-the wall's motion (`sphrom.reduction.stokes_fields`). With the velocity sum_k a_k phi_k and the
-model's own rates da/dt it is
+A force follows from the balance of momentum, tested with the Stokes flow w of the wall's motion
+(`sphrom.reduction.stokes_fields`). With the velocity sum_k a_k phi_k and the model's rates it is
 
     F = beta(t) p - q . da/dt + a . A a - nu s . a - r . a,
 

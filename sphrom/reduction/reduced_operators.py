@@ -11,8 +11,7 @@ of its own; its value multiplies their factors. One set of operators serves all 
 `sphrom.reduction.operator_projection` makes them; reduced runs need only these records.
 
 The norm of a model's residual costs no more than the model. A state with coordinates a has the
-rates R(a) at the fixed points. The model follows Phi da/dt, so its residual is R(a) - Phi da/dt.
-Both are polynomials of a, so that
+rates R(a) at fixed points, and the residual R(a) - Phi da/dt. Both are polynomials of a, so that
 
     R(a) - Phi R^(a) = sum_k theta_k (columns of part k) (monomials of a),    R^ = Phi^T W R,
 

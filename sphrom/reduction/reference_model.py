@@ -1,8 +1,7 @@
 """Reduced models on the reference points at given parameters, and their time integration.
 
-A model consists of its rates as a polynomial and the start of its runs. Automatic steps of
-polynomial rates are exponential: they integrate sound exactly, so sound does not limit them. Other
-steps are Runge-Kutta steps (Eq. 2.18).
+A model consists of its rates as a polynomial and the start of its runs. Automatic steps are
+exponential: they integrate sound exactly. Other steps are Runge-Kutta steps (Eq. 2.18).
 
 Stability is not accuracy. Sound limits Runge-Kutta steps, and at 0.9 of the limit every step halves
 the amplitude of the fastest sound; the resulting pressure error is once or twice that of the model
@@ -52,8 +51,7 @@ class ReferenceModel:
     states: Array | None = None
     """(n_states, n_modes) training states; steps must be stable around them and the start."""
     linear: LinearPart | None = None
-    """Of exponential steps, such as the Jacobian at the mean of the training states. If None,
-    automatic steps are Runge-Kutta steps."""
+    """Of exponential steps, a Jacobian at training states; without it, steps are Runge-Kutta's."""
     first_step: float | None = None
     """First trial length [s] of automatic steps, if training runs determined it."""
     correction: Array | None = None
@@ -304,7 +302,7 @@ def runge_kutta(model: ReferenceModel, n_steps: int) -> Steps:
 def automatic_whole(model: ReferenceModel) -> Steps:
     """Return steps of all modes that are accurate enough for the basis, exponential if possible.
 
-    The first trial has at most one step per snapshot: enough if sound is not what is stiff.
+    The first trial has at most one step per snapshot: enough unless sound makes rates stiff.
     """
     if model.linear is None:
         return accurate(runge_kutta(model, model.n_stable), step_tolerance(model.basis))

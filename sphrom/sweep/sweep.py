@@ -88,14 +88,9 @@ def run(
     shard : (i, n) to do only the i-th of n shares of the runs, with i from 1.
     collect : whether to make no runs and only gather the existing ones.
 
-    Raises
-    ------
-    CaseError
-        When there are no values, or options contradict each other.
-    ArtifactError
-        When an artifact of the model is missing, or existing runs belong to another case.
-    UnstableError
-        After all runs, if one became unstable; the table shows which.
+    Raises CaseError without values or when options contradict each other, ArtifactError when an
+    artifact of the model is missing or runs belong to another case, UnstableError after all runs,
+    if one became unstable; the table shows which.
     """
     check_options(workers, scheduler)
     if context.force + (shard is not None) + collect > 1 or (collect and scheduler is not None):
