@@ -29,6 +29,8 @@ VECTORS = ("force", "velocity", "centre_of_mass")
 """Quantities with an axis of components, the last."""
 AXES = ("x", "y")
 """Names of components."""
+WITH_WEIGHT = ("pressure", "force", "torque")
+"""Quantities that hold the weight of fluid with a free surface."""
 ABOUT_MEAN = ("elevation", "centre_of_mass")
 """Quantities whose errors are relative to how they vary over time."""
 PLACED = ("velocity", "pressure")
@@ -190,10 +192,10 @@ def mean_square(quantity: str, values: Array) -> float:
 def variation(quantity: str, values: Array, *, with_weight: bool = False) -> float:
     """Return the mean square of values (n_snapshots, ...) that errors are relative to.
 
-    Elevations and centres of mass count about their means over time, and so do pressures of fluid
-    whose weight they hold: where the origin is, and fluid at rest, makes no error smaller.
+    Elevations and centres of mass count about their means over time, and so do pressures and loads
+    that hold the weight of fluid: neither the origin nor fluid at rest makes an error smaller.
     """
-    if quantity in ABOUT_MEAN or (with_weight and quantity == "pressure"):
+    if quantity in ABOUT_MEAN or (with_weight and quantity in WITH_WEIGHT):
         values = values - values.mean(axis=0)
     return mean_square(quantity, values)
 
