@@ -155,9 +155,9 @@ def items(measured: Mapping[str, Quantities], index: int | Indices) -> dict[str,
 
 
 def of_a_run(quantities: Quantities) -> Quantities:
-    """Return the stored part of a run's measurements: series over time, and lines at the end.
+    """Return the measurements that are stored with a run: histories, and lines at its end.
 
-    A probe's series have no axis of places. Ends of lines are `final_velocity`, `final_pressure`.
+    A probe's histories have no axis of places. Lines have `final_velocity` and `final_pressure`.
     """
     if "velocity" not in quantities:
         return quantities
@@ -190,10 +190,10 @@ def mean_square(quantity: str, values: Array) -> float:
 
 
 def variation(quantity: str, values: Array, *, with_weight: bool = False) -> float:
-    """Return the mean square of values (n_snapshots, ...) that errors are relative to.
+    """Return the mean square of reference values (n_snapshots, ...), by which errors are divided.
 
-    Elevations and centres of mass count about their means over time, and so do pressures and loads
-    that hold the weight of fluid: neither the origin nor fluid at rest makes an error smaller.
+    The mean over time is first subtracted from elevations, centres of mass, and from
+    pressures and loads that hold the weight of fluid. Otherwise a distant origin or deep fluid would make relative errors small.
     """
     if quantity in ABOUT_MEAN or (with_weight and quantity in WITH_WEIGHT):
         values = values - values.mean(axis=0)
@@ -203,9 +203,9 @@ def variation(quantity: str, values: Array, *, with_weight: bool = False) -> flo
 def errors_of(
     quantity: str, values: Array, reference: Array, size: float
 ) -> tuple[float | None, float | None]:
-    """Return the relative L2 errors [%]: over all snapshots, and the largest of one snapshot.
+    """Return relative L2 errors [%]: over all snapshots, and at the worst snapshot.
 
-    Both are root mean squares over the root of `size`, a reference's mean square; None if it is 0.
+    Both are divided by the root of `size`, the reference's mean square; they are None if it is 0.
     """
     if not size > 0.0:
         return None, None

@@ -83,9 +83,10 @@ class Samples:
 
 
 def without_weight(run: Samples, reference: Samples, weight: Array) -> tuple[Samples, Samples]:
-    """Return two runs with a free surface as they are compared: zero where one has no fluid.
+    """Return the samples of two runs with a free surface, prepared for a comparison.
 
-    Pressures are less those of fluid at rest, `weight` (n_probes,) [Pa].
+    Values are zero where either run has no fluid. `weight` (n_probes,) [Pa], the pressure of fluid
+    at rest, is subtracted from the pressures.
     """
     common = slice(min(len(run.time), len(reference.time)))
     run, reference = run.at(common), reference.at(common)

@@ -134,7 +134,7 @@ class _Projected:
     def errors(self, coordinates: Array) -> Array:
         """Return the relative errors (2,) of elevation and velocity.
 
-        Where a run ended early, the error of the rest is that of fluid at rest twice.
+        If a run ended early, the error of the missing part counts as twice its size.
         """
         matrices, sides, squares = self.products
         n_done, n_modes = len(coordinates), sides.shape[1]

@@ -93,7 +93,7 @@ class SurfaceBasis(Record):
 def make_basis(
     space: StreamSpace, coefficients: Array, elevation: Array, noise: float, n_modes: int
 ) -> SurfaceBasis:
-    """Return the modes of training runs, and as many of the elevation as its variance asks for.
+    """Return the modes of training runs; the elevation has as many as its variance requires.
 
     Parameters
     ----------
