@@ -192,8 +192,9 @@ def mean_square(quantity: str, values: Array) -> float:
 def variation(quantity: str, values: Array, *, with_weight: bool = False) -> float:
     """Return the mean square of reference values (n_snapshots, ...), by which errors are divided.
 
-    The mean over time is first subtracted from elevations, centres of mass, and from
-    pressures and loads that hold the weight of fluid. Otherwise a distant origin or deep fluid would make relative errors small.
+    The mean over time is first subtracted from elevations, centres of mass, and from pressures and
+    loads that hold the weight of fluid. Otherwise a distant origin or deep fluid would make
+    relative errors small.
     """
     if quantity in ABOUT_MEAN or (with_weight and quantity in WITH_WEIGHT):
         values = values - values.mean(axis=0)
