@@ -99,7 +99,7 @@ def test_few_snapshots_are_warned_of(tmp_path: Path) -> None:
 
     assert warned(2) == []
     (line,) = warned(10)
-    assert line.startswith("snapshots.every: 10 modes from ")
+    assert line.startswith("snapshots.every: basis all has 10 modes from ")
     assert warned(10, training={"reynolds": [50, 200]}) == []
 
 
