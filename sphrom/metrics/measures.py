@@ -29,6 +29,8 @@ VECTORS = ("force", "velocity", "centre_of_mass")
 """Quantities with an axis of components, the last."""
 AXES = ("x", "y")
 """Names of components."""
+WITH_WEIGHT = ("pressure", "force", "torque")
+"""Quantities that hold the weight of fluid with a free surface."""
 ABOUT_MEAN = ("elevation", "centre_of_mass")
 """Quantities whose errors are relative to how they vary over time."""
 PLACED = ("velocity", "pressure")
@@ -190,10 +192,11 @@ def mean_square(quantity: str, values: Array) -> float:
 def variation(quantity: str, values: Array, *, with_weight: bool = False) -> float:
     """Return the mean square of reference values (n_snapshots, ...), by which errors are divided.
 
-    The mean over time is first subtracted from elevations, centres of mass, and hydrostatic
-    pressures. Otherwise a distant origin or deep fluid would make relative errors small.
+    The mean over time is first subtracted from elevations, centres of mass, and from pressures and
+    loads that hold the weight of fluid. Otherwise a distant origin or deep fluid would make
+    relative errors small.
     """
-    if quantity in ABOUT_MEAN or (with_weight and quantity == "pressure"):
+    if quantity in ABOUT_MEAN or (with_weight and quantity in WITH_WEIGHT):
         values = values - values.mean(axis=0)
     return mean_square(quantity, values)
 
