@@ -40,7 +40,7 @@ from sphrom.compare.references import compare_with_references
 from sphrom.compare.stored_comparison import ComparisonWriter
 from sphrom.errors import CaseError
 from sphrom.metrics.histories import compare
-from sphrom.metrics.samples import Samples, without_weight
+from sphrom.metrics.measures import Samples, without_weight
 from sphrom.metrics.series import exponential_rate, kinetic_energy
 from sphrom.online.surface_model import SurfaceModel, SurfaceRun
 from sphrom.scenes.flows import TaylorGreen

@@ -23,8 +23,7 @@ from sphrom.compare.comparison_tables import BEST, Tables
 from sphrom.compare.mode_figures import draw_modes, draw_spectrum, frame_of, model_sizes
 from sphrom.compare.stored_comparison import StoredComparison
 from sphrom.metrics.histories import without_mean
-from sphrom.metrics.measures import UNITS, components
-from sphrom.metrics.samples import Samples
+from sphrom.metrics.measures import UNITS, Samples, components
 from sphrom.plots.panels import Curve, Field, Panel, Role, draw_grid, save
 from sphrom.scenes.flows import TaylorGreen
 from sphrom.setup.assembly import field_measures

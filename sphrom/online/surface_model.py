@@ -20,8 +20,7 @@ from sphrom.case.scene_section import MeasureSection
 from sphrom.case.sections import ALL, ReducedModelSection
 from sphrom.errors import UnstableError
 from sphrom.machine import seconds_of
-from sphrom.metrics.measures import Quantities
-from sphrom.metrics.samples import Samples, grid_points
+from sphrom.metrics.measures import Quantities, Samples, grid_points
 from sphrom.reduction.graph_model import GraphRun
 from sphrom.setup.assembly import field_measures, run_attributes, surface_columns
 from sphrom.sph.fluid import ROUNDING

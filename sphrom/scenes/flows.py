@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from sphrom.arrays import Array
 from sphrom.sph.box_domain import BoxDomain, Rectangle
 from sphrom.sph.domain import Domain
-from sphrom.sph.resistance import Resistance
+from sphrom.sph.fluid import Resistance
 
 VectorField = Callable[[Array], Array]
 """Vectors (n_points, 2) at positions (n_points, 2) [m]."""

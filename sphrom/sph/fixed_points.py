@@ -26,7 +26,7 @@ that is not a polynomial is rho0/rho = 1 / (1 + q/c0). To first order it is 1 - 
 of three fields are neglected; to zeroth order K (1 + q/c0) b is K b too.
 
 Resistance adds -lambda u and its head, -K lambda u, to du/dt, and in porous bodies to nu V u; heads
-are computed with the density rho0. A strip (`sphrom.sph.resistance`) subtracts the mean e (e . a)
+are computed with the density rho0. A strip (`sphrom.sph.fluid`) subtracts the mean e (e . a)
 from G q, V u and w: as D = -G^T and V = V^T, by products of q with -D e and of u with V e.
 
 Ghosts take as much momentum as they give. Per unit of time and depth, with m = rho0 V, the force
@@ -50,7 +50,7 @@ import numpy as np
 
 from sphrom.arrays import Array, Mask
 from sphrom.sph.domain import Domain, Walls
-from sphrom.sph.fluid import Discretization, Fluid, UnitForcing
+from sphrom.sph.fluid import Discretization, Fluid, Resistance, UnitForcing
 from sphrom.sph.point_sums import (
     EVERYWHERE,
     GhostSums,
@@ -61,7 +61,6 @@ from sphrom.sph.point_sums import (
     scaled,
     some_rows,
 )
-from sphrom.sph.resistance import Resistance
 
 N_BLOCK_FIELDS = 8
 """Number of fields whose diffusion is computed at once."""

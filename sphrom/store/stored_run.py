@@ -21,8 +21,7 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import ArtifactError, CaseError
-from sphrom.metrics.measures import Quantities
-from sphrom.metrics.samples import Probes, Samples, grid_points, midpoints, spread
+from sphrom.metrics.measures import Probes, Quantities, Samples, grid_points, midpoints, spread
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.trial_basis import (

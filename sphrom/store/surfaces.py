@@ -16,7 +16,7 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ALL, AUTO, ReducedModelSection
 from sphrom.metrics.elevation import find_elevation
-from sphrom.metrics.samples import Samples
+from sphrom.metrics.measures import Samples
 from sphrom.reduction.polynomial_model import OutputTimes
 from sphrom.reduction.stream_functions import StreamSpace
 from sphrom.reduction.surface_basis import SurfaceBasis, TrainedGraph, chosen_size

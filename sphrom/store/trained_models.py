@@ -22,9 +22,14 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.metrics.measures import Quantities
-from sphrom.reduction.calibration import Calibration, TrainingRun, calibrate
+from sphrom.reduction.calibration import (
+    Calibration,
+    CycleClosure,
+    TrainingRun,
+    calibrate,
+    fitted_cycle,
+)
 from sphrom.reduction.held_out import best_size
-from sphrom.reduction.limit_cycles import CycleClosure, fitted_cycle
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.reduced_measures import ReducedForce
 from sphrom.reduction.reduced_operators import ReducedOperators
