@@ -500,7 +500,7 @@ def hours_of_steps(case: Case, tables: Mapping[str, Any]) -> str:
     if reduced:
         count = _counted(len(reduced), "reduced run")
         told += f", {count} on particles {format_figure(sum(reduced) / 3600.0)}"
-    return f"Hours that time steps alone took, each at the least time of one: {told}."
+    return f"Hours of time steps alone, each counted at the shortest measured time: {told}."
 
 
 def _counted(number: int, what: str) -> str:

@@ -593,7 +593,7 @@ class CustomScene(SceneSection):
         if here.has_surface and here._force is not None:
             heights = self.domain.lengths[0], min(self.level_at(values), self.domain.upper[1])
             reach = np.array(heights) - (0.0, self.domain.lower[1])
-            pulls = [np.abs(here._force(self._samples.T, t)).max(axis=1) for t in times]
+            pulls = [here._pull(here._force(self._samples.T, t)) for t in times]
             largest = float(np.max(pulls @ reach))
             return largest if math.isfinite(largest) else 0.0
         drive, push = here._force, here._pushes.get(BODY_FORCE)
@@ -607,6 +607,14 @@ class CustomScene(SceneSection):
         largest = float(np.dot(self.domain.lengths, np.abs(field).max(axis=1, initial=0.0)))
         largest *= float(np.abs([drive.amplitude(t) for t in times]).max())
         return largest if math.isfinite(largest) else 0.0  # `problems` refuses other values
+
+    def _pull(self, force: Array) -> Array:
+        """Return the largest magnitudes (2,) of a force's components (2, n_samples) [m/s2]."""
+        if math.isfinite(self.level_at()) or not self.domain.fills_box:
+            return np.asarray(np.abs(force).max(axis=1))
+        # One-way means along lines: forces to a centre press from both sides.
+        ways = np.maximum((force, -force), 0.0).reshape(2, 2, N_SAMPLES + 1, -1)
+        return np.array([ways[:, axis].mean(axis=-1 - axis).max() for axis in range(2)])
 
     def problems(self, final_time: float) -> Iterator[tuple[str, str]]:
         """Refuse a driving that isn't finite at all times, and an inflow that ramps too long."""

@@ -149,9 +149,10 @@ def resolved_yaml(case: Case, folder: Path | None = None) -> str:
 
 
 def moved(values: Any, source: Path, folder: Path | None) -> Any:
-    """Return the keys of a case in the folder `source` for a case in `folder`, None for any.
+    """Return the keys of a case with the paths of its files changed.
 
-    With a folder, outlines are left to their files, which may be larger than a case.
+    The given paths are relative to the folder `source`, the returned ones to `folder`, or absolute
+    if it is None. With a folder, outlines stay in their files, because they may be large.
     """
     if isinstance(values, list):
         return [moved(one, source, folder) for one in values]

@@ -206,8 +206,8 @@ class Region:
     def starts(self, existing: Sequence[ParameterPoint]) -> list[ParameterPoint]:
         """Return the first points of training: corners of the region, and existing points.
 
-        The corners suffice that no further point of the region changes the time steps of full runs,
-        or the speed of sound.
+        There are enough corners that no other point of the region changes the speed of sound or
+        the time steps of full runs.
         """
         number = len(self._box.ranges)
         corners = [self.point(place) for place in first_corners(number)]

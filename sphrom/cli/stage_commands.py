@@ -58,7 +58,8 @@ def map_(options: Options) -> None:
     """Map snapshots onto the reference space: map-<parameters>.h5.
 
     \b
-    Example, with full runs that are already in a folder of their own:
+    Example, with full runs in a folder of their own:
+      sphrom fom cases/taylor_green_demo.yaml --out runs/demo
       sphrom map cases/taylor_green_demo.yaml --out runs/demo
     """
 
@@ -78,8 +79,8 @@ def fit_psi(options: Options) -> None:
     """Fit splines to the modes: psi.h5.
 
     \b
-    Example, with splines of a higher order:
-      sphrom fit-psi cases/taylor_green_demo.yaml --set psi.order=5
+    Example, with splines of a higher order, overwriting earlier ones:
+      sphrom fit-psi cases/taylor_green_demo.yaml --set psi.order=5 --force
     """
 
 

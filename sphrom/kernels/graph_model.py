@@ -212,7 +212,7 @@ def run_all(
     states: Array,
     endings: Indices,
 ) -> None:
-    """Run models one by one; the states at the start are given and the later ones computed.
+    """Run models one by one. `states` contains the initial states and gets the later ones.
 
     Parameters
     ----------

@@ -280,10 +280,10 @@ EFFECTIVITY = {
 def effectivity(
     estimates: Array, run: Samples, reference: Samples, probes: Probes, start: float, late: float
 ) -> dict[str, float] | None:
-    """Return the quality of estimates (n_snapshots, 2), by EFFECTIVITY.
+    """Return figures on the quality of error estimates (n_snapshots, 2), named in EFFECTIVITY.
 
     Estimates are root mean squares of velocity [m/s] and pressure [Pa]. Instants before `start` [s]
-    are left out, and for ratios those before `late` [s]. Return None if all errors are zero.
+    are left out; ratios also leave out those before `late` [s]. Return None if all errors are zero.
     """
     fields = [
         [each.velocity[:, probes.on_grid] for each in (run, reference)],

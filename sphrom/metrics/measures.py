@@ -33,6 +33,8 @@ VECTORS = ("force", "velocity", "centre_of_mass")
 """Quantities with an axis of components, the last."""
 AXES = ("x", "y")
 """Names of components."""
+WITH_WEIGHT = ("pressure", "force", "torque")
+"""Quantities that hold the weight of fluid with a free surface."""
 ABOUT_MEAN = ("elevation", "centre_of_mass")
 """Quantities whose errors are relative to how they vary over time."""
 PLACED = ("velocity", "pressure")
@@ -157,9 +159,9 @@ def items(measured: Mapping[str, Quantities], index: int | Indices) -> dict[str,
 
 
 def of_a_run(quantities: Quantities) -> Quantities:
-    """Return the stored part of a run's measurements: series over time, and lines at the end.
+    """Return the measurements that are stored with a run: histories, and lines at its end.
 
-    A probe's series have no axis of places. Ends of lines are `final_velocity`, `final_pressure`.
+    A probe's histories have no axis of places. Lines have `final_velocity` and `final_pressure`.
     """
     if "velocity" not in quantities:
         return quantities
@@ -192,12 +194,13 @@ def mean_square(quantity: str, values: Array) -> float:
 
 
 def variation(quantity: str, values: Array, *, with_weight: bool = False) -> float:
-    """Return the mean square of values (n_snapshots, ...) that errors are relative to.
+    """Return the mean square of reference values (n_snapshots, ...), by which errors are divided.
 
-    Elevations and centres of mass count about their means over time, and so do pressures of fluid
-    whose weight they hold: where the origin is, and fluid at rest, makes no error smaller.
+    The mean over time is first subtracted from elevations, centres of mass, and from pressures and
+    loads that hold the weight of fluid. Otherwise a distant origin or deep fluid would make
+    relative errors small.
     """
-    if quantity in ABOUT_MEAN or (with_weight and quantity == "pressure"):
+    if quantity in ABOUT_MEAN or (with_weight and quantity in WITH_WEIGHT):
         values = values - values.mean(axis=0)
     return mean_square(quantity, values)
 
@@ -205,9 +208,9 @@ def variation(quantity: str, values: Array, *, with_weight: bool = False) -> flo
 def errors_of(
     quantity: str, values: Array, reference: Array, size: float
 ) -> tuple[float | None, float | None]:
-    """Return the relative L2 errors [%]: over all snapshots, and the largest of one snapshot.
+    """Return relative L2 errors [%]: over all snapshots, and at the worst snapshot.
 
-    Both are root mean squares over the root of `size`, a reference's mean square; None if it is 0.
+    Both are divided by the root of `size`, the reference's mean square; they are None if it is 0.
     """
     if not size > 0.0:
         return None, None
@@ -283,9 +286,10 @@ class Samples:
 
 
 def without_weight(run: Samples, reference: Samples, weight: Array) -> tuple[Samples, Samples]:
-    """Return two runs with a free surface as they are compared: zero where one has no fluid.
+    """Return the samples of two runs with a free surface, prepared for a comparison.
 
-    Pressures are less those of fluid at rest, `weight` (n_probes,) [Pa].
+    Values are zero where either run has no fluid. `weight` (n_probes,) [Pa], the pressure of fluid
+    at rest, is subtracted from the pressures.
     """
     common = slice(min(len(run.time), len(reference.time)))
     run, reference = run.at(common), reference.at(common)

@@ -197,9 +197,10 @@ class BasisModel:
         return self._corrected(replace(model, first_step=step, leading=leading), point)
 
     def projected(self, point: ParameterPoint, *, in_training: bool = False) -> ReferenceModel:
-        """Return the model at a point, without its correction and forces.
+        """Return the projected and calibrated model at a point, without correction and forces.
 
-        Its steps use the linear part of the nearest training point, runs `in_training` its times.
+        Exponential steps use the linear part of the model at the nearest training point. With
+        `in_training`, the model runs over the times of the training runs.
         """
         linear = self._linear_parts[self._nearest(point)]
         model = self._equations(point, in_training)

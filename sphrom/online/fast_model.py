@@ -115,9 +115,10 @@ class FastModel:
     def trained_differences(
         self, points: Sequence[ParameterPoint]
     ) -> list[tuple[Array, dict[str, Quantities]]]:
-        """Return the places of the training runs of models at points, and their differences.
+        """Return the places and the errors of training runs, for the bases of models at points.
 
-        These are measurements of full runs less the model's; empty without error estimates.
+        The errors are measurements of full runs less those of the model. The list is empty if the
+        case has no error estimates.
         """
         bases = [self.on_basis(name) for name in dict.fromkeys(map(self.basis_at, points))]
         if any(basis.trained_errors is None for basis in bases):

@@ -133,7 +133,7 @@ class SurfaceRun:
         """The largest speed of all points and snapshots [m/s]."""
         graph, space = self.reduced.graph, self.reduced.graph.basis.space
         lower, upper = (space.left, space.bottom), (space.right, space.top)
-        points = grid_points(lower, upper, (2 * space.n_rows, 2 * space.n_columns))
+        points = grid_points(lower, upper, (space.n_rows, space.n_columns))
         speed = np.linalg.norm(graph.velocity(self.coordinates, points), axis=-1)
         wet = points[:, 1] <= graph.elevation(self.coordinates, points[:, 0])
         return float(np.max(speed, initial=0.0, where=wet))

@@ -122,8 +122,9 @@ class LocalErrorCalibration:
     def steady_errors(self, residual: float, change: Array, steady_change: float) -> Array:
         """Return the estimated errors (2,) [m/s] of a steady state.
 
-        `change` (2,) is the change up to the end of the run, `steady_change` the norm of the change
-        from there to the steady state, all of whose velocity counts, as no share is known.
+        `change` (2,) is the change up to the end of the run. `steady_change` is the norm of the
+        change from there to the steady state. All of its velocity counts as an error, because the
+        share that the basis misses is unknown.
         """
         known = residual / self.decay_rate * self.constants
         later = change + np.array([0.0, steady_change])
@@ -177,14 +178,14 @@ class OutputErrors:
     """Mean square of the rest, over the `interpolation_variance` of the training runs."""
 
     def at(self, variance: Array, over_fluid: Array) -> Array:
-        """Return the errors (..., n_instants, *shape) of runs.
+        """Return the expected errors (..., n_instants, *shape) of the output in some runs.
 
-        Beyond the trained time they grow like the errors over the fluid.
+        After the trained time they grow in proportion to the errors of the whole field.
 
         Parameters
         ----------
-        variance : (...) `interpolation_variance` of the runs' places.
-        over_fluid : (..., n_instants, 2) estimated errors of the runs over the fluid.
+        variance : (...) `interpolation_variance` at the parameters of each run.
+        over_fluid : (..., n_instants, 2) estimated errors of the whole field in each run.
         """
         n_instants, n_trained = over_fluid.shape[-2], len(self.noise)
         known, longer = np.minimum(np.arange(n_instants), n_trained - 1), np.ones(n_instants)
@@ -200,14 +201,14 @@ class OutputErrors:
 def output_errors(differences: Array, places: Array, averages: Array) -> OutputErrors:
     """Return the errors of an output from those of held-out training runs.
 
-    Mean squares are over the runs, and over a tenth of the time to either side.
+    Squares are averaged over the runs, and over a tenth of the time before and after.
 
     Parameters
     ----------
-    differences : (n_runs, n_snapshots, *shape) of the predicted training runs from the full ones.
-        Runs that diverged are not finite and are left out.
+    differences : (n_runs, n_snapshots, *shape), full training runs less predicted ones. Diverged
+        runs have values that are not finite, and are left out.
     places : (n_runs, n_parameters) of the runs, as `interpolation_weights` measures distances.
-    averages : weights of averages over snapshots in which sound cancels.
+    averages : weights of a moving average over snapshots that removes sound.
     """
     finite = np.isfinite(differences).all(axis=tuple(range(1, differences.ndim)))
     known, places = differences[finite], places[finite]

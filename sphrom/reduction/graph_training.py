@@ -36,10 +36,12 @@ from sphrom.reduction.graph_model import GraphModel, GraphRun, run_many
 from sphrom.reduction.stream_functions import cosine_coordinates
 from sphrom.reduction.surface_basis import SurfaceBasis, TrainedGraph
 
-PENALTY = 1e-2
+PENALTY = 1e-3
 """lambda."""
 GRAVITY_STEPS, CLOSURE_STEPS = 3, 2
 """Gauss-Newton steps with alpha and beta alone, and with all numbers."""
+N_CLOSED = 2
+"""Numbers of elevation modes with which a closure is tried."""
 DIFFERENCE = 1e-4
 """Of the numbers, for derivatives of runs."""
 MOST_GROWTH = 1e-6
@@ -132,7 +134,7 @@ class _Projected:
     def errors(self, coordinates: Array) -> Array:
         """Return the relative errors (2,) of elevation and velocity.
 
-        Where a run ended early, the error of the rest is that of fluid at rest twice.
+        If a run ended early, the error of the missing part counts as twice its size.
         """
         matrices, sides, squares = self.products
         n_done, n_modes = len(coordinates), sides.shape[1]
@@ -164,9 +166,11 @@ def _train(
 
     n_most = min(n_modes, len(basis.surface_modes))
     fits = [fit_of(count, rise).improved(GRAVITY_STEPS, 2) for count in range(1, n_most + 1)]
-    best = min(fits, key=lambda fit: float(np.linalg.norm(fit.errors(fit.numbers))))
-    one_depth = len({run.depth for run in runs}) == 1
-    fit = best.improved(CLOSURE_STEPS, len(best.numbers)) if one_depth else best
+    fits.sort(key=_Fit.error)
+    if len({run.depth for run in runs}) == 1:
+        closed = [fit.improved(CLOSURE_STEPS, len(fit.numbers)) for fit in fits[:N_CLOSED]]
+        fits = sorted(closed, key=_Fit.error)
+    fit = fits[0]
     n_surface = len(fit.scale) - n_modes
     plain = fit_of(n_surface, 0.0)
     projections = [one.errors(one.coordinates) ** 2 for one in fit.projected]
@@ -212,6 +216,10 @@ class _Fit:
             "gravity_growth": float(numbers[1] / (self.amplitude * (1.0 + numbers[0]))),
             "closure": closure * self.scale[:, None] / self.scale,
         }
+
+    def error(self) -> float:
+        """Return the error of elevation and velocity together."""
+        return float(np.linalg.norm(self.errors(self.numbers)))
 
     def errors(self, numbers: Array) -> Array:
         """Return errors (2,) of elevation and velocity, root mean squares over training runs."""

@@ -119,9 +119,9 @@ class FieldProducts(Record):
         )
 
     def errors(self, run: int, coordinates: Array) -> Array:
-        """Return the root mean square errors (n_snapshots, 2) of a run's coordinates.
+        """Return the root mean square errors (n_snapshots, 2) of a run.
 
-        They are (n_snapshots, n_modes), at the snapshots of the products.
+        Its coordinates (n_snapshots, n_modes) are at the snapshots of the products.
         """
         factors = self._factors(coordinates)
         products = np.einsum("sfc,sc->sf", self.projections[run], factors)
@@ -159,8 +159,8 @@ class UnheldShares(Record):
 def unheld_shares(products: SnapshotProducts, places: Array, n_modes: int) -> UnheldShares:
     """Measure the shares by leaving out runs and second halves of runs.
 
-    Neither a single training run nor runs surrounded by the others determine the share of a change
-    with the parameters. It is then set to `UNTRIED` times that of the change with time.
+    The share of a change with the parameters is unknown with a single training run, or if each run
+    lies between the others. It is then `UNTRIED` times the share of the change with time.
 
     Parameters
     ----------
@@ -197,9 +197,10 @@ def unheld_shares(products: SnapshotProducts, places: Array, n_modes: int) -> Un
 def _shares(
     products: SnapshotProducts, trained: Indices, left_out: Indices, expected: Array, n_modes: int
 ) -> Array:
-    """Return the shares (n_modes, 2) of the change of the held-out snapshots `left_out`.
+    """Return the shares (n_modes, 2) of a change that a basis without that change misses.
 
-    `expected` (n_snapshots, n_left_out) are their predictions, as combinations of snapshots.
+    The change is the difference of the snapshots `left_out` from their predictions. `expected`
+    (n_snapshots, n_left_out) has the weights of all snapshots in each prediction.
     """
     changes = -expected
     changes[left_out, np.arange(len(left_out))] += 1.0
@@ -307,10 +308,11 @@ def best_size(errors: Array) -> int:
 
 
 def choose_integrated(sizes: TrainedSizes, runs: Sequence[Array]) -> tuple[Indices, Array]:
-    """Return how many of 1, 2, ... modes to integrate (n_sizes,), and the errors (n_sizes, 2).
+    """Return the best number of integrated modes of models with 1, 2, ... modes (n_sizes,).
 
-    `runs` (n_runs, n_snapshots, n_integrated) are the runs at the training points of models that
-    integrate 1, 2, ... modes. A single training run predicts no mode, so all are integrated.
+    Return also the expected errors (n_sizes, 2). `runs` (n_runs, n_snapshots, n_integrated) are
+    training runs, repeated by models that integrate 1, 2, ... modes. A single training run cannot
+    predict coordinates at other parameters, so all modes are then integrated.
     """
     chosen, errors = [], []
     for n_modes in range(1, sizes.largest + 1):

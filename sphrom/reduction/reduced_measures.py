@@ -82,7 +82,8 @@ class DriveForce(Record):
 class ReducedForce(Record):
     """The force along x and y [N/m] and the torque [N] on a wall, as functions of coordinates.
 
-    Terms are one, the separate mean density fluctuation, and the coordinates.
+    The axis `term` has the constant part, the factor of the separate mean density fluctuation, and
+    the factors of the coordinates.
     """
 
     pressure: Array = dataset("load term", _LOADS, "by the pressure", "P")

@@ -93,7 +93,7 @@ class SurfaceBasis(Record):
 def make_basis(
     space: StreamSpace, coefficients: Array, elevation: Array, noise: float, n_modes: int
 ) -> SurfaceBasis:
-    """Return the modes of training runs, and as many of the elevation as its variance asks for.
+    """Return the modes of training runs; the elevation has as many as its variance requires.
 
     Parameters
     ----------
@@ -164,11 +164,10 @@ class TrainedGraph(Record):
         force: Callable[[Array], Array],
         calibrated: bool,
     ) -> GraphModel:
-        """Return the model of this size from the basis that it was trained with."""
+        """Return the model with a basis of its size; models of one basis share their tables."""
         from sphrom.reduction.graph_model import GraphModel  # it loads kernels
 
-        own = basis.reduced(self.n_modes, self.n_surface)
-        plain = GraphModel(own, depth, gravity, viscosity, force)
+        plain = GraphModel(basis, depth, gravity, viscosity, force)
         if not calibrated:
             return plain
         return replace(

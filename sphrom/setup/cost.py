@@ -15,7 +15,6 @@ from pathlib import Path
 
 from sphrom.case.hints import few_snapshots, slow_sweep, sweep_beyond_training
 from sphrom.case.models import Case
-from sphrom.case.plan import DENSITY_CHANGE
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import sweep_model, sweep_points
 from sphrom.console import Reporter
@@ -195,9 +194,10 @@ def run(context: StageContext) -> None:
         context.report.info(described_run(case, point))
     _describe_shape(case, context.report)
     if (own := case.plan.max_speed / case.fluid.mach_number) < case.plan.sound_speed:
+        change = case.plan.largest_head / case.plan.sound_speed**2
         context.report.info(
             f"c0 is {case.plan.sound_speed:.4g} m/s, not U_max / Ma = {own:.4g}: the body force "
-            f"and friction at walls then change the density by about {DENSITY_CHANGE:.0%} at most"
+            f"and friction at walls then change the density by about {change:.0%} at most"
         )
     for warning in () if case.training.ranges else few_snapshots(case):  # train makes more runs
         context.report.warn(warning)
@@ -237,7 +237,9 @@ def _describe_shape(case: Case, report: Reporter) -> None:
         for name, width in widths.items()
         if math.isfinite(width)
     ]
-    report.info("; ".join((f"the fluid's area is {domain.area:.4g} m2", *described)))
+    filled = case.plan.n_particles * case.plan.particle_spacing**2
+    area = filled if case.scene.has_surface else domain.area
+    report.info("; ".join((f"the fluid's area is {area:.4g} m2", *described)))
 
 
 def describe_cost(case: Case, report: Reporter) -> None:

@@ -213,7 +213,7 @@ class Functional:
     ) -> tuple[WallTerms | None, Array | None]:
         """Return the wall terms, and the body force less resistance (2, n_particles) [m/s2].
 
-        Each is None if there is none.
+        The former are None without walls, the latter is None without force and resistance.
         """
         force = None if self.body_force is None else self.body_force(position, time)
         if self.resistance is not None:

@@ -214,9 +214,9 @@ class PolygonDomain(Domain):
         return self._segments[1][self._nearest(position)[2]]
 
     def arms(self, name: str, place: Array) -> Array:
-        """Return the vectors (n_points, 2) [m] to places from the centroid of a solid.
+        """Return the vectors (n_points, 2) [m] from the centroid of a solid to places.
 
-        The periodic image of a place nearest to the solid is used.
+        Of the periodic images of a place, the one nearest to the solid counts.
         """
         shape = dict(self.solids).get(name)
         if shape is None:

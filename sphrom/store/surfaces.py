@@ -117,9 +117,9 @@ class TrainedSurface:
 
 
 def elevation_of(case: Case, space: StreamSpace, columns: Array) -> Callable[[Array, Array], Array]:
-    """Return what finds the surface [m] at columns from positions and density fluctuations.
+    """Return a function of positions and density fluctuations for the surface [m] at columns.
 
-    It raises SphromError where a column has no fluid or more than one surface.
+    The function raises SphromError if a column has no fluid or more than one surface.
     """
     walls, radius = (space.left, space.right, space.bottom), 2.0 * case.plan.smoothing_length
 

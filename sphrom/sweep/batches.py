@@ -116,9 +116,10 @@ class SweptModel:
         return self._of_trajectory(point, target)
 
     def in_training(self, points: Sequence[ParameterPoint]) -> list[dict[str, Any]]:
-        """Return the differences of the models' training runs from full runs, for models at points.
+        """Return the errors of training runs, for the bases of models at points.
 
-        They are values as in records, with the scaled parameters of points; none without estimates.
+        Each has values by the names of a run's record, and the place of the training run. The list
+        is empty if the case has no error estimates.
         """
         if self._fast is None:
             return []

@@ -231,7 +231,8 @@ def _instants(along: str, n_instants: int, time: Array) -> Array:
 def _quantile_rows(result: Statistics, time: Array) -> Iterator[dict[str, Any]]:
     """Yield mean, deviation and quantiles of each output at each time, with their intervals.
 
-    `at` is the time [s], for means the final time, or the place along a line from zero to one.
+    `at` is the time [s]. It is the final time for means over time, and for lines the place on the
+    line, from zero to one.
     """
     for name, each in result.outputs.items():
         rows: list[tuple[str, Array, Array, Array | None]] = [

@@ -63,9 +63,10 @@ def candidates(
 ) -> list[ReducedModelSection]:
     """Return the reduced models in a basis, to compare or map at parameter points.
 
-    Their sizes are `also`, and those of `trade.n_modes`, by default SIZES up to that of the basis.
+    Their numbers of modes are `also` and `trade.n_modes`. By default, the latter is SIZES as far as
+    the basis has so many modes.
 
-    Raises CaseError when the basis has fewer modes than are listed, or there is no local basis.
+    Raises CaseError when `trade.n_modes` exceeds the basis, or a point has no local basis.
     """
     first = first_model(case).model_copy(update={"basis": basis})
     available = min(case.plan.basis_size(case.plan.basis_for(first, point)) for point in points)
@@ -113,7 +114,7 @@ def prepared(context: StageContext, models: Sequence[ReducedModelSection]) -> Wo
 def _own_context(context: StageContext) -> StageContext:
     """Return a context for the trade's own artifacts.
 
-    Existing ones may be overwritten, and are with --force. Stopped runs continue.
+    Artifacts that are out of date are overwritten; with --force all are. Stopped runs continue.
     """
     return replace(
         context,

@@ -170,10 +170,11 @@ def growth(reduced: ReferenceModel, states: Array) -> tuple[float, str]:
 
 
 def longest_memory(near: ReferenceModel, far: ReferenceModel) -> float | None:
-    """Return the longest memory without growth around the states of `near`, over its memory.
+    """Return the longest memory without growth, divided by the memory of the model `near`.
 
-    The closure's part of a Jacobian is proportional to the memory, and `far` has twice the memory.
-    Returns None if there is no growth in the range that is tried.
+    `far` is the same model with twice the memory, because the closure's part of a Jacobian is
+    proportional to the memory. Jacobians are those around the states of `near`. Returns None if
+    nothing grows in the range that is tried.
     """
     states = _around_which(near)
     bare, longer = (m.polynomial.jacobians(states, m.strongest) for m in (near, far))

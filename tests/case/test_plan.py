@@ -115,6 +115,22 @@ def test_the_density_changes_by_three_per_cent_at_most(load, scene, speed, expec
     assert case.plan.sound_speed == pytest.approx(expected, rel=1e-4)
 
 
+@pytest.mark.parametrize(
+    ("scene", "head"),
+    [
+        # Of the force to the centre, only half of each line adds: the integral of x from 0 to 1.8.
+        ("gravity: 0}, body_force: [-x, -y]", 2 * 1.62),
+        ("gravity: 1}", 3.6),  # what falls may fill the box to its top
+        ("gravity: 1}, body_force: ['sin(pi*t)', 0]", 7.2),
+    ],
+)
+def test_the_head_of_a_drop_is_that_of_the_force_across_its_box(load, scene, head):
+    box = "box: {lower: [-1.8, -1.8], upper: [1.8, 1.8]}"
+    drop = f"kind: custom, {box}, fluid: {{circle: {{centre: [0, 0], radius: 1}}, {scene}"
+    case = load("rom: []\n", base=f"name: drop\nscene: {{{drop}}}\n")
+    assert case.scene.largest_head(100.0) == pytest.approx(head, rel=1e-2)
+
+
 def test_cases_that_come_with_the_program_keep_their_mach_number():
     for case in map(load_case, examples().values()):
         assert case.plan.sound_speed == case.plan.max_speed / case.fluid.mach_number

@@ -190,7 +190,7 @@ def test_figures_and_a_report_show_what_is_measured(made: Path, sphrom) -> None:
     place = (made / "body.yaml", "--out", made / "runs", "--set", "compare.plots=true")
     for command in (("compare", "--force"), ("report",)):
         sphrom(*command[:1], *place, *command[1:], "--threads", 1, code=0)
-    assert "Measured over time" in (made / "runs" / "report.html").read_text()
+    assert "Measurements over time" in (made / "runs" / "report.html").read_text()
     plots = {path.name for path in (made / "runs" / "plots").iterdir()}
     for name in ("force-drag", "measure-flux", "measure-wake", "measure-profile"):
         assert f"{name}-{RATE}.png" in plots

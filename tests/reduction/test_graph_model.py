@@ -201,7 +201,7 @@ def test_training_finds_gravity_and_the_number_of_elevation_modes(basis: Surface
     given = expected.depth, expected.gravity, expected.viscosity, expected.force
     errors = []
     for calibrated in (False, True):
-        own = best.model(basis, *given, calibrated)
+        own = best.model(basis.reduced(best.n_modes, best.n_surface), *given, calibrated)
         run = own.run(expected.times, np.zeros(6))
         elevation = own.elevation(run.coordinates, COLUMNS)
         wave = np.linalg.norm(expected.elevation - SPACE.bottom - DEPTH)

@@ -63,6 +63,16 @@ def checked(case: Case, tmp_path: Path) -> str:
     return "\n".join(call.args[0] for call in reporter.info.call_args_list)
 
 
+def test_fluid_with_a_surface_has_its_own_area_and_change_of_density(tmp_path: Path) -> None:
+    tank = {"box": {"upper": [1, 1]}, "fluid": {"level": 0.5, "gravity": 1.0}}
+    fluid, steps = {"reference_speed": 0.1}, {"resolution": 32}
+    sections = {"scene": {"kind": "custom", **tank}, "fluid": fluid, "discretization": steps}
+    case = Case.model_validate({"name": "x", **sections})
+    told = checked(case, tmp_path)
+    assert "the fluid's area is 0.5 m2" in told
+    assert "change the density by about 1% at most" in told
+
+
 def test_shapes_are_measured_in_supports_and_runs_in_seconds(tmp_path: Path) -> None:
     scene = {
         "kind": "custom",
@@ -89,7 +99,7 @@ def test_few_snapshots_are_warned_of(tmp_path: Path) -> None:
 
     assert warned(2) == []
     (line,) = warned(10)
-    assert line.startswith("snapshots.every: 10 modes from ")
+    assert line.startswith("snapshots.every: basis all has 10 modes from ")
     assert warned(10, training={"reynolds": [50, 200]}) == []
 
 
