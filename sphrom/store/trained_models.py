@@ -202,9 +202,9 @@ def basis_used(
 def sized_in(workspace: Workspace, model: ReducedModelSection, name: str) -> ReducedModelSection:
     """Return a model with its number of modes in a basis, chosen by training runs if automatic."""
     if workspace.case.scene.has_surface:
-        from sphrom.store.surfaces import trained_surface  # it loads kernels
+        from sphrom.store.surfaces import TrainedSurface  # it loads kernels
 
-        return trained_surface(workspace, model).section
+        return TrainedSurface(workspace, model).section
     if model.n_modes != AUTO:
         return model
     with workspace.open(workspace.operators()) as artifact:
