@@ -73,7 +73,7 @@ def write(folder: Path, source: Path, scene: str, runs: Sequence[Any], command: 
 
 
 def _corrections(scene: str) -> Iterator[str]:
-    yield f"The case as printed departs from the text all the same: it has {KEPT_RIGHT[scene]}."
+    yield f"The case as printed departs from the text in some points: it has {KEPT_RIGHT[scene]}."
     yield "Its time steps are longer, too. The [ledger](../ledger.md) lists all corrections."
 
 

@@ -256,7 +256,7 @@ def _looked_through(file: h5py.File) -> Contents:
     with damage("the case"):
         contents.case_text = plain_text(file[CASE][()])
     if contents.digests.pop(CASE, "") != layout.text_digest(contents.case_text):
-        raise Fault("is damaged: the case in it is not what was written")
+        raise Fault("is damaged: the stored case is not what was written")
     for name in contents.datasets.keys() - contents.digests.keys() - {CASE}:
         if SCHEMAS[kind].dataset(name) is not None:
             raise Fault(f"is damaged: {name} is not what was written")

@@ -378,8 +378,8 @@ class ReducedModelSection(Section):
             raise ValueError(f"n_modes: {reason}; give a number")
         if self.settles_on_cycles and (n_modes == AUTO or self.corrected is True):
             raise ValueError(
-                "calibrated: cycle needs a number for n_modes, and no corrected: training runs at "
-                "other phases can't choose modes or correct runs"
+                "calibrated: cycle needs a number for n_modes and corrected: false, because "
+                "training runs at other phases can't choose modes or correct runs"
             )
         if integrated == AUTO:
             return

@@ -87,7 +87,7 @@ def require_basis(case: Case, model: ReducedModelSection, point: ParameterPoint)
     if model.basis == LOCAL and model.from_operators and basis not in case.plan.reference_bases:
         raise CaseError(
             f"{point.label} has the local basis {basis}, which has no operators, because "
-            f"{model.name} is run at none of its values"
+            f"no run of {model.name} uses this basis"
         )
 
 

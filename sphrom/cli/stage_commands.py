@@ -116,8 +116,8 @@ def compare(options: Options) -> None:
     """Compare reduced runs with full runs: tables, figures, compare.h5.
 
     \b
-    Example, without the start-up of the flow:
-      sphrom compare cases/taylor_green_demo.yaml --set compare.from_time=0.1
+    Example, on a finer grid, overwriting an earlier comparison:
+      sphrom compare cases/taylor_green_demo.yaml --set compare.grid=90 --force
     """
 
 

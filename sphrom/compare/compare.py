@@ -262,7 +262,7 @@ class _PointComparison:
         if status == "complete" and len(history.time) == 0:
             raise CaseError(
                 "compare.line_points, compare.grid, compare.from_time: the "
-                f"{against} solution varies over the probes in no snapshot"
+                f"{against} solution is constant over the probes at all snapshots"
             )
         row = error_row(
             history, status, n_modes, against=against, **self._described(compared, basis)

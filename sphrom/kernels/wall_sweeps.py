@@ -91,7 +91,8 @@ def wall_regularity(
 
     Parameters
     ----------
-    particle, targets, target : particles of the fluid's sources, those near walls, and the sources.
+    particle : (n_sources,) the particle of each source of the fluid.
+    targets, target : the sources that are particles near walls, and all sources of the fluid.
     distance : (n_targets,) from the wall [m], not zero.
     source : the ghosts' sources.
     walls_return : 1 if walls return the flux into them, 0 if ghosts' velocities are used.

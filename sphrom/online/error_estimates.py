@@ -139,7 +139,7 @@ def estimate(run: FastRun) -> ErrorEstimate | None:
 def measured_shares(run: FastRun, errors: Mapping[str, Quantities]) -> dict[str, float]:
     """Return errors (n_snapshots, ...) of forces, flow rates and velocities, by measurement [%].
 
-    They are root mean squares over those of the run.
+    Each is the root mean square of the error over that of the run's own measurement.
     """
     shares, measured = {}, run.measured
     for name, each in errors.items():

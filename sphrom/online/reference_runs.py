@@ -91,7 +91,7 @@ def seek_steady_state(run: FastRun, artifact: ArtifactWriter) -> None:
         if figures := _figures(each):
             report.info(f"{run.name}: {name} in the steady state: {figures}")
     if distance > FAR:
-        report.warn(f"{text}: no such flow was trained, and the basis may not hold it")
+        report.warn(f"{text}: the basis may not represent a flow so far from training")
     else:
         report.info(text)
 

@@ -54,7 +54,7 @@ def relative_step(state: Array, direction: Array) -> float:
 class Projector:
     """The weighted pseudo-inverse of a basis at particles.
 
-    With `separate_mean`, a constant first field is the last vector of the basis.
+    With `separate_mean`, the last vector of the basis is a constant first field without velocity.
     """
 
     def __init__(self, basis: Array, weights: Array, *, separate_mean: bool = False) -> None:

@@ -210,7 +210,7 @@ def cause_of_divergence(run: FastRun, integrator: Integrator) -> str:
 
 
 def judge(runs: Sequence[ExtremeRun], default: tuple[str, int], own: Mapping[str, float]) -> None:
-    """Set the state of each run, and the mechanism of its errors.
+    """Set the state of each run (right, wrong or unstable), and the mechanism of its errors.
 
     Parameters
     ----------

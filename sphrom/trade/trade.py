@@ -212,8 +212,8 @@ class _Trade:
         history = compare(*both, self.probes, self.case.compare.from_time)
         if not len(history.time):
             raise CaseError(
-                "compare.line_points, compare.grid, compare.from_time: the full run varies over "
-                "the probes in no snapshot"
+                "compare.line_points, compare.grid, compare.from_time: the full run is constant "
+                "over the probes at all snapshots"
             )
         return {**errors_of(history), **self._measured_errors(point, samples)}
 

@@ -385,8 +385,8 @@ class _Training:
         bases = {case.plan.basis_for(self.model, point) for point in self.candidates}
         if not all(case.plan.has_error_estimate(name) for name in bases):
             raise CaseError(
-                "operators.error_estimate: auto has no error estimates for so many modes, and "
-                "training needs them; set it to true"
+                "operators.error_estimate: auto makes no error estimates for so many modes, "
+                "and training needs them; set it to true"
             )
 
     def _context_of(self, points: Sequence[ParameterPoint]) -> StageContext:
