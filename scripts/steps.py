@@ -24,7 +24,7 @@ from sphrom.console import Reporter
 from sphrom.errors import CaseError, SphromError
 from sphrom.kernels import ask_for_threads
 from sphrom.metrics.histories import compare, errors_of, relative_l2
-from sphrom.metrics.samples import Samples
+from sphrom.metrics.measures import Samples
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext

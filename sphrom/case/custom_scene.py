@@ -40,8 +40,7 @@ from sphrom.case.shapes import ShapeSection
 from sphrom.scenes.flows import BodyForce, CustomFlow, Scales, Scene
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import SIDES, Domain
-from sphrom.sph.fluid import NONE
-from sphrom.sph.resistance import Resistance, Strip
+from sphrom.sph.fluid import NONE, Resistance, Strip
 from sphrom.text import shortened
 
 N_SAMPLES = 200

@@ -31,7 +31,7 @@ from sphrom.case.shapes import CircleSection, RectangleSection, ShapeSection
 from sphrom.errors import CaseError
 from sphrom.scenes.flows import BodyForce
 from sphrom.sph.domain import Domain
-from sphrom.sph.resistance import Rates, Strip
+from sphrom.sph.fluid import Rates, Strip
 from sphrom.text import shortened, visible
 from sphrom.whole_files import read_whole
 

@@ -25,9 +25,8 @@ from sphrom.reduction.stream_functions import StreamSpace
 from sphrom.scenes.flows import Scales, Scene
 from sphrom.sph import fluid
 from sphrom.sph.box_domain import BoxDomain
-from sphrom.sph.fluid import Discretization, Fluid, StepLimits
+from sphrom.sph.fluid import Discretization, Fluid, StepLimits, Strip
 from sphrom.sph.polygons import jutting_corners
-from sphrom.sph.resistance import Strip
 from sphrom.sph.time_loop import TimeSteps
 
 if TYPE_CHECKING:

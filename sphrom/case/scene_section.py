@@ -14,8 +14,7 @@ from pydantic import ConfigDict, Field, model_validator
 from sphrom.arrays import Array
 from sphrom.case.fields import Coordinate, Duration, Place, SafeName, Section, Whole, key, only_one
 from sphrom.metrics.measures import Column, Oscillating, Oscillations
-from sphrom.scenes.flows import Channel, Scales, Scene
-from sphrom.scenes.reference_profiles import ReferenceProfile
+from sphrom.scenes.flows import Channel, ReferenceProfile, Scales, Scene
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import NONE
 

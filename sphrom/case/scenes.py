@@ -15,7 +15,7 @@ from sphrom.case.custom_scene import CustomScene
 from sphrom.case.fields import Duration, Number, Positive, Section, key
 from sphrom.case.scene_section import MEASURE, OF_WALLS, Defaults, Measures, SceneSection
 from sphrom.scenes import flows
-from sphrom.scenes.reference_profiles import OPEN_CAVITY_SPEED, ReferenceProfile, profiles_for
+from sphrom.scenes.flows import OPEN_CAVITY_SPEED, ReferenceProfile, profiles_for
 from sphrom.sph.fluid import NONE
 from sphrom.text import exact
 

@@ -8,8 +8,16 @@ from typing import Annotated
 
 import typer
 
-from sphrom.cli import completion
-from sphrom.cli.options import Command, Options, argument, command, option, run_stage, stage_command
+from sphrom.cli.options import (
+    Command,
+    Options,
+    argument,
+    command,
+    complete_kinds,
+    option,
+    run_stage,
+    stage_command,
+)
 from sphrom.console import tell
 from sphrom.errors import CaseError
 from sphrom.whole_files import open_to_write
@@ -85,7 +93,7 @@ def show(options: Options) -> None:
 
 @cases.command(cls=Command)
 def new(
-    kind: Annotated[str | None, argument("KIND", KINDS, autocompletion=completion.kinds)] = None,
+    kind: Annotated[str | None, argument("KIND", KINDS, autocompletion=complete_kinds)] = None,
     output: Output = None,
     full: Annotated[
         bool, typer.Option("--full", help="Write every key, with its default and its meaning.")

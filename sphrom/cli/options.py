@@ -16,11 +16,43 @@ import typer
 from typer.core import TyperCommand
 
 from sphrom import stages
-from sphrom.cli import completion
 from sphrom.console import LOG, LogFile, Reporter
 
 WITHOUT_LOG = ("check", "draw")
 """Stages that write no log beside the artifacts."""
+
+
+# Shell completion is silent about errors: a message would disturb the line that the user types.
+def complete_kinds(incomplete: str) -> list[str]:
+    """Return the kinds of scene that begin with a text."""
+    from sphrom.case.scenes import DEFAULTS
+
+    return [kind for kind in DEFAULTS if kind.startswith(incomplete)]
+
+
+def complete_keys(incomplete: str) -> list[str]:
+    """Return the keys of a case with fixed names that begin with a text."""
+    from sphrom.case.schema import is_section, key_paths, node_at
+
+    paths = (path for path in key_paths() if not is_section(node_at(path) or {}))
+    names = (".".join(map(str, path)) + "=" for path in paths)
+    return [name for name in names if name.startswith(incomplete)]
+
+
+def complete_values(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Return the parameter values and models of the case on the command line, for --only."""
+    from sphrom.case.loader import load_case
+    from sphrom.errors import SphromError
+
+    # typer has not parsed the arguments yet if the line ends within an option.
+    named = ctx.params.get("case") or next(iter(ctx.args), None)
+    try:
+        case = load_case(named or "")
+    except SphromError:
+        return []
+    labels = [point.label.replace(", ", ",") for point in case.plan.points]
+    labels += [model.name for model in case.rom]
+    return [label for label in labels if label.startswith(incomplete)]
 
 
 def option(metavar: str, text: str, *names: str, **more: Any) -> Any:
@@ -55,7 +87,7 @@ class Options:
             "KEY=VALUE",
             "Change a key of the case, such as time.step=1e-3.",
             "--set",
-            autocompletion=completion.keys,
+            autocompletion=complete_keys,
         ),
     ] = None
     force: Annotated[
@@ -71,7 +103,7 @@ class Options:
         option(
             "NAME=VALUE[,...]",
             "Only these parameter values; for rom and export also a MODEL. May be repeated.",
-            autocompletion=completion.values,
+            autocompletion=complete_values,
         ),
     ] = None
     resume: Annotated[

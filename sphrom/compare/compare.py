@@ -13,7 +13,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ALL, ReducedModelSection
 from sphrom.case.study_sections import FULL
 from sphrom.compare.answer import tell_answer
-from sphrom.compare.comparison_figures import draw_comparison, exact_samples
+from sphrom.compare.comparison_figures import draw_comparison, exact_samples, spectrum_rows
 from sphrom.compare.comparison_tables import (
     ALONE,
     DecayRow,
@@ -35,12 +35,11 @@ from sphrom.compare.measured import (
     measured_of_map,
     oscillation_rows,
 )
-from sphrom.compare.mode_figures import spectrum_rows
 from sphrom.compare.references import compare_with_references
 from sphrom.compare.stored_comparison import ComparisonWriter
 from sphrom.errors import CaseError
 from sphrom.metrics.histories import compare
-from sphrom.metrics.samples import Samples, without_weight
+from sphrom.metrics.measures import Samples, without_weight
 from sphrom.metrics.series import exponential_rate, kinetic_energy
 from sphrom.online.surface_model import SurfaceModel, SurfaceRun
 from sphrom.scenes.flows import TaylorGreen

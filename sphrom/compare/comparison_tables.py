@@ -23,7 +23,7 @@ from sphrom.metrics.histories import (
     errors_of,
     norms_of,
 )
-from sphrom.metrics.samples import Probes, Samples
+from sphrom.metrics.measures import Probes, Samples
 from sphrom.plots.tables import (
     MISSING,
     columns,

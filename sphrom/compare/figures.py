@@ -25,8 +25,14 @@ from sphrom.case.study_sections import (
     ModeFigure,
     SpectrumFigure,
 )
-from sphrom.compare.comparison_figures import LABELS, draw_lines, lettered
-from sphrom.compare.mode_figures import draw_spectrum, frame_of, mode_fields
+from sphrom.compare.comparison_figures import (
+    LABELS,
+    draw_lines,
+    draw_spectrum,
+    frame_of,
+    lettered,
+    mode_fields,
+)
 from sphrom.compare.stored_comparison import StoredComparison
 from sphrom.plots.panels import COLOURS, Curve, Field, Panel, draw_grid, save
 from sphrom.setup.context import StageContext

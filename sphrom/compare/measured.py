@@ -20,8 +20,15 @@ from sphrom.artifacts.records.runs import MeasuredOnce
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.metrics.measures import UNITS, Quantities, components, errors_of, variation
-from sphrom.metrics.samples import Probes, Samples
+from sphrom.metrics.measures import (
+    UNITS,
+    Probes,
+    Quantities,
+    Samples,
+    components,
+    errors_of,
+    variation,
+)
 from sphrom.metrics.series import dominant_frequency, kinetic_energy
 from sphrom.online.basis_model import quantities_of
 from sphrom.online.fast_model import FastModel

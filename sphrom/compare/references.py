@@ -16,8 +16,8 @@ from sphrom.artifacts import Artifact
 from sphrom.artifacts.records.comparison import ReferenceProfile as Profile
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.metrics.samples import Probes
-from sphrom.scenes.reference_profiles import ReferenceProfile
+from sphrom.metrics.measures import Probes
+from sphrom.scenes.flows import ReferenceProfile
 from sphrom.sph.fluid import ROUNDING
 from sphrom.store.stored_run import ON_WALL, sample_run
 

@@ -17,7 +17,7 @@ from sphrom.case.study_sections import FULL
 from sphrom.compare.comparison_tables import ErrorRow
 from sphrom.compare.references import ReferenceRow
 from sphrom.metrics.histories import History, instantaneous_range, relative_discrepancy
-from sphrom.metrics.samples import Probes, Samples
+from sphrom.metrics.measures import Probes, Samples
 from sphrom.plots.tables import flat
 from sphrom.store.workspace import Workspace
 from sphrom.text import exact

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.arrays import Array
-from sphrom.metrics.samples import Probes, Samples
+from sphrom.metrics.measures import Probes, Samples
 from sphrom.metrics.series import hat, moving_average
 
 QUANTITIES = ("velocity", "pressure")

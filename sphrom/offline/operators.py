@@ -41,8 +41,12 @@ from sphrom.reduction.operator_projection import (
 )
 from sphrom.reduction.polynomial_model import step_limit
 from sphrom.reduction.reduced_measures import project_measures
-from sphrom.reduction.reduced_operators import MemoryOperators, ResidualFactor
-from sphrom.reduction.reduced_rates import largest_growth, spectral_radius
+from sphrom.reduction.reduced_operators import (
+    MemoryOperators,
+    ResidualFactor,
+    largest_growth,
+    spectral_radius,
+)
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.stokes_fields import stokes_fields
 from sphrom.reduction.trial_basis import project, truncate

@@ -21,17 +21,15 @@ from sphrom.case.plan import MAX_STEPS
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.errors import CaseError
-from sphrom.metrics.measures import Quantities
-from sphrom.metrics.samples import Samples
+from sphrom.metrics.measures import Quantities, Samples
 from sphrom.metrics.series import smoothed
 from sphrom.online.error_estimates import TrainedErrors
 from sphrom.reduction import reference_model
-from sphrom.reduction.calibration import Calibration
+from sphrom.reduction.calibration import Calibration, CycleClosure, Harmonics, harmonics_of
 from sphrom.reduction.correction import Correction, learn_correction
 from sphrom.reduction.error_calibration import OutputErrors, output_errors
 from sphrom.reduction.exponential_steps import LinearPart
 from sphrom.reduction.held_out import FieldProducts
-from sphrom.reduction.limit_cycles import CycleClosure, Harmonics, harmonics_of
 from sphrom.reduction.polynomial_model import Run
 from sphrom.reduction.reduced_measures import PointForce, ReducedMeasure, TimedLoads
 from sphrom.reduction.reduced_operators import MemoryOperators

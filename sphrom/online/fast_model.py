@@ -20,8 +20,7 @@ from sphrom.case.hints import beyond_training, extrapolation
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
-from sphrom.metrics.measures import Quantities, items
-from sphrom.metrics.samples import Samples
+from sphrom.metrics.measures import Quantities, Samples, items
 from sphrom.online.basis_model import BasisModel, quantities_of
 from sphrom.online.error_estimates import ErrorEstimate, estimate
 from sphrom.plots.tables import format_figure

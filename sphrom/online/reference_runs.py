@@ -28,7 +28,7 @@ from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.online.stable_ranges import against
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.polynomial_model import EXPONENTIAL, steady_state
-from sphrom.reduction.reduced_rates import largest_growth
+from sphrom.reduction.reduced_operators import largest_growth
 from sphrom.reduction.reference_model import Integrator, ReferenceModel
 from sphrom.reduction.trial_basis import reconstruct
 from sphrom.setup import assembly

@@ -20,12 +20,11 @@ from sphrom.case.scene_section import MeasureSection
 from sphrom.case.sections import ALL, ReducedModelSection
 from sphrom.errors import UnstableError
 from sphrom.machine import seconds_of
-from sphrom.metrics.measures import Quantities
-from sphrom.metrics.samples import Samples, grid_points
+from sphrom.metrics.measures import Quantities, Samples, grid_points
 from sphrom.reduction.graph_model import GraphRun
 from sphrom.setup.assembly import field_measures, run_attributes, surface_columns
 from sphrom.sph.fluid import ROUNDING
-from sphrom.store.surfaces import SurfaceModelAt, trained_surface
+from sphrom.store.surfaces import SurfaceModelAt, TrainedSurface
 from sphrom.store.trajectory import field_datasets, force_datasets, write_positions
 from sphrom.store.workspace import Workspace
 
@@ -33,20 +32,12 @@ N_TIMED = 5
 """Repetitions of a run, to time it."""
 
 
-class SurfaceModel:
+class SurfaceModel(TrainedSurface):
     """One model of a flow with a free surface: built and run at any parameters."""
-
-    def __init__(self, workspace: Workspace, section: ReducedModelSection) -> None:
-        self.workspace, self._trained = workspace, trained_surface(workspace, section)
-        self.section = self._trained.section
 
     def basis_at(self, point: ParameterPoint) -> str:
         """Return the name of the model's basis."""
         return ALL
-
-    def at(self, point: ParameterPoint) -> SurfaceModelAt:
-        """Return the model at a parameter point."""
-        return self._trained.at(point)
 
     def run(self, point: ParameterPoint, reduced: SurfaceModelAt | None = None) -> SurfaceRun:
         """Run the model at a parameter point; `reduced` may have other output times."""
@@ -68,7 +59,7 @@ class SurfaceModel:
         with self.workspace.open(self.workspace.mapped(point)) as mapped:
             fields = mapped.read("stream_function"), mapped.read("elevation")
             time = mapped.read("time")
-        states = self._trained.basis.project(*fields)
+        states = self.basis.project(*fields)
         return SurfaceRun(self, point, self.at(point), GraphRun(time, states))
 
     def trained_differences(

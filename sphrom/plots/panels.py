@@ -19,7 +19,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
 from sphrom.arrays import Array
-from sphrom.metrics.samples import grid_points
+from sphrom.metrics.measures import grid_points
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -28,7 +28,7 @@ from sphrom.reduction.polynomial_model import (
     OutputTimes,
     PolynomialModel,
 )
-from sphrom.reduction.reduced_rates import Polynomial
+from sphrom.reduction.reduced_operators import Polynomial
 
 N_INTEGRALS = 3
 """Number of phi functions for a parabola."""

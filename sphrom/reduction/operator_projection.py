@@ -52,16 +52,17 @@ from sphrom.reduction.reduced_operators import (
     DriveRates,
     DriveResidual,
     MemoryOperators,
+    Polynomial,
     ReducedOperators,
     ResidualFactor,
     monomials,
+    pack,
 )
-from sphrom.reduction.reduced_rates import Polynomial, pack
 from sphrom.reduction.stokes_fields import StokesFields
 from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.sph.fixed_points import EVERYWHERE, FixedPoints, Terms
 from sphrom.sph.fluid import NONE
-from sphrom.sph.wall_forces import TORQUE, MeasuredWall
+from sphrom.sph.functional import TORQUE, MeasuredWall
 
 Advance = Callable[[int], None]
 """Called with the number of points that were completed."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from sphrom.arrays import Array, Indices
 from sphrom.kernels import polynomial as kernels
-from sphrom.reduction.reduced_rates import Polynomial, stability_limits
+from sphrom.reduction.reduced_operators import Polynomial, stability_limits
 
 Amplitude = Callable[[Array], Array]
 """The amplitude at times (n_times,) [s]."""

@@ -35,8 +35,14 @@ from sphrom.arrays import Array, Indices
 from sphrom.declaration import Record, dataset, part
 from sphrom.metrics.measures import Quantities
 from sphrom.reduction.mode_splines import ModeSplines
-from sphrom.reduction.reduced_operators import FORCE, VALUE, VISCOSITY, WALLS, with_drives
-from sphrom.reduction.reduced_rates import Polynomial
+from sphrom.reduction.reduced_operators import (
+    FORCE,
+    VALUE,
+    VISCOSITY,
+    WALLS,
+    Polynomial,
+    with_drives,
+)
 from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.sph.fluid import NONE, Factors
 

@@ -26,7 +26,7 @@ from sphrom.reduction import polynomial_model
 from sphrom.reduction.correction import faded
 from sphrom.reduction.exponential_steps import ExponentialModel, LinearPart
 from sphrom.reduction.reduced_measures import PointForce, ReducedMeasure
-from sphrom.reduction.reduced_rates import Polynomial
+from sphrom.reduction.reduced_operators import Polynomial
 from sphrom.reduction.trial_basis import JOINT, TrialBasis
 
 

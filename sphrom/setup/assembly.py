@@ -16,12 +16,11 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.scene_section import MeasureSection
 from sphrom.case.sections import ReducedModelSection
-from sphrom.metrics.measures import FieldMeasure
-from sphrom.metrics.samples import midpoints
+from sphrom.metrics.measures import FieldMeasure, midpoints
 from sphrom.metrics.series import hat
 from sphrom.reduction.correction import interpolation_weights
 from sphrom.reduction.polynomial_model import Amplitude, OutputTimes
-from sphrom.reduction.reduced_rates import memory_length
+from sphrom.reduction.reduced_operators import memory_length
 from sphrom.reduction.trial_basis import InnerProduct
 from sphrom.sph.time_loop import TimeSteps
 

@@ -26,8 +26,7 @@ from sphrom.setup.assembly import field_measures
 from sphrom.sph.domain import Walls
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.sph.fluid import UnitForcing, pressure_of, volume_of
-from sphrom.sph.functional import Functional
-from sphrom.sph.wall_forces import MeasuredWall, WallForces, measured_wall
+from sphrom.sph.functional import Functional, MeasuredWall, WallForces, measured_wall
 
 SAMPLING_RATIO = 2.0
 """Smoothing length of the moving least squares that sample particles, over the spacing."""

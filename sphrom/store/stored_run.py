@@ -21,8 +21,7 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import ArtifactError, CaseError
-from sphrom.metrics.measures import Quantities
-from sphrom.metrics.samples import Probes, Samples, grid_points, midpoints, spread
+from sphrom.metrics.measures import Probes, Quantities, Samples, grid_points, midpoints, spread
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.trial_basis import (
@@ -35,7 +34,7 @@ from sphrom.reduction.trial_basis import (
 from sphrom.setup.assembly import surface_columns
 from sphrom.setup.particles import sampler
 from sphrom.sph.fluid import fluctuation_of, pressure_of
-from sphrom.store.surfaces import SurfaceModelAt, trained_surface
+from sphrom.store.surfaces import SurfaceModelAt, TrainedSurface
 from sphrom.store.trained_models import basis_used, read_basis, read_modes, read_points
 from sphrom.store.trajectory import read_quantities, snapshot_fields
 from sphrom.store.workspace import Workspace
@@ -96,7 +95,7 @@ class StoredRun:
     @cached_property
     def _graph(self) -> SurfaceModelAt:
         assert self._rebuilt is not None
-        return trained_surface(self._workspace, self._rebuilt).at(self._point)
+        return TrainedSurface(self._workspace, self._rebuilt).at(self._point)
 
     @property
     def elevation(self) -> Array:

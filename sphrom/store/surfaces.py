@@ -16,10 +16,10 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ALL, AUTO, ReducedModelSection
 from sphrom.metrics.elevation import find_elevation
-from sphrom.metrics.samples import Samples
+from sphrom.metrics.measures import Samples
 from sphrom.reduction.polynomial_model import OutputTimes
 from sphrom.reduction.stream_functions import StreamSpace
-from sphrom.reduction.surface_basis import SurfaceBasis, TrainedGraph, chosen_size
+from sphrom.reduction.surface_basis import SurfaceBasis, chosen_size
 from sphrom.setup.assembly import surface_columns, uniform_force
 from sphrom.sph.fluid import volume_of
 from sphrom.store.trained_models import start
@@ -33,19 +33,6 @@ def read_surface_basis(workspace: Workspace) -> SurfaceBasis:
     """Read the basis of a case with a free surface."""
     with workspace.open(workspace.basis()) as artifact:
         return read_record(artifact, SurfaceBasis, f"bases/{ALL}")
-
-
-def trained_surface(workspace: Workspace, section: ReducedModelSection) -> TrainedSurface:
-    """Read a trained model; its section then has the number of modes, those of noise left out."""
-    with workspace.open(workspace.operators()) as artifact:
-        trained = read_record(artifact, SurfaceModels).sizes
-    if section.n_modes == AUTO:
-        size = chosen_size({int(size): each for size, each in trained.items()})
-        section = section.model_copy(update={"n_modes": size})
-    found = trained[str(section.size)]
-    section = section.model_copy(update={"n_modes": found.n_modes})
-    basis = read_surface_basis(workspace).reduced(found.n_modes, found.n_surface)
-    return TrainedSurface(workspace, section, found, basis, {})
 
 
 @dataclass(frozen=True)
@@ -70,22 +57,28 @@ class SurfaceModelAt:
         return dried(samples, points, self.graph.elevation(coordinates, points[:, 0]))
 
 
-@dataclass(frozen=True)
 class TrainedSurface:
-    """A trained model, which can be evaluated at any parameter point."""
+    """A trained model, which can be evaluated at any parameter point.
 
-    workspace: Workspace
-    section: ReducedModelSection
-    """It has the number of modes."""
-    trained: TrainedGraph
-    basis: SurfaceBasis
-    starts: dict[object, Array]
-    """The starts of runs that are known."""
+    Its section has the number of modes, those of noise left out.
+    """
+
+    def __init__(self, workspace: Workspace, section: ReducedModelSection) -> None:
+        with workspace.open(workspace.operators()) as artifact:
+            trained = read_record(artifact, SurfaceModels).sizes
+        if section.n_modes == AUTO:
+            size = chosen_size({int(size): each for size, each in trained.items()})
+            section = section.model_copy(update={"n_modes": size})
+        self._trained = found = trained[str(section.size)]
+        self.workspace = workspace
+        self.section = section.model_copy(update={"n_modes": found.n_modes})
+        self.basis = read_surface_basis(workspace).reduced(found.n_modes, found.n_surface)
+        self._starts: dict[object, Array] = {}
 
     def at(self, point: ParameterPoint) -> SurfaceModelAt:
         """Return the model at a parameter point."""
         case = self.workspace.case
-        graph = self.trained.model(
+        graph = self._trained.model(
             self.basis,
             case.plan.depth(point),
             case.scene.gravity,
@@ -103,7 +96,7 @@ class TrainedSurface:
         begin = case.plan.start_point(point)
         own = ((n, v) for n, v in begin.factors.items() if case.scene.starts_by(n))
         key = begin if spun_up else tuple(own)
-        if key not in self.starts:
+        if key not in self._starts:
             state, columns = start(self.workspace, begin), surface_columns(case)
             level = case.scene.level_at(begin.factors)
             elevation = np.full_like(columns, level)
@@ -112,8 +105,8 @@ class TrainedSurface:
                     state.position, state.density_fluctuation
                 )
             coefficients, _ = self.basis.space.fit(state.position, state.velocity)
-            self.starts[key] = self.basis.project(coefficients[None], elevation[None])[0]
-        return self.starts[key]
+            self._starts[key] = self.basis.project(coefficients[None], elevation[None])[0]
+        return self._starts[key]
 
 
 def elevation_of(case: Case, space: StreamSpace, columns: Array) -> Callable[[Array, Array], Array]:

@@ -22,9 +22,14 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.metrics.measures import Quantities
-from sphrom.reduction.calibration import Calibration, TrainingRun, calibrate
+from sphrom.reduction.calibration import (
+    Calibration,
+    CycleClosure,
+    TrainingRun,
+    calibrate,
+    fitted_cycle,
+)
 from sphrom.reduction.held_out import best_size
-from sphrom.reduction.limit_cycles import CycleClosure, fitted_cycle
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.reduced_measures import ReducedForce
 from sphrom.reduction.reduced_operators import ReducedOperators
@@ -197,9 +202,9 @@ def basis_used(
 def sized_in(workspace: Workspace, model: ReducedModelSection, name: str) -> ReducedModelSection:
     """Return a model with its number of modes in a basis, chosen by training runs if automatic."""
     if workspace.case.scene.has_surface:
-        from sphrom.store.surfaces import trained_surface  # it loads kernels
+        from sphrom.store.surfaces import TrainedSurface  # it loads kernels
 
-        return trained_surface(workspace, model).section
+        return TrainedSurface(workspace, model).section
     if model.n_modes != AUTO:
         return model
     with workspace.open(workspace.operators()) as artifact:

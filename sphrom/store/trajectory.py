@@ -13,7 +13,7 @@ from sphrom.case.models import Case
 from sphrom.errors import ArtifactError, UnstableError
 from sphrom.metrics.measures import UNITS, FieldMeasure, Quantities
 from sphrom.sph.fluid import pressure_of
-from sphrom.sph.wall_forces import TORQUE, WallForces
+from sphrom.sph.functional import TORQUE, WallForces
 
 if TYPE_CHECKING:  # it imports kernels, which take long and which reduced runs do not need
     from sphrom.setup.particles import MeasuredParticles

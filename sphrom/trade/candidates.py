@@ -21,7 +21,7 @@ from sphrom.case.sections import ALL, LOCAL, ReducedModelSection
 from sphrom.case.studies import at_resolution
 from sphrom.case.study_sections import TradeSection
 from sphrom.errors import CaseError, UnstableError
-from sphrom.metrics.samples import Probes, Samples
+from sphrom.metrics.measures import Probes, Samples
 from sphrom.offline import fom, operators
 from sphrom.setup.context import StageContext
 from sphrom.sph.time_loop import TimeSteps

@@ -27,7 +27,7 @@ from sphrom.case.sections import ALL, ReducedModelSection
 from sphrom.case.studies import trained_at
 from sphrom.errors import CaseError, ResourceError, UnstableError
 from sphrom.metrics.histories import relative_l2, without_mean
-from sphrom.metrics.samples import Samples
+from sphrom.metrics.measures import Samples
 from sphrom.offline import fit_psi, fom, operators, pod
 from sphrom.offline import map as mapping
 from sphrom.online.basis_model import BasisModel
@@ -36,7 +36,7 @@ from sphrom.online.particle_runs import build_model, close, doubts_of_step
 from sphrom.online.stable_ranges import MEMORY, STEP, TIME
 from sphrom.reduction.particle_model import reduced_jacobian
 from sphrom.reduction.polynomial_model import EXPONENTIAL, RUNGE_KUTTA, steps_within
-from sphrom.reduction.reduced_rates import stability_limits
+from sphrom.reduction.reduced_operators import stability_limits
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps, choose, runge_kutta
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext

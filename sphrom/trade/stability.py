@@ -20,7 +20,7 @@ from sphrom.online.stable_ranges import FILE, MEMORY, MOST_ERROR, STEP, TIME, UN
 from sphrom.plots.panels import new_figure, save, styled
 from sphrom.plots.tables import format_figure, write_csv, write_json
 from sphrom.reduction.polynomial_model import EXPONENTIAL, RUNGE_KUTTA
-from sphrom.reduction.reduced_rates import stability_limits
+from sphrom.reduction.reduced_operators import stability_limits
 from sphrom.reduction.reference_model import Integrator, ReferenceModel
 from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.setup.assembly import MOST_GROWTH

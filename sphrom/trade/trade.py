@@ -19,9 +19,8 @@ from sphrom.case.study_sections import FULL
 from sphrom.compare import costs
 from sphrom.errors import CaseError
 from sphrom.metrics.histories import EXACT, Errors, compare, errors_of
+from sphrom.metrics.measures import Samples, variation, without_weight
 from sphrom.metrics.measures import errors_of as relative_errors
-from sphrom.metrics.measures import variation
-from sphrom.metrics.samples import Samples, without_weight
 from sphrom.online.error_estimates import measured_errors, measured_shares
 from sphrom.online.fast_model import FastModel, fast_model
 from sphrom.online.stable_ranges import TIME, StableRange, stable_ranges

@@ -21,8 +21,7 @@ from sphrom.case.studies import percent
 from sphrom.compare.costs import break_even
 from sphrom.errors import CaseError
 from sphrom.metrics.histories import ERRORS, NO_ERRORS, QUANTITIES, Errors, mean_errors
-from sphrom.metrics.measures import UNITS
-from sphrom.metrics.samples import Samples
+from sphrom.metrics.measures import UNITS, Samples
 from sphrom.plots.tables import columns, format_figure
 from sphrom.reduction.correction import spline_weights
 from sphrom.setup.assembly import scaled_parameters

@@ -7,7 +7,7 @@ from collections import Counter
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-LINES, MODULES, CODE_LINES = 41_500, 205, 24_900
+LINES, MODULES, CODE_LINES = 40_700, 190, 24_800
 """Ceilings of the package."""
 TEST_LINES = 25_850
 LARGEST_SHARE = 0.16

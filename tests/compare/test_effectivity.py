@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sphrom.compare.comparison_tables import estimate_row
-from sphrom.metrics.samples import Samples
+from sphrom.metrics.measures import Samples
 from sphrom.store.stored_run import probes_of
 
 TIMES = np.linspace(0.0, 2.0, 21)

@@ -9,7 +9,7 @@ import numpy as np
 from sphrom.compare.comparison_tables import Tables, error_row, show
 from sphrom.compare.references import ReferenceRow
 from sphrom.metrics.histories import compare
-from sphrom.metrics.samples import Samples
+from sphrom.metrics.measures import Samples
 from sphrom.store.stored_run import probes_of
 
 

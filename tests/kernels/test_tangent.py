@@ -9,7 +9,7 @@ from sphrom.kernels.polynomial import fill_monomials
 from sphrom.kernels.tangent import fill_tangents
 from sphrom.reduction.exponential_steps import Change, ExponentialModel, LinearPart
 from sphrom.reduction.polynomial_model import OutputTimes
-from sphrom.reduction.reduced_rates import Polynomial
+from sphrom.reduction.reduced_operators import Polynomial
 
 N = 4
 RANDOM = np.random.default_rng(3)

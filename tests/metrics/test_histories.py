@@ -7,7 +7,7 @@ import pytest
 
 from sphrom.compare.comparison_tables import error_row
 from sphrom.metrics.histories import EQ41, PLACES, History, Series, compare
-from sphrom.metrics.samples import Samples
+from sphrom.metrics.measures import Samples
 from sphrom.plots.tables import flat
 from sphrom.store.stored_run import probes_of
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sphrom.metrics.samples import grid_points, spread
+from sphrom.metrics.measures import grid_points, spread
 
 
 def test_points_are_spread_over_intervals_by_their_lengths() -> None:

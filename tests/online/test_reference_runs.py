@@ -17,7 +17,7 @@ from sphrom.online.basis_model import steps_of
 from sphrom.online.fast_model import FastRun
 from sphrom.reduction import reference_model
 from sphrom.reduction.polynomial_model import OutputTimes, Run
-from sphrom.reduction.reduced_rates import Polynomial
+from sphrom.reduction.reduced_operators import Polynomial
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup.assembly import output_times_of
 

@@ -14,7 +14,7 @@ from sphrom.console import Reporter
 from sphrom.online.error_estimates import SteadyErrors, distance_from
 from sphrom.online.fast_model import FastRun
 from sphrom.online.reference_runs import seek_steady_state
-from sphrom.reduction.reduced_rates import Polynomial
+from sphrom.reduction.reduced_operators import Polynomial
 
 NEAR = np.array([[1.01], [-1.01], [2.01]])
 """Training states near the roots that are looked for."""

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sphrom.errors import ArtifactError
-from sphrom.metrics.samples import grid_points
+from sphrom.metrics.measures import grid_points
 from sphrom.plots.panels import Curve, Field, Frame, Panel, colour_scale, draw_grid, save
 
 FRAME = Frame((0.0, 1.0, 0.0, 1.0))

@@ -14,8 +14,7 @@ from sphrom.reduction.trial_basis import InnerProduct, TrialBasis
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
 from sphrom.sph.fixed_points import FixedPoints
-from sphrom.sph.fluid import Discretization, Fluid
-from sphrom.sph.resistance import Resistance, Strip
+from sphrom.sph.fluid import Discretization, Fluid, Resistance, Strip
 
 N_MODES = 5
 SPACING = 0.0625

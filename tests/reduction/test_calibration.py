@@ -7,7 +7,7 @@ import pytest
 
 from sphrom.reduction.calibration import Calibration, Slope, TrainingRun, calibrate
 from sphrom.reduction.polynomial_model import OutputTimes, PolynomialModel
-from sphrom.reduction.reduced_rates import Polynomial
+from sphrom.reduction.reduced_operators import Polynomial
 
 INTERVAL = 0.01
 VISCOSITY = 1e-2

@@ -17,7 +17,7 @@ from sphrom.reduction.exponential_steps import (
     integrals,
 )
 from sphrom.reduction.polynomial_model import Amplitude, OutputTimes, PolynomialModel
-from sphrom.reduction.reduced_rates import Polynomial
+from sphrom.reduction.reduced_operators import Polynomial
 from sphrom.reduction.reference_model import LONGER, Steps, accurate
 
 SOUND = 300.0

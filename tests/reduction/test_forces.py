@@ -8,7 +8,7 @@ import pytest
 from sphrom.reduction.operator_projection import project_forces
 from sphrom.reduction.reduced_measures import TimedLoads
 from sphrom.reduction.stokes_fields import StokesFields
-from sphrom.sph.wall_forces import MeasuredWall
+from sphrom.sph.functional import MeasuredWall
 from tests.reduction.conftest import N_MODES, SPACING
 
 NU, AMPLITUDE, MEAN = 0.013, -1.4, 0.3

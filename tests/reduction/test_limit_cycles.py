@@ -7,10 +7,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from sphrom.metrics.series import dominant_frequency
-from sphrom.reduction.limit_cycles import CycleClosure, LimitCycle, fitted_cycle, harmonics_of
+from sphrom.reduction.calibration import CycleClosure, LimitCycle, fitted_cycle, harmonics_of
 from sphrom.reduction.reduced_measures import PointForce
-from sphrom.reduction.reduced_operators import ReducedOperators
-from sphrom.reduction.reduced_rates import Polynomial
+from sphrom.reduction.reduced_operators import Polynomial, ReducedOperators
 
 N_MODES = 5
 VISCOSITIES = np.array([1.0 / 80.0, 1.0 / 120.0])

@@ -16,7 +16,7 @@ from sphrom.reduction.polynomial_model import (
     steady_state,
     step_limit,
 )
-from sphrom.reduction.reduced_rates import (
+from sphrom.reduction.reduced_operators import (
     Polynomial,
     largest_growth,
     memory_length,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sphrom.reduction.polynomial_model import OutputTimes, PolynomialModel, step_limit, steps_within
-from sphrom.reduction.reduced_rates import Polynomial
+from sphrom.reduction.reduced_operators import Polynomial
 from sphrom.reduction.reference_model import (
     FINEST,
     LEAST_ERROR,

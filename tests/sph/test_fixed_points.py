@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from sphrom.sph.fixed_points import FixedPoints
-from sphrom.sph.fluid import Discretization, Fluid
+from sphrom.sph.fluid import Discretization, Fluid, Resistance, Strip
 from sphrom.sph.functional import Functional
-from sphrom.sph.resistance import Resistance, Strip
 
 SPACING = 0.0625
 FLUID = Fluid(reference_density=800.0, sound_speed=7.0, kinematic_viscosity=0.013, max_speed=0.9)

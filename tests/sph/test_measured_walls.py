@@ -9,11 +9,10 @@ import pytest
 import shapely
 
 from sphrom.sph.fluid import Discretization, Fluid
-from sphrom.sph.functional import Functional
+from sphrom.sph.functional import Functional, WallForces, measured_wall
 from sphrom.sph.packing import pack
 from sphrom.sph.polygon_domain import PolygonDomain
 from sphrom.sph.polygons import disc
-from sphrom.sph.wall_forces import WallForces, measured_wall
 
 SPACING = 0.05
 FLUID = Fluid(reference_density=2.0, sound_speed=10.0, kinematic_viscosity=0.1, max_speed=1.0)

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from sphrom.sph.box_domain import BoxDomain
-from sphrom.sph.fluid import Discretization, Fluid, step_limits
+from sphrom.sph.fluid import FALL, RISE, Discretization, Fluid, Resistance, Strip, step_limits
 from sphrom.sph.functional import Functional
-from sphrom.sph.resistance import FALL, RISE, Resistance, Strip
 from sphrom.sph.time_loop import runge_kutta_step
 
 SPACING = 0.1

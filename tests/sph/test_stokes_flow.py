@@ -17,11 +17,10 @@ import shapely
 
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.sph.fluid import Discretization, Fluid
-from sphrom.sph.functional import Functional
+from sphrom.sph.functional import Functional, WallForces, measured_wall
 from sphrom.sph.packing import pack
 from sphrom.sph.polygon_domain import PolygonDomain
 from sphrom.sph.polygons import disc
-from sphrom.sph.wall_forces import WallForces, measured_wall
 
 FLUID = Fluid(reference_density=1.0, sound_speed=10.0, kinematic_viscosity=1.0, max_speed=0.1)
 SLOW = 1e-4

@@ -13,7 +13,7 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.online.stable_ranges import STEP, TIME, StableRange
 from sphrom.plots.panels import save
 from sphrom.reduction.polynomial_model import OutputTimes
-from sphrom.reduction.reduced_rates import Polynomial
+from sphrom.reduction.reduced_operators import Polynomial
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis
 from sphrom.sph.fluid import COURANT_LIMIT

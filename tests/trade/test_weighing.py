@@ -12,7 +12,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.compare.costs import break_even
 from sphrom.errors import CaseError
 from sphrom.metrics.histories import ERRORS, EXACT, NO_ERRORS, Errors, mean_errors
-from sphrom.metrics.samples import Samples
+from sphrom.metrics.measures import Samples
 from sphrom.plots.panels import save
 from sphrom.trade.trade import Results, draw_trade
 from sphrom.trade.weighing import (

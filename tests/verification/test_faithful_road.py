@@ -13,11 +13,11 @@ import pytest
 from numpy.typing import NDArray
 
 from sphrom.metrics.histories import instantaneous_range, relative_discrepancy
-from sphrom.metrics.samples import midpoints
+from sphrom.metrics.measures import midpoints
 from sphrom.reduction.decomposition import decompose
 from sphrom.reduction.mode_splines import basis_columns
 from sphrom.reduction.particle_model import ParticleModel, reduced_jacobian
-from sphrom.reduction.reduced_rates import memory_length
+from sphrom.reduction.reduced_operators import memory_length
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.spline import default_cell_width, fit_splines
 from sphrom.reduction.trial_basis import InnerProduct, project

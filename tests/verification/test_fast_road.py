@@ -25,8 +25,7 @@ from sphrom.reduction.polynomial_model import (
     step_limit,
     steps_within,
 )
-from sphrom.reduction.reduced_operators import ReducedOperators
-from sphrom.reduction.reduced_rates import Polynomial, largest_growth
+from sphrom.reduction.reduced_operators import Polynomial, ReducedOperators, largest_growth
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.spline import LocalSplines, default_cell_width, fit_splines
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis, project
