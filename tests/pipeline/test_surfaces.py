@@ -74,7 +74,7 @@ def test_a_model_between_training_runs_is_close_and_says_so(tank: Path) -> None:
         if r["relative_l2 [%]"] and "ratio=0.85" in r["parameters"]
     }
     best = next(name for name, _ in found if name.startswith("best possible"))
-    # 16x8 particles have much noise: measured 5 to 9 % for the nearest states, 8 to 10 % for models.
+    # 16x8 particles have much noise: measured 5 to 9 % for nearest states, 8 to 10 % for models.
     assert found["fast", "surface"] < 2.5 * found[best, "surface"]
     assert found["fast", "surface"] < 20.0
     assert ("fast, not calibrated", "surface") in found
