@@ -191,10 +191,9 @@ def amplitudes(study: Study, points: dict[str, Any]) -> np.ndarray:
 def filling_map(folder: Path) -> None:
     """Draw the amplitude at the wall over frequency and filling."""
     weak = {"reynolds": 250, "strength": 0.003}
-    points = {
-        "train": {"points": [{**weak, "ratio": 0.9, "filling": level} for level in (0.4, 0.6)]},
-        "test": {"points": [{**weak, "ratio": 0.9, "filling": 0.5}]},
-    }
+    trained = [{**weak, "ratio": r, "filling": d} for d in (0.4, 0.6) for r in (0.9, 1.0)]
+    test = [{**weak, "ratio": 0.95, "filling": 0.5}]
+    points = {"train": {"points": trained}, "test": {"points": test}}
     scene = {"constants": {"filling": 0.5}, "fluid": {"level": "filling"}}
     study = study_of(folder, "filling-map", {"scene": scene, "parameters": points})
     ratios, levels = np.linspace(0.7, 1.3, 40), np.linspace(0.4, 0.6, 25)
@@ -203,6 +202,7 @@ def filling_map(folder: Path) -> None:
     label = "amplitude at the wall [m]"
     field = Field("strength 0.003 m/s2", label, found.reshape(len(levels), len(ratios)))
     figure = draw_grid([[field]], Frame((0.7, 1.3, 0.4, 0.6), None))
+    figure.axes[0].set(xlabel="frequency over that of a half-full tank [–]", ylabel="depth [m]")
     picture(figure, folder / "sloshing-filling.png")
 
 
