@@ -31,6 +31,8 @@ UNITS = {
 }  # fmt: skip
 VECTORS = ("force", "velocity", "centre_of_mass")
 """Quantities with an axis of components, the last."""
+TORQUE = 2
+"""The row of the torque, after the components of the force."""
 AXES = ("x", "y")
 """Names of components."""
 WITH_WEIGHT = ("pressure", "force", "torque")

@@ -38,6 +38,7 @@ import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.declaration import Tensors
+from sphrom.metrics.measures import TORQUE
 from sphrom.reduction.mode_fields import (
     BLOCK_VALUES,
     ModeFields,
@@ -62,7 +63,7 @@ from sphrom.reduction.stokes_fields import StokesFields
 from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.sph.fixed_points import EVERYWHERE, FixedPoints, Terms
 from sphrom.sph.fluid import NONE
-from sphrom.sph.functional import TORQUE, MeasuredWall
+from sphrom.sph.functional import MeasuredWall
 
 Advance = Callable[[int], None]
 """Called with the number of points that were completed."""

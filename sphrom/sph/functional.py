@@ -21,6 +21,7 @@ import numpy as np
 from sphrom.arrays import Array
 from sphrom.kernels import advection, sweeps
 from sphrom.kernels.wendland import kernel
+from sphrom.metrics.measures import TORQUE
 from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fluid import ROUNDING, Discretization, Fluid, Resistance, step_limits, volume_of
 from sphrom.sph.neighbourhood import Neighbourhood
@@ -36,8 +37,6 @@ LARGEST_MACH_NUMBER = 0.3
 """Largest Mach number of a weakly compressible flow."""
 PAIR_FACTOR = 8.0
 """2 (n + 2) of Eq. 2.12, in two dimensions."""
-TORQUE = 2
-"""The row of the torque, after the components of the force."""
 
 
 @dataclass(frozen=True)

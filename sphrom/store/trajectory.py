@@ -11,13 +11,13 @@ from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, ArtifactWriter
 from sphrom.case.models import Case
 from sphrom.errors import ArtifactError, UnstableError
-from sphrom.metrics.measures import UNITS, FieldMeasure, Quantities
+from sphrom.metrics.measures import TORQUE, UNITS, FieldMeasure, Quantities
 from sphrom.sph.fluid import pressure_of
-from sphrom.sph.functional import TORQUE, WallForces
 
 if TYPE_CHECKING:  # it imports kernels, which take long and which reduced runs do not need
     from sphrom.setup.particles import MeasuredParticles
     from sphrom.sph.domain import Walls
+    from sphrom.sph.functional import WallForces
     from sphrom.sph.time_loop import Item, Snapshot
 
 

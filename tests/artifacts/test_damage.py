@@ -101,7 +101,7 @@ def test_values_that_another_program_changed_are_refused_however_they_are_read(
         (lambda file: file.attrs.__setitem__("sound_speed", 11.0), "its digest does not match"),
         (lambda file: file.attrs.__delitem__("uuid"), "attribute uuid is missing"),
         (lambda file: file.__delitem__("pressure"), "its digest does not match"),
-        (lambda file: file["case"].__setitem__((), b"name: other"), "the case in it is not"),
+        (lambda file: file["case"].__setitem__((), b"name: other"), "the stored case is not"),
         # Two names for one thing.
         (lambda file: file.__setitem__("parameters/again", file["/"]), "its digest"),
     ],
