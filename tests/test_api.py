@@ -45,6 +45,16 @@ CASE: dict[str, Any] = {
 }
 
 
+LID: dict[str, Any] = {
+    "name": "lid",
+    "scene": {"kind": "lid-driven-cavity"},
+    "discretization": {"resolution": 12},
+    "time": {"final_time": 0.3},
+    "snapshots": {"every": 2},
+    "rom": [{"name": "fast", "evaluation": "operators", "n_modes": 2}],
+}
+
+
 TOLD: list[str] = []
 """The lines that the study tells."""
 
@@ -161,6 +171,29 @@ def test_a_model_moves_to_other_values_without_reading_again(study, model, monke
     assert again.parameters == {"reynolds": 120.0}
     np.testing.assert_array_equal(again.run().coordinates, there.coordinates)
     assert model.parameters == {"reynolds": 150.0}
+
+
+def test_a_model_keeps_the_values_that_are_not_named(tmp_path):
+    """Each way to other values starts from those of the model, here a slower lid."""
+    sections = {
+        **LID,
+        "scene": {"kind": "lid-driven-cavity", "measure": {"drag": {"force_on": "top"}}},
+        "parameters": {"train": {"reynolds": [100, 200], "lid": [0.5, 1.0]}},
+        "operators": {"error_estimate": False},
+    }
+    study = sphrom.Study(sections, out=tmp_path, threads=1, report=TOLD.append)
+    study.run(until="operators")
+    model = study.model("fast", reynolds=150, lid=0.6)
+    there = study.model("fast", reynolds=151, lid=0.6).run()
+    assert model.at(reynolds=151).at().parameters == {"reynolds": 151.0, "lid": 0.6}
+    np.testing.assert_array_equal(model.at(reynolds=151).run().coordinates, there.coordinates)
+    many = model.run_many({"reynolds": [120, 151]})
+    np.testing.assert_array_equal(many.lid, [0.6, 0.6])
+    np.testing.assert_array_equal(many.drag_force[1], there.measures.drag_force)
+    # What the study's model does not name is the scene's own value, also after another model.
+    assert study.model("fast", reynolds=151).parameters["lid"] == 1.0
+    measured = {"time": there.time[1:], "drag_force_x": there.measures.drag_force[1:, 0]}
+    assert model.fit(measured, "reynolds", noise="1%")["reynolds"].value == pytest.approx(151, 1e-3)
 
 
 def test_many_runs_are_those_at_each_point(study, model):
@@ -282,16 +315,9 @@ def test_what_is_refused(study, call, text):
 
 
 def test_points_have_to_be_in_the_fluid(tmp_path):
-    cavity = {
-        "name": "lid",
-        "scene": {"kind": "lid-driven-cavity"},
-        "discretization": {"resolution": 12},
-        "time": {"final_time": 0.3},
-        "snapshots": {"every": 2},
-        "rom": [{"name": "fast", "evaluation": "operators", "n_modes": 2}],
-    }
-    study = sphrom.Study(cavity, out=tmp_path, threads=1, report=TOLD.append)
+    study = sphrom.Study(LID, out=tmp_path, threads=1, report=TOLD.append)
     study.run(until="operators")
+    assert study.model("fast").parameters == {"reynolds": 100.0}
     result = study.model("fast", reynolds=90).run()
     assert result.fields([[0.5, 1.0], [0.0, 0.0]]).sizes["point"] == 2
     with pytest.raises(sphrom.errors.CaseError, match=r"\(0.5, 1.01\) m is not in the fluid"):

@@ -21,7 +21,7 @@ from sphrom.case.loader import parameter_point
 from sphrom.case.plan import lengthened
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.case.studies import fit_ranges, fit_values, percent, require_basis, trained_ranges
+from sphrom.case.studies import fit_ranges, percent, require_basis, trained_ranges
 from sphrom.errors import CaseError, UnstableError
 from sphrom.fit.fit import Fit, fit
 from sphrom.fit.forward_model import TrainingDifferences, box_of
@@ -61,6 +61,7 @@ class Model:
     """
 
     _point: ParameterPoint
+    _own: Mapping[str, float] = {}
     _reduced: ReferenceModel | SurfaceModelAt | None = None
 
     def __init__(self, context: StageContext, section: ReducedModelSection) -> None:
@@ -73,9 +74,9 @@ class Model:
             self._fast = fast_model(self._workspace, section)
 
     def _points(self, rows: Iterable[Mapping[str, float]]) -> list[ParameterPoint]:
-        """Return the points with some values; warn of the first one that extrapolates."""
+        """Return the points with some values and the model's own; warn of one that extrapolates."""
         case = self._workspace.case
-        points = [parameter_point(case, values) for values in rows]
+        points = [parameter_point(case, {**self._own, **values}) for values in rows]
         for point in points:
             require_basis(case, self._section, point)
         if warning := next(filter(None, map(partial(extrapolation, case), points)), None):
@@ -105,9 +106,13 @@ class Model:
 
     @guarded()
     def at(self, **parameters: float) -> Model:
-        """Return the same model at other parameter values, without reading files again."""
+        """Return the same model at other parameter values, without reading files again.
+
+        The model keeps the values of all parameters that are not named.
+        """
         other = copy(self)
         (other._point,) = self._points([parameters])
+        other._own = other._point.as_dict()
         other._reduced = None if self._fast is None else self._fast.at(other._point)
         return other
 
@@ -152,7 +157,7 @@ class Model:
         Parameters
         ----------
         points : values (n_runs,) by parameter, in a dictionary, or a table of pandas or xarray; a
-            single number applies to all runs.
+            single number applies to all runs. Others have the values of this model.
 
         Returns
         -------
@@ -219,8 +224,8 @@ class Model:
         ----------
         measurements : a CSV file, or its columns by name in a dictionary or a table of pandas;
             see `sphrom.fit.measurements`.
-        names : the free parameters; others have the values of this model. By default, the section
-            `fit` of the case determines free parameters and fixed values.
+        names : the free parameters. By default, the section `fit` of the case determines free
+            parameters and fixed values. All others have the values of this model.
         noise : standard deviation over each history's range, such as `"1%"` or 1.0, if the
             measurements have none; by default the case's.
 
@@ -235,11 +240,13 @@ class Model:
         share = case.fit.noise if noise is None else percent(noise, "noise")
         source = Path(measurements) if isinstance(measurements, str | os.PathLike) else measurements
         data = read_measurements(source, case, case.plan.model_steps(section), share)
-        ranges, values = fit_ranges(case, section), fit_values(case)
+        ranges, values = fit_ranges(case, section), self.parameters
         if names:
             trained = trained_ranges(case, section)
             ranges = {name: ranges.get(name, trained[name]) for name in dict.fromkeys(names)}
-            values = {n: v for n, v in self.parameters.items() if n not in ranges}
+        else:
+            values |= {n: v for n, v in case.fit.parameters.items() if isinstance(v, float)}
+        values = {n: v for n, v in values.items() if n not in ranges}
         return fit(fast, box_of(ranges, values), data, self._errors)
 
     def _require_names(self, names: Sequence[str]) -> None:

@@ -145,7 +145,9 @@ class Study:
         Parameters
         ----------
         name : name of a model in the case's section `rom`.
-        parameters : parameter values, such as `reynolds=137`; by default, the scene's own values.
+        parameters : parameter values, such as `reynolds=137`. By default, a parameter has the value
+            of all training runs, or the scene's own value if they differ. The scene has no Reynolds
+            number, so it is necessary if training runs have several.
         """
         sections = {section.name: section for section in self.case.rom}
         if name not in sections:

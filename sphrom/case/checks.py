@@ -70,13 +70,24 @@ def _check_names(case: Case) -> Found:
         for name in names:
             if name is not None and name not in known:
                 yield key, f"no {kind} has the name {name}; {nearest(name, known)}"
-    train, test = case.parameters.train, case.parameters.test
-    if len(train.reynolds) > 1 and not all(
-        REYNOLDS in each for each in (*train.named, *test.named)
-    ):
-        yield f"parameters.test.{REYNOLDS}", "is missing, and parameters.train has several; give it"
+    yield from _check_reynolds(case)
     for name, reason in case.scene.parameter_problems(case.plan.parameter_names):
         yield f"parameters.{name}", f"can't vary: {reason}"
+
+
+def _check_reynolds(case: Case) -> Found:
+    """Check that all points name the Reynolds number if training runs have several."""
+    named: dict[str, Iterable[Collection[str]]] = {"parameters.test": case.parameters.test.named}
+    if REYNOLDS not in case.plan.own_values:
+        named |= {"parameters.train": case.parameters.train.named, "sweep": case.sweep.named}
+        for i, model in enumerate(case.rom):
+            # Numbers in a list are Reynolds numbers.
+            named[f"rom.{i}.parameters"] = [v for v in model.parameters if isinstance(v, dict)]
+    elif REYNOLDS not in case.training.ranges:
+        return
+    for key, points in named.items():
+        if any(REYNOLDS not in names for names in points):
+            yield f"{key}.{REYNOLDS}", "is missing, and training runs have several; give it"
 
 
 def _references(case: Case) -> Iterator[tuple[str, str, Collection[str | None], Collection[str]]]:
@@ -84,7 +95,7 @@ def _references(case: Case) -> Iterator[tuple[str, str, Collection[str | None], 
     models = [model.name for model in case.rom]
     fast = [model.name for model in case.rom if model.from_operators]
     bases, parameters, varied = (ALL, *case.basis.subsets), "parameter", "parameter that varies"
-    own, varying = case.plan.own_values, case.plan.parameter_names
+    own, varying = (REYNOLDS, *case.plan.own_values), case.plan.parameter_names
     yield "parameters.train", parameters, case.parameters.train.names, own
     yield "parameters.test", parameters, case.parameters.test.names, own
     for name, subset in case.basis.subsets.items():

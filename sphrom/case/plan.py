@@ -8,7 +8,7 @@ of a case can use those that do not depend on a wrong key.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from fractions import Fraction
 from functools import cached_property
@@ -18,7 +18,7 @@ import numpy as np
 import shapely
 
 from sphrom.arrays import Array
-from sphrom.case.points import REYNOLDS, GivenPoints, ParameterPoint, Values, nearest_point
+from sphrom.case.points import REYNOLDS, ParameterPoint, Values, nearest_point
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection, SubsetSection
 from sphrom.errors import CaseError
 from sphrom.reduction.stream_functions import StreamSpace
@@ -378,31 +378,45 @@ class Plan:
 
     @cached_property
     def own_values(self) -> dict[str, float]:
-        """The default values of parameters, for points that do not name them."""
-        return {
-            REYNOLDS: self._case.parameters.train.reynolds[0],
-            **self._case.scene.parameters(self._case.fluid.reference_speed),
-        }
+        """The scene's own values of parameters, with the Reynolds number if training has one."""
+        reynolds = self._case.parameters.train.own_reynolds
+        own = {} if reynolds is None else {REYNOLDS: reynolds}
+        return own | self._case.scene.parameters(self._case.fluid.reference_speed)
 
-    def point(self, values: Values) -> ParameterPoint:
-        """Return the point with values by name; missing ones are the scene's own."""
+    @cached_property
+    def usual_values(self) -> dict[str, float]:
+        """The values that all training runs have in common; of other parameters, the scene's own.
+
+        Points have these values of all parameters that they do not name.
+        """
+        rows = [point.as_dict() for point in self.train_points]
+        common = {n: v for n, v in rows[0].items() if all(row[n] == v for row in rows)}
+        return self.own_values | common
+
+    def point(self, values: Values, usual: Mapping[str, float] | None = None) -> ParameterPoint:
+        """Return the point with values by name; missing ones are the `usual_values`.
+
+        Raises CaseError when the Reynolds number is missing, and training runs have several.
+        """
         named = values if isinstance(values, dict) else {REYNOLDS: values}
-        own, names = self.own_values, self.parameter_names
-        reynolds, *others = [float(named.get(name, own.get(name, 0.0))) for name in names]
-        return ParameterPoint(reynolds, tuple(zip(names[1:], others, strict=True)))
-
-    def _points_of(self, section: GivenPoints) -> tuple[ParameterPoint, ...]:
-        return tuple(map(self.point, section.values(self._case.parameters.train.reynolds)))
+        known = {**(self.usual_values if usual is None else usual), **named}
+        if REYNOLDS not in known:
+            missing = f"{REYNOLDS}: is missing, and training runs have several"
+            raise CaseError(f"{missing}; give its value, such as {REYNOLDS}=100")
+        reynolds, *others = [float(known.get(name, 0.0)) for name in self.parameter_names]
+        names = self.parameter_names[1:]
+        return ParameterPoint(reynolds, tuple(zip(names, others, strict=True)))
 
     @cached_property
     def train_points(self) -> tuple[ParameterPoint, ...]:
-        """The points of training runs."""
-        return self._points_of(self._case.parameters.train)
+        """The points of training runs; they have the scene's own values of unnamed parameters."""
+        rows = self._case.parameters.train.values
+        return tuple(self.point(row, self.own_values) for row in rows)
 
     @cached_property
     def test_points(self) -> tuple[ParameterPoint, ...]:
         """The points of test runs, which only check predictions."""
-        return self._points_of(self._case.parameters.test)
+        return tuple(map(self.point, self._case.parameters.test.values))
 
     @cached_property
     def points(self) -> tuple[ParameterPoint, ...]:

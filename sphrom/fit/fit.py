@@ -183,7 +183,7 @@ def run(
     target = workspace.fit(name, data.digest, share)
     must_make = workspace.must_make(target)
     workspace.require(workspace.operators())
-    box = box_of(studies.fit_ranges(case, model), studies.fit_values(case))
+    box = box_of(studies.fit_ranges(case, model), studies.fit_values(case, model))
     fitted = fit(fast_model(workspace, model), box, data, {})
     if must_make:
         with workspace.create(target) as artifact:

@@ -57,7 +57,7 @@ def box_of(ranges: Ranges, values: Mapping[str, float]) -> Box:
             "so it has no range; give its value, or a range"
         )
     if not ranges:
-        raise CaseError("fit.parameters: fixes all parameters; leave at least one free")
+        raise CaseError("fit.parameters: fixes all parameters; give at least one a range")
     return Box(ranges, values)
 
 
