@@ -212,7 +212,11 @@ def show(report: Reporter, tables: Tables) -> None:
         ("full runs and reference solutions, means over a time window", settled),
         ("flow of each run", tables.flow),
         ("decay of the full run's kinetic energy", tables.decay),
-        ("cost of the time steps, without writing", tables.timings),
+        (
+            "cost of the time steps of repeated runs, the least of several; a first run, or one at "
+            "another point, costs more",
+            tables.timings,
+        ),
     )
     for title, rows in whole:  # with all columns of their files
         if rows:
