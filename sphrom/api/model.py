@@ -7,15 +7,16 @@ from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sphrom.api.result import Labels, Result, Sensitivities, finite_array, rows_of
+from sphrom.api.result import Labels, Result, Sensitivities, rows_of
+from sphrom.arguments import checked, finite_array
 from sphrom.arrays import Array
 from sphrom.case.checks import steady_problem
+from sphrom.case.fields import LARGEST
 from sphrom.case.hints import beyond_training, extrapolation
 from sphrom.case.loader import parameter_point
 from sphrom.case.plan import lengthened
@@ -44,6 +45,8 @@ from sphrom.text import nearest, quoted
 if TYPE_CHECKING:
     import xarray
 
+LEAST_STEP = 1e-3
+"""Least length of the steps of sensitivities, over the automatic one."""
 AnyModel = TypeVar("AnyModel", bound=ReferenceModel | SurfaceModelAt)
 """A model at a parameter point."""
 
@@ -117,6 +120,7 @@ class Model:
         return other
 
     @guarded()
+    @checked
     def run(self, final_time: float | None = None) -> Result:
         """Run the model, and estimate its error.
 
@@ -173,6 +177,7 @@ class Model:
         return self._labels.runs(map(fast.run, at), [p.as_dict() for p in at], self.name)
 
     @guarded()
+    @checked
     def sensitivities(
         self, *names: str, final_time: float | None = None, step_factor: float = 1.0
     ) -> Sensitivities:
@@ -191,8 +196,8 @@ class Model:
         """
         case, (fast, reduced) = self._workspace.case, self._by_operators("sensitivities")
         self._require_names(names)
-        if not (np.isfinite(step_factor) and step_factor > 0.0):
-            raise CaseError(f"step_factor: must be above zero; got {step_factor:g}")
+        if step_factor < LEAST_STEP:
+            raise CaseError(f"step_factor: must be {LEAST_STEP:g} or more; got {step_factor:g}")
         if case.time.spin_up > 0.0:
             self._warn("derivatives do not include changes of the spin-up")
         longer = self._lengthened(reduced, final_time)
@@ -212,6 +217,7 @@ class Model:
         return Sensitivities(**vars(slopes), **own, _labels=self._labels, _sample=changes)
 
     @guarded()
+    @checked
     def fit(
         self,
         measurements: str | os.PathLike[str] | Mapping[str, ArrayLike],
@@ -238,8 +244,8 @@ class Model:
         fast, _ = self._without_particles("fit")
         self._require_names(names)
         share = case.fit.noise if noise is None else percent(noise, "noise")
-        source = Path(measurements) if isinstance(measurements, str | os.PathLike) else measurements
-        data = read_measurements(source, case, case.plan.model_steps(section), share)
+        # A path is a `Path` here, see `checked`.
+        data = read_measurements(measurements, case, case.plan.model_steps(section), share)  # type: ignore[arg-type]
         ranges, values = fit_ranges(case, section), self.parameters
         if names:
             trained = trained_ranges(case, section)
@@ -257,6 +263,7 @@ class Model:
                     f"{quoted(name)}: does not vary in the case; {nearest(str(name), known)}"
                 )
 
+    @checked
     def rates(self, coordinates: ArrayLike, time: float | None = None) -> Array:
         """Return the rates da/dt (n_modes,) [1/s] of coordinates (n_modes,).
 
@@ -267,6 +274,7 @@ class Model:
         reduced, state, amplitude, _ = self._at("rates", coordinates, time)
         return reduced.polynomial(state, amplitude)
 
+    @checked
     def jacobian(self, coordinates: ArrayLike, time: float | None = None) -> Array:
         """Return the derivative (n_modes, n_modes) [1/s] of the rates at coordinates (n_modes,).
 
@@ -288,6 +296,7 @@ class Model:
         return steady_state(reduced.polynomial, state, amplitude=amplitude)
 
     @guarded()
+    @checked
     def measures(self, coordinates: ArrayLike, time: float | None = None) -> xarray.Dataset:
         """Return the measurements of a state with coordinates (n_modes,), within microseconds.
 
@@ -339,9 +348,10 @@ class Model:
         state, shape = finite_array(coordinates, "coordinates"), reduced.start.shape
         if state.shape != shape:
             raise CaseError(f"coordinates: must have the shape {shape}; got {state.shape}")
-        at = self._workspace.case.plan.steps.end_time if time is None else float(time)
-        if not np.isfinite(at):
-            raise CaseError(f"time: must be finite; got {at:g}")
+        at = self._workspace.case.plan.steps.end_time if time is None else time
+        for name, values in (("coordinates", state), ("time", np.array(at))):
+            if np.abs(values).max(initial=0.0) > LARGEST:
+                raise CaseError(f"{name}: must be from {-LARGEST:g} to {LARGEST:g}")
         if reduced.amplitude is None:
             return reduced, state, 0.0, at
         return reduced, state, float(reduced.amplitude(np.array([at]))[0]), at

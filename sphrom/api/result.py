@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sphrom.arguments import finite_array
 from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
@@ -143,7 +144,9 @@ def rows_of(points: Mapping[str, ArrayLike]) -> list[dict[str, float]]:
     """Return the points of a table with a column (n_runs,) or a number per parameter."""
     try:
         columns = {str(name): finite_array(each, str(name)) for name, each in dict(points).items()}
-        rows = np.stack(np.broadcast_arrays(*columns.values()), axis=-1).reshape(-1, len(columns))
+        rows = np.stack(np.broadcast_arrays(*map(np.atleast_1d, columns.values())), axis=-1)
+        if rows.ndim != 2:
+            raise ValueError("got several axes")
     except (TypeError, ValueError) as error:
         raise CaseError("points: must be values by parameter, of equal lengths") from error
     if not len(rows):
@@ -224,17 +227,6 @@ class Result:
         """
         about = {"model": self.model, **self.parameters}
         return self._labels.fields(points, self._sample, self.time, about)
-
-
-def finite_array(data: ArrayLike, name: str) -> Array:
-    """Return a copy as an array of finite numbers. Raises CaseError for other data."""
-    try:
-        values = np.array(data, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise CaseError(f"{name}: must be numbers; {error}") from error
-    if not np.isfinite(values).all():
-        raise CaseError(f"{name}: must be finite")
-    return values
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from sphrom import stages
 from sphrom.api.model import Model
+from sphrom.arguments import checked
 from sphrom.case.loader import load_case
 from sphrom.case.models import Case
 from sphrom.console import Reporter
@@ -43,6 +44,7 @@ class Study:
     """
 
     @guarded()
+    @checked
     def __init__(
         self,
         case: str | os.PathLike[str] | Mapping[str, Any],
@@ -55,12 +57,8 @@ class Study:
         report: Callable[[str], object] | None = None,
         **keys: Any,
     ) -> None:
-        if threads is not None and not (isinstance(threads, int) and threads >= 1):
-            raise CaseError(f"--threads: must be a whole number from 1 on; got {quoted(threads)}")
-        if out is not None and not os.fspath(out):
-            raise CaseError("out: is empty; give a folder")
         self._context = stages.context_of(
-            load_case(case, {**(set or {}), **keys}, force),
+            load_case(case, {**({} if set is None else set), **keys}, force),
             Reporter(quiet=quiet, write=report),
             out=None if out is None else Path(out),
             force=force,
@@ -89,6 +87,7 @@ class Study:
         return tuple(model.name for model in self.case.rom)
 
     @guarded()
+    @checked
     def run(
         self, until: str | None = None, *, resume: bool = False, checkpoint_every: float = 60.0
     ) -> None:
@@ -106,6 +105,7 @@ class Study:
         stages.run_all(context, until)
 
     @guarded()
+    @checked
     def run_stage(
         self,
         stage: str,
@@ -137,6 +137,7 @@ class Study:
         stages.run_stage(name, context, **options)
 
     @guarded()
+    @checked
     def model(self, name: str, **parameters: float) -> Model:
         """Return a reduced model at parameter values, which may differ from the trained ones.
 
@@ -160,6 +161,7 @@ class Study:
 
 
 @guarded(computes=False)
+@checked
 def open(path: str | os.PathLike[str], group: str = "") -> xarray.Dataset:
     """Open an artifact, or a group of one such as `bases/all`, as a dataset with named axes.
 

@@ -138,7 +138,10 @@ def _text(source: Source) -> tuple[str, str]:
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or str(error)
             raise CaseError(f"{visible(str(source))}: can't be read: {reason}") from error
-    columns = {str(name): np.atleast_1d(values) for name, values in source.items()}
+    try:
+        columns = {str(name): np.atleast_1d(values) for name, values in source.items()}
+    except ValueError as error:
+        raise CaseError(f"measurements: columns must be lists of numbers; {error}") from error
     if len({values.shape for values in columns.values()}) > 1:
         raise CaseError("measurements: columns must have equal lengths")
     rows = io.StringIO()

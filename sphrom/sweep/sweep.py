@@ -93,7 +93,9 @@ def run(
     if one became unstable; the table shows which.
     """
     check_options(workers, scheduler)
-    if context.force + (shard is not None) + collect > 1 or (collect and scheduler is not None):
+    if context.force + (shard is not None) + bool(collect) > 1 or (
+        collect and scheduler is not None
+    ):
         raise CaseError(
             "--force, --shard, --collect: can't be combined, nor --collect and --scheduler; to "
             f"restart shards, first remove sweep-{sweep_name(context.case)}.h5 and the folder "
