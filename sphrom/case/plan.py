@@ -21,6 +21,7 @@ from sphrom.arrays import Array
 from sphrom.case.points import REYNOLDS, GivenPoints, ParameterPoint, Values, nearest_point
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection, SubsetSection
 from sphrom.errors import CaseError
+from sphrom.metrics.measures import midpoints
 from sphrom.reduction.stream_functions import StreamSpace
 from sphrom.scenes.flows import Scales, Scene
 from sphrom.sph import fluid
@@ -34,6 +35,10 @@ if TYPE_CHECKING:
 
 MOST_COLUMNS, ROWS_OF_FLUID, LEAST_CELL = 16, 9, 2
 """Of a tank's splines: cells along it, along the depth, and the least size over the spacing."""
+COLUMNS_A_CELL = 4
+"""Columns where the surface is looked for, in each cell of the splines."""
+N_INSTANTS = 50
+"""Times of a run at which a body force is looked at."""
 HIGHEST_CREST = 1.6
 """The height of the splines' box over the depth."""
 MOST_TRIED = 12
@@ -58,6 +63,8 @@ WHOLE_STEPS_TOLERANCE = 1e-6
 """Relative tolerance for a duration to be a whole number of steps."""
 LARGEST_DENOMINATOR = 1000
 """Largest denominator of spin-up over recorded time, so that one automatic step fits both."""
+LEAST_SNAPSHOTS = 3
+"""Fewest snapshots per training run for a calibration."""
 MOST_ESTIMATED_MODES = 30
 """Largest basis with error estimates by default; their work grows with its fourth power."""
 
@@ -262,6 +269,12 @@ class Plan:
             n_rows=n_rows,
         )
 
+    @cached_property
+    def surface_columns(self) -> Array:
+        """The midpoints (n_columns,) [m] of the columns where surfaces are looked for."""
+        space = self.stream_space
+        return midpoints(space.left, space.right, COLUMNS_A_CELL * space.n_columns)
+
     def weight_at(self, point: ParameterPoint, position: Array) -> Array | None:
         """Return the pressure at rest (n_positions,) [Pa] below a level; None without a surface."""
         scene = self._case.scene
@@ -277,6 +290,44 @@ class Plan:
         return self._case.scene.flow(
             Scales(fluid.reference_speed, fluid.reference_density, viscosity, point.factors)
         )
+
+    @cached_property
+    def rest_and_units(self) -> tuple[Scene, dict[str, Scene]]:
+        """The undriven flow, and one flow per driving parameter with that parameter set to one.
+
+        Raises CaseError if an expression has no value there.
+        """
+        point, names = self.train_points[0], self.driving
+
+        def at(one: str | None) -> Scene:
+            drives = {name: float(name == one) for name in names}
+            others = tuple((name, drives.get(name, value)) for name, value in point.others)
+            return self.flow(replace(point, others=others))
+
+        try:
+            return at(None), {name: at(name) for name in names}
+        except ValueError as error:
+            raise CaseError(f"parameters: operators need the flow at 0 and 1: {error}") from error
+
+    def is_driven(self, point: ParameterPoint) -> bool:
+        """Return whether anything sets the fluid in motion in a full run at a parameter point."""
+        scene, flow, dx = self._case.scene, self.flow(point), self.particle_spacing
+        place = scene.fill(dx, point.factors)
+        if flow.initial_velocity(place).any():
+            return True
+        if scene.has_surface and not math.isfinite(scene.level_at(point.factors)):
+            return True  # a shape falls, or a pressure acts on it
+        if not scene.has_surface and flow.initial_pressure(place).any():
+            return True
+        if flow.domain.has_walls:
+            ghosts = flow.domain.ghosts(dx, self.n_wall_layers)
+            if flow.wall_velocity(ghosts.position).any():
+                return True
+        if (force := flow.body_force) is None:
+            return False
+        times = np.linspace(0.0, self._case.time.final_time, N_INSTANTS)
+        weight = np.array([[0.0], [scene.gravity]])
+        return any((force(place.T, float(time)) + weight).any() for time in times)
 
     @cached_property
     def strip(self) -> Strip | None:

@@ -1,15 +1,21 @@
 """The result of a case in a few sentences: the error, the speed and the break-even of its model.
 
-It comes from the tables of a comparison, and from the costs that artifacts record.
+It comes from the tables of a comparison, and from the costs that artifacts record. The model is the
+one that `trade` recommends for a tolerance of (1 + ALIKE) times the least error: the fastest within
+this tolerance. The error is the larger one of velocity and pressure, each a mean over the points
+between the training values; without such points, over those outside, else over training points.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
+from sphrom.case.sections import ReducedModelSection
 from sphrom.compare.comparison_tables import ErrorRow, Tables, best_name
 from sphrom.compare.costs import N_REPEATS, RunTiming, break_even, offline_seconds
 from sphrom.compare.measured import SURFACE, OscillationRow
@@ -19,6 +25,8 @@ from sphrom.store.trained_models import basis_used
 from sphrom.store.workspace import Workspace
 from sphrom.text import counted, duration
 
+ALIKE = 0.1
+"""Relative difference below which errors of models are equal."""
 DIGITS = 2
 """Significant digits of the figures in a sentence."""
 ROLES = {
@@ -35,7 +43,7 @@ Force = tuple[str, float, float | None, float | None]
 
 @dataclass(frozen=True)
 class Answer:
-    """Error and cost of a reduced model at a point, preferably one that it was not trained on.
+    """Error and cost of a reduced model at a point, preferably one between the training values.
 
     Of several such points, it is the one with the largest error of velocity.
     """
@@ -60,7 +68,14 @@ class Answer:
     since: str = ""
     """A phrase for the time from which errors count, unless it is the first."""
     doubts: tuple[str, ...] = ()
-    """Sentences with reasons to doubt that imported runs belong to the case."""
+    """Sentences with reasons to doubt imported runs, or the model at its points."""
+    outside: tuple[int, str, Pair] | None = None
+    """Number of points outside of the trained values, the worst one and its errors, if the answer
+    is about others."""
+    n_models: int = 1
+    """Number of models of the same kind that were compared."""
+    unphysical: tuple[str, ...] = ()
+    """Sentences about unphysical full runs."""
 
     @property
     def pays_from(self) -> int | None:
@@ -72,6 +87,7 @@ class Answer:
 
     def sentences(self) -> Iterator[str]:
         """Yield the sentences of the answer."""
+        yield from self.unphysical
         one_of = "" if self.n_points == 1 else f", the worst of {self.n_points} such values"
         yield (
             f"At {self.row.parameters}, {ROLES[self.row.role]}{one_of}, {self.row.compared} "
@@ -81,7 +97,19 @@ class Answer:
             f"{self.since}, relative to the full run, with pressures less their mean"
             f"{'' if self.surface is None else ' and their part at rest'}."
         )
+        if self.n_models > 1:
+            yield (
+                f"Of {self.n_models} models it is the fastest whose errors are within "
+                f"{ALIKE:.0%} of the least; the table has the others."
+            )
         yield from self._compared()
+        if self.outside is not None:
+            number, where, errors = self.outside
+            worst = "" if number == 1 else f", the worst of {number} such values"
+            yield (
+                f"At {where}, which lies outside of the trained values{worst}, it differs by "
+                f"{percent(errors[0])} in velocity and {percent(errors[1])} in pressure."
+            )
         yield from self._cost()
 
     def _compared(self) -> Iterator[str]:
@@ -157,58 +185,106 @@ def _both(errors: Pair) -> str:
 
 def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
     """Return the answer of a comparison, None if no model ran to its end."""
-    plan = workspace.case.plan
-    for model in plan.models_by_speed:
-        points = {point.label: point for point in plan.rom_points(model)}
-        compared = [
-            (error, row)
-            for row in tables.errors
-            if (row.compared, row.against) == (model.name, "full")
-            and row.parameters in points
-            and (error := row.in_field) is not None
-        ]
-        if not compared:
-            continue
-        unseen = [pair for pair in compared if pair[1].role != "trained"] or compared
-        error, worst = max(unseen, key=lambda pair: pair[0][0])
-        point = points[worst.parameters]
-        basis, n_modes = basis_used(workspace, model, point)
-        best = best_name(basis, n_modes)
-        nearest = [r for r in tables.errors if (r.compared, r.parameters) == (best, point.label)]
-        own = (model.name, point.label)
-        estimates = [r.figures for r in tables.estimates if (r.compared, r.parameters) == own]
-        timings = [r for r in tables.timings if (r.model, r.parameters) == own]
-        forces, expected = (
-            _force_errors(tables, point.label, which) for which in ("relative_l2", "estimated")
-        )
-        full_seconds = timings[0].full_seconds if timings else None
-        offline, training = offline_seconds(workspace, model, [point], full_seconds)
-        return Answer(
-            row=worst,
-            n_points=len(unseen),
-            error=error,
-            best=nearest[0].in_field if nearest else None,
-            estimate=(estimates[0]["velocity_estimate"], estimates[0]["pressure_estimate"])
-            if estimates
-            else None,
-            timing=timings[0] if timings else None,
-            offline_seconds=offline,
-            training_seconds=training,
-            n_training=len(plan.bases[basis]),
-            surface=_surface_errors(tables, worst, best),
-            since=f" from {since:g} s on" if (since := workspace.case.compare.from_time) else "",
-            doubts=(
-                *_doubts(workspace),
-                *(f"This run is doubtful: {t}." for t in against(workspace, model, point)),
+    plan, compared = workspace.case.plan, dict[str, list[_Compared]]()
+    for row in tables.errors:
+        if row.against == "full" and (error := row.in_field) is not None:
+            compared.setdefault(row.compared, []).append((error, row))
+    models = [model for model in plan.models_by_speed if model.name in compared]
+    failed = {row.compared for row in tables.errors if row.status != "complete"}
+    models = [model for model in models if model.name not in failed] or models
+    alike = [model for model in models if model.from_operators == models[0].from_operators]
+    if not alike:
+        return None
+    model = _recommended(alike, compared, tables)
+    judged, role = _judged(compared[model.name])
+    error, worst = max(judged, key=_velocity_error)
+    points = {point.label: point for point in plan.rom_points(model)}
+    point = points[worst.parameters]
+    far = [pair for pair in compared[model.name] if pair[1].role == "extrapolated" != role]
+    beyond = max(far, key=_velocity_error, default=None)
+    asked = [point, *(() if beyond is None else [points[beyond[1].parameters]])]
+    basis, n_modes = basis_used(workspace, model, point)
+    best = best_name(basis, n_modes)
+    nearest = [r for r in tables.errors if (r.compared, r.parameters) == (best, point.label)]
+    own = (model.name, point.label)
+    estimates = [r.figures for r in tables.estimates if (r.compared, r.parameters) == own]
+    timings = [r for r in tables.timings if (r.model, r.parameters) == own]
+    forces, expected = (
+        _force_errors(tables, point.label, which) for which in ("relative_l2", "estimated")
+    )
+    full_seconds = timings[0].full_seconds if timings else None
+    offline, training = offline_seconds(workspace, model, [point], full_seconds)
+    objections = [(p, text) for p in asked for text in against(workspace, model, p)]
+    return Answer(
+        row=worst,
+        n_points=len(judged),
+        error=error,
+        best=nearest[0].in_field if nearest else None,
+        estimate=(estimates[0]["velocity_estimate"], estimates[0]["pressure_estimate"])
+        if estimates
+        else None,
+        timing=timings[0] if timings else None,
+        offline_seconds=offline,
+        training_seconds=training,
+        n_training=len(plan.bases[basis]),
+        surface=_surface_errors(tables, worst, best),
+        since=f" from {since:g} s on" if (since := workspace.case.compare.from_time) else "",
+        doubts=(
+            *_doubts(workspace),
+            *(
+                f"{'This run' if p is point else f'The run at {p.label}'} is doubtful: {text}."
+                for p, text in objections
             ),
-            oscillations=tuple(r for r in tables.oscillations if (r.compared, r.parameters) == own),
-            forces=tuple(
-                (name, force, forces.get((best, name)), expected.get((run, name)))
-                for (run, name), force in forces.items()
-                if run == model.name
-            ),
-        )
-    return None
+        ),
+        oscillations=tuple(r for r in tables.oscillations if (r.compared, r.parameters) == own),
+        forces=tuple(
+            (name, force, forces.get((best, name)), expected.get((run, name)))
+            for (run, name), force in forces.items()
+            if run == model.name
+        ),
+        outside=None if beyond is None else (len(far), beyond[1].parameters, beyond[0]),
+        n_models=len(alike),
+        unphysical=tuple(_unphysical(workspace)),
+    )
+
+
+_Compared = tuple[Pair, ErrorRow]
+
+
+def _velocity_error(compared: _Compared) -> float:
+    return compared[0][0]
+
+
+def _judged(compared: Sequence[_Compared]) -> tuple[list[_Compared], str]:
+    """Return the comparisons that judge a model, and their role."""
+    by_role = {role: [pair for pair in compared if pair[1].role == role] for role in ROLES}
+    return next((pairs, role) for role, pairs in by_role.items() if pairs)
+
+
+def _recommended(
+    models: Sequence[ReducedModelSection],
+    compared: Mapping[str, Sequence[_Compared]],
+    tables: Tables,
+) -> ReducedModelSection:
+    """Return the fastest of the models whose errors are nearly the least."""
+    errors = {
+        m.name: float(np.mean([e for e, _ in _judged(compared[m.name])[0]], axis=0).max())
+        for m in models
+    }
+    seconds = {row.model: row.reduced_seconds for row in tables.timings}
+    most = (1.0 + ALIKE) * min(errors.values())
+    fit = [model for model in models if errors[model.name] <= most]
+    return min(fit, key=lambda model: seconds.get(model.name) or math.inf)
+
+
+def _unphysical(workspace: Workspace) -> Iterator[str]:
+    """Yield a sentence for each unphysical full run of the case."""
+    for point in workspace.case.plan.points:
+        if found := workspace.unphysical(point):
+            yield (
+                f"The full run at {point.label} is unphysical, so errors against it do not judge a "
+                f"model: {'; '.join(found)}."
+            )
 
 
 def _doubts(workspace: Workspace) -> Iterator[str]:
@@ -247,12 +323,15 @@ def tell_answer(workspace: Workspace, tables: Tables) -> None:
     """Report the answer and the folders of tables and pictures, at the end of a command."""
     report, out = workspace.context.report, workspace.out
     if tables == Tables():
+        for sentence in _unphysical(workspace):
+            report.prose(sentence)
         report.result(
             f"The full runs are in {out}. There is no reduced model to compare with them."
         )
         return
     answer = find_answer(workspace, tables)
-    sentences = ["No reduced model was compared over a whole run.", *_doubts(workspace)]
+    nothing = "No reduced model was compared over a whole run."
+    sentences = [*_unphysical(workspace), nothing, *_doubts(workspace)]
     for sentence in sentences if answer is None else answer.sentences():
         report.prose(sentence)
     pictures = f", pictures in {out / 'plots'}" if (out / "plots").is_dir() else ""

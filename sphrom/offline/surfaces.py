@@ -20,7 +20,7 @@ from sphrom.errors import SphromError, UnstableError
 from sphrom.metrics.histories import energy
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.surface_basis import TrainedGraph, chosen_size, make_basis
-from sphrom.setup.assembly import medium, surface_columns, uniform_force
+from sphrom.setup.assembly import medium, uniform_force
 from sphrom.store.surfaces import elevation_of, read_surface_basis
 from sphrom.store.trajectory import require_complete, snapshot_fields
 from sphrom.store.workspace import Workspace
@@ -39,7 +39,7 @@ def map_point(workspace: Workspace, point: ParameterPoint) -> None:
     Raises UnstableError where a column has no fluid or more than one surface.
     """
     case, space = workspace.case, workspace.case.plan.stream_space
-    columns = surface_columns(case)
+    columns = case.plan.surface_columns
     find = elevation_of(case, space, columns)
     with workspace.open(workspace.full_run(point)) as trajectory:
         require_complete(trajectory)
