@@ -454,7 +454,8 @@ def _start_problem(case: Case, point: ParameterPoint) -> str | None:
 def _check_training_runs(case: Case) -> Found:
     """Refuse models that training runs can't teach anything."""
     plan = case.plan
-    if case.rom and not any(map(plan.is_driven, plan.train_points)):
+    asked = "rom" in case.model_fields_set and case.rom
+    if asked and not any(map(plan.is_driven, plan.train_points)):
         reason = "nothing drives the fluid in any training run, so that there are no modes"
         yield "parameters.train", f"{reason}; drive it, or set rom: []"
     if plan.reference_bases and plan.driving:

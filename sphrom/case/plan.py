@@ -37,6 +37,8 @@ MOST_COLUMNS, ROWS_OF_FLUID, LEAST_CELL = 16, 9, 2
 """Of a tank's splines: cells along it, along the depth, and the least size over the spacing."""
 COLUMNS_A_CELL = 4
 """Columns where the surface is looked for, in each cell of the splines."""
+N_LINES = 201
+"""Lines tried where a solid covers the usual one."""
 N_INSTANTS = 50
 """Times of a run at which a body force is looked at."""
 HIGHEST_CREST = 1.6
@@ -152,8 +154,12 @@ class Plan:
     @cached_property
     def probe_line(self) -> float:
         """x of the vertical line on which runs are compared [m]."""
-        line = self._case.compare.line
-        return self._case.scene.probe_line if line is None else line
+        scene, line = self._case.scene, self._case.compare.line
+        if line is not None or scene.domain.sections(scene.probe_line):
+            return scene.probe_line if line is None else line
+        places = np.linspace(scene.domain.lower[0], scene.domain.upper[0], N_LINES)
+        nearest = sorted(places.tolist(), key=lambda x: abs(x - scene.probe_line))
+        return next((x for x in nearest if scene.domain.sections(x)), scene.probe_line)
 
     @cached_property
     def max_speed(self) -> float:
@@ -169,15 +175,23 @@ class Plan:
         return max(self.max_speed / self._case.fluid.mach_number, least)
 
     @cached_property
-    def largest_head(self) -> float:
-        """Estimate of the largest head of all runs [m2/s2]: by forces, and in gaps and corners."""
+    def heads(self) -> dict[str, float]:
+        """Estimates of the largest heads of all runs [m2/s2], by their cause in words."""
         scene, end = self._case.scene, self._case.time.final_time
         domain, viscosity = scene.domain, max(map(self.kinematic_viscosity, self.points))
         gap = domain.narrowest_gap or math.inf  # a check refuses a gap of zero
         in_gaps = self.max_speed * (max(domain.lengths) / gap**2 + scene.porous_way)
         at_corners = CORNER_PRESSURE * self._largest_jump / self.particle_spacing
-        of_force = max(scene.largest_head(end, values) for values in self._settings)
-        return max(of_force, viscosity * in_gaps, viscosity * at_corners)
+        friction = "friction at walls" if domain.has_walls else "viscous friction in the fluid"
+        return {
+            "the body force": max(scene.largest_head(end, values) for values in self._settings),
+            friction: viscosity * max(in_gaps, at_corners),
+        }
+
+    @cached_property
+    def largest_head(self) -> float:
+        """The largest of the heads [m2/s2]."""
+        return max(self.heads.values())
 
     @cached_property
     def _largest_jump(self) -> float:

@@ -239,7 +239,10 @@ class _Fit:
             weights = np.full(n_free, penalty)
             weights[0] = 0.0
             right_side = slopes @ differences[0] + weights * numbers[:n_free]
-            step = np.linalg.solve(slopes @ slopes.T + np.diag(weights), right_side)
+            try:
+                step = np.linalg.solve(slopes @ slopes.T + np.diag(weights), right_side)
+            except np.linalg.LinAlgError:  # runs at rest, which no number changes
+                break
             trial = numbers.copy()
             trial[:n_free] -= step
             if np.sum(self._differences(trial[None]) ** 2) < cost and self._is_stable(trial):
@@ -254,7 +257,7 @@ class _Fit:
         for one in self.projected:
             sizes = np.ones(len(self.scale))
             for part in (slice(self.n_modes), slice(self.n_modes, None)):
-                sizes[part] = np.linalg.norm(one.coordinates[:, part])
+                sizes[part] = np.linalg.norm(one.coordinates[:, part]) or 1.0
             missing = np.zeros((len(given), *one.coordinates.shape))
             for own, run in zip(missing, one.runs(changes), strict=True):
                 own[: len(run.coordinates)] = run.coordinates
