@@ -9,12 +9,13 @@ between the training values; without such points, over those outside, else over 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
+from sphrom.case.models import Case
 from sphrom.case.sections import ReducedModelSection
 from sphrom.compare.comparison_tables import ErrorRow, Tables, best_name
 from sphrom.compare.costs import N_REPEATS, RunTiming, break_even, offline_seconds
@@ -68,12 +69,10 @@ class Answer:
     since: str = ""
     """A phrase for the time from which errors count, unless it is the first."""
     doubts: tuple[str, ...] = ()
-    """Sentences with reasons to doubt imported runs, or the model at its points."""
+    """Sentences with reasons to doubt that imported runs belong to the case."""
     outside: tuple[int, str, Pair] | None = None
     """Number of points outside of the trained values, the worst one and its errors, if the answer
     is about others."""
-    n_models: int = 1
-    """Number of models of the same kind that were compared."""
     unphysical: tuple[str, ...] = ()
     """Sentences about unphysical full runs."""
 
@@ -97,11 +96,6 @@ class Answer:
             f"{self.since}, relative to the full run, with pressures less their mean"
             f"{'' if self.surface is None else ' and their part at rest'}."
         )
-        if self.n_models > 1:
-            yield (
-                f"Of {self.n_models} models it is the fastest whose errors are within "
-                f"{ALIKE:.0%} of the least; the table has the others."
-            )
         yield from self._compared()
         if self.outside is not None:
             number, where, errors = self.outside
@@ -185,96 +179,92 @@ def _both(errors: Pair) -> str:
 
 def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
     """Return the answer of a comparison, None if no model ran to its end."""
-    plan, compared = workspace.case.plan, dict[str, list[_Compared]]()
-    for row in tables.errors:
-        if row.against == "full" and (error := row.in_field) is not None:
-            compared.setdefault(row.compared, []).append((error, row))
-    models = [model for model in plan.models_by_speed if model.name in compared]
-    failed = {row.compared for row in tables.errors if row.status != "complete"}
-    models = [model for model in models if model.name not in failed] or models
-    alike = [model for model in models if model.from_operators == models[0].from_operators]
-    if not alike:
-        return None
-    model = _recommended(alike, compared, tables)
-    judged, role = _judged(compared[model.name])
-    error, worst = max(judged, key=_velocity_error)
-    points = {point.label: point for point in plan.rom_points(model)}
-    point = points[worst.parameters]
-    far = [pair for pair in compared[model.name] if pair[1].role == "extrapolated" != role]
-    beyond = max(far, key=_velocity_error, default=None)
-    asked = [point, *(() if beyond is None else [points[beyond[1].parameters]])]
-    basis, n_modes = basis_used(workspace, model, point)
-    best = best_name(basis, n_modes)
-    nearest = [r for r in tables.errors if (r.compared, r.parameters) == (best, point.label)]
-    own = (model.name, point.label)
-    estimates = [r.figures for r in tables.estimates if (r.compared, r.parameters) == own]
-    timings = [r for r in tables.timings if (r.model, r.parameters) == own]
-    forces, expected = (
-        _force_errors(tables, point.label, which) for which in ("relative_l2", "estimated")
-    )
-    full_seconds = timings[0].full_seconds if timings else None
-    offline, training = offline_seconds(workspace, model, [point], full_seconds)
-    objections = [(p, text) for p in asked for text in against(workspace, model, p)]
-    return Answer(
-        row=worst,
-        n_points=len(judged),
-        error=error,
-        best=nearest[0].in_field if nearest else None,
-        estimate=(estimates[0]["velocity_estimate"], estimates[0]["pressure_estimate"])
-        if estimates
-        else None,
-        timing=timings[0] if timings else None,
-        offline_seconds=offline,
-        training_seconds=training,
-        n_training=len(plan.bases[basis]),
-        surface=_surface_errors(tables, worst, best),
-        since=f" from {since:g} s on" if (since := workspace.case.compare.from_time) else "",
-        doubts=(
-            *_doubts(workspace),
-            *(
-                f"{'This run' if p is point else f'The run at {p.label}'} is doubtful: {text}."
-                for p, text in objections
+    plan = workspace.case.plan
+    for model in _by_preference(workspace.case, tables):
+        points = {point.label: point for point in plan.rom_points(model)}
+        compared = _compared(tables, model.name)
+        judged = _judged(compared)
+        error, worst = max(judged, key=lambda pair: pair[0][0])
+        far = [pair for pair in compared if pair[1].role == "extrapolated" != worst.role]
+        beyond = max(far, key=lambda pair: pair[0][0], default=None)
+        point = points[worst.parameters]
+        basis, n_modes = basis_used(workspace, model, point)
+        best = best_name(basis, n_modes)
+        nearest = [r for r in tables.errors if (r.compared, r.parameters) == (best, point.label)]
+        own = (model.name, point.label)
+        estimates = [r.figures for r in tables.estimates if (r.compared, r.parameters) == own]
+        timings = [r for r in tables.timings if (r.model, r.parameters) == own]
+        forces, expected = (
+            _force_errors(tables, point.label, which) for which in ("relative_l2", "estimated")
+        )
+        full_seconds = timings[0].full_seconds if timings else None
+        offline, training = offline_seconds(workspace, model, [point], full_seconds)
+        return Answer(
+            row=worst,
+            n_points=len(judged),
+            error=error,
+            best=nearest[0].in_field if nearest else None,
+            estimate=(estimates[0]["velocity_estimate"], estimates[0]["pressure_estimate"])
+            if estimates
+            else None,
+            timing=timings[0] if timings else None,
+            offline_seconds=offline,
+            training_seconds=training,
+            n_training=len(plan.bases[basis]),
+            surface=_surface_errors(tables, worst, best),
+            since=f" from {since:g} s on" if (since := workspace.case.compare.from_time) else "",
+            doubts=(
+                *_doubts(workspace),
+                *(f"This run is doubtful: {t}." for t in against(workspace, model, point)),
             ),
-        ),
-        oscillations=tuple(r for r in tables.oscillations if (r.compared, r.parameters) == own),
-        forces=tuple(
-            (name, force, forces.get((best, name)), expected.get((run, name)))
-            for (run, name), force in forces.items()
-            if run == model.name
-        ),
-        outside=None if beyond is None else (len(far), beyond[1].parameters, beyond[0]),
-        n_models=len(alike),
-        unphysical=tuple(_unphysical(workspace)),
-    )
+            outside=beyond and (len(far), beyond[1].parameters, beyond[0]),
+            unphysical=tuple(_unphysical(workspace)),
+            oscillations=tuple(r for r in tables.oscillations if (r.compared, r.parameters) == own),
+            forces=tuple(
+                (name, force, forces.get((best, name)), expected.get((run, name)))
+                for (run, name), force in forces.items()
+                if run == model.name
+            ),
+        )
+    return None
 
 
-_Compared = tuple[Pair, ErrorRow]
+def _compared(tables: Tables, model: str) -> list[tuple[Pair, ErrorRow]]:
+    """Return the errors of a model with their rows, where its runs are complete."""
+    rows = (row for row in tables.errors if (row.compared, row.against) == (model, "full"))
+    return [(error, row) for row in rows if (error := row.in_field) is not None]
 
 
-def _velocity_error(compared: _Compared) -> float:
-    return compared[0][0]
+def _judged(compared: Sequence[tuple[Pair, ErrorRow]]) -> list[tuple[Pair, ErrorRow]]:
+    """Return those between the training values; if none are, those outside, else all."""
+    roles = ([pair for pair in compared if pair[1].role == role] for role in ROLES)
+    return next(filter(None, roles))
 
 
-def _judged(compared: Sequence[_Compared]) -> tuple[list[_Compared], str]:
-    """Return the comparisons that judge a model, and their role."""
-    by_role = {role: [pair for pair in compared if pair[1].role == role] for role in ROLES}
-    return next((pairs, role) for role, pairs in by_role.items() if pairs)
-
-
-def _recommended(
-    models: Sequence[ReducedModelSection],
-    compared: Mapping[str, Sequence[_Compared]],
-    tables: Tables,
-) -> ReducedModelSection:
-    """Return the fastest of the models whose errors are nearly the least."""
+def _by_preference(case: Case, tables: Tables) -> list[ReducedModelSection]:
+    """Return the models that ran to their end, the recommended one first."""
+    compared = {model.name: _compared(tables, model.name) for model in case.rom}
     errors = {
-        m.name: float(np.mean([e for e, _ in _judged(compared[m.name])[0]], axis=0).max())
-        for m in models
+        name: float(np.mean([error for error, _ in _judged(pairs)], axis=0).max())
+        for name, pairs in compared.items()
+        if pairs
     }
+    failed = {row.compared for row in tables.errors if row.status != "complete"}
     seconds = {row.model: row.reduced_seconds for row in tables.timings}
-    most = (1.0 + ALIKE) * min(errors.values())
-    fit = [model for model in models if errors[model.name] <= most]
-    return min(fit, key=lambda model: seconds.get(model.name) or math.inf)
+
+    def key(model: ReducedModelSection) -> tuple[bool, bool, bool, float]:
+        kind, name = not model.from_operators, model.name
+        alike = (
+            errors[m.name]
+            for m in case.rom
+            if m.name in errors
+            and m.name not in failed
+            and m.from_operators == model.from_operators
+        )
+        off = errors[name] > (1.0 + ALIKE) * min(alike, default=math.inf)
+        return kind, name in failed, off, seconds.get(name) or math.inf
+
+    return sorted((model for model in case.rom if model.name in errors), key=key)
 
 
 def _unphysical(workspace: Workspace) -> Iterator[str]:
