@@ -243,28 +243,23 @@ def _judged(compared: Sequence[tuple[Pair, ErrorRow]]) -> list[tuple[Pair, Error
 
 def _by_preference(case: Case, tables: Tables) -> list[ReducedModelSection]:
     """Return the models that ran to their end, the recommended one first."""
-    compared = {model.name: _compared(tables, model.name) for model in case.rom}
-    errors = {
-        name: float(np.mean([error for error, _ in _judged(pairs)], axis=0).max())
-        for name, pairs in compared.items()
-        if pairs
-    }
+    errors, least = dict[str, float](), dict[bool, float]()
     failed = {row.compared for row in tables.errors if row.status != "complete"}
     seconds = {row.model: row.reduced_seconds for row in tables.timings}
+    models = [model for model in case.rom if _compared(tables, model.name)]
+    for model in models:
+        pairs = _judged(_compared(tables, model.name))
+        errors[model.name] = error = float(np.mean([pair[0] for pair in pairs], axis=0).max())
+        if model.name not in failed:
+            kind = model.from_operators
+            least[kind] = min(error, least.get(kind, math.inf))
 
     def key(model: ReducedModelSection) -> tuple[bool, bool, bool, float]:
-        kind, name = not model.from_operators, model.name
-        alike = (
-            errors[m.name]
-            for m in case.rom
-            if m.name in errors
-            and m.name not in failed
-            and m.from_operators == model.from_operators
-        )
-        off = errors[name] > (1.0 + ALIKE) * min(alike, default=math.inf)
-        return kind, name in failed, off, seconds.get(name) or math.inf
+        kind, name = model.from_operators, model.name
+        off = errors[name] > (1.0 + ALIKE) * least.get(kind, math.inf)
+        return not kind, name in failed, off, seconds.get(name) or math.inf
 
-    return sorted((model for model in case.rom if model.name in errors), key=key)
+    return sorted(models, key=key)
 
 
 def _unphysical(workspace: Workspace) -> Iterator[str]:

@@ -434,6 +434,11 @@ def fitted_case(
         f"time.step={float(f'{apart / every:.12g}')!r}",
         f"snapshots.every={every}",
     ]
+    try:
+        load_case(source, [*overrides, *keys])
+    except CaseError as error:  # the user gave none of these keys
+        reason = re.sub(r"^because of --set [^:]*: ", "", str(error))
+        raise CaseError(f"fitted to {series(sources)}, the case is invalid: {reason}") from error
     text = dump_yaml(given_keys(source, [*overrides, *keys], into))
     return f"# {source.name}, fitted to {files[0].name} and others.\n{text}", keys
 
