@@ -464,9 +464,12 @@ def _check_training_runs(case: Case) -> Found:
         except CaseError as error:
             key, _, reason = str(error).partition(": ")
             yield key, reason
-    if plan.sized_bases and not case.scene.has_surface and plan.steps.n_snapshots < LEAST_SNAPSHOTS:
-        reason = f"auto needs training runs of {LEAST_SNAPSHOTS} snapshots or more"
-        yield "rom", f"n_modes: {reason}; got {plan.steps.n_snapshots}; see snapshots.every"
+    short = plan.steps.n_snapshots < LEAST_SNAPSHOTS and not case.scene.has_surface
+    for i, model in enumerate(case.rom if short else ()):
+        key = "calibrated" if model.calibrated is True else "n_modes"
+        if model.from_operators and (model.calibrated is True or model.n_modes == AUTO):
+            needed = f"needs training runs of {LEAST_SNAPSHOTS} snapshots or more"
+            yield f"rom.{i}.{key}", f"{_yaml(getattr(model, key))} {needed}; see snapshots.every"
 
 
 def _yaml(value: object) -> str:
