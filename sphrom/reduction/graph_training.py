@@ -198,9 +198,11 @@ class _Fit:
         self.n_modes = projected[0].products[1].shape[1]
         a, b = coordinates[:, : self.n_modes], coordinates[:, self.n_modes :]
         parts = np.sqrt([np.mean(a**2), np.mean(b**2)])
+        parts[parts == 0.0] = 1.0  # at rest
         self.scale = np.repeat(parts, [a.shape[1], b.shape[1]])
         norm = projected[0].run.gravity * projected[0].model.basis.space.width / 2
-        self.amplitude = float(np.mean(np.sum(b**2, axis=1) + np.sum(a**2, axis=1) / norm))
+        squares = np.sum(b**2, axis=1) + np.sum(a**2, axis=1) / norm
+        self.amplitude = float(np.mean(squares)) or 1.0
         free = np.ones((len(self.scale),) * 2, dtype=bool)
         free[self.n_modes :, self.n_modes :] = False
         self.entries = np.nonzero(free)
