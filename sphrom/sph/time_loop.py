@@ -281,7 +281,7 @@ class Watch:
         self._before = time, now, position, velocity
 
     def findings(self) -> Iterator[str]:
-        """Yield what has no cause in the equations, in words."""
+        """Yield the effects without a cause, in words."""
         if len(self._rows) < 2:
             return
         rows = np.array(self._rows).T

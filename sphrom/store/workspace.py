@@ -170,7 +170,7 @@ class Workspace:
         return {}
 
     def unphysical(self, point: ParameterPoint) -> list[str]:
-        """Return what is unphysical in the full run at a point."""
+        """Return the unphysical effects in the full run at a point."""
         return str(self._attributes(self.full_run(point)).get("unphysical", "")).splitlines()
 
     def _import_command(self, target: Target) -> str | None:

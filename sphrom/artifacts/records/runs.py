@@ -145,7 +145,7 @@ class Trajectory(Snapshots, Settings, kind="sphrom/trajectory"):
     status: Status = attribute("", "how the run ended")
     status_detail: str | None = attribute("", "reason, place and time of a failure", default=None)
     unphysical: str | None = attribute(
-        "", "what a full run shows that has no cause in its equations, one per line", default=None
+        "", "effects without a cause in a full run, one per line", default=None
     )
     memory_length: float | None = attribute("s", "tau of Eq. 3.22, of a reduced run", default=None)
     imported_files: str | None = attribute(
@@ -305,7 +305,7 @@ class Coordinates(Settings, kind="sphrom/coordinates"):
     status: Status = attribute("", "how the run ended")
     status_detail: str | None = attribute("", "reason and time of a failure", default=None)
     unphysical: str | None = attribute(
-        "", "what a full run shows that has no cause in its equations, one per line", default=None
+        "", "effects without a cause in a full run, one per line", default=None
     )
     memory_length: float | None = attribute("s", "tau of Eq. 3.22", default=None)
     mean_density_fluctuation: float = attribute("kg/m3", "separate mean, constant")
