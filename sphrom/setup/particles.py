@@ -81,16 +81,18 @@ def watch(case: Case, point: ParameterPoint) -> Watch:
     domain, ghosts = flow.domain, walls(case, flow)
     speeds = [] if ghosts is None else np.linalg.norm(ghosts.velocity, axis=1)
     drive = float(np.max(speeds, initial=0.0))
+    force = flow.body_force
     if (strip := plan.strip) is not None:  # the same flow passes through the narrowest gap
         wide = domain.lengths[1 - strip.axis] / min(domain.narrowest_gap, *domain.lengths)
-        drive = max(drive, wide * abs(strip.speed))
+        head = case.scene.largest_head(case.time.final_time, point.factors)
+        drive, force = math.hypot(drive, wide * strip.speed, math.sqrt(2.0 * head)), None
     return Watch(
         case.fluid.reference_density,
         plan.sound_speed,
         plan.max_speed,
         drive,
         case.scene.gravity,
-        flow.body_force,
+        force,
         is_driven=plan.is_driven(point),
         has_surface=case.scene.has_surface,
         look_every=max(1, round(LOOK_EVERY / case.snapshots.every)),
