@@ -21,7 +21,7 @@ from sphrom.arrays import Array
 from sphrom.case.points import REYNOLDS, GivenPoints, ParameterPoint, Values, nearest_point
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection, SubsetSection
 from sphrom.errors import CaseError
-from sphrom.metrics.measures import midpoints
+from sphrom.metrics.measures import grid_points, midpoints
 from sphrom.reduction.stream_functions import StreamSpace
 from sphrom.scenes.flows import Scales, Scene
 from sphrom.sph import fluid
@@ -39,8 +39,8 @@ COLUMNS_A_CELL = 4
 """Columns where the surface is looked for, in each cell of the splines."""
 N_LINES = 201
 """Lines tried where a solid covers the usual one."""
-N_INSTANTS = 50
-"""Times of a run at which a body force is looked at."""
+N_INSTANTS, N_PLACES = 50, 50
+"""Times of a run, and places along each axis, at which the driving of the fluid is looked at."""
 HIGHEST_CREST = 1.6
 """The height of the splines' box over the depth."""
 MOST_TRIED = 12
@@ -325,23 +325,25 @@ class Plan:
 
     def is_driven(self, point: ParameterPoint) -> bool:
         """Return whether anything sets the fluid in motion in a full run at a parameter point."""
-        scene, flow, dx = self._case.scene, self.flow(point), self.particle_spacing
-        place = scene.fill(dx, point.factors)
-        if flow.initial_velocity(place).any():
+        scene, flow, domain = self._case.scene, self.flow(point), self._case.scene.domain
+        place = grid_points(domain.lower, domain.upper, (N_PLACES, N_PLACES))
+        fluid, level = place[domain.contains(place)], scene.level_at(point.factors)
+        if scene.has_surface and not math.isfinite(level):
+            return True  # a shape falls, or moves by its own pressure
+        if flow.initial_velocity(fluid).any():
             return True
-        if scene.has_surface and not math.isfinite(scene.level_at(point.factors)):
-            return True  # a shape falls, or a pressure acts on it
-        if not scene.has_surface and flow.initial_pressure(place).any():
+        if not scene.has_surface and flow.initial_pressure(fluid).any():
             return True
-        if flow.domain.has_walls:
-            ghosts = flow.domain.ghosts(dx, self.n_wall_layers)
-            if flow.wall_velocity(ghosts.position).any():
-                return True
+        box = shapely.box(*domain.lower, *domain.upper).buffer(BEYOND * self.particle_spacing)
+        edge = shapely.segmentize(box.exterior, max(domain.lengths) / N_PLACES)
+        beside = np.concatenate((place, shapely.get_coordinates(edge)))
+        if domain.has_walls and flow.wall_velocity(beside).any():
+            return True
         if (force := flow.body_force) is None:
             return False
         times = np.linspace(0.0, self._case.time.final_time, N_INSTANTS)
         weight = np.array([[0.0], [scene.gravity]])
-        return any((force(place.T, float(time)) + weight).any() for time in times)
+        return any((force(fluid.T, float(time)) + weight).any() for time in times)
 
     @cached_property
     def strip(self) -> Strip | None:
