@@ -16,14 +16,15 @@ from sphrom.case import studies
 from sphrom.case.custom_sections import SurfaceForce
 from sphrom.case.fields import only_one
 from sphrom.case.models import Case
-from sphrom.case.plan import MAX_STEPS, WHOLE_STEPS_TOLERANCE
+from sphrom.case.plan import LEAST_SNAPSHOTS, MAX_STEPS, WHOLE_STEPS_TOLERANCE
 from sphrom.case.points import REYNOLDS, ParameterPoint, nearest_point
 from sphrom.case.scene_section import MeasureSection
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection
 from sphrom.case.study_sections import FULL, ErrorFigure, FieldFigure, ModeFigure, OfModes, OfRuns
 from sphrom.case.yaml_reader import Problem
-from sphrom.errors import CaseError
+from sphrom.errors import CaseError, SphromError
 from sphrom.kernels import SUPPORT_RATIO
+from sphrom.metrics.elevation import find_elevation
 from sphrom.sph.box_domain import WHOLE_TOLERANCE
 from sphrom.sph.fluid import ROUNDING
 from sphrom.text import exact, nearest, repeated
@@ -421,6 +422,12 @@ def _check_surface(case: Case) -> Found:
         yield "scene", f"{reason} {whole}; set rom: []"
     if scene.largest_resistance(1.0):
         yield "scene.resistance", f"{plain} {reason}; leave it out"
+    if not scene.gravity > 0.0:
+        yield "scene.fluid.gravity", f"must be above zero for {reason}; got 0"
+    for point in () if case.time.spin_up else case.plan.points:
+        if domain.fills_box and (problem := _start_problem(case, point)) is not None:
+            yield "scene.fluid", f"{point.label}: at the start, {problem}; set rom: []"
+            break
     for point in case.plan.points[:1]:
         force = case.plan.flow(point).body_force
         parts = force.parts if isinstance(force, SurfaceForce) else ()
@@ -437,6 +444,43 @@ def _check_surface(case: Case) -> Found:
             if (value := getattr(model, key)) not in usual:
                 needed = " or ".join(map(_yaml, usual))
                 yield f"rom.{i}.{key}", f"must be {needed} for {reason}; got {_yaml(value)}"
+
+
+def _start_problem(case: Case, point: ParameterPoint) -> str | None:
+    """Return the reason why the fluid's shape at the start of a run is no graph, or None."""
+    plan, scene = case.plan, case.scene
+    if math.isfinite(scene.level_at(point.factors)):
+        return None
+    position, space = scene.fill(plan.particle_spacing, point.factors), plan.stream_space
+    volume, radius = np.full(len(position), plan.particle_spacing**2), 2.0 * plan.smoothing_length
+    walls = space.left, space.right, space.bottom
+    try:
+        find_elevation(position, volume, plan.surface_columns, radius, walls)
+    except SphromError as error:
+        text = str(error).rstrip(".").replace("The column", "the column")
+        return f"{text}, and reduced models need one surface above each x"
+    return None
+
+
+def _check_training_runs(case: Case) -> Found:
+    """Refuse models that training runs can't teach anything."""
+    plan = case.plan
+    asked = "rom" in case.model_fields_set and case.rom
+    if asked and not any(map(plan.is_driven, plan.train_points)):
+        reason = "nothing drives the fluid in any training run, so that there are no modes"
+        yield "parameters.train", f"{reason}; drive it, or set rom: []"
+    if plan.reference_bases and plan.driving:
+        try:
+            _ = plan.rest_and_units
+        except CaseError as error:
+            key, _, reason = str(error).partition(": ")
+            yield key, reason
+    short = plan.steps.n_snapshots < LEAST_SNAPSHOTS and not case.scene.has_surface
+    for i, model in enumerate(case.rom if short else ()):
+        key = "calibrated" if model.calibrated is True else "n_modes"
+        if model.from_operators and (model.calibrated is True or model.n_modes == AUTO):
+            needed = f"needs training runs of {LEAST_SNAPSHOTS} snapshots or more"
+            yield f"rom.{i}.{key}", f"{_yaml(getattr(model, key))} {needed}; see snapshots.every"
 
 
 def _yaml(value: object) -> str:
@@ -488,6 +532,8 @@ def _check_compare(case: Case) -> Found:
     if not left < line < right:
         reason = f"must be within the scene, between {left:g} and {right:g} m; got {line:g}"
         yield "compare.line", reason
+    elif not domain.sections(line):
+        yield "compare.line", f"there is no fluid at x = {line:g} m; give another x"
     strip = case.plan.strip
     if strip is not None and strip.axis == 0 and strip.start < line < strip.end:
         reason = f"x = {line:g} m is in the strip of the inflow; set it downstream of it"
@@ -580,6 +626,7 @@ _CHECKS: tuple[Callable[[Case], Found], ...] = (
     _check_compare,
 )
 _SNAPSHOT_CHECKS: tuple[Callable[[Case], Found], ...] = (
+    _check_training_runs,
     _check_modes,
     _check_reduced_times,
     _check_trade,

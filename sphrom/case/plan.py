@@ -21,6 +21,7 @@ from sphrom.arrays import Array
 from sphrom.case.points import REYNOLDS, ParameterPoint, Values, nearest_point
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection, SubsetSection
 from sphrom.errors import CaseError
+from sphrom.metrics.measures import grid_points, midpoints
 from sphrom.reduction.stream_functions import StreamSpace
 from sphrom.scenes.flows import Scales, Scene
 from sphrom.sph import fluid
@@ -34,6 +35,12 @@ if TYPE_CHECKING:
 
 MOST_COLUMNS, ROWS_OF_FLUID, LEAST_CELL = 16, 9, 2
 """Of a tank's splines: cells along it, along the depth, and the least size over the spacing."""
+COLUMNS_A_CELL = 4
+"""Columns where the surface is looked for, in each cell of the splines."""
+N_LINES = 201
+"""Lines tried where a solid covers the usual one."""
+N_INSTANTS, N_PLACES = 50, 50
+"""Times of a run, and places along each axis, at which the driving of the fluid is looked at."""
 HIGHEST_CREST = 1.6
 """The height of the splines' box over the depth."""
 MOST_TRIED = 12
@@ -58,6 +65,8 @@ WHOLE_STEPS_TOLERANCE = 1e-6
 """Relative tolerance for a duration to be a whole number of steps."""
 LARGEST_DENOMINATOR = 1000
 """Largest denominator of spin-up over recorded time, so that one automatic step fits both."""
+LEAST_SNAPSHOTS = 3
+"""Fewest snapshots per training run for a calibration."""
 MOST_ESTIMATED_MODES = 30
 """Largest basis with error estimates by default; their work grows with its fourth power."""
 
@@ -145,8 +154,12 @@ class Plan:
     @cached_property
     def probe_line(self) -> float:
         """x of the vertical line on which runs are compared [m]."""
-        line = self._case.compare.line
-        return self._case.scene.probe_line if line is None else line
+        scene, line = self._case.scene, self._case.compare.line
+        if line is not None or scene.domain.sections(scene.probe_line):
+            return scene.probe_line if line is None else line
+        places = np.linspace(scene.domain.lower[0], scene.domain.upper[0], N_LINES)
+        nearest = sorted(places.tolist(), key=lambda x: abs(x - scene.probe_line))
+        return next((x for x in nearest if scene.domain.sections(x)), scene.probe_line)
 
     @cached_property
     def max_speed(self) -> float:
@@ -162,15 +175,23 @@ class Plan:
         return max(self.max_speed / self._case.fluid.mach_number, least)
 
     @cached_property
-    def largest_head(self) -> float:
-        """Estimate of the largest head of all runs [m2/s2]: by forces, and in gaps and corners."""
+    def heads(self) -> dict[str, float]:
+        """Estimates of the largest heads of all runs [m2/s2], by their cause in words."""
         scene, end = self._case.scene, self._case.time.final_time
         domain, viscosity = scene.domain, max(map(self.kinematic_viscosity, self.points))
         gap = domain.narrowest_gap or math.inf  # a check refuses a gap of zero
         in_gaps = self.max_speed * (max(domain.lengths) / gap**2 + scene.porous_way)
         at_corners = CORNER_PRESSURE * self._largest_jump / self.particle_spacing
-        of_force = max(scene.largest_head(end, values) for values in self._settings)
-        return max(of_force, viscosity * in_gaps, viscosity * at_corners)
+        friction = "friction at walls" if domain.has_walls else "viscous friction in the fluid"
+        return {
+            "the body force": max(scene.largest_head(end, values) for values in self._settings),
+            friction: viscosity * max(in_gaps, at_corners),
+        }
+
+    @cached_property
+    def largest_head(self) -> float:
+        """The largest of the heads [m2/s2]."""
+        return max(self.heads.values())
 
     @cached_property
     def _largest_jump(self) -> float:
@@ -262,6 +283,12 @@ class Plan:
             n_rows=n_rows,
         )
 
+    @cached_property
+    def surface_columns(self) -> Array:
+        """The midpoints (n_columns,) [m] of the columns where surfaces are looked for."""
+        space = self.stream_space
+        return midpoints(space.left, space.right, COLUMNS_A_CELL * space.n_columns)
+
     def weight_at(self, point: ParameterPoint, position: Array) -> Array | None:
         """Return the pressure at rest (n_positions,) [Pa] below a level; None without a surface."""
         scene = self._case.scene
@@ -277,6 +304,46 @@ class Plan:
         return self._case.scene.flow(
             Scales(fluid.reference_speed, fluid.reference_density, viscosity, point.factors)
         )
+
+    @cached_property
+    def rest_and_units(self) -> tuple[Scene, dict[str, Scene]]:
+        """The undriven flow, and one flow per driving parameter with that parameter set to one.
+
+        Raises CaseError if an expression has no value there.
+        """
+        point, names = self.train_points[0], self.driving
+
+        def at(one: str | None) -> Scene:
+            drives = {name: float(name == one) for name in names}
+            others = tuple((name, drives.get(name, value)) for name, value in point.others)
+            return self.flow(replace(point, others=others))
+
+        try:
+            return at(None), {name: at(name) for name in names}
+        except ValueError as error:
+            raise CaseError(f"parameters: operators need the flow at 0 and 1: {error}") from error
+
+    def is_driven(self, point: ParameterPoint) -> bool:
+        """Return whether anything sets the fluid in motion in a full run at a parameter point."""
+        scene, flow, domain = self._case.scene, self.flow(point), self._case.scene.domain
+        place = grid_points(domain.lower, domain.upper, (N_PLACES, N_PLACES))
+        fluid, level = place[domain.contains(place)], scene.level_at(point.factors)
+        if scene.has_surface and not math.isfinite(level):
+            return True  # a shape falls, or moves by its own pressure
+        if flow.initial_velocity(fluid).any():
+            return True
+        if not scene.has_surface and flow.initial_pressure(fluid).any():
+            return True
+        box = shapely.box(*domain.lower, *domain.upper).buffer(BEYOND * self.particle_spacing)
+        edge = shapely.segmentize(box.exterior, max(domain.lengths) / N_PLACES)
+        beside = np.concatenate((place, shapely.get_coordinates(edge)))
+        if domain.has_walls and flow.wall_velocity(beside).any():
+            return True
+        if (force := flow.body_force) is None:
+            return False
+        times = np.linspace(0.0, self._case.time.final_time, N_INSTANTS)
+        weight = np.array([[0.0], [scene.gravity]])
+        return any((force(fluid.T, float(time)) + weight).any() for time in times)
 
     @cached_property
     def strip(self) -> Strip | None:

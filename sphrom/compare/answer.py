@@ -1,15 +1,22 @@
 """The result of a case in a few sentences: the error, the speed and the break-even of its model.
 
-It comes from the tables of a comparison, and from the costs that artifacts record.
+It comes from the tables of a comparison, and from the costs that artifacts record. The model is the
+one that `trade` recommends for a tolerance of (1 + ALIKE) times the least error: the fastest within
+this tolerance. The error is the larger one of velocity and pressure, each a mean over the points
+between the training values; without such points, over those outside, else over training points.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
+from sphrom.case.models import Case
+from sphrom.case.sections import ReducedModelSection
 from sphrom.compare.comparison_tables import ErrorRow, Tables, best_name
 from sphrom.compare.costs import N_REPEATS, RunTiming, break_even, offline_seconds
 from sphrom.compare.measured import SURFACE, OscillationRow
@@ -19,6 +26,8 @@ from sphrom.store.trained_models import basis_used
 from sphrom.store.workspace import Workspace
 from sphrom.text import counted, duration
 
+ALIKE = 0.1
+"""Relative difference below which errors of models are equal."""
 DIGITS = 2
 """Significant digits of the figures in a sentence."""
 ROLES = {
@@ -35,7 +44,7 @@ Force = tuple[str, float, float | None, float | None]
 
 @dataclass(frozen=True)
 class Answer:
-    """Error and cost of a reduced model at a point, preferably one that it was not trained on.
+    """Error and cost of a reduced model at a point, preferably one between the training values.
 
     Of several such points, it is the one with the largest error of velocity.
     """
@@ -61,6 +70,11 @@ class Answer:
     """A phrase for the time from which errors count, unless it is the first."""
     doubts: tuple[str, ...] = ()
     """Sentences with reasons to doubt that imported runs belong to the case."""
+    outside: tuple[int, str, Pair] | None = None
+    """Number of points outside of the trained values, the worst one and its errors, if the answer
+    is about others."""
+    unphysical: tuple[str, ...] = ()
+    """Sentences about unphysical full runs."""
 
     @property
     def pays_from(self) -> int | None:
@@ -72,6 +86,7 @@ class Answer:
 
     def sentences(self) -> Iterator[str]:
         """Yield the sentences of the answer."""
+        yield from self.unphysical
         one_of = "" if self.n_points == 1 else f", the worst of {self.n_points} such values"
         yield (
             f"At {self.row.parameters}, {ROLES[self.row.role]}{one_of}, {self.row.compared} "
@@ -82,6 +97,13 @@ class Answer:
             f"{'' if self.surface is None else ' and their part at rest'}."
         )
         yield from self._compared()
+        if self.outside is not None:
+            number, where, errors = self.outside
+            worst = "" if number == 1 else f", the worst of {number} such values"
+            yield (
+                f"At {where}, which lies outside of the trained values{worst}, it differs by "
+                f"{percent(errors[0])} in velocity and {percent(errors[1])} in pressure."
+            )
         yield from self._cost()
 
     def _compared(self) -> Iterator[str]:
@@ -158,19 +180,13 @@ def _both(errors: Pair) -> str:
 def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
     """Return the answer of a comparison, None if no model ran to its end."""
     plan = workspace.case.plan
-    for model in plan.models_by_speed:
+    for model in _by_preference(workspace.case, tables):
         points = {point.label: point for point in plan.rom_points(model)}
-        compared = [
-            (error, row)
-            for row in tables.errors
-            if (row.compared, row.against) == (model.name, "full")
-            and row.parameters in points
-            and (error := row.in_field) is not None
-        ]
-        if not compared:
-            continue
-        unseen = [pair for pair in compared if pair[1].role != "trained"] or compared
-        error, worst = max(unseen, key=lambda pair: pair[0][0])
+        compared = _compared(tables, model.name)
+        judged = _judged(compared)
+        error, worst = max(judged, key=lambda pair: pair[0][0])
+        far = [pair for pair in compared if pair[1].role == "extrapolated" != worst.role]
+        beyond = max(far, key=lambda pair: pair[0][0], default=None)
         point = points[worst.parameters]
         basis, n_modes = basis_used(workspace, model, point)
         best = best_name(basis, n_modes)
@@ -185,7 +201,7 @@ def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
         offline, training = offline_seconds(workspace, model, [point], full_seconds)
         return Answer(
             row=worst,
-            n_points=len(unseen),
+            n_points=len(judged),
             error=error,
             best=nearest[0].in_field if nearest else None,
             estimate=(estimates[0]["velocity_estimate"], estimates[0]["pressure_estimate"])
@@ -201,6 +217,8 @@ def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
                 *_doubts(workspace),
                 *(f"This run is doubtful: {t}." for t in against(workspace, model, point)),
             ),
+            outside=beyond and (len(far), beyond[1].parameters, beyond[0]),
+            unphysical=tuple(_unphysical(workspace)),
             oscillations=tuple(r for r in tables.oscillations if (r.compared, r.parameters) == own),
             forces=tuple(
                 (name, force, forces.get((best, name)), expected.get((run, name)))
@@ -209,6 +227,49 @@ def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
             ),
         )
     return None
+
+
+def _compared(tables: Tables, model: str) -> list[tuple[Pair, ErrorRow]]:
+    """Return the errors of a model with their rows, where its runs are complete."""
+    rows = (row for row in tables.errors if (row.compared, row.against) == (model, "full"))
+    return [(error, row) for row in rows if (error := row.in_field) is not None]
+
+
+def _judged(compared: Sequence[tuple[Pair, ErrorRow]]) -> list[tuple[Pair, ErrorRow]]:
+    """Return those between the training values; if none are, those outside, else all."""
+    roles = ([pair for pair in compared if pair[1].role == role] for role in ROLES)
+    return next(filter(None, roles))
+
+
+def _by_preference(case: Case, tables: Tables) -> list[ReducedModelSection]:
+    """Return the models that ran to their end, the recommended one first."""
+    errors, least = dict[str, float](), dict[bool, float]()
+    failed = {row.compared for row in tables.errors if row.status != "complete"}
+    seconds = {row.model: row.reduced_seconds for row in tables.timings}
+    models = [model for model in case.rom if _compared(tables, model.name)]
+    for model in models:
+        pairs = _judged(_compared(tables, model.name))
+        errors[model.name] = error = float(np.mean([pair[0] for pair in pairs], axis=0).max())
+        if model.name not in failed:
+            kind = model.from_operators
+            least[kind] = min(error, least.get(kind, math.inf))
+
+    def key(model: ReducedModelSection) -> tuple[bool, bool, bool, float]:
+        kind, name = model.from_operators, model.name
+        off = errors[name] > (1.0 + ALIKE) * least.get(kind, math.inf)
+        return not kind, name in failed, off, seconds.get(name) or math.inf
+
+    return sorted(models, key=key)
+
+
+def _unphysical(workspace: Workspace) -> Iterator[str]:
+    """Yield a sentence for each unphysical full run of the case."""
+    for point in workspace.case.plan.points:
+        if found := workspace.unphysical(point):
+            yield (
+                f"The full run at {point.label} is unphysical, so errors against it do not judge a "
+                f"model: {'; '.join(found)}."
+            )
 
 
 def _doubts(workspace: Workspace) -> Iterator[str]:
@@ -247,12 +308,15 @@ def tell_answer(workspace: Workspace, tables: Tables) -> None:
     """Report the answer and the folders of tables and pictures, at the end of a command."""
     report, out = workspace.context.report, workspace.out
     if tables == Tables():
+        for sentence in _unphysical(workspace):
+            report.prose(sentence)
         report.result(
             f"The full runs are in {out}. There is no reduced model to compare with them."
         )
         return
     answer = find_answer(workspace, tables)
-    sentences = ["No reduced model was compared over a whole run.", *_doubts(workspace)]
+    nothing = "No reduced model was compared over a whole run."
+    sentences = [*_unphysical(workspace), nothing, *_doubts(workspace)]
     for sentence in sentences if answer is None else answer.sentences():
         report.prose(sentence)
     pictures = f", pictures in {out / 'plots'}" if (out / "plots").is_dir() else ""

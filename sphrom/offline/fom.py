@@ -48,6 +48,8 @@ def run(context: StageContext) -> None:
                 raise UnstableError(f"{point.label}: {trajectory.text('status_detail')}")
             if (inflow := described_inflow(context.case, point, trajectory)) is not None:
                 context.report.info(inflow)
+        for finding in workspace.unphysical(point):
+            context.report.warn(f"{point.label}: the run is unphysical: {finding}")
 
 
 def ensure_run(workspace: Workspace, point: ParameterPoint) -> Target:
@@ -174,6 +176,7 @@ def _run_point(workspace: Workspace, point: ParameterPoint) -> None:
                     walls=particles.walls(case, case.plan.flow(point)),
                     forces=particles.wall_forces(case, point, functional),
                     fields=MeasuredParticles.of(case, point),
+                    watch=particles.watch(case, point),
                 ),
                 advance,
                 checkpoints,

@@ -22,7 +22,7 @@ from sphrom.errors import UnstableError
 from sphrom.machine import seconds_of
 from sphrom.metrics.measures import Quantities, Samples, grid_points
 from sphrom.reduction.graph_model import GraphRun
-from sphrom.setup.assembly import field_measures, run_attributes, surface_columns
+from sphrom.setup.assembly import field_measures, run_attributes
 from sphrom.sph.fluid import ROUNDING
 from sphrom.store.surfaces import SurfaceModelAt, TrainedSurface
 from sphrom.store.trajectory import field_datasets, force_datasets, write_positions
@@ -158,7 +158,7 @@ class SurfaceRun:
     @property
     def elevation(self) -> Array:
         """The height y of the surface (n_snapshots, n_columns) [m], as mapped snapshots have it."""
-        columns = surface_columns(self.model.workspace.case)
+        columns = self.model.workspace.case.plan.surface_columns
         return self.reduced.graph.elevation(self.coordinates, columns)
 
     def sampled(self, points: Array) -> Samples:

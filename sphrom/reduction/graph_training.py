@@ -198,9 +198,11 @@ class _Fit:
         self.n_modes = projected[0].products[1].shape[1]
         a, b = coordinates[:, : self.n_modes], coordinates[:, self.n_modes :]
         parts = np.sqrt([np.mean(a**2), np.mean(b**2)])
+        parts[parts == 0.0] = 1.0  # at rest
         self.scale = np.repeat(parts, [a.shape[1], b.shape[1]])
         norm = projected[0].run.gravity * projected[0].model.basis.space.width / 2
-        self.amplitude = float(np.mean(np.sum(b**2, axis=1) + np.sum(a**2, axis=1) / norm))
+        squares = np.sum(b**2, axis=1) + np.sum(a**2, axis=1) / norm
+        self.amplitude = float(np.mean(squares)) or 1.0
         free = np.ones((len(self.scale),) * 2, dtype=bool)
         free[self.n_modes :, self.n_modes :] = False
         self.entries = np.nonzero(free)
@@ -239,7 +241,10 @@ class _Fit:
             weights = np.full(n_free, penalty)
             weights[0] = 0.0
             right_side = slopes @ differences[0] + weights * numbers[:n_free]
-            step = np.linalg.solve(slopes @ slopes.T + np.diag(weights), right_side)
+            try:
+                step = np.linalg.solve(slopes @ slopes.T + np.diag(weights), right_side)
+            except np.linalg.LinAlgError:  # runs at rest, which no number changes
+                break
             trial = numbers.copy()
             trial[:n_free] -= step
             if np.sum(self._differences(trial[None]) ** 2) < cost and self._is_stable(trial):
@@ -254,7 +259,7 @@ class _Fit:
         for one in self.projected:
             sizes = np.ones(len(self.scale))
             for part in (slice(self.n_modes), slice(self.n_modes, None)):
-                sizes[part] = np.linalg.norm(one.coordinates[:, part])
+                sizes[part] = np.linalg.norm(one.coordinates[:, part]) or 1.0
             missing = np.zeros((len(given), *one.coordinates.shape))
             for own, run in zip(missing, one.runs(changes), strict=True):
                 own[: len(run.coordinates)] = run.coordinates

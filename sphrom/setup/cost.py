@@ -195,9 +195,10 @@ def run(context: StageContext) -> None:
     _describe_shape(case, context.report)
     if (own := case.plan.max_speed / case.fluid.mach_number) < case.plan.sound_speed:
         change = case.plan.largest_head / case.plan.sound_speed**2
+        cause = max(case.plan.heads, key=lambda name: case.plan.heads[name])
         context.report.info(
-            f"c0 is {case.plan.sound_speed:.4g} m/s, not U_max / Ma = {own:.4g}: the body force "
-            f"and friction at walls then change the density by about {change:.0%} at most"
+            f"c0 is {case.plan.sound_speed:.4g} m/s, not U_max / Ma = {own:.4g}: {cause} "
+            f"then changes the density by about {change:.0%} at most"
         )
     for warning in () if case.training.ranges else few_snapshots(case):  # train makes more runs
         context.report.warn(warning)

@@ -31,7 +31,6 @@ from sphrom.reduction.trial_basis import (
     reconstruct,
     truncate,
 )
-from sphrom.setup.assembly import surface_columns
 from sphrom.setup.particles import sampler
 from sphrom.sph.fluid import fluctuation_of, pressure_of
 from sphrom.store.surfaces import SurfaceModelAt, TrainedSurface
@@ -100,7 +99,9 @@ class StoredRun:
     @property
     def elevation(self) -> Array:
         """The height y of a reduced model's free surface (n_snapshots, n_columns) [m]."""
-        return self._graph.graph.elevation(self._coordinates, surface_columns(self._workspace.case))
+        return self._graph.graph.elevation(
+            self._coordinates, self._workspace.case.plan.surface_columns
+        )
 
     def position(self, snapshot: int) -> Array:
         """Return the run's own points (n, 2) [m]."""

@@ -18,7 +18,7 @@ if TYPE_CHECKING:  # it imports kernels, which take long and which reduced runs 
     from sphrom.setup.particles import MeasuredParticles
     from sphrom.sph.domain import Walls
     from sphrom.sph.functional import WallForces
-    from sphrom.sph.time_loop import Item, Snapshot
+    from sphrom.sph.time_loop import Item, Snapshot, Watch
 
 
 PARTS = ("pressure", "viscous")
@@ -93,8 +93,10 @@ class TrajectoryWriter:
         walls: Walls | None = None,
         forces: WallForces | None = None,
         fields: MeasuredParticles | None = None,
+        watch: Watch | None = None,
     ) -> None:
         self._artifact = artifact
+        self._watch = watch
         self._forces = forces
         self._fields = fields
         self._sound_speed = sound_speed
@@ -157,6 +159,9 @@ class TrajectoryWriter:
         """Write one snapshot that `append` returned before."""
         for name, stream in self._streams.items():
             stream.append(item[name])
+        if self._watch is not None:
+            fields = (item[name] for name in ("position", "velocity", "density_fluctuation"))
+            self._watch.see(float(item["time"]), *fields)
 
     def finish(
         self, failure: UnstableError | None, seconds: float | None, checkpoint_seconds: float = 0.0
@@ -168,6 +173,8 @@ class TrajectoryWriter:
         self._artifact.annotate("status", "complete" if failure is None else "unstable")
         if failure is not None:
             self._artifact.annotate("status_detail", str(failure))
+        if self._watch is not None and (found := list(self._watch.findings())):
+            self._artifact.annotate("unphysical", "\n".join(found))
         if seconds is not None:
             self._artifact.annotate("timing/integration", seconds)
         self._artifact.annotate("timing/checkpoints", checkpoint_seconds)

@@ -161,10 +161,17 @@ class Workspace:
 
     def imported(self, target: Target) -> dict[str, str]:
         """Return the import attributes of an artifact; empty if it was made here or is damaged."""
+        attributes = self._attributes(target).items()
+        return {name: str(value) for name, value in attributes if name.startswith("imported/")}
+
+    def _attributes(self, target: Target) -> Mapping[str, object]:
         with suppress(Fault), open_file(target.path) as file:
-            attributes = inspect(file).attributes.items()
-            return {name: str(value) for name, value in attributes if name.startswith("imported/")}
+            return inspect(file).attributes
         return {}
+
+    def unphysical(self, point: ParameterPoint) -> list[str]:
+        """Return the unphysical effects in the full run at a point."""
+        return str(self._attributes(self.full_run(point)).get("unphysical", "")).splitlines()
 
     def _import_command(self, target: Target) -> str | None:
         """Return the command that imports a full run again; None if a stage makes the artifact."""

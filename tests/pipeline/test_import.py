@@ -313,6 +313,15 @@ def test_case_is_fitted_to_the_particles_of_the_files_and_has_no_spin_up(case, s
     assert len(imported()["time"]) == 3
 
 
+def test_more_modes_than_imported_snapshots_are_not_blamed_on_keys_that_nobody_gave(case, sphrom):
+    many = ("--set", "rom=[{name: x, n_modes: 4}]", "--set", "time.final_time=0.3")
+    short = (*many, "--write-case", "fitting.yaml")
+    result = sphrom("import", case, *write_npz(), *short, code=2)
+    assert "fitted to 3 snapshots, at t = 0, 0.05, 0.1 s, the case is invalid: " in result.stderr
+    assert "rom.0.n_modes: must be at most the number of snapshots of basis all, 3" in result.stderr
+    assert "because of" not in result.stderr
+
+
 def test_advice_on_the_start_works_when_it_is_followed(case, sphrom) -> None:
     names = []
     for time in (0.0, 0.05, 0.1):

@@ -12,7 +12,7 @@ from sphrom.arrays import Array
 from sphrom.errors import SphromError
 from sphrom.metrics.elevation import find_elevation
 from sphrom.reduction.graph_model import GraphModel, run_many
-from sphrom.reduction.graph_training import TrainingRun, train
+from sphrom.reduction.graph_training import TrainingRun, _Fit, _Projected, train
 from sphrom.reduction.stream_functions import StreamSpace
 from sphrom.reduction.surface_basis import SurfaceBasis, chosen_size, make_basis
 
@@ -241,3 +241,17 @@ def test_elevation_of_particles_and_columns_without_one_surface() -> None:
     half = fluid[:, 0] < 0.5
     with pytest.raises(SphromError, match=r"x = 0\.9 m has no fluid"):
         find_elevation(fluid[half], area[half], columns, 4 * spacing, walls)
+
+
+def test_training_runs_at_rest_give_finite_numbers(basis: SurfaceBasis) -> None:
+    run = training_run(basis, 1.0, 1.0)
+    still = replace(
+        run,
+        force=lambda times: np.zeros((2, len(times))),
+        coefficients=np.zeros_like(run.coefficients),
+        elevation=np.full_like(run.elevation, run.elevation.mean()),
+    )
+    products = basis.products(still.coefficients, still.elevation)
+    fit = _Fit([_Projected.of(basis, still, products, 0.0)]).improved(2, 2)
+    assert np.isfinite(fit.numbers).all()
+    assert np.isfinite(fit.change(fit.numbers)["closure"]).all()
