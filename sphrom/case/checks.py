@@ -16,7 +16,7 @@ from sphrom.case import studies
 from sphrom.case.custom_sections import SurfaceForce
 from sphrom.case.fields import only_one
 from sphrom.case.models import Case
-from sphrom.case.plan import MAX_STEPS, WHOLE_STEPS_TOLERANCE
+from sphrom.case.plan import MAX_STEPS, STEPS_A_PERIOD, WHOLE_STEPS_TOLERANCE
 from sphrom.case.points import REYNOLDS, ParameterPoint, nearest_point
 from sphrom.case.scene_section import MeasureSection
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection
@@ -54,7 +54,7 @@ def case_problems(case: Case, *, force: bool = False) -> list[Problem]:
     """Return the problems of a case; `force` accepts an unstable time step."""
     limits = () if force else (_check_limits,)
     # Later checks need valid names, and then valid steps and points.
-    for checks in ((_check_names,), (*_CHECKS, *limits), _SNAPSHOT_CHECKS):
+    for checks in ((_check_names,), (_check_points,), (*_CHECKS, *limits), _SNAPSHOT_CHECKS):
         if problems := [problem for check in checks for problem in check(case)]:
             return [Problem(_path(key), reason) for key, reason in problems]
     return []
@@ -120,7 +120,7 @@ def _check_points(case: Case) -> Found:
         yield from _check_repeated(key, points)
         for others in dict.fromkeys(point.others for point in points):
             try:
-                case.scene.check_at(dict(others))
+                case.plan.scene.check_at(dict(others))
             except ValueError as error:
                 values = ", ".join(f"{name}={exact(value)}" for name, value in others)
                 yield key, f"{values}: {error}"
@@ -200,9 +200,14 @@ def coarser_resolution(case: Case) -> int | None:
 
 def _check_steps(case: Case) -> Found:
     time, plan = case.time, case.plan
+    resolved = plan.shortest_period / STEPS_A_PERIOD
+    swings = f"the driving oscillates with a period of {plan.shortest_period:.4g} s"
     if (number := time.final_time / plan.step_target) > MAX_STEPS:
-        yield "time", f"a run of {number:.3g} steps; at most {MAX_STEPS:g} are allowed"
+        why = f"; {swings}" if resolved <= plan.step_target else ""
+        yield "time", f"a run of {number:.3g} steps; at most {MAX_STEPS:g} are allowed{why}"
         return
+    if plan.step_target > resolved * (1.0 + WHOLE_STEPS_TOLERANCE):
+        yield "time.step", f"{swings}, which needs steps of at most {resolved:.4g} s"
     number = max(1.0, plan.recorded_time / plan.step_target)
     if case.snapshots.every > number * (1.0 + WHOLE_STEPS_TOLERANCE):
         reason = f"must be at most the number of steps, {int(number)}; got {case.snapshots.every}"
@@ -253,7 +258,7 @@ def _check_limits(case: Case) -> Found:
 
 
 def _check_scene(case: Case) -> Found:
-    for name, reason in case.scene.problems(case.time.final_time):
+    for name, reason in case.plan.scene.problems(case.time.final_time, case.plan.sound_speed):
         yield f"scene.{name}", reason
     for name, measured in case.scene.measure.items():
         kind = only_one(measured, type(measured).model_fields)
@@ -557,7 +562,6 @@ def _check_training(case: Case) -> Found:
 
 
 _CHECKS: tuple[Callable[[Case], Found], ...] = (
-    _check_points,
     _check_geometry,
     _check_scene,
     _check_splines,

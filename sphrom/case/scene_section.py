@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -19,6 +19,8 @@ from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import NONE
 
 Defaults = Mapping[str, Any]
+Settings = Sequence[Mapping[str, float]]
+"""Values of the parameters except the Reynolds number, of all points."""
 OF_WALLS: Defaults = {
     "fluid": {"reference_density": 1.0},
     "discretization": {"smoothing_length_ratio": 2.0},
@@ -183,8 +185,16 @@ class SceneSection(Section):
         """Return the profiles of independent solutions of the flow."""
         return ()
 
-    def problems(self, final_time: float) -> Iterator[tuple[str, str]]:
-        """Yield keys of the scene that don't fit the final time [s], with the reasons."""
+    def over(self, settings: Settings, particle_spacing: float) -> SceneSection:
+        """Return the scene for all values of its parameters, and for a spacing of particles [m]."""
+        return self
+
+    def shortest_period(self, final_time: float, settings: Settings) -> float:
+        """Return the shortest period [s] of the driving at some values of the parameters."""
+        return math.inf
+
+    def problems(self, final_time: float, sound_speed: float) -> Iterator[tuple[str, str]]:
+        """Yield keys of the scene that don't fit the final time [s] or the speed of sound [m/s]."""
         yield from ()
 
     def warnings(self) -> Iterator[tuple[str, str]]:
