@@ -16,7 +16,7 @@ from sphrom.case import studies
 from sphrom.case.custom_sections import SurfaceForce
 from sphrom.case.fields import only_one
 from sphrom.case.models import Case
-from sphrom.case.plan import MAX_STEPS, STEPS_A_PERIOD, WHOLE_STEPS_TOLERANCE
+from sphrom.case.plan import MAX_STEPS, STEPS_PER_PERIOD, WHOLE_STEPS_TOLERANCE
 from sphrom.case.points import REYNOLDS, ParameterPoint, nearest_point
 from sphrom.case.scene_section import MeasureSection
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection
@@ -200,7 +200,7 @@ def coarser_resolution(case: Case) -> int | None:
 
 def _check_steps(case: Case) -> Found:
     time, plan = case.time, case.plan
-    resolved = plan.shortest_period / STEPS_A_PERIOD
+    resolved = plan.shortest_period / STEPS_PER_PERIOD
     swings = f"the driving oscillates with a period of {plan.shortest_period:.4g} s"
     if (number := time.final_time / plan.step_target) > MAX_STEPS:
         why = f"; {swings}" if resolved <= plan.step_target else ""
@@ -469,6 +469,11 @@ def _check_reduced_times(case: Case) -> Found:
         if not isinstance(model.time_step, str):
             reason = _not_whole(case.plan.steps.snapshot_interval, model.time_step)
             yield from () if reason is None else ((f"rom.{i}.time_step", reason),)
+            for point in case.plan.rom_points(model):
+                if model.time_step > (longest := case.plan.longest_step(point)) * (1.0 + ROUNDING):
+                    reason = f"{point.label}: the driving needs steps of at most {longest:.4g} s"
+                    yield f"rom.{i}.time_step", reason
+                    break
 
 
 def _check_compare(case: Case) -> Found:

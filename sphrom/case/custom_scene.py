@@ -11,6 +11,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
+from itertools import combinations
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -169,10 +170,6 @@ class CustomScene(SceneSection):
     )
     measure: Measures = MEASURE
     _values: Mapping[str, float] = PrivateAttr(default_factory=dict)
-    _periods: dict[tuple[float, ...], float] = PrivateAttr(default_factory=dict)
-    _worst: list[Array] = PrivateAttr(default_factory=list)
-    _settings: Settings = PrivateAttr(default_factory=lambda: ({},))
-    _extra: Array = PrivateAttr(default_factory=partial(np.empty, (0, 2)))
 
     @model_validator(mode="after")
     def _consistent(self) -> CustomScene:
@@ -272,7 +269,7 @@ class CustomScene(SceneSection):
         if len(areas := self.domain.separate_areas) > 1:
             sizes = ", ".join(f"{area:.4g}" for area in areas[:MOST_AREAS])
             yield "solids", f"divide the fluid into {len(areas)} parts, of {sizes} m2"
-        if (strip := self._strip) is None:
+        if (strip := self.strip) is None:
             return
         # Solids may cross the strip if their width is constant, like walls.
         ends = np.tile(np.array([self.domain.lower, self.domain.upper]), (N_SAMPLES + 1, 1, 1))
@@ -306,14 +303,29 @@ class CustomScene(SceneSection):
 
         Expressions are also checked at the places of particles with a spacing [m], and between.
         """
-        other = self._copied("_strip", "inflow_ramp", "_resistance")
-        other._settings = settings
+        other = self._copied("strip", "inflow_ramp", "_resistance")
+        other.__dict__["_settings"] = settings
         given = (*self.body_force, self.resistance)
         varied = bool(self.porous) or any(isinstance(value, str) for value in given)
         if varied and MOST_PLACES * particle_spacing**2 > math.prod(self.domain.lengths):
             fills = (self.domain.fill(part * particle_spacing) for part in (1.0, 0.5))
-            other._extra = np.concatenate([*fills])
+            other.__dict__["_extra"] = np.concatenate([*fills])
         return other
+
+    @cached_property
+    def _settings(self) -> Settings:
+        """The values of the parameters at all points, where these are known."""
+        return [{}]
+
+    @cached_property
+    def _extra(self) -> Array:
+        """The places of particles (n_places, 2) [m], where these are known."""
+        return np.empty((0, 2))
+
+    @cached_property
+    def _periods(self) -> dict[tuple[float, ...], float]:
+        """The shortest periods of the driving [s], by its final time and parameters."""
+        return {}
 
     def _copied(self, *without: str) -> CustomScene:
         """Return a copy that does not share some cached parts."""
@@ -399,7 +411,7 @@ class CustomScene(SceneSection):
         """Return the largest speed of walls and the inflow [m/s], at values of the parameters."""
         here = self._at(values)
         velocities = [here._wall_velocity(name)(here._edge(name)) for name in here.walls]
-        if here.inflow is not None and (strip := here._strip) is not None:
+        if here.inflow is not None and (strip := here.strip) is not None:
             inside = here.inflow.samples(here.domain, strip.axis, N_SAMPLES + 1).T
             velocities.append(here._inflow_field(inside).T)
         return max((float(np.linalg.norm(each, axis=1).max()) for each in velocities), default=0.0)
@@ -434,7 +446,7 @@ class CustomScene(SceneSection):
 
     @property
     def _places(self) -> Array:
-        """The samples, and the places of particles where these are known."""
+        """The samples, and places of particles."""
         return np.concatenate([self._samples, self._extra])
 
     def _peak(self, where: str, size: Callable[[Array], Array]) -> tuple[float, Array]:
@@ -561,7 +573,7 @@ class CustomScene(SceneSection):
         if self.fluid is not None:
             parts = [self._expression(BODY_FORCE, v, "x", "y", "t") for v in self.body_force]
             return SurfaceForce.of(tuple(parts), self.fluid.gravity)
-        pushes, strip = self._pushes, self._strip
+        pushes, strip = self._pushes, self.strip
         moving = {text: a for push in pushes.values() for text, a in push.amplitudes.items()}
         if not moving:
             return None
@@ -602,7 +614,7 @@ class CustomScene(SceneSection):
         return self._values.get(INFLOW, 1.0) * self._pushes[INFLOW](position)
 
     @cached_property
-    def _strip(self) -> Strip | None:
+    def strip(self) -> Strip | None:
         """The strip of the inflow, the same at all values of the parameters."""
         if self.inflow is None:
             return None
@@ -626,7 +638,7 @@ class CustomScene(SceneSection):
     @cached_property
     def inflow_ramp(self) -> float:
         """The time in which the inflow reaches its speed [s]; 0 without an inflow."""
-        if self.inflow is None or (strip := self._strip) is None:
+        if self.inflow is None or (strip := self.strip) is None:
             return 0.0
         from_rest = self.initial == InitialSection()
         usual = self.domain.lengths[strip.axis] / abs(strip.speed) if from_rest else 0.0
@@ -638,19 +650,11 @@ class CustomScene(SceneSection):
         own, shapes = None, _geometries("porous", self.porous)
         solid = shapely.union_all(list(self._shapes.values()))
         fluid = shapely.box(*self.box.lower, *self.box.upper).difference(solid)
-        self._worst = []
-        inside: list[BaseGeometry] = []
         for name, shape in shapes.items():
-            part = fluid.intersection(shape)
-            if not part.area > 0.0:
+            if not fluid.intersection(shape).area > 0.0:
                 raise ValueError(
                     f"porous.{name}: contains no fluid; it is in solids or out of the box"
                 )
-            # No sample may be in a thin body, but particles may.
-            for other in (part, *(part.intersection(before) for before in inside)):
-                if other.area > 0.0:
-                    self._worst.append(shapely.get_coordinates(other.representative_point())[0])
-            inside.append(part)
         if self.resistance != 0.0:
             expression = self._expression("resistance", self.resistance, "x", "y")
             rate = expression(x=self._places[:, 0], y=self._places[:, 1])
@@ -659,26 +663,45 @@ class CustomScene(SceneSection):
             def own(at: Array) -> Array:
                 return expression(x=at[0], y=at[1])
 
-            self._worst.append(self._peak("resistance", own)[1])
+            self._peak("resistance", own)
             least, (x, y) = self._peak("resistance", lambda at: -own(at))
             if least > 0.0:
                 raise ValueError(f"resistance: is negative at ({x:g}, {y:g}) m")
 
         inverse = inverse_permeability((self.porous[name], shape) for name, shape in shapes.items())
-        if own is None and inverse is None and self._strip is None:
+        if own is None and inverse is None and self.strip is None:
             return None
-        return Resistance(own, inverse, self._strip, self._in_box)
+        return Resistance(own, inverse, self.strip, self._in_box)
 
     def largest_resistance(self, viscosity: float) -> float:
         resistance = self._resistance
         if resistance is None:
             return 0.0
-        return resistance.largest(np.vstack((self._places, *self._worst)).T, viscosity)
+        return resistance.largest(self._slowest.T, viscosity)
+
+    @cached_property
+    def _slowest(self) -> Array:
+        """Places (n_places, 2) [m] that include those with the largest resistance."""
+        places = [self._places]
+        if self._resistance is not None and self._resistance.own is not None:
+            places.append(self._peak("resistance", self._resistance.own)[1][None])
+        # Samples miss thin bodies.
+        parts = list(self._porous_parts.values())
+        shared = (one.intersection(other) for one, other in combinations(parts, 2))
+        inside = [part.representative_point() for part in (*parts, *shared) if part.area > 0.0]
+        return np.concatenate([*places, shapely.get_coordinates(inside)])
+
+    @cached_property
+    def _porous_parts(self) -> dict[str, BaseGeometry]:
+        """The parts of porous bodies in the fluid, by name."""
+        shapes = _geometries("porous", self.porous)
+        return {name: self.domain.fluid.intersection(shape) for name, shape in shapes.items()}
 
     @cached_property
     def porous_way(self) -> float:
         """The least integral of 1/k along lines through the box [1/m], the larger of x and y."""
-        shapes, ways = _geometries("porous", self.porous), [0.0]
+        shapes = self._porous_parts
+        ways = [0.0]
         lower, upper = np.array(self.domain.lower), np.array(self.domain.upper)
         for axis in range(2) if shapes else ():
             ends = np.tile(np.array([lower, upper]), (N_SAMPLES, 1, 1))
@@ -695,9 +718,8 @@ class CustomScene(SceneSection):
     @property
     def porous_widths(self) -> dict[str, float]:
         """The width [m] of each porous body, the diameter of the largest circle in it."""
-        shapes = _geometries("porous", self.porous)
-        parts = {name: self.domain.fluid.intersection(shape) for name, shape in shapes.items()}
-        circles = {name: shapely.maximum_inscribed_circle(part) for name, part in parts.items()}
+        parts = self._porous_parts.items()
+        circles = {name: shapely.maximum_inscribed_circle(part) for name, part in parts}
         return {name: 2.0 * float(circle.length) for name, circle in circles.items()}
 
     def largest_head(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
@@ -796,7 +818,7 @@ class CustomScene(SceneSection):
         speeds = {
             f"walls.{name}": self._wall_velocity(name)(self._edge(name)) for name in self.walls
         }
-        strip, force = self._strip, self._force
+        strip, force = self.strip, self._force
         if strip is not None and self.inflow is not None and force is not None:
             places = self.inflow.samples(self.domain, strip.axis, N_SAMPLES + 1)
             largest = max(abs(force.amplitude(time)) for time in times[::N_EACH])

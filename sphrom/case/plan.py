@@ -53,7 +53,7 @@ MODES_WITHOUT_ROM = 10
 """Number of modes to keep without reduced models."""
 MOST_CHOSEN = 20
 """Number of modes to keep when a reduced model chooses its number."""
-STEPS_A_PERIOD = 20
+STEPS_PER_PERIOD = 20
 """Fewest steps in a period of the driving; fewer take an oscillation for a slower one."""
 MAX_STEPS = 1e9
 """Number of steps of one run beyond which a case is taken for a typing error."""
@@ -289,8 +289,7 @@ class Plan:
     @cached_property
     def strip(self) -> Strip | None:
         """The strip of the inflow; None without an inflow."""
-        resistance = self.flow(self.points[0]).resistance
-        return None if resistance is None else resistance.strip
+        return self.scene.strip
 
     # Time steps, their limits, and snapshots
 
@@ -329,7 +328,7 @@ class Plan:
         if time.step != "auto":
             return time.step
         share = time.courant_number / fluid.COURANT_LIMIT
-        return min(share * self.limits.least, self.shortest_period / STEPS_A_PERIOD)
+        return min(share * self.limits.least, self.shortest_period / STEPS_PER_PERIOD)
 
     @cached_property
     def shortest_period(self) -> float:
@@ -339,7 +338,7 @@ class Plan:
     def longest_step(self, point: ParameterPoint) -> float:
         """Return the longest step [s] that resolves the driving at a point, infinite if steady."""
         end = self._case.time.final_time
-        return self.scene.shortest_period(end, [point.factors]) / STEPS_A_PERIOD
+        return self.scene.shortest_period(end, [point.factors]) / STEPS_PER_PERIOD
 
     @cached_property
     def spin_up_ratio(self) -> Fraction:

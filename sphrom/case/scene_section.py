@@ -16,7 +16,7 @@ from sphrom.case.fields import Coordinate, Duration, Place, SafeName, Section, W
 from sphrom.metrics.measures import Column, Oscillating, Oscillations
 from sphrom.scenes.flows import Channel, ReferenceProfile, Scales, Scene
 from sphrom.sph.domain import Domain
-from sphrom.sph.fluid import NONE
+from sphrom.sph.fluid import NONE, Strip
 
 Defaults = Mapping[str, Any]
 Settings = Sequence[Mapping[str, float]]
@@ -123,6 +123,21 @@ class SceneSection(Section):
     def fill(self, particle_spacing: float, values: Mapping[str, float] = NONE) -> Array:
         """Return the initial positions of particles on a lattice (n_particles, 2) [m]."""
         return self.domain.fill(particle_spacing)
+
+    @property
+    def strip(self) -> Strip | None:
+        """The strip of the inflow; None without an inflow."""
+        return None
+
+    @property
+    def inflow_ramp(self) -> float:
+        """The time in which the inflow reaches its speed [s]; 0 without an inflow."""
+        return 0.0
+
+    @property
+    def porous_widths(self) -> Mapping[str, float]:
+        """The width of each porous body [m]."""
+        return {}
 
     @property
     def porous_way(self) -> float:

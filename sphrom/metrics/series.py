@@ -267,12 +267,14 @@ def pole_of(signal: Callable[[Array], Array], times: Array) -> float | None:
         within = np.clip(place[0], times[0], times[-1])
         return np.abs(signal(within)).reshape(-1, within.size).sum(axis=0)
 
-    values = size(times[None])
+    with np.errstate(all="ignore"):
+        values = size(times[None])
     if not np.isfinite(values).all():
         return float(times[np.argmin(np.isfinite(values))])
     beside = np.pad(values, 1, constant_values=-np.inf)
     peaks = np.flatnonzero((values >= beside[:-2]) & (values >= beside[2:]) & (values > 0.0))
     peaks = peaks[np.argsort(-values[peaks], kind="stable")[:N_PEAKS]]
-    found, where = sharpened(size, times[None, peaks], times[1:2])
+    with np.errstate(all="ignore"):
+        found, where = sharpened(size, times[None, peaks], times[1:2])
     poles = ~(found <= POLE * values[peaks])
     return float(where[0, poles][0]) if poles.any() else None
