@@ -7,9 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from itertools import product
 from typing import Any
 
 import numpy as np
+import shapely
+from shapely.affinity import translate
 
 from sphrom.arrays import Array
 from sphrom.case import studies
@@ -25,7 +28,9 @@ from sphrom.case.yaml_reader import Problem
 from sphrom.errors import CaseError
 from sphrom.kernels import SUPPORT_RATIO
 from sphrom.sph.box_domain import WHOLE_TOLERANCE
+from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import ROUNDING
+from sphrom.sph.polygons import periodic_shifts
 from sphrom.text import exact, nearest, repeated
 
 Found = Iterator[tuple[str, str]]
@@ -46,6 +51,8 @@ SURFACE_KEYS: Mapping[str, tuple[object, ...]] = {
     "steady": (False,),
 }
 """The values of keys that reduced models of a free surface may have."""
+MOST_REFINED = 4
+"""Largest factor of the resolution that is a remedy for a narrow place."""
 COARSEST = 8
 """The lowest resolution."""
 
@@ -175,11 +182,50 @@ def _check_geometry(case: Case) -> Found:
     if gap > 0.0 and radius > most * (1.0 + ROUNDING):
         least = math.ceil(section.resolution * radius / most * (1.0 - ROUNDING))
         fits = (n for n in range(least, 2 * least) if domain.fits_lattice(length / n))
+        remedy = f"discretization.resolution: {next(fits, least)} would do"
+        if least > MOST_REFINED * section.resolution:
+            remedy = f"make it at least {radius:.3g} m thick"
+            if most < solid:
+                nearest_walls = narrow_place(domain, 2.0 * radius)
+                remedy = nearest_walls or f"make it at least {2.0 * radius:.3g} m wide"
         yield (
             f"{'reference' if mapped > own else 'discretization'}.smoothing_length_ratio",
-            f"a support of radius {radius:g} m is larger than {limit}: "
-            f"discretization.resolution: {next(fits, least)} would do",
+            f"a support of radius {radius:g} m is larger than {limit}: {remedy}",
         )
+
+
+def narrow_place(domain: Domain, width: float) -> str | None:
+    """Return the two walls that are nearest to each other, and remedies, if nearer than a width."""
+    lower, upper = np.array(domain.lower), np.array(domain.upper)
+    frame = shapely.get_coordinates(shapely.box(*lower, *upper))
+    # The corners begin at the right, at the bottom, and go around anticlockwise.
+    sides = zip(("right", "top", "left", "bottom"), frame[:-1], frame[1:], strict=True)
+    lines = {name: shapely.linestrings(ends) for name, *ends in sides if name in domain.wall_names}
+    found: list[tuple[float, str]] = []
+    for (name, shape), (other, moved) in product(domain.polygons, _images(domain, lines)):
+        line = shapely.shortest_line(shape, moved)
+        if name == other and shapely.equals(shape, moved):
+            continue
+        if shapely.length(line) < width:
+            x, y = shapely.get_coordinates(line).mean(axis=0)
+            remedy = "let them overlap, join them to one solid by `union`, or leave"
+            if other in lines:
+                remedy = f"let {name} dip into the wall, or leave"
+            found.append(
+                (
+                    float(shapely.length(line)),
+                    f"at ({x:.4g}, {y:.4g}) m, between {name} and "
+                    f"{other}: {remedy} {width:.3g} m between them",
+                )
+            )
+    return min(found)[1] if found else None
+
+
+def _images(domain: Domain, lines: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Yield the sides of the box, and the solids with their periodic images, by name."""
+    yield from lines.items()
+    for shift in periodic_shifts(domain.lengths, domain.periodic):
+        yield from ((name, translate(shape, *shift)) for name, shape in domain.polygons)
 
 
 def nearest_fitting_resolution(case: Case) -> int | None:
@@ -200,6 +246,9 @@ def coarser_resolution(case: Case) -> int | None:
 
 def _check_steps(case: Case) -> Found:
     time, plan = case.time, case.plan
+    if not plan.step_target > 0.0:
+        yield "time", "no step is short enough; the resistance or the inflow is too strong"
+        return
     resolved = plan.shortest_period / STEPS_PER_PERIOD
     swings = f"the driving oscillates with a period of {plan.shortest_period:.4g} s"
     if (number := time.final_time / plan.step_target) > MAX_STEPS:
@@ -258,7 +307,8 @@ def _check_limits(case: Case) -> Found:
 
 
 def _check_scene(case: Case) -> Found:
-    for name, reason in case.plan.scene.problems(case.time.final_time, case.plan.sound_speed):
+    fluid = case.plan.fluid(case.plan.points[0])
+    for name, reason in case.plan.scene.problems(case.time.final_time, fluid):
         yield f"scene.{name}", reason
     for name, measured in case.scene.measure.items():
         kind = only_one(measured, type(measured).model_fields)

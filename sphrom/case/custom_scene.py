@@ -36,7 +36,7 @@ from sphrom.case.custom_sections import (
     start_fields,
 )
 from sphrom.case.expressions import CONSTANTS, FUNCTIONS, MOST_QUOTED, Expression
-from sphrom.case.fields import Coordinate, Place, Positive, SafeName, Section, key
+from sphrom.case.fields import LARGEST, Coordinate, Place, Positive, SafeName, Section, key
 from sphrom.case.scene_section import MEASURE, OF_WALLS, Defaults, Measures, SceneSection, Settings
 from sphrom.case.shapes import ShapeSection
 from sphrom.metrics.measures import midpoints
@@ -44,7 +44,7 @@ from sphrom.metrics.series import pole_of, sharpened, shortest_period
 from sphrom.scenes.flows import BodyForce, CustomFlow, Scales, Scene
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import SIDES, Domain
-from sphrom.sph.fluid import NONE, Resistance, Strip
+from sphrom.sph.fluid import NONE, Fluid, Resistance, Strip
 from sphrom.sph.polygons import connects_images
 from sphrom.text import shortened
 
@@ -64,6 +64,8 @@ MOST_SETTINGS = 64
 """Most values of the parameters, evenly chosen, at which slow checks are made."""
 FASTEST = 0.45
 """Largest speed over that of sound; the density then changes by 10 %, which ends a run."""
+LARGEST_CHANGE = 0.1
+"""Largest relative change of the density, which ends a run."""
 THROUGH_WALL = 0.07
 """Largest initial speed through a wall over that of sound. Sound that a flat wall reflects changes
 the density by this share, and more in corners; at 0.08 a box of 20 x 20 particles is unstable."""
@@ -230,7 +232,9 @@ class CustomScene(SceneSection):
             )
         force = self._force
         if force is not None:
-            _require_finite("body_force", force(self._samples.T, 0.0).T, self._samples)
+            _require_finite("body_force", force(self._places.T, 0.0).T, self._places)
+        if force is not None and not self._values:  # for all values the same peaks
+            self._peak("body_force", lambda at: np.abs(force(at, 0.0)).sum(axis=0))
 
     @cached_property
     def _shapes(self) -> dict[str, BaseGeometry]:
@@ -457,13 +461,19 @@ class CustomScene(SceneSection):
         Raises ValueError if it is infinite or not a number.
         """
 
+        low = np.array(self.domain.lower)[:, None]
+        high = np.array(self.domain.upper)[:, None]
+
         def inside(place: Array) -> Array:
-            fluid = self.domain.contains(place.T)
-            return np.where(fluid, size(self._in_box(place)), -np.inf)
+            within = np.clip(place, low, high)
+            # Walls themselves are samples; beside them a place may be in the solid by rounding.
+            fluid = self.domain.wall_distance(within.T) > TOUCHING * max(self.domain.lengths)
+            return np.where(fluid, size(within), -np.inf)
 
         highest = self._places[np.argsort(-size(self._places.T), kind="stable")[:N_PEAKS]]
         found, place = sharpened(inside, highest.T, np.array(self.domain.lengths) / N_SAMPLES)
         best = int(np.argmax(found))
+        place = np.clip(place, low, high)
         _require_finite(where, found[[best]], place[:, best][None])
         return float(found[best]), place[:, best]
 
@@ -539,7 +549,7 @@ class CustomScene(SceneSection):
         normal = self.domain.distance_and_normal(place)[1]
         across = np.abs(np.sum(velocity * normal, axis=1))
         worst = int(np.argmax(across))
-        if across[worst] > ALONG * float(np.max(np.linalg.norm(velocity, axis=1))):
+        if across[worst] > ALONG * float(np.max(np.hypot(*velocity.T))):
             x, y = place[worst]
             raise ValueError(
                 f"walls.{name}: its velocity at ({x:g}, {y:g}) m has a normal component of "
@@ -665,7 +675,9 @@ class CustomScene(SceneSection):
 
             self._peak("resistance", own)
             least, (x, y) = self._peak("resistance", lambda at: -own(at))
-            if least > 0.0:
+            if max(least, -rate.min()) > 0.0:
+                if least <= 0.0:
+                    x, y = self._places[np.argmin(rate)]
                 raise ValueError(f"resistance: is negative at ({x:g}, {y:g}) m")
 
         inverse = inverse_permeability((self.porous[name], shape) for name, shape in shapes.items())
@@ -751,11 +763,12 @@ class CustomScene(SceneSection):
         ways = np.maximum((force, -force), 0.0).reshape(2, 2, N_SAMPLES + 1, -1)
         return np.array([ways[:, axis].mean(axis=-1 - axis).max() for axis in range(2)])
 
-    def problems(self, final_time: float, sound_speed: float) -> Iterator[tuple[str, str]]:
+    def problems(self, final_time: float, fluid: Fluid) -> Iterator[tuple[str, str]]:
         """Refuse a driving that isn't finite at all times, and an inflow that ramps too long.
 
         Also speeds near that of sound, and an initial velocity through a wall.
         """
+        sound_speed = fluid.sound_speed
         if self.inflow_ramp >= final_time:
             yield "inflow.ramp", f"takes {self.inflow_ramp:g} s, until time.final_time or longer"
         times = np.linspace(0.0, final_time, N_CHECKED)
@@ -774,6 +787,10 @@ class CustomScene(SceneSection):
                     )
                     return
             speed, wall = here._through_wall()
+            pressure = np.abs(here._initial(here._samples)[:, 2]).max()
+            if pressure > LARGEST_CHANGE * fluid.reference_density * fluid.sound_speed**2:
+                yield "initial.p", f"{pressure:.3g} Pa changes the density by more than 10 %"
+                return
             if speed > THROUGH_WALL * sound_speed:
                 yield (
                     "initial",
@@ -867,9 +884,14 @@ def _geometries(where: str, sections: Mapping[str, ShapeSection]) -> dict[str, B
 
 
 def _require_finite(where: str, values: Array, position: Array) -> None:
-    """Raise ValueError if values (n_points, ...) at positions aren't finite."""
-    finite = np.isfinite(values)
+    """Raise ValueError if values (n_points, ...) at positions aren't finite, or too large."""
+    finite = np.abs(values) <= LARGEST
     bad = np.flatnonzero(~finite.all(axis=tuple(range(1, finite.ndim))))
     if bad.size:
         x, y = position[bad[0]]
-        raise ValueError(f"{where}: is not a finite number at ({x:g}, {y:g}) m")
+        what = (
+            f"above {LARGEST:g} in size"
+            if np.isfinite(values[bad[0]]).all()
+            else "not a finite number"
+        )
+        raise ValueError(f"{where}: is {what} at ({x:g}, {y:g}) m")

@@ -16,7 +16,7 @@ from sphrom.case.fields import Coordinate, Duration, Place, SafeName, Section, W
 from sphrom.metrics.measures import Column, Oscillating, Oscillations
 from sphrom.scenes.flows import Channel, ReferenceProfile, Scales, Scene
 from sphrom.sph.domain import Domain
-from sphrom.sph.fluid import NONE, Strip
+from sphrom.sph.fluid import NONE, Fluid, Strip
 
 Defaults = Mapping[str, Any]
 Settings = Sequence[Mapping[str, float]]
@@ -208,8 +208,8 @@ class SceneSection(Section):
         """Return the shortest period [s] of the driving at some values of the parameters."""
         return math.inf
 
-    def problems(self, final_time: float, sound_speed: float) -> Iterator[tuple[str, str]]:
-        """Yield keys of the scene that don't fit the final time [s] or the speed of sound [m/s]."""
+    def problems(self, final_time: float, fluid: Fluid) -> Iterator[tuple[str, str]]:
+        """Yield keys of the scene that don't fit the final time [s] or the fluid, with reasons."""
         yield from ()
 
     def warnings(self) -> Iterator[tuple[str, str]]:

@@ -273,6 +273,8 @@ def pole_of(signal: Callable[[Array], Array], times: Array) -> float | None:
         return float(times[np.argmin(np.isfinite(values))])
     beside = np.pad(values, 1, constant_values=-np.inf)
     peaks = np.flatnonzero((values >= beside[:-2]) & (values >= beside[2:]) & (values > 0.0))
+    if not peaks.size:
+        return None
     peaks = peaks[np.argsort(-values[peaks], kind="stable")[:N_PEAKS]]
     with np.errstate(all="ignore"):
         found, where = sharpened(size, times[None, peaks], times[1:2])
