@@ -130,7 +130,8 @@ def _check_points(case: Case) -> Found:
                 case.plan.scene.check_at(dict(others))
             except ValueError as error:
                 values = ", ".join(f"{name}={exact(value)}" for name, value in others)
-                yield key, f"{values}: {error}"
+                where, _, reason = str(error).partition(": ")
+                yield (key, f"{values}: {error}") if values else (f"scene.{where}", reason)
                 break
     for point in filter(set(train).__contains__, test):
         yield "parameters.test", f"{point.label} is a training value; test other values"
