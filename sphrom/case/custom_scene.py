@@ -675,9 +675,9 @@ class CustomScene(SceneSection):
 
             self._peak("resistance", own)
             least, (x, y) = self._peak("resistance", lambda at: -own(at))
-            if max(least, -rate.min()) > 0.0:
-                if least <= 0.0:
-                    x, y = self._places[np.argmin(rate)]
+            if rate.min() < 0.0:
+                x, y = self._places[np.argmin(rate)]
+            if min(rate.min(), -least) < 0.0:
                 raise ValueError(f"resistance: is negative at ({x:g}, {y:g}) m")
 
         inverse = inverse_permeability((self.porous[name], shape) for name, shape in shapes.items())
