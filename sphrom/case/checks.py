@@ -7,16 +7,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from itertools import product
 from typing import Any
 
 import numpy as np
+import shapely
+from shapely.affinity import translate
 
 from sphrom.arrays import Array
 from sphrom.case import studies
 from sphrom.case.custom_sections import SurfaceForce
 from sphrom.case.fields import only_one
 from sphrom.case.models import Case
-from sphrom.case.plan import LEAST_SNAPSHOTS, MAX_STEPS, WHOLE_STEPS_TOLERANCE
+from sphrom.case.plan import (
+    LEAST_SNAPSHOTS,
+    MAX_STEPS,
+    STEPS_PER_PERIOD,
+    WHOLE_STEPS_TOLERANCE,
+)
 from sphrom.case.points import REYNOLDS, ParameterPoint, nearest_point
 from sphrom.case.scene_section import MeasureSection
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection
@@ -26,7 +34,9 @@ from sphrom.errors import CaseError, SphromError
 from sphrom.kernels import SUPPORT_RATIO
 from sphrom.metrics.elevation import find_elevation
 from sphrom.sph.box_domain import WHOLE_TOLERANCE
+from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import ROUNDING
+from sphrom.sph.polygons import periodic_shifts
 from sphrom.text import exact, nearest, repeated
 
 Found = Iterator[tuple[str, str]]
@@ -47,6 +57,8 @@ SURFACE_KEYS: Mapping[str, tuple[object, ...]] = {
     "steady": (False,),
 }
 """The values of keys that reduced models of a free surface may have."""
+MOST_REFINED = 4
+"""Largest factor of the resolution that is a remedy for a narrow place."""
 COARSEST = 8
 """The lowest resolution."""
 
@@ -55,7 +67,7 @@ def case_problems(case: Case, *, force: bool = False) -> list[Problem]:
     """Return the problems of a case; `force` accepts an unstable time step."""
     limits = () if force else (_check_limits,)
     # Later checks need valid names, and then valid steps and points.
-    for checks in ((_check_names,), (*_CHECKS, *limits), _SNAPSHOT_CHECKS):
+    for checks in ((_check_names,), (_check_points,), (*_CHECKS, *limits), _SNAPSHOT_CHECKS):
         if problems := [problem for check in checks for problem in check(case)]:
             return [Problem(_path(key), reason) for key, reason in problems]
     return []
@@ -132,10 +144,11 @@ def _check_points(case: Case) -> Found:
         yield from _check_repeated(key, points)
         for others in dict.fromkeys(point.others for point in points):
             try:
-                case.scene.check_at(dict(others))
+                case.plan.scene.check_at(dict(others))
             except ValueError as error:
                 values = ", ".join(f"{name}={exact(value)}" for name, value in others)
-                yield key, f"{values}: {error}"
+                where, _, reason = str(error).partition(": ")
+                yield (key, f"{values}: {error}") if values else (f"scene.{where}", reason)
                 break
     for point in filter(set(train).__contains__, test):
         yield "parameters.test", f"{point.label} is a training value; test other values"
@@ -187,11 +200,50 @@ def _check_geometry(case: Case) -> Found:
     if gap > 0.0 and radius > most * (1.0 + ROUNDING):
         least = math.ceil(section.resolution * radius / most * (1.0 - ROUNDING))
         fits = (n for n in range(least, 2 * least) if domain.fits_lattice(length / n))
+        remedy = f"discretization.resolution: {next(fits, least)} would do"
+        if least > MOST_REFINED * section.resolution:
+            remedy = f"make it at least {radius:.3g} m thick"
+            if most < solid:
+                nearest_walls = narrow_place(domain, 2.0 * radius)
+                remedy = nearest_walls or f"make it at least {2.0 * radius:.3g} m wide"
         yield (
             f"{'reference' if mapped > own else 'discretization'}.smoothing_length_ratio",
-            f"a support of radius {radius:g} m is larger than {limit}: "
-            f"discretization.resolution: {next(fits, least)} would do",
+            f"a support of radius {radius:g} m is larger than {limit}: {remedy}",
         )
+
+
+def narrow_place(domain: Domain, width: float) -> str | None:
+    """Return the two walls that are nearest to each other, and remedies, if nearer than a width."""
+    lower, upper = np.array(domain.lower), np.array(domain.upper)
+    frame = shapely.get_coordinates(shapely.box(*lower, *upper))
+    # The corners begin at the right, at the bottom, and go around anticlockwise.
+    sides = zip(("right", "top", "left", "bottom"), frame[:-1], frame[1:], strict=True)
+    lines = {name: shapely.linestrings(ends) for name, *ends in sides if name in domain.wall_names}
+    found: list[tuple[float, str]] = []
+    for (name, shape), (other, moved) in product(domain.polygons, _images(domain, lines)):
+        line = shapely.shortest_line(shape, moved)
+        if name == other and shapely.equals(shape, moved):
+            continue
+        if shapely.length(line) < width:
+            x, y = shapely.get_coordinates(line).mean(axis=0)
+            remedy = "let them overlap, join them to one solid by `union`, or leave"
+            if other in lines:
+                remedy = f"let {name} dip into the wall, or leave"
+            found.append(
+                (
+                    float(shapely.length(line)),
+                    f"at ({x:.4g}, {y:.4g}) m, between {name} and "
+                    f"{other}: {remedy} {width:.3g} m between them",
+                )
+            )
+    return min(found)[1] if found else None
+
+
+def _images(domain: Domain, lines: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Yield the sides of the box, and the solids with their periodic images, by name."""
+    yield from lines.items()
+    for shift in periodic_shifts(domain.lengths, domain.periodic):
+        yield from ((name, translate(shape, *shift)) for name, shape in domain.polygons)
 
 
 def nearest_fitting_resolution(case: Case) -> int | None:
@@ -212,9 +264,17 @@ def coarser_resolution(case: Case) -> int | None:
 
 def _check_steps(case: Case) -> Found:
     time, plan = case.time, case.plan
-    if (number := time.final_time / plan.step_target) > MAX_STEPS:
-        yield "time", f"a run of {number:.3g} steps; at most {MAX_STEPS:g} are allowed"
+    if not plan.step_target > 0.0:
+        yield "time", "no step is short enough; the resistance or the inflow is too strong"
         return
+    resolved = plan.shortest_period / STEPS_PER_PERIOD
+    swings = f"the driving oscillates with a period of {plan.shortest_period:.4g} s"
+    if (number := time.final_time / plan.step_target) > MAX_STEPS:
+        why = f"; {swings}" if resolved <= plan.step_target else ""
+        yield "time", f"a run of {number:.3g} steps; at most {MAX_STEPS:g} are allowed{why}"
+        return
+    if plan.step_target > resolved * (1.0 + WHOLE_STEPS_TOLERANCE):
+        yield "time.step", f"{swings}, which needs steps of at most {resolved:.4g} s"
     number = max(1.0, plan.recorded_time / plan.step_target)
     if case.snapshots.every > number * (1.0 + WHOLE_STEPS_TOLERANCE):
         reason = f"must be at most the number of steps, {int(number)}; got {case.snapshots.every}"
@@ -265,7 +325,8 @@ def _check_limits(case: Case) -> Found:
 
 
 def _check_scene(case: Case) -> Found:
-    for name, reason in case.scene.problems(case.time.final_time):
+    fluid = case.plan.fluid(case.plan.points[0])
+    for name, reason in case.plan.scene.problems(case.time.final_time, fluid):
         yield f"scene.{name}", reason
     for name, measured in case.scene.measure.items():
         kind = only_one(measured, type(measured).model_fields)
@@ -519,6 +580,11 @@ def _check_reduced_times(case: Case) -> Found:
         if not isinstance(model.time_step, str):
             reason = _not_whole(case.plan.steps.snapshot_interval, model.time_step)
             yield from () if reason is None else ((f"rom.{i}.time_step", reason),)
+            for point in case.plan.rom_points(model):
+                if model.time_step > (longest := case.plan.longest_step(point)) * (1.0 + ROUNDING):
+                    reason = f"{point.label}: the driving needs steps of at most {longest:.4g} s"
+                    yield f"rom.{i}.time_step", reason
+                    break
 
 
 def _check_compare(case: Case) -> Found:
@@ -614,7 +680,6 @@ def _check_training(case: Case) -> Found:
 
 
 _CHECKS: tuple[Callable[[Case], Found], ...] = (
-    _check_points,
     _check_geometry,
     _check_scene,
     _check_splines,

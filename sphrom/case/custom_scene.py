@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
+from itertools import combinations
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -34,19 +36,39 @@ from sphrom.case.custom_sections import (
     start_fields,
 )
 from sphrom.case.expressions import CONSTANTS, FUNCTIONS, MOST_QUOTED, Expression
-from sphrom.case.fields import Coordinate, Place, Positive, SafeName, Section, key
-from sphrom.case.scene_section import MEASURE, OF_WALLS, Defaults, Measures, SceneSection
+from sphrom.case.fields import LARGEST, Coordinate, Place, Positive, SafeName, Section, key
+from sphrom.case.scene_section import MEASURE, OF_WALLS, Defaults, Measures, SceneSection, Settings
 from sphrom.case.shapes import ShapeSection
+from sphrom.metrics.measures import midpoints
+from sphrom.metrics.series import pole_of, sharpened, shortest_period
 from sphrom.scenes.flows import BodyForce, CustomFlow, Scales, Scene
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import SIDES, Domain
-from sphrom.sph.fluid import NONE, Resistance, Strip
+from sphrom.sph.fluid import NONE, Fluid, Resistance, Strip
+from sphrom.sph.polygons import connects_images
 from sphrom.text import shortened
 
 N_SAMPLES = 200
 """Points along each edge of the box, or along a wall, at which expressions are checked."""
 N_INSTANTS = 50
-"""Times of a run at which a body force is checked."""
+"""Times of a run at which the head of a body force is computed."""
+N_CHECKED = 4097
+"""Times of a run at which a driving is checked."""
+N_EACH = 16
+"""Checked times from one whose amplitude gives a speed to the next."""
+N_PEAKS = 16
+"""Samples with the largest values, from which peaks of an expression are searched."""
+MOST_PLACES = 200_000
+"""Most places of particles at which expressions are checked, too."""
+MOST_SETTINGS = 64
+"""Most values of the parameters, evenly chosen, at which slow checks are made."""
+FASTEST = 0.45
+"""Largest speed over that of sound; the density then changes by 10 %, which ends a run."""
+LARGEST_CHANGE = 0.1
+"""Largest relative change of the density, which ends a run."""
+THROUGH_WALL = 0.07
+"""Largest initial speed through a wall over that of sound. Sound that a flat wall reflects changes
+the density by this share, and more in corners; at 0.08 a box of 20 x 20 particles is unstable."""
 ALONG = 0.02
 """Largest normal speed of a wall over its speed; it is not zero because circles are polygons."""
 TOUCHING = 1e-6
@@ -210,7 +232,9 @@ class CustomScene(SceneSection):
             )
         force = self._force
         if force is not None:
-            _require_finite("body_force", force(self._samples.T, 0.0).T, self._samples)
+            _require_finite("body_force", force(self._places.T, 0.0).T, self._places)
+        if force is not None and not self._values:  # for all values the same peaks
+            self._peak("body_force", lambda at: np.abs(force(at, 0.0)).sum(axis=0))
 
     @cached_property
     def _shapes(self) -> dict[str, BaseGeometry]:
@@ -249,7 +273,7 @@ class CustomScene(SceneSection):
         if len(areas := self.domain.separate_areas) > 1:
             sizes = ", ".join(f"{area:.4g}" for area in areas[:MOST_AREAS])
             yield "solids", f"divide the fluid into {len(areas)} parts, of {sizes} m2"
-        if (strip := self._strip) is None:
+        if (strip := self.strip) is None:
             return
         # Solids may cross the strip if their width is constant, like walls.
         ends = np.tile(np.array([self.domain.lower, self.domain.upper]), (N_SAMPLES + 1, 1, 1))
@@ -278,6 +302,42 @@ class CustomScene(SceneSection):
         weight = density * self.fluid.gravity
         return hydrostatic(lambda at: self._initial(at), level, weight)
 
+    def over(self, settings: Settings, particle_spacing: float) -> CustomScene:
+        """Return the scene whose strip fits all values of its parameters.
+
+        Expressions are also checked at the places of particles with a spacing [m], and between.
+        """
+        other = self._copied("strip", "inflow_ramp", "_resistance")
+        other.__dict__["_settings"] = settings
+        given = (*self.body_force, self.resistance)
+        varied = bool(self.porous) or any(isinstance(value, str) for value in given)
+        if varied and MOST_PLACES * particle_spacing**2 > math.prod(self.domain.lengths):
+            fills = (self.domain.fill(part * particle_spacing) for part in (1.0, 0.5))
+            other.__dict__["_extra"] = np.concatenate([*fills])
+        return other
+
+    @cached_property
+    def _settings(self) -> Settings:
+        """The values of the parameters at all points, where these are known."""
+        return [{}]
+
+    @cached_property
+    def _extra(self) -> Array:
+        """The places of particles (n_places, 2) [m], where these are known."""
+        return np.empty((0, 2))
+
+    @cached_property
+    def _periods(self) -> dict[tuple[float, ...], float]:
+        """The shortest periods of the driving [s], by its final time and parameters."""
+        return {}
+
+    def _copied(self, *without: str) -> CustomScene:
+        """Return a copy that does not share some cached parts."""
+        other = self.model_copy()
+        for built in (*without, "_force", "_pushes", "_start", "_initial", "_known"):
+            other.__dict__.pop(built, None)
+        return other
+
     @cached_property
     def _known(self) -> Callable[[tuple[tuple[str, float], ...]], CustomScene]:
         """Returns the scene at values of the parameters, from a cache."""
@@ -290,10 +350,8 @@ class CustomScene(SceneSection):
     def _changed(self, values: Mapping[str, float]) -> CustomScene:
         # Build the parts that do not depend on parameters, so that copies share them.
         _ = self.domain, self._shapes, self._resistance
-        other = self.model_copy()
+        other = self._copied()
         other._values = values
-        for built in ("_force", "_pushes", "_start", "_initial", "_known"):
-            other.__dict__.pop(built, None)
         return other
 
     def parameters(self, reference_speed: float) -> dict[str, float]:
@@ -357,9 +415,9 @@ class CustomScene(SceneSection):
         """Return the largest speed of walls and the inflow [m/s], at values of the parameters."""
         here = self._at(values)
         velocities = [here._wall_velocity(name)(here._edge(name)) for name in here.walls]
-        if here.inflow is not None and (strip := here._strip) is not None:
-            inside = here._samples[strip.contains(here._samples.T)].T
-            velocities.append(here._values.get(INFLOW, 1.0) * here._pushes[INFLOW](inside).T)
+        if here.inflow is not None and (strip := here.strip) is not None:
+            inside = here.inflow.samples(here.domain, strip.axis, N_SAMPLES + 1).T
+            velocities.append(here._inflow_field(inside).T)
         return max((float(np.linalg.norm(each, axis=1).max()) for each in velocities), default=0.0)
 
     @property
@@ -389,6 +447,35 @@ class CustomScene(SceneSection):
         ]
         points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
         return points[self.domain.contains(points)]
+
+    @property
+    def _places(self) -> Array:
+        """The samples, and places of particles."""
+        return np.concatenate([self._samples, self._extra])
+
+    def _peak(self, where: str, size: Callable[[Array], Array]) -> tuple[float, Array]:
+        """Return the largest value of an expression in the fluid, and its place (2,) [m].
+
+        Peaks narrower than the distance between samples are found from their feet.
+
+        Raises ValueError if it is infinite or not a number.
+        """
+
+        low = np.array(self.domain.lower)[:, None]
+        high = np.array(self.domain.upper)[:, None]
+
+        def inside(place: Array) -> Array:
+            within = np.clip(place, low, high)
+            # Walls themselves are samples; beside them a place may be in the solid by rounding.
+            fluid = self.domain.wall_distance(within.T) > TOUCHING * max(self.domain.lengths)
+            return np.where(fluid, size(within), -np.inf)
+
+        highest = self._places[np.argsort(-size(self._places.T), kind="stable")[:N_PEAKS]]
+        found, place = sharpened(inside, highest.T, np.array(self.domain.lengths) / N_SAMPLES)
+        best = int(np.argmax(found))
+        place = np.clip(place, low, high)
+        _require_finite(where, found[[best]], place[:, best][None])
+        return float(found[best]), place[:, best]
 
     @cached_property
     def _start(self) -> dict[str, Expression]:
@@ -462,7 +549,7 @@ class CustomScene(SceneSection):
         normal = self.domain.distance_and_normal(place)[1]
         across = np.abs(np.sum(velocity * normal, axis=1))
         worst = int(np.argmax(across))
-        if across[worst] > ALONG * float(np.max(np.linalg.norm(velocity, axis=1))):
+        if across[worst] > ALONG * float(np.max(np.hypot(*velocity.T))):
             x, y = place[worst]
             raise ValueError(
                 f"walls.{name}: its velocity at ({x:g}, {y:g}) m has a normal component of "
@@ -496,7 +583,7 @@ class CustomScene(SceneSection):
         if self.fluid is not None:
             parts = [self._expression(BODY_FORCE, v, "x", "y", "t") for v in self.body_force]
             return SurfaceForce.of(tuple(parts), self.fluid.gravity)
-        pushes, strip = self._pushes, self._strip
+        pushes, strip = self._pushes, self.strip
         moving = {text: a for push in pushes.values() for text, a in push.amplitudes.items()}
         if not moving:
             return None
@@ -516,7 +603,12 @@ class CustomScene(SceneSection):
             return np.sum(fields, axis=0) if len(fields) > 1 else fields[0]
 
         for name, push in pushes.items():
-            _require_finite(KEYS[name], push(self._samples.T).T, self._samples)
+            places = self._places
+            if strip is not None and self.inflow is not None and name == INFLOW:
+                places = self.inflow.samples(self.domain, strip.axis, N_SAMPLES + 1)
+            _require_finite(KEYS[name], push(places.T).T, places)
+        if BODY_FORCE in pushes and not self._values:  # for all values the same peaks
+            self._peak("body_force", lambda at: np.abs(pushes[BODY_FORCE](at)).sum(axis=0))
         factor = next((self._values.get(name, 1.0) for name in self._factor), 1.0)
         share = partial(ramp_share, self.inflow_ramp)
         # Cached, because all runs of a case use the same times.
@@ -527,19 +619,36 @@ class CustomScene(SceneSection):
 
         return BodyForce(field, at, series, changes=bool(amplitude.depends_on))
 
+    def _inflow_field(self, position: Array) -> Array:
+        """Return the inflow (2, n_positions) [m/s] for an amplitude of one."""
+        return self._values.get(INFLOW, 1.0) * self._pushes[INFLOW](position)
+
     @cached_property
-    def _strip(self) -> Strip | None:
-        """The strip of the inflow, which does not depend on parameters."""
+    def strip(self) -> Strip | None:
+        """The strip of the inflow, the same at all values of the parameters."""
         if self.inflow is None:
             return None
         if INFLOW not in self._pushes:
             raise ValueError("inflow.velocity: is zero; leave inflow out")
-        return self.inflow.strip_in(self.domain, self._samples, self._pushes[INFLOW])
+        velocities = []
+        for values in self._settings:
+            other = self._copied()
+            other._values = values
+            velocities.append(other._inflow_field)
+        strip = self.inflow.strip_in(self.domain, N_SAMPLES + 1, velocities)
+        if not connects_images(self.domain.fluid_with_images, self.domain.lengths, strip.axis):
+            along = "xy"[strip.axis]
+            raise ValueError(
+                f"inflow: solids block the flow along {along}, so fluid that leaves the strip at "
+                f"{along} = {strip.end if strip.speed > 0.0 else strip.start:g} m can't come back "
+                "to it; leave a gap, or make the solid a porous body"
+            )
+        return strip
 
     @cached_property
     def inflow_ramp(self) -> float:
         """The time in which the inflow reaches its speed [s]; 0 without an inflow."""
-        if self.inflow is None or (strip := self._strip) is None:
+        if self.inflow is None or (strip := self.strip) is None:
             return 0.0
         from_rest = self.initial == InitialSection()
         usual = self.domain.lengths[strip.axis] / abs(strip.speed) if from_rest else 0.0
@@ -558,34 +667,72 @@ class CustomScene(SceneSection):
                 )
         if self.resistance != 0.0:
             expression = self._expression("resistance", self.resistance, "x", "y")
-            rate = expression(x=self._samples[:, 0], y=self._samples[:, 1])
-            _require_finite("resistance", rate, self._samples)
-            if rate.min() < 0.0:
-                x, y = self._samples[np.argmin(rate)]
-                raise ValueError(f"resistance: is negative at ({x:g}, {y:g}) m")
+            rate = expression(x=self._places[:, 0], y=self._places[:, 1])
+            _require_finite("resistance", rate, self._places)
 
             def own(at: Array) -> Array:
                 return expression(x=at[0], y=at[1])
 
+            self._peak("resistance", own)
+            least, (x, y) = self._peak("resistance", lambda at: -own(at))
+            if rate.min() < 0.0:
+                x, y = self._places[np.argmin(rate)]
+            if min(rate.min(), -least) < 0.0:
+                raise ValueError(f"resistance: is negative at ({x:g}, {y:g}) m")
+
         inverse = inverse_permeability((self.porous[name], shape) for name, shape in shapes.items())
-        if own is None and inverse is None and self._strip is None:
+        if own is None and inverse is None and self.strip is None:
             return None
-        return Resistance(own, inverse, self._strip, self._in_box)
+        return Resistance(own, inverse, self.strip, self._in_box)
 
     def largest_resistance(self, viscosity: float) -> float:
         resistance = self._resistance
-        return 0.0 if resistance is None else resistance.largest(self._samples.T, viscosity)
+        if resistance is None:
+            return 0.0
+        return resistance.largest(self._slowest.T, viscosity)
 
-    @property
+    @cached_property
+    def _slowest(self) -> Array:
+        """Places (n_places, 2) [m] that include those with the largest resistance."""
+        places = [self._places]
+        if self._resistance is not None and self._resistance.own is not None:
+            places.append(self._peak("resistance", self._resistance.own)[1][None])
+        # Samples miss thin bodies.
+        parts = list(self._porous_parts.values())
+        shared = (one.intersection(other) for one, other in combinations(parts, 2))
+        inside = [part.representative_point() for part in (*parts, *shared) if part.area > 0.0]
+        return np.concatenate([*places, shapely.get_coordinates(inside)])
+
+    @cached_property
+    def _porous_parts(self) -> dict[str, BaseGeometry]:
+        """The parts of porous bodies in the fluid, by name."""
+        shapes = _geometries("porous", self.porous)
+        return {name: self.domain.fluid.intersection(shape) for name, shape in shapes.items()}
+
+    @cached_property
     def porous_way(self) -> float:
         """The least integral of 1/k along lines through the box [1/m], the larger of x and y."""
-        if self._resistance is None or (inverse := self._resistance.inverse_permeability) is None:
-            return 0.0
-        inverses, ways = inverse(self._samples.T), []
-        for across, length in zip(self._samples.T[::-1], self.domain.lengths, strict=True):
-            line = np.unique(across, return_inverse=True)[1]
-            ways.append(length * float((np.bincount(line, inverses) / np.bincount(line)).min()))
+        shapes = self._porous_parts
+        ways = [0.0]
+        lower, upper = np.array(self.domain.lower), np.array(self.domain.upper)
+        for axis in range(2) if shapes else ():
+            ends = np.tile(np.array([lower, upper]), (N_SAMPLES, 1, 1))
+            ends[..., 1 - axis] = midpoints(lower[1 - axis], upper[1 - axis], N_SAMPLES)[:, None]
+            lines = shapely.intersection(self.domain.fluid, shapely.linestrings(ends))
+            lines = lines[shapely.length(lines) > 0.0]
+            parts = (
+                shapely.length(shapely.intersection(shape, lines)) / self.porous[name].permeability
+                for name, shape in shapes.items()
+            )
+            ways.append(float(sum(parts).min(initial=math.inf)))
         return max(ways)
+
+    @property
+    def porous_widths(self) -> dict[str, float]:
+        """The width [m] of each porous body, the diameter of the largest circle in it."""
+        parts = self._porous_parts.items()
+        circles = {name: shapely.maximum_inscribed_circle(part) for name, part in parts}
+        return {name: 2.0 * float(circle.length) for name, circle in circles.items()}
 
     def largest_head(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
         here = self._at(values)
@@ -616,21 +763,101 @@ class CustomScene(SceneSection):
         ways = np.maximum((force, -force), 0.0).reshape(2, 2, N_SAMPLES + 1, -1)
         return np.array([ways[:, axis].mean(axis=-1 - axis).max() for axis in range(2)])
 
-    def problems(self, final_time: float) -> Iterator[tuple[str, str]]:
-        """Refuse a driving that isn't finite at all times, and an inflow that ramps too long."""
+    def problems(self, final_time: float, fluid: Fluid) -> Iterator[tuple[str, str]]:
+        """Refuse a driving that isn't finite at all times, and an inflow that ramps too long.
+
+        Also speeds near that of sound, and an initial velocity through a wall.
+        """
+        sound_speed = fluid.sound_speed
         if self.inflow_ramp >= final_time:
             yield "inflow.ramp", f"takes {self.inflow_ramp:g} s, until time.final_time or longer"
-        if self._force is not None:
-            for time in np.linspace(0.0, final_time, N_INSTANTS):
-                amplitude = self._force.amplitude(time)
-                if self.has_surface:
-                    amplitude = float(self._force(self._samples.T, time).sum())
-                if not math.isfinite(amplitude):
+        times = np.linspace(0.0, final_time, N_CHECKED)
+        step = math.ceil(len(self._settings) / MOST_SETTINGS)
+        for here in map(self._at, self._settings[::step]):
+            for where, signal in here._signals().items():
+                if (pole := pole_of(signal, times)) is not None:
+                    yield where, f"is not finite at t = {pole:.4g} s"
+                    return
+            for where, speed in here._speeds(times):
+                if speed > FASTEST * sound_speed:
                     yield (
-                        KEYS[next(iter(self._pushes), BODY_FORCE)],
-                        f"is not finite at t = {time:.4g} s",
+                        where,
+                        f"reaches {speed:.4g} m/s, {speed / sound_speed:.2g} times the speed of "
+                        f"sound; set fluid.reference_speed: {speed:.3g}, or lower it",
                     )
                     return
+            speed, wall = here._through_wall()
+            pressure = np.abs(here._initial(here._samples)[:, 2]).max()
+            if pressure > LARGEST_CHANGE * fluid.reference_density * fluid.sound_speed**2:
+                yield "initial.p", f"{pressure:.3g} Pa changes the density by more than 10 %"
+                return
+            if speed > THROUGH_WALL * sound_speed:
+                yield (
+                    "initial",
+                    f"goes through the wall {wall} with {speed:.3g} m/s, which makes a shock of "
+                    "sound; start at rest, or with a velocity along the walls, or lower "
+                    "fluid.mach_number",
+                )
+                return
+
+    def _signals(self) -> dict[str, Callable[[Array], Array]]:
+        """Return what drives the flow (..., n_times) at times (n_times,) [s], by key."""
+        force = self._force
+        if not isinstance(force, SurfaceForce):
+            if force is None or force.series is None or not force.changes:
+                return {}
+            return {KEYS[next(iter(self._pushes))]: force.series}
+        moving = [part for part in force.parts if "t" in part.depends_on]
+        x, y = self._samples[:: len(self._samples) // N_PEAKS + 1].T[..., None]
+        if not any(part.depends_on & {"x", "y"} for part in moving):
+            x, y = x[:1], y[:1]
+        signal = lambda t: np.concatenate([part(x=x, y=y, t=t) for part in moving])  # noqa: E731
+        return {BODY_FORCE: signal} if moving else {}
+
+    def shortest_period(self, final_time: float, settings: Settings) -> float:
+        """Return the shortest period [s] with which the driving oscillates at some values."""
+        force = self._force
+        amplitudes = [a for push in self._pushes.values() for a in push.amplitudes.values()]
+        timed = force.parts if isinstance(force, SurfaceForce) else amplitudes
+        used = [n for n in self.constants if any(each.degree_in([n]) > 0.0 for each in timed)]
+        chosen = {tuple(v.get(n, self.constants[n]) for n in used): v for v in settings}
+        shortest = math.inf
+        for values in sorted(chosen)[:: math.ceil(len(chosen) / MOST_SETTINGS)]:
+            if (known := (final_time, *values)) not in self._periods:
+                signals = self._at(chosen[values])._signals().values()
+                periods = (shortest_period(signal, final_time) for signal in signals)
+                self._periods[known] = min(periods, default=math.inf)
+            shortest = min(shortest, self._periods[known])
+        return shortest
+
+    def _speeds(self, times: Array) -> Iterator[tuple[str, float]]:
+        """Yield the largest given speeds [m/s] at times [s], with their keys."""
+        speeds = {
+            f"walls.{name}": self._wall_velocity(name)(self._edge(name)) for name in self.walls
+        }
+        strip, force = self.strip, self._force
+        if strip is not None and self.inflow is not None and force is not None:
+            places = self.inflow.samples(self.domain, strip.axis, N_SAMPLES + 1)
+            largest = max(abs(force.amplitude(time)) for time in times[::N_EACH])
+            speeds[KEYS[INFLOW]] = largest * self._pushes[INFLOW](places.T).T
+        wet = self._samples[self._samples[:, 1] <= self.level_at(self._values)]
+        speeds["initial"] = self._initial(wet)[:, :2]
+        for where, velocity in speeds.items():
+            yield where, float(np.linalg.norm(velocity, axis=1).max(initial=0.0))
+
+    def _through_wall(self) -> tuple[float, str]:
+        """Return the largest initial speed [m/s] normal to a wall, and its place in words."""
+        largest, where = 0.0, ""
+        at_rest = self.initial == InitialSection()
+        for name in () if at_rest or self.fluid is not None else self.domain.wall_names:
+            with suppress(ValueError):  # no fluid touches this wall
+                place = self._edge(name)
+                normal = self.domain.distance_and_normal(place)[1]
+                across = np.abs(np.sum(self._initial(place)[:, :2] * normal, axis=1))
+                x, y = place[np.argmax(across)]
+                if across.max() > largest:
+                    largest, where = float(across.max()), f"{name} at ({x:.4g}, {y:.4g}) m"
+        return largest, where
 
 
 @dataclass(frozen=True)
@@ -657,9 +884,14 @@ def _geometries(where: str, sections: Mapping[str, ShapeSection]) -> dict[str, B
 
 
 def _require_finite(where: str, values: Array, position: Array) -> None:
-    """Raise ValueError if values (n_points, ...) at positions aren't finite."""
-    finite = np.isfinite(values)
+    """Raise ValueError if values (n_points, ...) at positions aren't finite, or too large."""
+    finite = np.abs(values) <= LARGEST
     bad = np.flatnonzero(~finite.all(axis=tuple(range(1, finite.ndim))))
     if bad.size:
         x, y = position[bad[0]]
-        raise ValueError(f"{where}: is not a finite number at ({x:g}, {y:g}) m")
+        what = (
+            f"above {LARGEST:g} in size"
+            if np.isfinite(values[bad[0]]).all()
+            else "not a finite number"
+        )
+        raise ValueError(f"{where}: is {what} at ({x:g}, {y:g}) m")

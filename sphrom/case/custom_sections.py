@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -19,6 +19,7 @@ from sphrom.arrays import Array
 from sphrom.case.expressions import Expression
 from sphrom.case.fields import (
     LARGEST,
+    SMALLEST,
     Coordinate,
     Duration,
     Place,
@@ -81,18 +82,45 @@ class InflowSection(Section):
         unit="s",
     )
 
-    def strip_in(self, domain: Domain, samples: Array, velocity: Callable[[Array], Array]) -> Strip:
-        """Return the strip in a domain, from samples of its points (n_samples, 2) [m].
+    def samples(self, domain: Domain, axis: int, number: int) -> Array:
+        """Return points (n_points, 2) [m] of the fluid in the strip, on its edges too.
 
-        Velocities are (2, n_samples) [m/s]. Raises ValueError unless the strip is part of the box
-        and fluid flows through it.
+        Points on a solid that only touches the strip, such as one that ends at the edge of the box,
+        do not count: there is no fluid of the strip beside them.
+        """
+        lower, upper = np.array(domain.lower), np.array(domain.upper)
+        lower[axis] = self.strip.start
+        upper[axis] = self.strip.end
+        axes = [np.linspace(low, high, number) for low, high in zip(lower, upper, strict=True)]
+        points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+        if domain.fills_box:
+            return points
+        parts = shapely.get_parts(shapely.intersection(domain.fluid, shapely.box(*lower, *upper)))
+        fluid = shapely.union_all(parts[shapely.area(parts) > 0.0])
+        shapely.prepare(fluid)
+        return points[shapely.intersects_xy(fluid, *points.T)]
+
+    def strip_in(
+        self, domain: Domain, number: int, velocities: Sequence[Callable[[Array], Array]]
+    ) -> Strip:
+        """Return the strip in a domain, with the largest speed of all velocities.
+
+        Parameters
+        ----------
+        number : number of samples along each edge of the strip.
+        velocities : of all runs, each (2, n_samples) [m/s] at positions (2, n_samples) [m].
+
+        Raises ValueError unless the strip is part of the box and fluid flows through it.
         """
         start, end, inflows = self.strip.start, self.strip.end, dict[int, Array]()
         for axis in np.flatnonzero(domain.periodic).tolist():
-            inside = (samples[:, axis] >= start) & (samples[:, axis] <= end)
             within = domain.lower[axis] <= start < end <= domain.upper[axis]
-            if within and end - start < domain.lengths[axis] and inside.any():
-                inflows[axis] = velocity(samples[inside].T)
+            if not within or end - start >= domain.lengths[axis]:
+                continue
+            places = self.samples(domain, axis, number)
+            if len(places):
+                fields = [velocity(places.T) for velocity in velocities]
+                inflows[axis] = max(fields, key=lambda field: np.linalg.norm(field, axis=0).max())
         if not inflows:
             raise ValueError(
                 "inflow.strip: must be part of the box, with `from` below `to`, on an axis that "
@@ -101,6 +129,11 @@ class InflowSection(Section):
         means = {axis: float(inflow[axis].mean()) for axis, inflow in inflows.items()}
         axis = max(means, key=lambda each: abs(means[each]))
         speed = float(np.linalg.norm(inflows[axis], axis=0).max())
+        if not SMALLEST <= speed <= LARGEST:
+            raise ValueError(
+                f"inflow.velocity: its largest speed must be {SMALLEST:g} to {LARGEST:g} m/s; got "
+                f"{speed:g} m/s"
+            )
         if not abs(means[axis]) > NO_FLOW * speed:
             raise ValueError("inflow.velocity: must have a mean along the periodic axis of the box")
         return Strip(axis, start, end, math.copysign(speed, means[axis]), self.strength)

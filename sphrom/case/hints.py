@@ -14,6 +14,10 @@ from sphrom.sph.fluid import ROUNDING
 
 SNAPSHOTS_PER_MODE = 2
 """Least number of snapshots per mode without a warning."""
+SNAPSHOTS_PER_PERIOD = 4
+"""Least number of snapshots in a period of the driving without a warning."""
+THICKENED = 4
+"""Spacings across a porous body that is thin enough to be one, and resolved."""
 LEAST_STRIP = 20.0
 """Least width of a strip, over the spacing; its rate then falls within two spacings."""
 
@@ -33,6 +37,8 @@ def case_warnings(case: Case) -> list[str]:
         *(f"time.step: {reason}" for reason in beyond_limits(case)),
         *_of_strip(case),
         *_of_kernel(case),
+        *_of_porous(case),
+        *_of_driving(case),
         *_extrapolations(case, "parameters.test", case.plan.test_points),
         *_of_models(case),
         *_of_numerics(case),
@@ -64,6 +70,29 @@ def _of_kernel(case: Case) -> Iterator[str]:
             f"{key}: h is {width:.2g} of the flow's length, too wide for its pressure, which was "
             f"off by 43 to 52 % at 0.15 and by 84 % at 0.2; use {USUAL:g} or less, or "
             f"discretization.resolution: {resolution}"
+        )
+
+
+def _of_porous(case: Case) -> Iterator[str]:
+    spacing = case.plan.particle_spacing
+    for name, width in case.scene.porous_widths.items():
+        if width < spacing * (1.0 - ROUNDING):
+            resolution = math.ceil(case.discretization.resolution * spacing / width)
+            yield (
+                f"scene.porous.{name}: is {width:.3g} m wide, less than the particle spacing of "
+                f"{spacing:.3g} m, so fluid is hardly slowed; make it {THICKENED} spacings wide "
+                "and raise its permeability in proportion, or set discretization.resolution: "
+                f"{resolution} or more"
+            )
+
+
+def _of_driving(case: Case) -> Iterator[str]:
+    period, interval = case.plan.shortest_period, case.plan.steps.snapshot_interval
+    if interval > period / SNAPSHOTS_PER_PERIOD * (1.0 + ROUNDING):
+        most = int(period / SNAPSHOTS_PER_PERIOD / case.plan.steps.time_step * (1.0 + ROUNDING))
+        yield (
+            f"snapshots.every: snapshots {interval:.4g} s apart show the driving, whose period is "
+            f"{period:.4g} s, as a slower oscillation; set {max(1, most)}"
         )
 
 

@@ -32,6 +32,7 @@ from sphrom.sph.time_loop import TimeSteps
 
 if TYPE_CHECKING:
     from sphrom.case.models import Case
+    from sphrom.case.scene_section import SceneSection
 
 MOST_COLUMNS, ROWS_OF_FLUID, LEAST_CELL = 16, 9, 2
 """Of a tank's splines: cells along it, along the depth, and the least size over the spacing."""
@@ -59,6 +60,8 @@ MODES_WITHOUT_ROM = 10
 """Number of modes to keep without reduced models."""
 MOST_CHOSEN = 20
 """Number of modes to keep when a reduced model chooses its number."""
+STEPS_PER_PERIOD = 20
+"""Fewest steps in a period of the driving; fewer take an oscillation for a slower one."""
 MAX_STEPS = 1e9
 """Number of steps of one run beyond which a case is taken for a typing error."""
 WHOLE_STEPS_TOLERANCE = 1e-6
@@ -76,6 +79,11 @@ class Plan:
 
     def __init__(self, case: Case) -> None:
         self._case = case
+
+    @cached_property
+    def scene(self) -> SceneSection:
+        """The scene with the strip and the checks that fit all points and the particles."""
+        return self._case.scene.over(self._settings, self.particle_spacing)
 
     # Lengths, speeds and particles
 
@@ -301,7 +309,7 @@ class Plan:
         """Return the flow at a parameter point."""
         fluid = self._case.fluid
         viscosity = self.kinematic_viscosity(point)
-        return self._case.scene.flow(
+        return self.scene.flow(
             Scales(fluid.reference_speed, fluid.reference_density, viscosity, point.factors)
         )
 
@@ -348,14 +356,13 @@ class Plan:
     @cached_property
     def strip(self) -> Strip | None:
         """The strip of the inflow; None without an inflow."""
-        resistance = self.flow(self.points[0]).resistance
-        return None if resistance is None else resistance.strip
+        return self.scene.strip
 
     # Time steps, their limits, and snapshots
 
     def step_limits(self, point: ParameterPoint) -> StepLimits:
         """Return the largest stable time steps at a parameter point."""
-        scene, sharpness = self._case.scene, self._sharpest_corner
+        scene, sharpness = self.scene, self._sharpest_corner
         slowing = scene.largest_resistance(self.kinematic_viscosity(point))
         return fluid.step_limits(
             self.fluid(point), self.discretization, scene.domain.has_walls, sharpness, slowing
@@ -388,7 +395,17 @@ class Plan:
         if time.step != "auto":
             return time.step
         share = time.courant_number / fluid.COURANT_LIMIT
-        return share * self.limits.least
+        return min(share * self.limits.least, self.shortest_period / STEPS_PER_PERIOD)
+
+    @cached_property
+    def shortest_period(self) -> float:
+        """The shortest period of the driving at all points [s]; infinite if none oscillates."""
+        return self.scene.shortest_period(self._case.time.final_time, self._settings)
+
+    def longest_step(self, point: ParameterPoint) -> float:
+        """Return the longest step [s] that resolves the driving at a point, infinite if steady."""
+        end = self._case.time.final_time
+        return self.scene.shortest_period(end, [point.factors]) / STEPS_PER_PERIOD
 
     @cached_property
     def spin_up_ratio(self) -> Fraction:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -16,9 +16,11 @@ from sphrom.case.fields import Coordinate, Duration, Place, SafeName, Section, W
 from sphrom.metrics.measures import Column, Oscillating, Oscillations
 from sphrom.scenes.flows import Channel, ReferenceProfile, Scales, Scene
 from sphrom.sph.domain import Domain
-from sphrom.sph.fluid import NONE
+from sphrom.sph.fluid import NONE, Fluid, Strip
 
 Defaults = Mapping[str, Any]
+Settings = Sequence[Mapping[str, float]]
+"""Values of the parameters except the Reynolds number, of all points."""
 OF_WALLS: Defaults = {
     "fluid": {"reference_density": 1.0},
     "discretization": {"smoothing_length_ratio": 2.0},
@@ -123,6 +125,21 @@ class SceneSection(Section):
         return self.domain.fill(particle_spacing)
 
     @property
+    def strip(self) -> Strip | None:
+        """The strip of the inflow; None without an inflow."""
+        return None
+
+    @property
+    def inflow_ramp(self) -> float:
+        """The time in which the inflow reaches its speed [s]; 0 without an inflow."""
+        return 0.0
+
+    @property
+    def porous_widths(self) -> Mapping[str, float]:
+        """The width of each porous body [m]."""
+        return {}
+
+    @property
     def porous_way(self) -> float:
         """The integral of 1/k along the path of the fluid through porous bodies [1/m]."""
         return 0.0
@@ -183,8 +200,16 @@ class SceneSection(Section):
         """Return the profiles of independent solutions of the flow."""
         return ()
 
-    def problems(self, final_time: float) -> Iterator[tuple[str, str]]:
-        """Yield keys of the scene that don't fit the final time [s], with the reasons."""
+    def over(self, settings: Settings, particle_spacing: float) -> SceneSection:
+        """Return the scene for all values of its parameters, and for a spacing of particles [m]."""
+        return self
+
+    def shortest_period(self, final_time: float, settings: Settings) -> float:
+        """Return the shortest period [s] of the driving at some values of the parameters."""
+        return math.inf
+
+    def problems(self, final_time: float, fluid: Fluid) -> Iterator[tuple[str, str]]:
+        """Yield keys of the scene that don't fit the final time [s] or the fluid, with reasons."""
         yield from ()
 
     def warnings(self) -> Iterator[tuple[str, str]]:

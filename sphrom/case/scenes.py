@@ -16,7 +16,7 @@ from sphrom.case.fields import Duration, Number, Positive, Section, key
 from sphrom.case.scene_section import MEASURE, OF_WALLS, Defaults, Measures, SceneSection
 from sphrom.scenes import flows
 from sphrom.scenes.flows import OPEN_CAVITY_SPEED, ReferenceProfile, profiles_for
-from sphrom.sph.fluid import NONE
+from sphrom.sph.fluid import NONE, Fluid
 from sphrom.text import exact
 
 PROBE_SHARE = 0.625
@@ -92,7 +92,7 @@ class LidDrivenCavityScene(SceneSection):
         profiles = profiles_for(self.kind, self.lid, reynolds)
         return profiles if self.lid_ramp == 0.0 else tuple(p for p in profiles if p.time is None)
 
-    def problems(self, final_time: float) -> Iterator[tuple[str, str]]:
+    def problems(self, final_time: float, fluid: Fluid) -> Iterator[tuple[str, str]]:
         """Refuse a lid that does not reach its speed before the end."""
         if self.lid_ramp >= final_time:
             end, ramp = exact(final_time), exact(self.lid_ramp)

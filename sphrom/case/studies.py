@@ -208,8 +208,8 @@ class Region:
     def starts(self, existing: Sequence[ParameterPoint]) -> list[ParameterPoint]:
         """Return the first points of training: corners of the region, and existing points.
 
-        There are enough corners that no other point of the region changes the speed of sound or
-        the time steps of full runs.
+        There are enough corners that no other point of the region changes the speed of sound, the
+        strip of an inflow or the time steps of full runs.
         """
         number = len(self._box.ranges)
         corners = [self.point(place) for place in first_corners(number)]
@@ -217,9 +217,9 @@ class Region:
         if number > MOST_CORNERED:
             return points
 
-        def settings(points: Sequence[ParameterPoint]) -> tuple[object, float]:
+        def settings(points: Sequence[ParameterPoint]) -> tuple[object, ...]:
             plan = trained_at(self._case, points).plan
-            return plan.steps, plan.sound_speed
+            return plan.steps, plan.sound_speed, plan.strip
 
         every = [self.point(np.array(place)) for place in product((0.0, 1.0), repeat=number)]
         everywhere = settings([*points, *every])

@@ -22,6 +22,7 @@ from sphrom.compare.costs import N_REPEATS, RunTiming, break_even, offline_secon
 from sphrom.compare.measured import SURFACE, OscillationRow
 from sphrom.online.stable_ranges import against
 from sphrom.plots.tables import format_figure
+from sphrom.store.stored_run import inflow_of
 from sphrom.store.trained_models import basis_used
 from sphrom.store.workspace import Workspace
 from sphrom.text import counted, duration
@@ -273,8 +274,13 @@ def _unphysical(workspace: Workspace) -> Iterator[str]:
 
 
 def _doubts(workspace: Workspace) -> Iterator[str]:
-    """Yield a sentence with reasons to doubt that imported runs belong to the case, if any."""
+    """Yield sentences with reasons to doubt that full runs belong to the case, if any."""
     runs = {p.label: workspace.imported(workspace.full_run(p)) for p in workspace.case.plan.points}
+    for point in workspace.case.plan.points if workspace.case.plan.strip is not None else ():
+        with workspace.open(workspace.full_run(point)) as trajectory:
+            inflow = inflow_of(workspace.case, point, trajectory)
+        if inflow is not None and inflow.problem is not None:
+            yield f"Warning: {inflow.problem}."
     said = {at: of["imported/doubts"] for at, of in runs.items() if of.get("imported/doubts")}
     if said:
         (first, *more), doubts = said, next(iter(said.values())).replace("\n", "; ")
@@ -313,6 +319,8 @@ def tell_answer(workspace: Workspace, tables: Tables) -> None:
         report.result(
             f"The full runs are in {out}. There is no reduced model to compare with them."
         )
+        for sentence in _doubts(workspace):
+            report.prose(sentence)
         return
     answer = find_answer(workspace, tables)
     nothing = "No reduced model was compared over a whole run."

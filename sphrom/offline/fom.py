@@ -17,7 +17,7 @@ from sphrom.setup.particles import MeasuredParticles
 from sphrom.sph.packing import MAX_ITERATIONS, pack
 from sphrom.sph.time_loop import Clock, TimeSteps, march
 from sphrom.store.checkpoints import Checkpoints, integrate, remove_checkpoints
-from sphrom.store.stored_run import described_inflow
+from sphrom.store.stored_run import inflow_of
 from sphrom.store.trained_models import scene_start, start
 from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Target, Workspace
@@ -46,10 +46,15 @@ def run(context: StageContext) -> None:
         with workspace.open(target) as trajectory:
             if trajectory.text("status") != "complete":
                 raise UnstableError(f"{point.label}: {trajectory.text('status_detail')}")
-            if (inflow := described_inflow(context.case, point, trajectory)) is not None:
-                context.report.info(inflow)
+            inflow = inflow_of(context.case, point, trajectory)
         for finding in workspace.unphysical(point):
             context.report.warn(f"{point.label}: the run is unphysical: {finding}")
+        if inflow is not None and (problem := inflow.problem) is not None:
+            if inflow.is_wrong and not workspace.imported(target):
+                raise UnstableError(problem)
+            context.report.warn(problem)
+        elif inflow is not None:
+            context.report.info(inflow.text)
 
 
 def ensure_run(workspace: Workspace, point: ParameterPoint) -> Target:

@@ -345,6 +345,7 @@ class _Projection:
                 start=own[0],
                 output_times=output_times_of(case, case.plan.steps, states, point),
                 amplitude=amplitude_of(case, point),
+                longest_step=case.plan.longest_step(point),
             )
             model = model.around(states)
             if model.output_times.duration > MAX_STEPS * model.step_limit:

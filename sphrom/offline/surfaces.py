@@ -155,6 +155,7 @@ def _training_runs(workspace: Workspace) -> Iterator[TrainingRun]:
                 gravity=case.scene.gravity,
                 viscosity=case.plan.kinematic_viscosity(point),
                 force=uniform_force(case, point),
+                longest_step=case.plan.longest_step(point),
             )
 
 

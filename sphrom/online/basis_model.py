@@ -240,6 +240,7 @@ class BasisModel:
             output_times=output_times_of(case, self._steps[in_training], self.states, point),
             mean_density_fluctuation=mean,
             amplitude=amplitude_of(case, point),
+            longest_step=case.plan.longest_step(point),
             measures=self._measures,
         )
         length = closure = None

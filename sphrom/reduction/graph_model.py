@@ -79,14 +79,20 @@ class GraphModel:
     """Calibrated; it multiplies gravity in the rates, but neither in pressure nor in energies."""
     gravity_growth: float = 0.0
     """Of that factor, relative, with the square of the waves' amplitude [1/m2]."""
+    longest_step: float = math.inf
+    """The longest step that resolves the force [s]."""
 
     @property
     def time_step(self) -> float:
-        """The largest time step [s]: a share of the period of the shortest elevation mode."""
+        """The largest time step [s]: a share of the period of the shortest elevation mode.
+
+        It also resolves the force.
+        """
         amplitudes = self.basis.surface_modes**2
         wave_numbers = np.arange(1, amplitudes.shape[1] + 1) * math.pi / self.basis.space.width
         squares = self.gravity * wave_numbers * np.tanh(wave_numbers * self.depth)
-        return 2 * math.pi / math.sqrt(float((amplitudes @ squares).max())) / STEPS_A_PERIOD
+        period = 2 * math.pi / math.sqrt(float((amplitudes @ squares).max()))
+        return min(period / STEPS_A_PERIOD, self.longest_step)
 
     @property
     def given(self) -> tuple[float, float, float, float]:

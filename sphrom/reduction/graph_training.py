@@ -25,6 +25,7 @@ for the velocity, too many elevation modes have no restoring force and drift.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -66,6 +67,8 @@ class TrainingRun:
     """Kinematic [m2/s]."""
     force: Callable[[Array], Array]
     """The body force (2, n_times) [m/s2] at times [s]."""
+    longest_step: float = math.inf
+    """The longest step that resolves the force [s]."""
 
 
 def train(
@@ -123,6 +126,7 @@ class _Projected:
         cosines = cosine_coordinates(run.elevation, basis.surface_modes.shape[1])
         coordinates = np.concatenate([velocities, cosines @ basis.surface_modes.T], axis=1)
         model = GraphModel(basis, run.depth + rise, run.gravity, run.viscosity, run.force)
+        model = replace(model, longest_step=run.longest_step)
         level = run.elevation.mean(axis=1) - basis.space.bottom - model.depth
         return cls(run, model, coordinates, own, cosines, level)
 

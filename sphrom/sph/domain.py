@@ -104,6 +104,11 @@ class Domain(ABC):
         return [self.area]
 
     @property
+    def polygons(self) -> Sequence[tuple[str, BaseGeometry]]:
+        """The solids of any shape [m], with their names; none if all follow the axes."""
+        return ()
+
+    @property
     @abstractmethod
     def solid_names(self) -> tuple[str, ...]:
         """The name of each solid in the box."""

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -200,6 +200,11 @@ class PolygonDomain(Domain):
             least = np.minimum(apart, least)
         wall[least > math.sqrt(ROUNDING) * max(self.lengths)] = -1
         return wall
+
+    @property
+    def polygons(self) -> Sequence[tuple[str, BaseGeometry]]:
+        """The solids with their names."""
+        return self.solids
 
     def contains(self, position: Array) -> Mask:
         """Return whether positions (n_points, 2) [m] are in the fluid or on its edge."""

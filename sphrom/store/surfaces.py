@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -86,6 +86,7 @@ class TrainedSurface:
             uniform_force(case, point),
             calibrated=self.section.is_calibrated,
         )
+        graph = replace(graph, longest_step=case.plan.longest_step(point))
         steps, density = case.plan.model_steps(self.section), case.fluid.reference_density
         times = OutputTimes(steps.snapshot_interval, steps.n_snapshots, steps.start_time)
         return SurfaceModelAt(graph, density, self._start(point), times)

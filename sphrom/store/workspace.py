@@ -411,6 +411,8 @@ class Workspace:
             about = {**about, "largest speed": self.case.plan.max_speed}
             if self.case.plan.sound_speed > self.case.plan.max_speed / self.case.fluid.mach_number:
                 about["sound speed"] = self.case.plan.sound_speed
+            if (strip := self.case.plan.strip) is not None and strip != self.case.scene.strip:
+                about["strip speed"] = strip.speed
         inputs = {
             "sections": self._inputs[name],
             "about": stated(about),

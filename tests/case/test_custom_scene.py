@@ -29,9 +29,10 @@ SCENE: dict[str, Any] = {
 def load(tmp_path: Path):
     """Load a case with some keys of its scene changed."""
 
-    def case(compare: Any = None, **scene: Any) -> Case:
+    def case(compare: Any = None, speed: float = 1.0, **scene: Any) -> Case:
         path = tmp_path / "case.yaml"
         given = {"discretization": {"resolution": 60}, "scene": {**SCENE, **scene}}
+        given["fluid"] = {"reference_speed": speed}
         given["compare"] = compare or {}
         path.write_text(yaml.safe_dump({"name": "x", **given}, sort_keys=False))
         return load_case(path)
@@ -171,7 +172,9 @@ def test_a_thin_solid_and_a_narrow_gap_are_refused(load) -> None:
 
 
 def test_walls_move_as_they_are_told(flow) -> None:
-    turning = flow(walls={"cylinder": {"rotation": 2.0}, "top": {"velocity": ["x*(6 - x)", 0]}})
+    turning = flow(
+        speed=9.0, walls={"cylinder": {"rotation": 2.0}, "top": {"velocity": ["x*(6 - x)", 0]}}
+    )
     ghosts = np.array([[3.0, 2.9], [2.2, 2.0], [2.0, 4.05], [5.0, -0.05]])
     velocity = turning.wall_velocity(ghosts)
     np.testing.assert_allclose(
@@ -181,6 +184,7 @@ def test_walls_move_as_they_are_told(flow) -> None:
 
 def test_forces_and_starts_are_expressions(flow) -> None:
     case = flow(
+        speed=9.0,
         constants={"strength": 0.5},
         body_force=["strength*sin(pi*y)*cos(t)", 0],
         initial={"u": "y*(4 - y)", "p": 2},

@@ -31,7 +31,8 @@ def load(tmp_path: Path):
             "initial": {"file": "start.csv"},
             **given,
         }
-        keys = {"name": "x", "scene": scene, "snapshots": {"every": 1}}
+        fluid = {"reference_speed": 10.0}
+        keys = {"name": "x", "scene": scene, "fluid": fluid, "snapshots": {"every": 1}}
         (tmp_path / "case.yaml").write_text(yaml.safe_dump(keys))
         return load_case(tmp_path / "case.yaml")
 

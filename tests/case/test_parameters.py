@@ -121,7 +121,7 @@ def test_the_speed_of_sound_is_that_of_the_fastest_wall_at_any_point():
 
 @pytest.mark.parametrize("name", ["U", "g", "omega", "top", "disc", "body_force"])
 def test_what_operators_are_affine_in_may_vary(name):
-    found = case({"train": {name: [0.5, 0.7]}}, CUSTOM)
+    found = case({"train": {name: [0.5, 0.7]}}, CUSTOM, fluid={"reference_speed": 5.0})
     assert found.plan.parameter_names == ("reynolds", name)
     assert [point.factors[name] for point in found.plan.points] == [0.5, 0.7]
 
