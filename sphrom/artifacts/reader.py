@@ -18,6 +18,7 @@ import contextlib
 import hashlib
 import math
 import os
+import shlex
 import time
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -57,6 +58,8 @@ SHOWN_KEYS = 4
 """Number of differing keys of two cases that a message names."""
 MOST_CHARACTERS = 60
 """Longest value shown in a message: a foreign file may contain any text."""
+MOST_NESTED = 32
+"""Most groups within each other in a file."""
 
 SETTLED = 2.0
 """Age [s] from which timestamps reliably show a change of a file: their resolution is coarse."""
@@ -382,12 +385,18 @@ DIGEST = "sha256"
 LOCKINGS = (None, False, True)
 """Ways to lock a file. HDF5 refuses any other than the one with which this process has the file
 open, so the default comes first. An artifact never changes, so it can be read without a lock."""
+LEFT_OPEN = "already open for"
+"""What HDF5 says of a file whose superblock has the mark of a writer, which it sets since 1.10."""
 # The exceptions that h5py raises for the various damaged structures of a file.
 DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, OverflowError)
 
 
 class Fault(Exception):
     """Why an artifact cannot be used; the text continues `FILE ...`."""
+
+
+class LeftOpen(Fault):
+    """A file with the mark of a program that writes it, which may be whole."""
 
 
 @contextlib.contextmanager
@@ -397,7 +406,8 @@ def explained_faults(path: Path, made_by: str) -> Iterator[None]:
         yield
     except Fault as fault:
         command = f"again with `{made_by} --force`" if path.exists() else f"with `{made_by}`"
-        raise ArtifactError(f"{path} {fault}; make it {command}") from fault
+        other = "or " * isinstance(fault, LeftOpen)
+        raise ArtifactError(f"{path} {fault}; {other}make it {command}") from fault
 
 
 @contextlib.contextmanager
@@ -417,12 +427,18 @@ def open_file(path: Path) -> h5py.File:
         path.open("rb").close()
     except OSError as error:
         raise Fault(f"can't be read ({error.strerror})") from error
+    faults = []
     for locking in LOCKINGS:
         try:
             return h5py.File(path, "r", locking=locking)
         except (OSError, RuntimeError, ValueError) as error:
-            fault = error
-    raise Fault("is damaged, truncated, or not an HDF5 file") from fault
+            faults.append(error)
+    if any(LEFT_OPEN in str(fault) for fault in faults):
+        raise LeftOpen(
+            "is marked as open for writing: another program is writing it, or was killed while it "
+            f"wrote; if none is, remove the mark with `h5clear -s {shlex.quote(str(path))}`"
+        ) from faults[-1]
+    raise Fault("is damaged, truncated, or not an HDF5 file") from faults[-1]
 
 
 @dataclass
@@ -454,32 +470,50 @@ def inspect(file: h5py.File) -> Contents:
     return contents
 
 
-def items(file: h5py.File, but: str = "") -> Iterator[tuple[str, h5py.HLObject]]:
-    """Yield every group and dataset by its path, except those in the group `but`.
+def items(
+    group: h5py.Group, but: str = "", path: str = "", entered: set[int] | None = None
+) -> Iterator[tuple[str, h5py.HLObject]]:
+    """Yield every group and dataset in a file by its path, except those in the group `but`.
 
-    Raises Fault if a link or a dataset may lead out of the file.
+    `path` is that of `group`, and `entered` has the addresses of other groups that were listed.
+
+    Raises Fault if a link or a dataset may lead out of the file, a name is not UTF-8, or groups
+    are nested too deep.
     """
-    links: dict[str, object] = {}
-    with damage("its structure"):  # each link once, however many names a group has
-        file.visititems_links(links.__setitem__)
-    for path, link in links.items():
-        if path.partition("/")[0] == but:
+    entered = set() if entered is None else entered
+    with damage(f"/{path}"):
+        address = h5py.h5o.get_info(group.id).addr
+        names = list(group)
+    if address in entered:  # by another of its names
+        return
+    entered.add(address)
+    if path.count("/") >= MOST_NESTED:
+        raise Fault(f"is refused: its groups are nested more than {MOST_NESTED} deep")
+    for name in names:
+        if isinstance(name, bytes):  # as h5py returns names that it can't decode
+            raise Fault(f"is refused: the name {name!r} in /{path} is not UTF-8")
+        below = joined(path, name)
+        if below == but:
             continue
-        if not isinstance(link, h5py.HardLink):
-            raise Fault(f"is refused: /{path} is a link that may lead out of the file")
-        with damage(f"/{path}"):
-            item = file[path]
+        # From its group, because the time to follow a path grows with its length.
+        with damage(f"/{below}"):
+            if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+                raise Fault(f"is refused: /{below} is a link that may lead out of the file")
+            item = group[name]
             if isinstance(item, h5py.Dataset):
                 sources = item.virtual_sources() if item.is_virtual else ()
                 if item.external or any(source.file_name != "." for source in sources):
-                    raise Fault(f"is refused: the data of {path} lie in another file")
-        yield path, item
+                    raise Fault(f"is refused: the data of {below} lie in another file")
+        yield below, item
+        if isinstance(item, h5py.Group):
+            yield from items(item, but, below, entered)
 
 
 def _require_plain(dataset: h5py.Dataset, path: str) -> None:
     """Raise Fault unless a dataset holds plain numbers, or the case, with checksums at most."""
     if dataset.dtype.kind not in ("S" if path == CASE else "fiu") or dataset.shape is None:
-        raise Fault(f"is refused: {path} is of type {dataset.dtype}, which no artifact holds")
+        kind = f"type {dataset.dtype}, or empty"
+        raise Fault(f"is refused: {path} is of {kind}, which no artifact holds")
     properties = dataset.id.get_create_plist()
     filters = {properties.get_filter(i)[0] for i in range(properties.get_nfilters())}
     if filters - {h5py.h5z.FILTER_FLETCHER32}:
@@ -492,7 +526,8 @@ def attributes_at(item: h5py.HLObject, path: str) -> dict[str, layout.Value]:
     Raises Fault if they are damaged.
     """
     with damage(f"an attribute of /{path}"):
-        values = {joined(path, key): _value(item.attrs.get_id(key)) for key in item.attrs}
+        # A name that is not UTF-8 consists of bytes.
+        values = {joined(path, str(key)): _value(item.attrs.get_id(key)) for key in item.attrs}
     return {name: value for name, value in values.items() if value is not None}
 
 

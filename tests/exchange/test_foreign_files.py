@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from pathlib import Path
 from typing import Any
 
@@ -193,3 +194,52 @@ def test_archive_is_judged_by_its_size_before_it_is_unpacked(
     np.savez(tmp_path / "many.npz", **{f"x{i}": 0 for i in range(1001)})
     with pytest.raises(ArtifactError, match="has 1001 arrays; a snapshot has at most 1000"):
         read_foreign(Source(tmp_path / "many.npz"))
+
+
+X = np.linspace(0.0, 1.0, N)
+
+
+def write_pysph(path: Path) -> h5py.File:
+    """Write a snapshot as PySPH does, and return the open file."""
+    file = h5py.File(path, "w", libver="latest")
+    file.create_group("solver_data").attrs["t"] = 0.25
+    file["particles/fluid/arrays/x"] = X
+    return file
+
+
+def test_file_of_a_killed_program_is_read_when_its_mark_is_removed(tmp_path, monkeypatch) -> None:
+    """The page has a way without HDF5's own tools."""
+    path = tmp_path / "their run.hdf5"
+    with write_pysph(path) as file:
+        file.flush()
+        marked = path.read_bytes()
+    path.write_bytes(marked)
+    with pytest.raises(ArtifactError, match="is marked as open for writing: another ") as e:
+        read_foreign(Source(path))
+    assert str(e.value).endswith(f"`h5clear -s '{path}'`")
+    page = (Path(__file__).parents[2] / "docs/other-programs.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(import ctypes.*?)```", page, re.DOTALL)
+    monkeypatch.setattr("sys.argv", ["clear.py", str(path)])
+    exec(code, {})
+    read = read_foreign(Source(path))
+    assert read.time == 0.25
+    np.testing.assert_array_equal(read.fields["x"], X)
+
+
+@pytest.mark.parametrize("link", [b"h\xf6he", b"\xff\xfe"])
+@pytest.mark.parametrize("where", ["/", "/particles", "/particles/fluid/arrays"])
+def test_name_that_is_not_utf_8_is_refused(tmp_path: Path, where: str, link: bytes) -> None:
+    path = tmp_path / "a.hdf5"
+    with write_pysph(path) as file:
+        h5py.h5g.create(file[where].id, link)
+    with pytest.raises(ArtifactError, match=f"in {where} is not UTF-8"):
+        read_foreign(Source(path))
+
+
+def test_deep_groups_are_refused_at_once(tmp_path: Path) -> None:
+    """Each path costs its length: a thousand groups took half a minute, more the stack."""
+    path = tmp_path / "a.hdf5"
+    with write_pysph(path) as file:
+        file.create_group("/".join(3000 * "g"))
+    with pytest.raises(ArtifactError, match="its groups are nested more than 32 deep"):
+        read_foreign(Source(path))
