@@ -59,7 +59,7 @@ SHOWN_KEYS = 4
 MOST_CHARACTERS = 60
 """Longest value shown in a message: a foreign file may contain any text."""
 MOST_NESTED = 32
-"""Most groups within each other in a file."""
+"""Most groups within each other: the time to follow a path grows with its length."""
 
 SETTLED = 2.0
 """Age [s] from which timestamps reliably show a change of a file: their resolution is coarse."""
@@ -395,10 +395,6 @@ class Fault(Exception):
     """Why an artifact cannot be used; the text continues `FILE ...`."""
 
 
-class LeftOpen(Fault):
-    """A file with the mark of a program that writes it, which may be whole."""
-
-
 @contextlib.contextmanager
 def explained_faults(path: Path, made_by: str) -> Iterator[None]:
     """Turn a Fault into the user's error, which names the command that makes the file."""
@@ -406,8 +402,7 @@ def explained_faults(path: Path, made_by: str) -> Iterator[None]:
         yield
     except Fault as fault:
         command = f"again with `{made_by} --force`" if path.exists() else f"with `{made_by}`"
-        other = "or " * isinstance(fault, LeftOpen)
-        raise ArtifactError(f"{path} {fault}; {other}make it {command}") from fault
+        raise ArtifactError(f"{path} {fault}; make it {command}") from fault
 
 
 @contextlib.contextmanager
@@ -420,25 +415,24 @@ def damage(what: str) -> Iterator[None]:
 
 
 def open_file(path: Path) -> h5py.File:
-    """Open a regular HDF5 file for reading. Raises Fault."""
+    """Open a regular HDF5 file for reading. Raises Fault, or ArtifactError if it may be whole."""
     try:
         if not path.is_file():  # opening a pipe would block
             raise Fault("is not a file" if path.exists() else "is missing")
         path.open("rb").close()
     except OSError as error:
         raise Fault(f"can't be read ({error.strerror})") from error
-    faults = []
     for locking in LOCKINGS:
         try:
             return h5py.File(path, "r", locking=locking)
         except (OSError, RuntimeError, ValueError) as error:
-            faults.append(error)
-    if any(LEFT_OPEN in str(fault) for fault in faults):
-        raise LeftOpen(
-            "is marked as open for writing: another program is writing it, or was killed while it "
-            f"wrote; if none is, remove the mark with `h5clear -s {shlex.quote(str(path))}`"
-        ) from faults[-1]
-    raise Fault("is damaged, truncated, or not an HDF5 file") from faults[-1]
+            fault = error
+            if LEFT_OPEN in str(error):
+                raise ArtifactError(
+                    f"{path} is marked as open for writing: another program writes it, or was "
+                    f"killed; if none does, `h5clear -s {shlex.quote(str(path))}` removes the mark"
+                ) from error
+    raise Fault("is damaged, truncated, or not an HDF5 file") from fault
 
 
 @dataclass
@@ -470,50 +464,42 @@ def inspect(file: h5py.File) -> Contents:
     return contents
 
 
-def items(
-    group: h5py.Group, but: str = "", path: str = "", entered: set[int] | None = None
-) -> Iterator[tuple[str, h5py.HLObject]]:
-    """Yield every group and dataset in a file by its path, except those in the group `but`.
-
-    `path` is that of `group`, and `entered` has the addresses of other groups that were listed.
+def items(file: h5py.File, but: str = "") -> Iterator[tuple[str, h5py.HLObject]]:
+    """Yield every group and dataset by its path, except those in the group `but`.
 
     Raises Fault if a link or a dataset may lead out of the file, a name is not UTF-8, or groups
     are nested too deep.
     """
-    entered = set() if entered is None else entered
-    with damage(f"/{path}"):
-        address = h5py.h5o.get_info(group.id).addr
-        names = list(group)
-    if address in entered:  # by another of its names
-        return
-    entered.add(address)
-    if path.count("/") >= MOST_NESTED:
-        raise Fault(f"is refused: its groups are nested more than {MOST_NESTED} deep")
+    names: list[bytes] = []
+
+    def is_deep(name: bytes) -> bool | None:
+        names.append(name)
+        return name.count(b"/") >= MOST_NESTED or None
+
+    with damage("its structure"):  # each link once, however many names a group has
+        if file.id.links.visit(is_deep):
+            raise Fault(f"is refused: its groups are nested more than {MOST_NESTED} deep")
     for name in names:
-        if isinstance(name, bytes):  # as h5py returns names that it can't decode
-            raise Fault(f"is refused: the name {name!r} in /{path} is not UTF-8")
-        below = joined(path, name)
-        if below == but:
+        path = name.decode(errors="backslashreplace")
+        if path.encode() != name:
+            raise Fault(f"is refused: the name /{path} is not UTF-8")
+        if path.partition("/")[0] == but:
             continue
-        # From its group, because the time to follow a path grows with its length.
-        with damage(f"/{below}"):
-            if not isinstance(group.get(name, getlink=True), h5py.HardLink):
-                raise Fault(f"is refused: /{below} is a link that may lead out of the file")
-            item = group[name]
+        with damage(f"/{path}"):
+            if not isinstance(file.get(path, getlink=True), h5py.HardLink):
+                raise Fault(f"is refused: /{path} is a link that may lead out of the file")
+            item = file[path]
             if isinstance(item, h5py.Dataset):
                 sources = item.virtual_sources() if item.is_virtual else ()
                 if item.external or any(source.file_name != "." for source in sources):
-                    raise Fault(f"is refused: the data of {below} lie in another file")
-        yield below, item
-        if isinstance(item, h5py.Group):
-            yield from items(item, but, below, entered)
+                    raise Fault(f"is refused: the data of {path} lie in another file")
+        yield path, item
 
 
 def _require_plain(dataset: h5py.Dataset, path: str) -> None:
     """Raise Fault unless a dataset holds plain numbers, or the case, with checksums at most."""
     if dataset.dtype.kind not in ("S" if path == CASE else "fiu") or dataset.shape is None:
-        kind = f"type {dataset.dtype}, or empty"
-        raise Fault(f"is refused: {path} is of {kind}, which no artifact holds")
+        raise Fault(f"is refused: {path} is empty, or of type {dataset.dtype}, not plain numbers")
     properties = dataset.id.get_create_plist()
     filters = {properties.get_filter(i)[0] for i in range(properties.get_nfilters())}
     if filters - {h5py.h5z.FILTER_FLETCHER32}:

@@ -20,7 +20,7 @@ from sphrom.artifacts import (
     open_artifact,
     probe,
 )
-from sphrom.artifacts.reader import Fault, LeftOpen, inspect, open_file
+from sphrom.artifacts.reader import Fault, inspect, open_file
 from sphrom.case.fields import Section
 from sphrom.case.loader import case_of_text
 from sphrom.case.models import VERSIONS, inputs_digest, section_inputs, stated
@@ -160,18 +160,11 @@ class Workspace:
             raise ArtifactError(f"{target.path} {reason}; {remedy}")
 
     def imported(self, target: Target) -> dict[str, str]:
-        """Return the import attributes of an artifact; empty if it was made here or is damaged.
-
-        Raises ArtifactError if it is open for writing, because it may be an imported one.
-        """
-        try:
-            with open_file(target.path) as file:
-                attributes = inspect(file).attributes.items()
-        except LeftOpen as fault:
-            raise ArtifactError(f"{target.path} {fault}") from fault
-        except Fault:
-            return {}
-        return {name: str(value) for name, value in attributes if name.startswith("imported/")}
+        """Return the import attributes of an artifact; empty if it was made here or is damaged."""
+        with suppress(Fault), open_file(target.path) as file:
+            attributes = inspect(file).attributes.items()
+            return {name: str(value) for name, value in attributes if name.startswith("imported/")}
+        return {}
 
     def _import_command(self, target: Target) -> str | None:
         """Return the command that imports a full run again; None if a stage makes the artifact."""

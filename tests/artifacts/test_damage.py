@@ -136,7 +136,7 @@ def dataset(**given: object):
 @pytest.mark.parametrize(
     ("replace", "reason"),
     [
-        (dataset(data=["a", "b"]), "which no artifact holds"),
+        (dataset(data=["a", "b"]), "not plain numbers"),
         (dataset(shape=(10**6, 10**6), dtype="f8", chunks=(1, 1000)), "is not what was written"),
         (dataset(data=np.zeros((3, 5)), compression="gzip"), "changed by a filter"),
         (dataset(shape=(3, 5), dtype="f8", external=[("o.h5", 0, 120)]), "in another file"),
@@ -158,7 +158,7 @@ def test_data_of_another_program_are_refused(
     assert reason in refusal(path)
 
 
-def test_file_that_is_open_for_writing_is_not_called_damaged(write_trajectory, refusal) -> None:
+def test_file_that_is_open_for_writing_is_not_called_damaged(write_trajectory) -> None:
     """HDF5 marks a file while a program has it open; a killed program leaves the mark."""
     path = write_trajectory()
     with h5py.File(path, "r+", libver="latest") as file:
@@ -166,22 +166,22 @@ def test_file_that_is_open_for_writing_is_not_called_damaged(write_trajectory, r
         marked = path.read_bytes()
     assert probe(path, "sphrom/trajectory") is None
     path.write_bytes(marked)
-    reason = refusal(path)
-    assert reason.startswith("is marked as open for writing: another program is writing it, or ")
-    assert reason.endswith(f"`h5clear -s {path}`")
+    says = f"{path} is marked as open for writing: .*killed; .* `h5clear -s {path}` removes"
+    with pytest.raises(ArtifactError, match=says):
+        probe(path, "sphrom/trajectory")
 
 
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (named_in_latin_1, "the name b'h\\xf6he' in / is not UTF-8"),
-        (lambda file: named_in_latin_1(file["parameters"]), "in /parameters is not UTF-8"),
+        (named_in_latin_1, "the name /h\\xf6he is not UTF-8"),
+        (lambda file: named_in_latin_1(file["parameters"]), "the name /parameters/h\\xf6he is"),
         (lambda file: file.create_group("/".join(33 * "g")), "more than 32 deep"),
         (lambda file: file.__setitem__("soft", h5py.SoftLink("/time")), "/soft is a link"),
         (lambda file: file.__setitem__("soft", h5py.SoftLink("/nowhere")), "/soft is a link"),
-        (lambda file: file.__setitem__("empty", h5py.Empty("f8")), "is of type float64, or empty"),
-        (lambda file: file.__setitem__("opaque", np.zeros(2, "V8")), "is of type |V8, or empty"),
-        (lambda file: file.__setitem__("pair", np.zeros(2, "f8,i4")), "which no artifact holds"),
+        (lambda file: file.__setitem__("empty", h5py.Empty("f8")), "empty is empty, or of"),
+        (lambda file: file.__setitem__("opaque", np.zeros(2, "V8")), "of type |V8"),
+        (lambda file: file.__setitem__("pair", np.zeros(2, "f8,i4")), "not plain numbers"),
     ],
 )
 def test_structure_that_no_artifact_has_is_refused(
@@ -201,6 +201,6 @@ def test_additions_that_are_never_read_do_no_harm(write_trajectory) -> None:
     with h5py.File(path, "r+") as file:
         attribute_in_latin_1(file["time"])
         file["type"] = np.dtype("f8")
-        deepest = file.create_group("/".join(32 * "g"))
+        deepest = file.create_group("/".join(31 * "g"))
         deepest["again"] = file["g"]
     assert probe(path, "sphrom/trajectory") is None

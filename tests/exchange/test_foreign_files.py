@@ -216,7 +216,7 @@ def test_file_of_a_killed_program_is_read_when_its_mark_is_removed(tmp_path, mon
     path.write_bytes(marked)
     with pytest.raises(ArtifactError, match="is marked as open for writing: another ") as e:
         read_foreign(Source(path))
-    assert str(e.value).endswith(f"`h5clear -s '{path}'`")
+    assert f"`h5clear -s '{path}'`" in str(e.value)
     page = (Path(__file__).parents[2] / "docs/other-programs.md").read_text(encoding="utf-8")
     (code,) = re.findall(r"```python\n(import ctypes.*?)```", page, re.DOTALL)
     monkeypatch.setattr("sys.argv", ["clear.py", str(path)])
@@ -232,7 +232,7 @@ def test_name_that_is_not_utf_8_is_refused(tmp_path: Path, where: str, link: byt
     path = tmp_path / "a.hdf5"
     with write_pysph(path) as file:
         h5py.h5g.create(file[where].id, link)
-    with pytest.raises(ArtifactError, match=f"in {where} is not UTF-8"):
+    with pytest.raises(ArtifactError, match=rf"the name {where}\S*\\x\S* is not UTF-8"):
         read_foreign(Source(path))
 
 

@@ -97,6 +97,26 @@ def test_walls_are_stream_lines() -> None:
     assert normal == pytest.approx([0, 0, 0], abs=1e-12)
 
 
+def test_derivatives_along_lines_are_those_of_a_polynomial() -> None:
+    """A quartic that is zero at the walls is a spline; above and below the box it goes on."""
+
+    points = np.random.default_rng(0).uniform((1, -1), (3, 0.5), (600, 2))
+    s, t = points[:, 0] - SPACE.left, points[:, 1] - SPACE.bottom
+    (values,) = SPACE.derivatives(points, (0, 0))
+    stream = np.linalg.lstsq(values, s**2 * (2 - s) ** 2 * (t**3 - t**4))[0]
+    x, y = np.array([1.0, 1.3, 2.9]), np.linspace(-1.1, 0.6, 24).reshape(2, 3, 4)
+    factors = np.array([[1.0], [-2.0]])
+    found = SPACE.along(stream[None], factors, x, y, (0, 1), (1, 2), (3, 0))
+    s, t = x[:, None] - SPACE.left, y - SPACE.bottom
+    exact = [
+        s**2 * (2 - s) ** 2 * (3 * t**2 - 4 * t**3),
+        (8 * s - 12 * s**2 + 4 * s**3) * (6 * t - 12 * t**2),
+        24 * (s - 1) * (t**3 - t**4),
+    ]
+    for values, right in zip(found, exact, strict=True):
+        assert values == pytest.approx(factors[:, :, None] * right, abs=1e-8)
+
+
 def test_energy_is_constant_without_viscosity_and_force(basis: SurfaceBasis) -> None:
     own = model(basis)
     run = own.run(np.linspace(0, 20, 101), first_wave(basis, 0.15))
