@@ -73,8 +73,8 @@ class StreamSpace(Record):
         y : (n, n_places, n_heights) [m], own heights of each sum and line.
         """
         middles, along_y = _rows(self)
-        row = (y - self.bottom) * (self.n_rows / (self.top - self.bottom))
-        row = np.clip(row, 0, self.n_rows - 1).astype(np.intp)
+        along = (y - self.bottom) * (self.n_rows / (self.top - self.bottom))
+        row = np.clip(along, 0, self.n_rows - 1).astype(np.intp)
         lines = np.arange(row[..., 0].size).reshape(*row.shape[:2], 1)
         places = lines * self.n_rows + row
         grid = modes.reshape(len(modes), self.n_columns + DEGREE - 2, -1)
@@ -83,7 +83,8 @@ class StreamSpace(Record):
             of_modes = self._along_x(x, i) @ (grid @ polyder(along_y, j))
             of_rows = factors @ of_modes.reshape(*of_modes.shape[:2], -1)
             taken = np.take(of_rows.reshape(len(of_rows), -1), places, axis=1)
-            found.append(polyval(y - middles[row], taken, tensor=False))
+            values = polyval(y - middles[row], taken, tensor=False)
+            found.append(np.asarray(values, dtype=np.float64))
         return found
 
     def fit(self, position: Array, velocity: Array) -> tuple[Array, float]:

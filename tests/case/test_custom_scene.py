@@ -179,6 +179,13 @@ def test_walls_move_as_they_are_told(flow) -> None:
     )
 
 
+def test_a_rotation_of_zero_is_none_and_a_resistance_of_one_slows(flow) -> None:
+    still = flow(walls={"cylinder": {"rotation": 0}}, resistance=1)
+    assert not still.wall_velocity(np.array([[3.0, 2.9], [2.2, 2.0]])).any()
+    places = np.array([[0.5, 5.0], [0.5, 3.0]])
+    np.testing.assert_array_equal(still.resistance.own(places), [1.0, 1.0])
+
+
 def test_forces_and_starts_are_expressions(flow) -> None:
     case = flow(
         constants={"strength": 0.5},

@@ -154,6 +154,22 @@ def test_a_run_ends_where_the_surface_is_too_steep(basis: SurfaceBasis) -> None:
     assert np.isfinite(run.coordinates).all()
 
 
+def test_the_steepest_surface_is_one_and_a_half_times_that_of_training(basis) -> None:
+    """Training has waves of 0.1 m. A wave at rest only falls at first, so its start decides."""
+    x = SPACE.width * (np.arange(24) + 0.5) / 24
+    trained = max(0.1 * k * np.abs(np.sin(k * x)).max() for k in map(wave_number, (1, 2, 3)))
+    assert basis.largest_slope == pytest.approx(trained, rel=1e-3)
+    steep = 1.5 * trained / (wave_number(1) * np.abs(np.sin(wave_number(1) * x)).max())
+    whole, times = basis.reduced(3, 3), np.linspace(0.0, 0.02, 3)
+    state = np.concatenate([np.zeros(3), whole.surface_modes.T[0]])
+    for share, ended in ((0.99, None), (1.01, "the surface is steeper than in training")):
+        run = model(whole).run(times, share * steep * state)
+        assert run.ended == ended
+        assert len(run.times) == (3 if ended is None else 1)
+        if ended:
+            assert abs(run.end_place - 2.0) < SPACE.width / 24
+
+
 def test_a_run_that_diverges_within_a_step_ends(basis: SurfaceBasis) -> None:
     start = first_wave(basis, 0.1)
     own = replace(model(basis), closure=1e200 * np.eye(len(start)))
