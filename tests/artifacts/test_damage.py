@@ -176,7 +176,7 @@ def test_file_that_is_open_for_writing_is_not_called_damaged(write_trajectory) -
     [
         (named_in_latin_1, "the name /h\\xf6he is not UTF-8"),
         (lambda file: named_in_latin_1(file["parameters"]), "the name /parameters/h\\xf6he is"),
-        (lambda file: file.create_group("/".join(33 * "g")), "more than 32 deep"),
+        (lambda file: file.create_group("/".join(3000 * "g")), "more than 32 deep"),
         (lambda file: file.__setitem__("soft", h5py.SoftLink("/time")), "/soft is a link"),
         (lambda file: file.__setitem__("soft", h5py.SoftLink("/nowhere")), "/soft is a link"),
         (lambda file: file.__setitem__("empty", h5py.Empty("f8")), "empty is empty, or of"),

@@ -226,20 +226,10 @@ def test_file_of_a_killed_program_is_read_when_its_mark_is_removed(tmp_path, mon
     np.testing.assert_array_equal(read.fields["x"], X)
 
 
-@pytest.mark.parametrize("link", [b"h\xf6he", b"\xff\xfe"])
 @pytest.mark.parametrize("where", ["/", "/particles", "/particles/fluid/arrays"])
-def test_name_that_is_not_utf_8_is_refused(tmp_path: Path, where: str, link: bytes) -> None:
+def test_name_that_is_not_utf_8_is_refused(tmp_path: Path, where: str) -> None:
     path = tmp_path / "a.hdf5"
     with write_pysph(path) as file:
-        h5py.h5g.create(file[where].id, link)
+        h5py.h5g.create(file[where].id, b"\xff")
     with pytest.raises(ArtifactError, match=rf"the name {where}\S*\\x\S* is not UTF-8"):
-        read_foreign(Source(path))
-
-
-def test_deep_groups_are_refused_at_once(tmp_path: Path) -> None:
-    """Each path costs its length: a thousand groups took half a minute, more the stack."""
-    path = tmp_path / "a.hdf5"
-    with write_pysph(path) as file:
-        file.create_group("/".join(3000 * "g"))
-    with pytest.raises(ArtifactError, match="its groups are nested more than 32 deep"):
         read_foreign(Source(path))

