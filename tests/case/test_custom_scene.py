@@ -186,6 +186,12 @@ def test_a_rotation_of_zero_is_none_and_a_resistance_of_one_slows(flow) -> None:
     np.testing.assert_array_equal(still.resistance.own(places), [1.0, 1.0])
 
 
+def test_fluid_starts_with_the_pressure_of_its_weight(flow) -> None:
+    tank = flow(solids={}, box={"upper": [6, 4]}, fluid={"level": 3.0, "gravity": 2.0}, slip="free")
+    pressure = tank.initial_pressure(np.array([[1.0, 0.5], [2.0, 3.0]]))
+    np.testing.assert_allclose(pressure, [1.0 * 2.0 * 2.5, 0.0], atol=1e-9)
+
+
 def test_forces_and_starts_are_expressions(flow) -> None:
     case = flow(
         constants={"strength": 0.5},
