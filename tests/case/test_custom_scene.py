@@ -12,6 +12,7 @@ import pytest
 import shapely
 import yaml
 
+from sphrom.case.custom_sections import ramp_share
 from sphrom.case.hints import case_warnings
 from sphrom.case.loader import case_of_text, load_case
 from sphrom.case.models import Case, resolved_yaml
@@ -190,6 +191,14 @@ def test_fluid_starts_with_the_pressure_of_its_weight(flow) -> None:
     tank = flow(solids={}, box={"upper": [6, 4]}, fluid={"level": 3.0, "gravity": 2.0}, slip="free")
     pressure = tank.initial_pressure(np.array([[1.0, 0.5], [2.0, 3.0]]))
     np.testing.assert_allclose(pressure, [1.0 * 2.0 * 2.5, 0.0], atol=1e-9)
+    disc = {"circle": {"centre": [3, 2], "radius": 1}}
+    with pytest.raises(CaseError, match=r"scene\.fluid: .*level.* circle"):
+        flow(solids={}, box={"upper": [6, 4]}, fluid={"level": 3.0, **disc}, slip="free")
+
+
+def test_an_inflow_begins_with_half_a_cosine() -> None:
+    assert ramp_share(2.0, np.array([0.0, 1.0, 2.0, 5.0])) == pytest.approx([0.0, 0.5, 1.0, 1.0])
+    assert ramp_share(0.0, 0.0) == 1.0
 
 
 def test_forces_and_starts_are_expressions(flow) -> None:

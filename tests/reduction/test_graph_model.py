@@ -247,6 +247,16 @@ def test_gravity_may_change_with_the_amplitude(basis: SurfaceBasis) -> None:
     assert differences[1] < 0.1 * differences[2]
 
 
+def test_elevation_has_the_modes_that_its_variance_requires(basis: SurfaceBasis) -> None:
+    """A share of 1e-8 of the variance is left out, of 1e-4 not."""
+    for share, n_surface in ((1e-4, 1), (1e-2, 2)):
+        waves = [
+            size * np.cos(wave_number(n) * COLUMNS) for n, size in ((1, 0.1), (2, 0.1 * share))
+        ]
+        found = make_basis(SPACE, basis.stream_modes[None, :2], np.array([waves]), 1e-3, 2)
+        assert len(found.surface_modes) == n_surface
+
+
 def test_modes_below_the_noise_are_cut_off(basis: SurfaceBasis) -> None:
     runs = [training_run(basis, GRAVITY, 1.3)]
     noisy = SurfaceBasis(**vars(basis) | {"energies": np.array([1.0, 0.1, 1e-8])})
