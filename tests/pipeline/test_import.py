@@ -474,6 +474,15 @@ def test_force_replaces_no_imported_run(case, sphrom) -> None:
         refused = sphrom(words[0], case, *words[1:], *other, code=3)
         assert all(part in refused.stderr for part in again), refused.stderr
         assert RUN.read_bytes() == theirs
+    # Nor where it can't be seen that it was imported.
+    with h5py.File(RUN, "r+") as file:
+        file.flush()
+        marked = RUN.read_bytes()
+    RUN.write_bytes(marked)
+    for words in (("fom", case, "--force"), ("import", case, *names, "--force"), ("run", case)):
+        assert f"`h5clear -s {RUN}`" in sphrom(*words, code=3).stderr
+    assert RUN.read_bytes() == marked
+    RUN.write_bytes(theirs)
     words = shlex.split(refused.stderr.split("`")[1])
     sphrom(*words[1:3], *other, *names, *words[6:], code=0)
     assert theirs != RUN.read_bytes()
