@@ -17,10 +17,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import shapely
 
-from sphrom.arrays import Array
+from sphrom.arrays import Array, Mask
 from sphrom.case.points import REYNOLDS, GivenPoints, ParameterPoint, Values, nearest_point
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection, SubsetSection
 from sphrom.errors import CaseError
+from sphrom.metrics.measures import Oscillating, Oscillations, since
+from sphrom.metrics.series import settled_from
 from sphrom.reduction.stream_functions import StreamSpace
 from sphrom.scenes.flows import Scales, Scene
 from sphrom.sph import fluid
@@ -52,6 +54,8 @@ MODES_WITHOUT_ROM = 10
 """Number of modes to keep without reduced models."""
 MOST_CHOSEN = 20
 """Number of modes to keep when a reduced model chooses its number."""
+N_DRIVING = 1000
+"""Number of times of a run at which the driving is sampled."""
 MAX_STEPS = 1e9
 """Number of steps of one run beyond which a case is taken for a typing error."""
 WHOLE_STEPS_TOLERANCE = 1e-6
@@ -346,6 +350,57 @@ class Plan:
         n_steps = unit * math.ceil(steps * (1.0 - WHOLE_STEPS_TOLERANCE) / unit)
         step = self.recorded_time / n_steps
         return TimeSteps(step, n_steps, every, int(ratio * n_steps) * step)
+
+    # Measurements
+
+    @cached_property
+    def settled_from(self) -> float:
+        """The time after the gradual start of the driving [s]; 0 without one."""
+        times = np.linspace(0.0, self._case.time.final_time, N_DRIVING)
+        with np.errstate(all="ignore"):  # a check refuses amplitudes that are not finite
+            found = [settled_from(times, self.flow(p).driving(times)) for p in self.points]
+        return max(self._case.scene.ramp, *found)
+
+    @cached_property
+    def means_from(self) -> dict[str, float]:
+        """The times from which statistics of recorded measurements count [s], by name."""
+        own = {name: each.from_time for name, each in self._case.scene.recorded.items()}
+        return {name: self.settled_from if t is None else t for name, t in own.items()}
+
+    @property
+    def times_in_words(self) -> str:
+        """The times from which measurements count, in words; empty if all count from the start."""
+        begins: dict[float, list[str]] = {}
+        for name, begin in self.means_from.items():
+            begins.setdefault(begin, []).append(name)
+        late = [f"{', '.join(each)} from {t:g} s on" for t, each in begins.items() if t > 0.0]
+        return f"means and errors of measurements count late: {'; '.join(late)}" if late else ""
+
+    def counted(self, name: str, time: Array) -> Mask:
+        """Return whether times (n_snapshots,) [s] count for a measurement of a run."""
+        return since(time, self.means_from.get(name, self.settled_from))
+
+    @cached_property
+    def oscillations(self) -> Oscillations:
+        """The oscillating quantities, by the names of the measurements of their frequency."""
+        columns, found = self._case.scene.columns, Oscillations()
+        for name, measure in self._case.scene.measure.items():
+            if (section := measure.frequency) is not None:
+                column, begin = columns[section.of], section.from_time
+                begin = self.means_from[column.measure] if begin is None else begin
+                found[name] = Oscillating(**vars(column), from_time=begin)
+        return found
+
+    @cached_property
+    def coefficients(self) -> dict[str, float]:
+        """The ratios of coefficients to forces [m/N], by the names of the measurements."""
+        scales = {n: each.coefficient for n, each in self._case.scene.measure.items()}
+        density = self._case.fluid.reference_density
+        return {
+            n: 2.0 / (density * of.speed**2 * of.length)
+            for n, of in scales.items()
+            if of is not None
+        }
 
     def model_steps(self, model: ReducedModelSection) -> TimeSteps:
         """Return the steps of full runs that end when the runs of a reduced model end.

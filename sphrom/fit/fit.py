@@ -265,7 +265,7 @@ def fit(
     weights = Weights(measurements.noise, np.zeros((0, len(values))))
     first = minima(model, values, weights, starts)
     if not first:
-        still = ", or does not oscillate," * bool(case.scene.oscillations)
+        still = ", or does not oscillate," * bool(case.plan.oscillations)
         raise UnstableError(f"{fast.section.name} is unstable{still} at all starts of the search")
     start = first[0].place
     samples, refined = error_samples(model, start, known), first
