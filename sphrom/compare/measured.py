@@ -49,6 +49,10 @@ Measured = Mapping[str, Quantities]
 """Quantities (n_snapshots, ...) of measurements, by the name of the measurement."""
 
 
+Pair = tuple[float | None, float | None]
+"""Errors over all times and at the worst time [%]."""
+
+
 @dataclass(frozen=True)
 class MeasureRow:
     """One component of a measured quantity over a run; that of the full run has no errors."""
@@ -133,9 +137,8 @@ def measure_rows(
     """Yield the rows of a run beside the full run at times (n_snapshots,) [s].
 
     `from_time` returns the first time that counts [s], by measurement. `described` are other fields
-    of the rows. Estimated errors are root mean squares over time
-    (...), by measurement and quantity. With `with_weight`, errors of pressures are not relative to
-    their hydrostatic part.
+    of the rows. Estimated errors are root mean squares over time (...), by measurement and
+    quantity. With `with_weight`, errors of pressures are not relative to their hydrostatic part.
     """
     for measured, quantities in own.items():
         begin = from_time(measured)
@@ -145,18 +148,12 @@ def measure_rows(
             sizes = variations(quantity, reference, with_weight=with_weight)
             expected = estimates.get(measured, {}).get(quantity)
             estimated = {} if expected is None else shares(mean_squares(quantity, expected), sizes)
-            both = zip(
-                parts(quantity, found).items(), parts(quantity, reference).values(), strict=True
-            )
-            pairs = {name: (part, other) for (name, part), other in both}
-            errors: dict[str, tuple[float | None, float | None]] = dict.fromkeys(
-                sizes, (None, None)
-            )
+            mine, others = parts(quantity, found), parts(quantity, reference)
+            errors: dict[str, Pair] = {name: (None, None) for name in sizes}
             if own is not full:
-                errors = {n: errors_of(n, *pairs[n], size) for n, size in sizes.items()}
-            for component in components(quantity, found):
-                part, other = pairs[component]
-                vector = quantity if component != quantity else ""
+                errors = {n: errors_of(n, mine[n], others[n], size) for n, size in sizes.items()}
+            for component, part in components(quantity, found).items():
+                other, vector = others[component], "" if component == quantity else quantity
                 off = None if own is full else math.sqrt(mean_square(component, part - other))
                 yield MeasureRow(
                     measured=measured,
