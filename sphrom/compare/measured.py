@@ -149,7 +149,7 @@ def measure_rows(
             expected = estimates.get(measured, {}).get(quantity)
             estimated = {} if expected is None else shares(mean_squares(quantity, expected), sizes)
             mine, others = parts(quantity, found), parts(quantity, reference)
-            errors: dict[str, Pair] = {name: (None, None) for name in sizes}
+            errors: dict[str, Pair] = dict.fromkeys(sizes, (None, None))
             if own is not full:
                 errors = {n: errors_of(n, mine[n], others[n], size) for n, size in sizes.items()}
             for component, part in components(quantity, found).items():

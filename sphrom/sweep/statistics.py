@@ -181,7 +181,7 @@ def statistics_of(workspace: Workspace, records: Sequence[RunRecord]) -> Statist
         levels=np.array(section.levels),
         outputs={
             each.name: spread(each.values, each.errors, section.levels, each.unit, each.along)
-            for each in map(_existing, outputs_of(case, runs, trained))
+            for each in map(existing, outputs_of(case, runs, trained))
             if len(each.values) >= fewest_runs(section.levels)
         },
         indices=_indices(case, records) if sample.method == SALTELLI else {},
@@ -191,7 +191,7 @@ def statistics_of(workspace: Workspace, records: Sequence[RunRecord]) -> Statist
     )
 
 
-def _existing(output: Output) -> Output:
+def existing(output: Output) -> Output:
     """Return an output of those runs that have it."""
     has = np.isfinite(output.values).all(axis=1)
     errors = None if output.errors is None else output.errors[has]
