@@ -66,8 +66,6 @@ class MeasureRow:
     n_modes: int | None
     role: str
     """`trained` at points of training runs, else `predicted`."""
-    from_time: float = field(metadata={"unit": "s"})
-    """The time from which the figures count."""
     mean: float
     """Mean over time, and along a line; likewise least and greatest."""
     least: float
@@ -79,6 +77,8 @@ class MeasureRow:
     """The same at the worst time."""
     estimated: float | None = field(metadata={"unit": "%"})
     """The model's own estimate of `relative_l2`."""
+    from_time: float = field(metadata={"unit": "s"})
+    """The time from which the figures count."""
     vector_relative_l2: float | None = field(metadata={"unit": "%"})
     """The same error of the whole vector, over the change of the vector; None for scalars."""
     vector_estimated: float | None = field(metadata={"unit": "%"})
