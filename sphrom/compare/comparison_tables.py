@@ -244,7 +244,7 @@ def _norm(name: str) -> Callable[[Cells], str]:
 
 def _component_error(r: Cells) -> str:
     """Return the cell of a component's error, or the reason why it has none."""
-    if r["remark"] and r["rms_error"] is not None:
+    if r["relative_l2"] is None and r["rms_error"] is not None:
         return f"{r['remark']}, {format_figure(r['rms_error'])} {r['unit']} off"
     return _norm("relative_l2")(r)
 

@@ -20,6 +20,7 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.measures import (
+    DRY,
     ONLY_NOISE,
     UNITS,
     Probes,
@@ -143,6 +144,8 @@ def measure_rows(
     for measured, quantities in own.items():
         begin = from_time(measured)
         counted = since(time, begin)
+        pressure = quantities.get("pressure", np.ones(1)) if with_weight else np.ones(1)
+        remark = DRY if (pressure == 0.0).any() else ""
         for quantity, values in quantities.items():
             reference, found = full[measured][quantity][counted], values[counted]
             sizes = variations(quantity, reference, with_weight=with_weight)
@@ -170,7 +173,7 @@ def measure_rows(
                     vector_relative_l2=errors[vector][0] if vector else None,
                     vector_estimated=estimated.get(vector),
                     rms_error=off,
-                    remark="" if sizes[component] > 0.0 else ONLY_NOISE,
+                    remark=remark if sizes[component] > 0.0 else ONLY_NOISE,
                 )
 
 

@@ -121,7 +121,6 @@ class OutputStatistics(Record):
     )
     unit: str = attribute("", "unit of the output")
     along: Along = attribute("", "meaning of the instants: snapshots, places, or one time average")
-    n_runs: int | None = attribute("", "number of runs that have the output", default=None)
     model_error: Literal["estimated", "unknown"] = attribute(
         "", "whether intervals include the model's error, or none is known for this output"
     )
@@ -209,7 +208,6 @@ def spread(
         error_share=None if errors is None else share,
         unit=unit,
         along=along,
-        n_runs=len(values),
         model_error="unknown" if errors is None else "estimated",
     )
 

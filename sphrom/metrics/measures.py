@@ -222,8 +222,8 @@ SECOND_DIFFERENCE = 6.0
 NOISY, NEGLIGIBLE = 0.25, 0.005
 """Least share of noise in the mean square of a component with nothing but noise; largest share of
 a negligible component in the root mean square of its vector."""
-ONLY_NOISE = "only noise"
-"""The remark on a component without relative errors."""
+ONLY_NOISE, DRY = "only noise", "zero above the surface at times"
+"""Remarks on a component without relative errors, and on a probe that fluid leaves."""
 
 
 def mean_square(quantity: str, values: Array) -> float:

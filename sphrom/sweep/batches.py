@@ -158,8 +158,8 @@ class SweptModel:
                 f"{ERROR}velocity_over_time": estimate.velocity,
                 f"{ERROR}pressure_over_time": estimate.pressure,
             }
-            assert isinstance(run, FastRun)  # only these have estimates
-            if columns := self.workspace.case.scene.columns:
+            columns = self.workspace.case.scene.columns
+            if columns and isinstance(run, FastRun):
                 found = measured_sizes(run, measured_errors(run))
                 pairs = [found.get(column, (0.0, 0.0)) for column in columns]
                 values |= zip(MEASURED_ERRORS, np.sqrt(pairs).T, strict=True)

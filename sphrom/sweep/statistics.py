@@ -24,7 +24,7 @@ from sphrom.case.studies import sweep_model
 from sphrom.console import Reporter
 from sphrom.metrics.draws import Along, fewest_runs, sobol_indices, spread
 from sphrom.metrics.measures import PLACED, UNITS, Oscillating, components
-from sphrom.metrics.series import NO_OSCILLATION, OSCILLATION
+from sphrom.metrics.series import OSCILLATION
 from sphrom.plots.panels import Curve, Panel, draw_grid, save
 from sphrom.plots.tables import format_figure, rows_of_columns, write_csv
 from sphrom.reduction.correction import interpolation_variance
@@ -116,17 +116,14 @@ def _averaged(case: Case, whole: Mapping[str, Array], time: Array) -> dict[str, 
 
     Training runs may be shorter than other runs, or longer.
     """
-    means = {}
-    for path, values in whole.items():
+    means = {PLACE: whole[PLACE]} if PLACE in whole else {}
+    for path in whole.keys() - means:
         _, name, quantity = path.split("/") if path.startswith("measure/") else ("", "", path)
-        if path == PLACE:
-            means[path] = values
-        elif not quantity.startswith(FINAL):
-            common = values[:, : len(time)]
-            late = common[:, case.plan.counted(name, time[: common.shape[1]])]
-            squares = path == ERROR
-            mean = np.mean(late**2 if squares else late, axis=1, keepdims=True)
-            means[path] = np.sqrt(mean) if squares else mean
+        common = whole[path][:, : len(time)]
+        late = common[:, case.plan.counted(name, time[: common.shape[1]])]
+        if late.size and not quantity.startswith(FINAL):
+            power = 2.0 if path == ERROR else 1.0
+            means[path] = np.mean(late**power, axis=1, keepdims=True) ** (1.0 / power)
     return means
 
 
@@ -360,13 +357,6 @@ def show(report: Reporter, result: Statistics) -> None:
         ("output", "mean", "deviation", *levels, f"{levels[middle]} within +-"),
         rows,
     )
-    fewer = {name: each.n_runs for name, each in result.outputs.items() if each.n_runs}
-    for name, number in fewer.items():
-        if number < result.n_runs:
-            report.warn(
-                f"statistics of {name} are of {number} of {result.n_runs} runs: the others have "
-                f"{NO_OSCILLATION}"
-            )
     if result.n_extrapolated:
         report.warn(
             f"statistics: {result.n_extrapolated} of {result.n_runs} draws are outside of the "

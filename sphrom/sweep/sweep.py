@@ -25,7 +25,7 @@ from sphrom.console import Reporter
 from sphrom.errors import ArtifactError, CaseError, UnstableError
 from sphrom.metrics import measures
 from sphrom.metrics.draws import fewest_runs
-from sphrom.metrics.measures import STATISTICS
+from sphrom.metrics.measures import DRY, STATISTICS
 from sphrom.metrics.series import NO_OSCILLATION, OSCILLATION
 from sphrom.offline.fom import ensure_packed
 from sphrom.plots.tables import format_figure, rows_of_columns, write_csv
@@ -245,7 +245,7 @@ class Results:
         show_lost(report, [record for record in records if record.status != COMPLETE])
         if times := case.plan.times_in_words:
             report.info(times)
-        for problem in _missing(case, rows):
+        for problem in _missing(case, rows, records):
             report.warn(problem)
         report.info(f"all runs are in {path} and {path.stem}.csv")
         if summary is not None:
@@ -346,15 +346,19 @@ def _rows(case: Case, records: Sequence[RunRecord], names: Iterable[str]) -> lis
     return rows
 
 
-def _missing(case: Case, rows: Sequence[Cells]) -> Iterator[str]:
+def _missing(case: Case, rows: Sequence[Cells], records: Sequence[RunRecord]) -> Iterator[str]:
     """Yield warnings about figures that complete runs do not have."""
     complete = [row for row in rows if row["status"] == STATES[COMPLETE]]
     for name in case.plan.oscillations:
         if without := sum(bool(row[f"{name}_reason"]) for row in complete):
             yield (
-                f"{name}: {without} of {len(complete)} runs have no frequency and no amplitude: "
-                f"{NO_OSCILLATION}"
+                f"{name}: {without} of {len(complete)} runs have no frequency and no amplitude, "
+                f"and statistics leave them out: {NO_OSCILLATION}"
             )
+    for name in case.scene.measured_fields if case.scene.has_surface else ():
+        path = f"measure/{name}/pressure"
+        if dry := sum(bool((r.values.get(path, np.ones(1)) == 0.0).any()) for r in records):
+            yield f"{name}: {DRY} in {dry} of {len(complete)} runs; zeros count in its statistics"
     if none := [n for n in case.scene.columns if complete and complete[0][f"{n}_mean"] is None]:
         yield f"runs end before the times from which statistics of {', '.join(none)} count"
 

@@ -21,6 +21,7 @@ from sphrom.errors import CaseError
 from sphrom.metrics.histories import EXACT, Errors, compare, errors_of
 from sphrom.metrics.measures import Samples, parts, since, variations, without_weight
 from sphrom.metrics.measures import errors_of as relative_errors
+from sphrom.metrics.series import NO_OSCILLATION
 from sphrom.online.error_estimates import measured_errors, measured_shares
 from sphrom.online.fast_model import FastModel, fast_model
 from sphrom.online.stable_ranges import TIME, StableRange, stable_ranges
@@ -278,6 +279,10 @@ def publish(workspace: Workspace, results: Results, tolerance: weighing.Toleranc
             *(_cells(row, measure) for row in rows[1:]),
         ],
     )
+    errors = [row.errors for row in rows] + [each.errors for each in without]
+    oscillates = measure.quantities == weighing.OSCILLATION
+    if oscillates and None in [measure.of(each, "frequency") for each in errors]:
+        report.info(f"there are no errors where a run is unstable or has {NO_OSCILLATION}")
     report.prose(words)
     report.info(f"tables, trade.json and trade.png are in {folder}")
 

@@ -19,7 +19,7 @@ def test_each_component_has_the_size_of_its_own_change() -> None:
     assert shares(squares, sizes)["force_y"] == pytest.approx(20.0, rel=0.02)
     assert sizes["force"] == pytest.approx(sizes["force_x"] + sizes["force_y"])
     # Where fluid has weight, loads change about their mean.
-    weighed = variations("force", force + [1000.0, 0.0], with_weight=True)
+    weighed = variations("force", force + np.array([1000.0, 0.0]), with_weight=True)
     assert weighed["force_y"] == pytest.approx(np.var(force[:, 1]))
 
 
