@@ -83,12 +83,10 @@ class Labels:
 
     def _notes(self, name: str, quantity: str, values: Array) -> dict[str, Any]:
         """Return attributes: the first time that counts [s], and why an oscillation is NaN."""
-        plan = self.case.plan
-        if (of := plan.oscillations.get(name)) is None:
-            begin = plan.means_from.get(name, plan.settled_from)
-            return {"from_time": begin}
-        missing = quantity != "mean" and bool(np.isnan(values).any())
-        return {"from_time": of.from_time} | ({"missing": NO_OSCILLATION} if missing else {})
+        plan, missing = self.case.plan, quantity not in UNITS and bool(np.isnan(values).any())
+        of = plan.oscillations.get(name)
+        begin = plan.means_from.get(name, plan.settled_from) if of is None else of.from_time
+        return {"from_time": begin} | ({"missing": NO_OSCILLATION} if missing else {})
 
     def fields(
         self,

@@ -370,11 +370,8 @@ class Plan:
     @property
     def times_in_words(self) -> str:
         """The times from which measurements count, in words; empty if all count from the start."""
-        begins: dict[float, list[str]] = {}
-        for name, begin in self.means_from.items():
-            begins.setdefault(begin, []).append(name)
-        late = [f"{', '.join(each)} from {t:g} s on" for t, each in begins.items() if t > 0.0]
-        return f"means and errors of measurements count late: {'; '.join(late)}" if late else ""
+        late = [f"{name} from {t:g} s on" for name, t in self.means_from.items() if t > 0.0]
+        return f"means and errors of measurements count late: {', '.join(late)}" if late else ""
 
     def counted(self, name: str, time: Array) -> Mask:
         """Return whether times (n_snapshots,) [s] count for a measurement of a run."""
@@ -394,13 +391,9 @@ class Plan:
     @cached_property
     def coefficients(self) -> dict[str, float]:
         """The ratios of coefficients to forces [m/N], by the names of the measurements."""
-        scales = {n: each.coefficient for n, each in self._case.scene.measure.items()}
-        density = self._case.fluid.reference_density
-        return {
-            n: 2.0 / (density * of.speed**2 * of.length)
-            for n, of in scales.items()
-            if of is not None
-        }
+        density, measures = self._case.fluid.reference_density, self._case.scene.measure
+        scales = ((name, each.coefficient) for name, each in measures.items())
+        return {n: 2.0 / (density * c.speed**2 * c.length) for n, c in scales if c is not None}
 
     def model_steps(self, model: ReducedModelSection) -> TimeSteps:
         """Return the steps of full runs that end when the runs of a reduced model end.

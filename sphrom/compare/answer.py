@@ -12,6 +12,7 @@ from itertools import groupby
 from sphrom.compare.comparison_tables import ErrorRow, Tables, best_name
 from sphrom.compare.costs import N_REPEATS, RunTiming, break_even, offline_seconds
 from sphrom.compare.measured import SURFACE, MeasureRow, OscillationRow
+from sphrom.metrics.measures import ONLY_NOISE
 from sphrom.online.stable_ranges import against
 from sphrom.plots.tables import format_figure
 from sphrom.store.trained_models import basis_used
@@ -126,17 +127,15 @@ class Answer:
         for name, of_name in groupby(self.loads, key=lambda row: row.measured):
             rows, parts = list(of_name), list[str]()
             for row in rows:
-                words = row.quantity.replace("_", " ")
-                if row.relative_l2 is None:
-                    off = f"{format_figure(row.rms_error, DIGITS)} {row.unit}"
-                    parts.append(f"{words}: {row.remark} in the full run, the difference is {off}")
-                    continue
-                found = {"estimate": row.estimated}
-                if (nearest := best.get((name, row.quantity))) is not None:
-                    found = {"nearest state": nearest.relative_l2, **found}
-                also = [f"{what} {percent(value)}" for what, value in found.items() if value]
-                beside = f" ({', '.join(also)})" if also else ""
-                parts.append(f"{words} by {percent(row.relative_l2)}{beside}")
+                words, nearest = row.quantity.replace("_", " "), best.get((name, row.quantity))
+                beside = {"estimate": row.estimated}
+                if nearest is not None:
+                    beside = {"nearest state": nearest.relative_l2, **beside}
+                also = ", ".join(f"{what} {percent(e)}" for what, e in beside.items() if e)
+                part = f"{words} by {percent(row.relative_l2)}" if row.relative_l2 else ""
+                off = f"{format_figure(row.rms_error, DIGITS)} {row.unit}"
+                noise = f"{words}: {ONLY_NOISE} in the full run, the difference is {off}"
+                parts.append(f"{part} ({also})" if part and also else part or noise)
             whole = rows[0].vector_relative_l2
             vector = "" if whole is None else f", as a vector by {percent(whole)}"
             yield (
@@ -208,9 +207,7 @@ def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
         estimates = [r.figures for r in tables.estimates if (r.compared, r.parameters) == own]
         timings = [r for r in tables.timings if (r.model, r.parameters) == own]
         loads = [
-            row
-            for row in tables.measures
-            if row.quantity in LOADS and row.parameters == point.label
+            r for r in tables.measures if (r.quantity in LOADS) and r.parameters == point.label
         ]
         full_seconds = timings[0].full_seconds if timings else None
         offline, training = offline_seconds(workspace, model, [point], full_seconds)

@@ -126,13 +126,9 @@ def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
     artifact.annotate("timing/error_estimate", time.perf_counter() - started)
     report.info(_described(run, estimated, factors))
     if known := measured_shares(run, errors):
-        report.info(
-            f"{run.name}: estimated errors of measurements, of each component's own change: "
-            + ", ".join(
-                f"{name} {ONLY_NOISE if share is None else f'{format_figure(share)} %'}"
-                for name, share in known.items()
-            )
-        )
+        words = {n: ONLY_NOISE if v is None else f"{format_figure(v)} %" for n, v in known.items()}
+        listed = ", ".join(f"{name} {share}" for name, share in words.items())
+        report.info(f"{run.name}: estimated errors of measurements, over their changes: {listed}")
 
 
 def estimate(run: FastRun) -> ErrorEstimate | None:

@@ -401,12 +401,11 @@ class Workspace:
         kind = KINDS[name]
         if name in ("compare", "sweep", "fit", "rom"):
             plan = self.case.plan
-            figures = {
-                "oscillations": {key: vars(each) for key, each in plan.oscillations.items()},
-                "coefficients": plan.coefficients,
-            }
-            figures = {} if name == "rom" else figures
+            figures: dict[str, Mapping[str, object]] = {}
             figures["means from"] = {n: t for n, t in plan.means_from.items() if t > 0.0}
+            if name != "rom":
+                figures["oscillations"] = {n: vars(each) for n, each in plan.oscillations.items()}
+                figures["coefficients"] = plan.coefficients
             about = {**about, **{key: each for key, each in figures.items() if each}}
         if name not in self._inputs:
             self._inputs[name] = section_inputs(self._without_figures, kind.sections)
