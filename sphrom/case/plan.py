@@ -370,8 +370,10 @@ class Plan:
     @property
     def times_in_words(self) -> str:
         """The times from which measurements count, in words; empty if all count from the start."""
-        late = [f"{name} from {t:g} s on" for name, t in self.means_from.items() if t > 0.0]
-        return f"means and errors of measurements count late: {', '.join(late)}" if late else ""
+        late = sorted({t for t in self.means_from.values() if t > 0.0})
+        names = {t: ", ".join(n for n, own in self.means_from.items() if own == t) for t in late}
+        times = " and ".join(f"from {t:.4g} s on ({names[t]})" for t in late)
+        return times and f"means and errors of measurements count {times}"
 
     def counted(self, name: str, time: Array) -> Mask:
         """Return whether times (n_snapshots,) [s] count for a measurement of a run."""
