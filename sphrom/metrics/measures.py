@@ -234,7 +234,8 @@ def mean_square(quantity: str, values: Array) -> float:
 
 def mean_squares(quantity: str, values: Array) -> dict[str, float]:
     """Return the mean squares of values (n_snapshots, ...) and of their components, by name."""
-    return {name: mean_square(name, each) for name, each in parts(quantity, values).items()}
+    squares = {name: mean_square(name, each) for name, each in components(quantity, values).items()}
+    return {quantity: sum(squares.values())} | squares
 
 
 def variations(quantity: str, values: Array, *, with_weight: bool = False) -> dict[str, float]:
@@ -244,16 +245,18 @@ def variations(quantity: str, values: Array, *, with_weight: bool = False) -> di
     time is first subtracted from elevations, centres of mass, and from pressures and loads that
     hold the weight of fluid. Otherwise a distant origin or deep fluid would make relative errors
     small. The mean square is zero if a component has only noise: a large part of it changes from
-    snapshot to snapshot, or it is negligible beside the vector.
+    snapshot to snapshot, or it is negligible beside the vector. So is that of a vector of noise.
     """
     if quantity in ABOUT_MEAN or (with_weight and quantity in WITH_WEIGHT):
         values = values - values.mean(axis=0)
-    sizes, whole = mean_squares(quantity, values), mean_square(quantity, values)
+    sizes = mean_squares(quantity, values)
+    whole = sizes[quantity]
     for name, each in components(quantity, values).items():
         noise = mean_square(name, np.diff(each, 2, axis=0)) if len(each) > 2 else 0.0
         noisy = noise >= SECOND_DIFFERENCE * NOISY * sizes[name]
         if noisy or sizes[name] <= NEGLIGIBLE**2 * whole:
             sizes[name] = 0.0
+    sizes[quantity] *= any(sizes[name] > 0.0 for name in component_names(quantity))
     return sizes
 
 

@@ -35,6 +35,10 @@ def test_a_component_with_only_noise_has_no_size(lift, known) -> None:
     assert (shares({"force_y": 1.0}, sizes)["force_y"] is None) is not known
 
 
+def test_a_vector_of_noise_has_no_size() -> None:
+    assert set(variations("force", NOISE).values()) == {0.0}
+
+
 def test_statistics_count_some_snapshots() -> None:
     series = {"torque": np.array([[5.0, 1.0, 3.0]])}
     found = statistics(series, np.array([False, True, True]))
