@@ -26,7 +26,7 @@ from sphrom.case.plan import (
     WHOLE_STEPS_TOLERANCE,
 )
 from sphrom.case.points import REYNOLDS, ParameterPoint, nearest_point
-from sphrom.case.scene_section import MeasureSection
+from sphrom.case.scene_section import KINDS, MeasureSection
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection
 from sphrom.case.study_sections import FULL, ErrorFigure, FieldFigure, ModeFigure, OfModes, OfRuns
 from sphrom.case.yaml_reader import Problem
@@ -329,21 +329,24 @@ def _check_scene(case: Case) -> Found:
     for name, reason in case.plan.scene.problems(case.time.final_time, fluid):
         yield f"scene.{name}", reason
     for name, measured in case.scene.measure.items():
-        kind = only_one(measured, type(measured).model_fields)
+        kind = only_one(measured, KINDS)
         if (problem := _measure_problem(case, measured)) is not None:
             yield f"scene.measure.{name}.{kind}", problem
 
 
 def _measure_problem(case: Case, measured: MeasureSection) -> str | None:
+    section = measured.frequency or measured
+    if (since := section.from_time) is not None and since >= case.time.final_time:
+        end = exact(case.time.final_time)
+        return f"from_time must be before time.final_time, {end} s; got {exact(since)}"
+    if measured.frequency is not None:
+        return None
     if measured.force_on is not None:
         names = case.scene.domain.wall_names
         missing = f"there is no such wall; the walls are {', '.join(names) or 'none'}"
         if measured.force_on in getattr(case.scene, "porous", ()):
             missing = "is a porous body, which has no wall to measure a force on"
         return None if measured.force_on in names else missing
-    if measured.frequency is not None:
-        late = measured.frequency.from_time >= case.time.final_time
-        return "from_time must be before time.final_time" if late else None
     if measured.probe is not None:
         return outside_fluid(case, np.array([measured.probe]))
     if measured.of_surface:

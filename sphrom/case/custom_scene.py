@@ -654,6 +654,10 @@ class CustomScene(SceneSection):
         usual = self.domain.lengths[strip.axis] / abs(strip.speed) if from_rest else 0.0
         return usual if self.inflow.ramp is None else self.inflow.ramp
 
+    @property
+    def ramp(self) -> float:
+        return self.inflow_ramp
+
     @cached_property
     def _resistance(self) -> Resistance | None:
         """The resistance to the flow, which does not depend on parameters."""

@@ -243,6 +243,9 @@ class SurfaceForce(BodyForce):
         force = cls(lambda at: force(at, 0.0), lambda time: 1.0, None, True, parts, gravity)
         return force
 
+    def over(self, times: Array) -> Array:
+        return self.uniform(times)
+
     def uniform(self, times: Array) -> Array:
         """Return a uniform body force at times (2, n_times) [m/s2], without gravity."""
         values = [part(x=0.0, y=0.0, t=times) for part in self.parts]

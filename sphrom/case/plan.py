@@ -17,11 +17,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import shapely
 
-from sphrom.arrays import Array
+from sphrom.arrays import Array, Mask
 from sphrom.case.points import REYNOLDS, ParameterPoint, Values, nearest_point
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection, SubsetSection
 from sphrom.errors import CaseError
-from sphrom.metrics.measures import grid_points, midpoints
+from sphrom.metrics.measures import Oscillating, Oscillations, grid_points, midpoints, since
+from sphrom.metrics.series import settled_from
 from sphrom.reduction.stream_functions import StreamSpace
 from sphrom.scenes.flows import Scales, Scene
 from sphrom.sph import fluid
@@ -62,6 +63,8 @@ MOST_CHOSEN = 20
 """Number of modes to keep when a reduced model chooses its number."""
 STEPS_PER_PERIOD = 20
 """Fewest steps in a period of the driving; fewer take an oscillation for a slower one."""
+N_DRIVING = 1000
+"""Number of times of a run at which the driving is sampled."""
 MAX_STEPS = 1e9
 """Number of steps of one run beyond which a case is taken for a typing error."""
 WHOLE_STEPS_TOLERANCE = 1e-6
@@ -430,6 +433,52 @@ class Plan:
         n_steps = unit * math.ceil(steps * (1.0 - WHOLE_STEPS_TOLERANCE) / unit)
         step = self.recorded_time / n_steps
         return TimeSteps(step, n_steps, every, int(ratio * n_steps) * step)
+
+    # Measurements
+
+    @cached_property
+    def settled_from(self) -> float:
+        """The time after the gradual start of the driving [s]; 0 without one."""
+        times = np.linspace(0.0, self._case.time.final_time, N_DRIVING)
+        with np.errstate(all="ignore"):  # a check refuses amplitudes that are not finite
+            found = [settled_from(times, self.flow(p).driving(times)) for p in self.points]
+        return max(self._case.scene.ramp, *found)
+
+    @cached_property
+    def means_from(self) -> dict[str, float]:
+        """The times from which statistics of recorded measurements count [s], by name."""
+        own = {name: each.from_time for name, each in self._case.scene.recorded.items()}
+        return {name: self.settled_from if t is None else t for name, t in own.items()}
+
+    @property
+    def times_in_words(self) -> str:
+        """The times from which measurements count, in words; empty if all count from the start."""
+        late = sorted({t for t in self.means_from.values() if t > 0.0})
+        names = {t: ", ".join(n for n, own in self.means_from.items() if own == t) for t in late}
+        times = " and ".join(f"from {t:.4g} s on ({names[t]})" for t in late)
+        return times and f"means and errors of measurements count {times}"
+
+    def counted(self, name: str, time: Array) -> Mask:
+        """Return whether times (n_snapshots,) [s] count for a measurement of a run."""
+        return since(time, self.means_from.get(name, self.settled_from))
+
+    @cached_property
+    def oscillations(self) -> Oscillations:
+        """The oscillating quantities, by the names of the measurements of their frequency."""
+        columns, found = self._case.scene.columns, Oscillations()
+        for name, measure in self._case.scene.measure.items():
+            if (section := measure.frequency) is not None:
+                column, begin = columns[section.of], section.from_time
+                begin = self.means_from[column.measure] if begin is None else begin
+                found[name] = Oscillating(**vars(column), from_time=begin)
+        return found
+
+    @cached_property
+    def coefficients(self) -> dict[str, float]:
+        """The ratios of coefficients to forces [m/N], by the names of the measurements."""
+        density, measures = self._case.fluid.reference_density, self._case.scene.measure
+        scales = ((name, each.coefficient) for name, each in measures.items())
+        return {n: 2.0 / (density * c.speed**2 * c.length) for n, c in scales if c is not None}
 
     def model_steps(self, model: ReducedModelSection) -> TimeSteps:
         """Return the steps of full runs that end when the runs of a reduced model end.

@@ -12,8 +12,18 @@ import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 
 from sphrom.arrays import Array
-from sphrom.case.fields import Coordinate, Duration, Place, SafeName, Section, Whole, key, only_one
-from sphrom.metrics.measures import Column, Oscillating, Oscillations
+from sphrom.case.fields import (
+    Coordinate,
+    Duration,
+    Place,
+    Positive,
+    SafeName,
+    Section,
+    Whole,
+    key,
+    only_one,
+)
+from sphrom.metrics.measures import COEFFICIENT, Column
 from sphrom.scenes.flows import Channel, ReferenceProfile, Scales, Scene
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import NONE, Fluid, Strip
@@ -149,6 +159,11 @@ class SceneSection(Section):
         return np.empty((0, 2))
 
     @property
+    def ramp(self) -> float:
+        """The time in which an inflow or a lid reaches its speed [s]; 0 without a ramp."""
+        return 0.0
+
+    @property
     def channel(self) -> Channel | None:
         """The channel whose bulk velocity is measured, or None."""
         return None
@@ -172,15 +187,6 @@ class SceneSection(Section):
     def recorded(self) -> Measures:
         """The measurements that runs record: all except frequencies, which follow from others."""
         return {name: m for name, m in self.measure.items() if m.frequency is None}
-
-    @property
-    def oscillations(self) -> Oscillations:
-        """The oscillating quantities, by the names of the measurements of their frequency."""
-        pairs = ((name, m.frequency) for name, m in self.measure.items() if m.frequency is not None)
-        columns = self.columns
-        return Oscillations(
-            {name: Oscillating(**vars(columns[f.of]), from_time=f.from_time) for name, f in pairs}
-        )
 
     @property
     def columns(self) -> dict[str, Column]:
@@ -237,11 +243,24 @@ class FrequencySection(Section):
     """A history whose oscillation is measured."""
 
     of: SafeName = key(..., "oscillating history, named as in tables of a sweep: `lift_force_y`")
-    from_time: Duration = key(0.0, "time from which the history counts", unit="s")
+    from_time: Duration | None = key(
+        None, "time from which the history counts; null means that of its measurement", unit="s"
+    )
+
+
+class CoefficientSection(Section):
+    """The scales of the coefficient C of a force F = C rho U^2 L / 2 per metre of depth."""
+
+    speed: Positive = key(..., "reference speed U", unit="m/s")
+    length: Positive = key(..., "reference length L", unit="m")
+
+
+KINDS = "force_on", "flow_rate", "probe", "line", "elevation", "of_fluid", "frequency"
+"""The keys for the kind of a measurement; it has exactly one."""
 
 
 class MeasureSection(Section):
-    """One measurement at every snapshot: exactly one of its keys."""
+    """One measurement at every snapshot: exactly one kind, and the times that count."""
 
     force_on: SafeName | None = key(
         None, "wall: its force, and its torque about its centroid; for a side, the box's centre"
@@ -268,16 +287,30 @@ class MeasureSection(Section):
         None, "history of another measurement: frequency, amplitude and mean of its oscillation"
     )
 
+    from_time: Duration | None = key(
+        None,
+        "time from which means, errors and other statistics count; null means after the ramp of an "
+        "inflow or after a driving that grows from zero to a constant value, otherwise the start",
+        unit="s",
+    )
+    coefficient: CoefficientSection | None = key(
+        None, "scales of the force's coefficient, which is then measured beside the force"
+    )
+
     @model_validator(mode="after")
     def _one_kind(self) -> MeasureSection:
-        only_one(self, type(self).model_fields)
+        kind = only_one(self, KINDS)
+        if self.coefficient is not None and self.force_on is None:
+            raise ValueError(f"coefficient: is only for force_on, not for {kind}")
+        if self.from_time is not None and self.frequency is not None:
+            raise ValueError("from_time: of an oscillation is frequency.from_time")
         return self
 
     @property
     def quantities(self) -> tuple[str, ...]:
         """The quantities over time, keys of `sphrom.metrics.measures.UNITS`; none for a line."""
         if self.force_on is not None:
-            return ("force", "torque")
+            return ("force", "torque", *(() if self.coefficient is None else (COEFFICIENT,)))
         if self.flow_rate is not None:
             return ("flow_rate",)
         if self.elevation is not None:

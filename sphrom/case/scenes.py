@@ -73,6 +73,10 @@ class LidDrivenCavityScene(SceneSection):
         speed = scales.values.get("lid", scales.speed)
         return flows.LidDrivenCavity(self.length, speed, lid=self.lid, ramp=self.lid_ramp)
 
+    @property
+    def ramp(self) -> float:
+        return self.lid_ramp
+
     def parameters(self, reference_speed: float) -> dict[str, float]:
         """Return the lid's speed [m/s]."""
         return {"lid": reference_speed}

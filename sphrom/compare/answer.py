@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from itertools import groupby
 
 import numpy as np
 
@@ -19,7 +19,8 @@ from sphrom.case.models import Case
 from sphrom.case.sections import ReducedModelSection
 from sphrom.compare.comparison_tables import ErrorRow, Tables, best_name
 from sphrom.compare.costs import N_REPEATS, RunTiming, break_even, offline_seconds
-from sphrom.compare.measured import SURFACE, OscillationRow
+from sphrom.compare.measured import SURFACE, MeasureRow, OscillationRow
+from sphrom.metrics.measures import ONLY_NOISE
 from sphrom.online.stable_ranges import against
 from sphrom.plots.tables import format_figure
 from sphrom.store.stored_run import inflow_of
@@ -39,8 +40,8 @@ ROLES = {
 """Phrases for the roles of parameter points."""
 Pair = tuple[float, float]
 """Errors of velocity and pressure [%]."""
-Force = tuple[str, float, float | None, float | None]
-"""Name of a measured force, its error over time, that of the nearest state and its estimate [%]."""
+LOADS = "force_x", "force_y", "torque"
+"""Components of a measured force, with its torque."""
 
 
 @dataclass(frozen=True)
@@ -63,12 +64,17 @@ class Answer:
     offline_seconds: float | None
     training_seconds: float | None
     n_training: int
-    forces: tuple[Force, ...] = ()
+    loads: tuple[MeasureRow, ...] = ()
+    """Measured forces and torques, by component."""
+    nearest_loads: tuple[MeasureRow, ...] = ()
+    """The same of the nearest state."""
     oscillations: tuple[OscillationRow, ...] = ()
     surface: tuple[float, float | None] | None = None
     """Errors of the free surface's elevation and of the nearest state's [%], if there is one."""
     since: str = ""
     """A phrase for the time from which errors count, unless it is the first."""
+    times: str = ""
+    """The times from which measurements count, in words."""
     doubts: tuple[str, ...] = ()
     """Sentences with reasons to doubt that imported runs belong to the case."""
     outside: tuple[int, str, Pair] | None = None
@@ -123,12 +129,13 @@ class Answer:
                 f"The surface's elevation differs by {percent(error)}{nearest}, of the root mean "
                 "square of its change."
             )
-        for name, error, best, estimate in self.forces:
-            nearest = "" if best is None else f", that of the nearest state by {percent(best)}"
-            own = "" if estimate is None else f"; the model estimates {percent(estimate)}"
-            amount = f"{percent(error)} over time{nearest}{own}"
-            yield f"The measured force ({name}) differs by {amount}."
+        if self.times:
+            yield f"{self.times[0].upper()}{self.times[1:]}."
+        yield from self._loads()
         for each in self.oscillations:
+            if each.remark:
+                yield f"The oscillation ({each.measured}) has no figures: {each.remark}."
+                continue
             errors = each.frequency_error, each.amplitude_error, each.phase_error
             frequency, amplitude, phase = (format_figure(error, DIGITS) for error in errors)
             yield (
@@ -137,6 +144,28 @@ class Answer:
                 "over time include this phase."
             )
         yield from self.doubts
+
+    def _loads(self) -> Iterator[str]:
+        """Yield a sentence per measured force, with the errors of its components."""
+        best = {(row.measured, row.quantity): row for row in self.nearest_loads}
+        for name, of_name in groupby(self.loads, key=lambda row: row.measured):
+            rows, parts = list(of_name), list[str]()
+            for row in rows:
+                words, nearest = row.quantity.replace("_", " "), best.get((name, row.quantity))
+                beside = {"estimate": row.estimated}
+                if nearest is not None:
+                    beside = {"nearest state": nearest.relative_l2, **beside}
+                also = ", ".join(f"{what} {percent(e)}" for what, e in beside.items() if e)
+                part = f"{words} by {percent(row.relative_l2)}" if row.relative_l2 else ""
+                off = f"{format_figure(row.rms_error, DIGITS)} {row.unit}"
+                noise = f"{words}: {ONLY_NOISE} in the full run, the difference is {off}"
+                parts.append(f"{part} ({also})" if part and also else part or noise)
+            whole = rows[0].vector_relative_l2
+            vector = "" if whole is None else f", as a vector by {percent(whole)}"
+            yield (
+                f"The measured force ({name}) differs over time{vector}, and by component, "
+                f"relative to its own change: {'; '.join(parts)}."
+            )
 
     def _cost(self) -> Iterator[str]:
         timing = self.timing
@@ -195,9 +224,9 @@ def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
         own = (model.name, point.label)
         estimates = [r.figures for r in tables.estimates if (r.compared, r.parameters) == own]
         timings = [r for r in tables.timings if (r.model, r.parameters) == own]
-        forces, expected = (
-            _force_errors(tables, point.label, which) for which in ("relative_l2", "estimated")
-        )
+        loads = [
+            r for r in tables.measures if (r.quantity in LOADS) and r.parameters == point.label
+        ]
         full_seconds = timings[0].full_seconds if timings else None
         offline, training = offline_seconds(workspace, model, [point], full_seconds)
         return Answer(
@@ -221,11 +250,9 @@ def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
             outside=beyond and (len(far), beyond[1].parameters, beyond[0]),
             unphysical=tuple(_unphysical(workspace)),
             oscillations=tuple(r for r in tables.oscillations if (r.compared, r.parameters) == own),
-            forces=tuple(
-                (name, force, forces.get((best, name)), expected.get((run, name)))
-                for (run, name), force in forces.items()
-                if run == model.name
-            ),
+            times=plan.times_in_words,
+            loads=tuple(row for row in loads if row.compared == model.name),
+            nearest_loads=tuple(row for row in loads if row.compared == best),
         )
     return None
 
@@ -286,18 +313,6 @@ def _doubts(workspace: Workspace) -> Iterator[str]:
         (first, *more), doubts = said, next(iter(said.values())).replace("\n", "; ")
         also = f"; so may those at {', '.join(more)}" if more else ""
         yield f"The run at {first} was imported, and may be of another flow: {doubts}{also}."
-
-
-def _force_errors(
-    tables: Tables, point: str, which: Literal["relative_l2", "estimated"]
-) -> dict[tuple[str, str], float]:
-    errors: dict[tuple[str, str], float] = {}
-    for row in tables.measures:
-        error = getattr(row, which)
-        if row.parameters == point and row.quantity in ("force_x", "force_y") and error:
-            key = (row.compared, row.measured)
-            errors[key] = math.hypot(errors.get(key, 0.0), error)
-    return errors
 
 
 def _surface_errors(tables: Tables, row: ErrorRow, best: str) -> tuple[float, float | None] | None:

@@ -246,6 +246,13 @@ def _norm(name: str) -> Callable[[Cells], str]:
     return cell
 
 
+def _component_error(r: Cells) -> str:
+    """Return the cell of a component's error, or the reason why it has none."""
+    if r["relative_l2"] is None and r["rms_error"] is not None:
+        return f"{r['remark']}, {format_figure(r['rms_error'])} {r['unit']} off"
+    return _norm("relative_l2")(r)
+
+
 def _effectivity(quantity: str) -> Callable[[Cells], str]:
     return lambda r: "{:.2f} ({:.2f} to {:.2f})".format(
         *(r[f"{quantity}_effectivity_{name}"] for name in ("mean", "min", "max"))
@@ -283,16 +290,19 @@ ESTIMATES: tuple[str, tuple[Column, ...]] = (
     ),
 )
 MEASURES: tuple[str, tuple[Column, ...]] = (
-    "measurements over time and along lines: relative L2 errors in % of the full run, for a "
-    "component in % of the whole force or velocity, over all times / at the worst time",
+    "measurements over time and along lines: relative L2 errors in % of each component's change in "
+    "the full run, over all times / at the worst time; vectors also in % of the vector's change",
     (
         ("measured", "measured"),
         ("quantity", lambda r: f"{r['quantity'].replace('_', ' ')} [{r['unit']}]"),
         *RUN,
+        ("from [s]", "from_time"),
         ("mean", "mean"),
         ("least", "least"),
         ("greatest", "greatest"),
-        ("error", _norm("relative_l2")),
+        ("error", _component_error),
         ("estimated", "estimated"),
+        ("vector", "vector_relative_l2"),
+        ("estimated", "vector_estimated"),
     ),
 )

@@ -42,6 +42,7 @@ from sphrom.metrics.estimation import (
     uncertainty,
     undetermined_shares,
 )
+from sphrom.metrics.series import NO_OSCILLATION
 from sphrom.online.fast_model import FastModel, fast_model
 from sphrom.online.surface_model import SurfaceModel
 from sphrom.plots.panels import FORMATS, Curve, Panel, draw_grid, save
@@ -275,7 +276,7 @@ def fit(
     weights = Weights(measurements.noise, np.zeros((0, len(values))))
     first = minima(model, values, weights, starts)
     if not first:
-        still = ", or does not oscillate," * bool(case.scene.oscillations)
+        still = f", or has {NO_OSCILLATION}," * bool(case.plan.oscillations)
         raise UnstableError(f"{fast.section.name} is unstable{still} at all starts of the search")
     start = first[0].place
     samples, refined = error_samples(model, start, known), first

@@ -151,7 +151,7 @@ class FittedModel:
         except UnstableError:
             return None
         measured = quantities_of(self._case, reduced, reduced.output_times.time, run.run)
-        oscillations, slopes = self._case.scene.oscillations, []
+        oscillations, slopes = self._case.plan.oscillations, []
         histories = self.stacked(measured | oscillations.of(run.time, measured))
         for k, name in enumerate(run.parameters):
             changes, step = items(run.measured, k), STEP * (abs(point.as_dict()[name]) or 1.0)
@@ -213,7 +213,7 @@ class FittedSurface(FittedModel):
         run = self.fast.run(self.point(place))
         if run.failure is not None:
             return None
-        measured = run.measured | self._case.scene.oscillations.of(run.time, run.measured)
+        measured = run.measured | self._case.plan.oscillations.of(run.time, run.measured)
         if self._places:
             samples = run.sampled(np.array(list(self._places)))
             measured[UNNAMED] = {"velocity": samples.velocity, "pressure": samples.pressure}
@@ -273,7 +273,7 @@ def _differences(model: FittedModel, name: str) -> tuple[Array, Array]:
     """
     workspace, trained = model.fast.workspace, model.fast.on_basis(name)
     points, compared = trained.points, compared_snapshots(workspace.case.plan.steps.n_snapshots)
-    differences, sizes, oscillations = [], [], workspace.case.scene.oscillations
+    differences, sizes, oscillations = [], [], workspace.case.plan.oscillations
     for k, (reduced, own) in enumerate(trained.held_out):
         if not np.isfinite(own).all():
             continue

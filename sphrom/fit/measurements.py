@@ -221,7 +221,7 @@ def _name_and_unit(cell: str) -> tuple[str, str | None]:
 def column_of(case: Case, name: str) -> Column:
     """Return the column with a name. Raises ValueError if the case has no such measurement."""
     known = AT_PLACE | case.scene.columns
-    for measured, each in case.scene.oscillations.items():
+    for measured, each in case.plan.oscillations.items():
         known |= {
             f"{measured}_{f}": Column(measured, f, None, each.units_of(f)) for f in OSCILLATION[:3]
         }

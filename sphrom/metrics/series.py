@@ -25,6 +25,11 @@ PER_PERIOD = 64
 """Samples per period of a demodulated oscillation."""
 MOST_CORRECTIONS, CONVERGED = 30, 1e-13
 """Largest number of corrections of a frequency, and relative size of the last one."""
+NO_OSCILLATION = "fewer than three periods of an oscillation"
+"""Why a record has no frequency and no amplitude."""
+AT_REST, SETTLED, LEAST_SETTLED = 0.05, 1e-3, 0.1
+"""Of a driving that grows from zero: its first value and its deviation when it is settled, over the
+final value, and the least share of the time in which it is settled."""
 UNIFORM_TOLERANCE = 1e-3
 """Largest relative difference between the intervals of a record."""
 
@@ -105,7 +110,7 @@ def oscillation(time: Array, signal: Array) -> dict[str, float]:
     The frequency is the one at which the phase of the demodulated signal has no trend. The
     amplitude is half the peak to peak of the fundamental, and the mean is over whole periods.
     Scatters are standard deviations over the record, with frequencies of single periods. A signal
-    without three periods has only an amplitude of zero and a mean, one without samples no figures.
+    without three periods has only a mean, and one without samples has no figures.
     """
     with suppress(ValueError):
         most, frequency = 0.5 / _interval(time, signal), 0.0
@@ -124,7 +129,21 @@ def oscillation(time: Array, signal: Array) -> dict[str, float]:
         if len(rates):
             found = frequency, size.mean(), mean.mean(), rates.std(), size.std()
             return dict(zip(OSCILLATION, map(float, found), strict=True))
-    return {"amplitude": 0.0, "mean": float(signal.mean())} if len(signal) else {}
+    return {"mean": float(signal.mean())} if len(signal) else {}
+
+
+def settled_from(time: Array, driving: Array) -> float:
+    """Return the time at which a driving (n_components, n_times) reaches its final value [s].
+
+    It is zero unless the driving grows from zero and then keeps its value for long enough.
+    """
+    first, final = driving[:, 0], driving[:, -1]
+    size = float(np.linalg.norm(final))
+    near = np.linalg.norm(driving - final[:, None], axis=0) <= SETTLED * size
+    last = int(np.flatnonzero(~near).max(initial=0))
+    grows = float(np.linalg.norm(first)) <= AT_REST * size
+    settles = last < (1.0 - LEAST_SETTLED) * len(time)
+    return float(time[last + 1]) if size > 0.0 and grows and settles else 0.0
 
 
 def demodulated(

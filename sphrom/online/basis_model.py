@@ -21,7 +21,7 @@ from sphrom.case.plan import MAX_STEPS
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.errors import CaseError
-from sphrom.metrics.measures import Quantities, Samples
+from sphrom.metrics.measures import Quantities, Samples, with_coefficients
 from sphrom.metrics.series import smoothed
 from sphrom.online.error_estimates import TrainedErrors
 from sphrom.reduction import reference_model
@@ -473,4 +473,5 @@ def quantities_of(
     forces = forces_of(reduced, time, coordinates, mean)
     measured = {name: totals(loads) for name, loads in forces.items()}
     measured |= reduced.measured(coordinates, mean)
-    return {name: measured[name] for name in (*case.scene.recorded, *measured)}
+    ordered = {name: measured[name] for name in (*case.scene.recorded, *measured)}
+    return with_coefficients(ordered, case.plan.coefficients)

@@ -73,6 +73,11 @@ class BodyForce:
         """Return the acceleration (2, n_particles) [m/s2]."""
         return self.amplitude(time) * self.field(position)
 
+    def over(self, times: Array) -> Array:
+        """Return the amplitude (n_components, n_times) at times [s]."""
+        series = self.series or np.vectorize(self.amplitude, [np.float64])
+        return np.broadcast_to(series(times), (1, len(times)))
+
 
 @dataclass(frozen=True)
 class Channel:
@@ -118,6 +123,13 @@ class Scene(ABC):
     def amplitude(self) -> Amplitude | None:
         """The time-dependent factor of the driving force or walls, or None if it never changes."""
         return self.wall_amplitude if self.body_force is None else self.body_force.amplitude
+
+    def driving(self, times: Array) -> Array:
+        """Return the amplitude of the driving (n_components, n_times) at times [s]."""
+        if self.body_force is not None:
+            return self.body_force.over(times)
+        amplitude = self.amplitude or (lambda _: 1.0)
+        return np.array([[amplitude(time) for time in times.tolist()]])
 
     @property
     def exact(self) -> TaylorGreen | None:

@@ -21,7 +21,15 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import ArtifactError, CaseError
-from sphrom.metrics.measures import Probes, Quantities, Samples, grid_points, midpoints, spread
+from sphrom.metrics.measures import (
+    Probes,
+    Quantities,
+    Samples,
+    grid_points,
+    midpoints,
+    spread,
+    with_coefficients,
+)
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.trial_basis import (
@@ -75,7 +83,8 @@ class StoredRun:
 
     def measured(self, name: str) -> Quantities:
         """Return a measurement of the case over time, by quantity (n_snapshots, ...)."""
-        return read_quantities(self._run, name)
+        measured = {name: read_quantities(self._run, name)}
+        return with_coefficients(measured, self._workspace.case.plan.coefficients)[name]
 
     @cached_property
     def _used(self) -> tuple[str, int]:

@@ -11,7 +11,7 @@ from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, ArtifactWriter
 from sphrom.case.models import Case
 from sphrom.errors import ArtifactError, UnstableError
-from sphrom.metrics.measures import TORQUE, UNITS, FieldMeasure, Quantities
+from sphrom.metrics.measures import TORQUE, UNITS, FieldMeasure, Quantities, with_coefficients
 from sphrom.sph.fluid import pressure_of
 
 if TYPE_CHECKING:  # it imports kernels, which take long and which reduced runs do not need
@@ -75,7 +75,8 @@ def totals(loads: Array) -> Quantities:
 
 def measured_of(case: Case, artifact: Artifact) -> dict[str, Quantities]:
     """Return all measurements of a run by name."""
-    return {name: read_quantities(artifact, name) for name in case.scene.recorded}
+    measured = {name: read_quantities(artifact, name) for name in case.scene.recorded}
+    return with_coefficients(measured, case.plan.coefficients)
 
 
 class TrajectoryWriter:

@@ -94,8 +94,11 @@ class Workspace:
         self.context = context
         self.case, self.out = context.case, context.out
         ask_for_threads(context.threads)
-        # Requested figures change no artifact, and measured frequencies change no run.
-        scene = self.case.scene.model_copy(update={"measure": self.case.scene.recorded})
+        # Requested figures change no artifact, and figures of measurements change no run.
+        bare = {"from_time": None, "coefficient": None}
+        recorded = self.case.scene.recorded.items()
+        measure = {name: each.model_copy(update=bare) for name, each in recorded}
+        scene = self.case.scene.model_copy(update={"measure": measure})
         compare = self.case.compare.model_copy(update={"figures": ()})
         self._without_figures = self.case.model_copy(update={"compare": compare, "scene": scene})
         self._inputs: dict[str, dict[str, object]] = {}
@@ -403,8 +406,14 @@ class Workspace:
     ) -> Target:
         """Return a target; `about` contains the dependencies beyond the whole sections."""
         kind = KINDS[name]
-        if name in ("compare", "sweep", "fit") and (of := self.case.scene.oscillations):
-            about = {**about, "oscillations": {key: vars(each) for key, each in of.items()}}
+        if name in ("compare", "sweep", "fit", "rom"):
+            plan = self.case.plan
+            figures: dict[str, Mapping[str, object]] = {}
+            figures["means from"] = {n: t for n, t in plan.means_from.items() if t > 0.0}
+            if name != "rom":
+                figures["oscillations"] = {n: vars(each) for n, each in plan.oscillations.items()}
+                figures["coefficients"] = plan.coefficients
+            about = {**about, **{key: each for key, each in figures.items() if each}}
         if name not in self._inputs:
             self._inputs[name] = section_inputs(self._without_figures, kind.sections)
         if "fluid" in kind.sections:

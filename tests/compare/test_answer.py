@@ -8,6 +8,7 @@ from types import SimpleNamespace
 from sphrom.compare.answer import Answer, _by_preference
 from sphrom.compare.comparison_tables import ErrorRow, Tables
 from sphrom.compare.costs import RunTiming, taking_turns
+from sphrom.compare.measured import MeasureRow
 from sphrom.metrics.histories import NO_ERRORS
 
 TIMING = RunTiming("fast", "reynolds=150", 5, 0.01, 0.01, None, 0.1, 1e-5, 1e4, 1.0, 1.0)
@@ -55,10 +56,19 @@ def test_runs_are_timed_in_turns() -> None:
 
 
 def test_it_says_how_far_off_measured_forces_are() -> None:
-    text = told(replace(ANSWER, forces=(("drag", 9.7, 0.87, 8.0), ("lift", 2.0, None, None))))
-    assert "(drag) differs by 9.7 % over time, that of the nearest state by 0.87 %; " in text
-    assert "the model estimates 8.0 %." in text
-    assert "(lift) differs by 2.0 % over time." in text
+    parts = {
+        "unit": "N/m", "compared": "fast", "parameters": "", "n_modes": 5, "role": "", "mean": 0.0,
+        "from_time": 2.0, "least": 0.0, "greatest": 0.0, "vector_relative_l2": 9.7, "remark": "",
+        "relative_l2_peak": None, "vector_estimated": None, "rms_error": 49.0,
+    }  # fmt: skip
+    along = MeasureRow("drag", "force_x", relative_l2=1.5, estimated=8.0, **parts)
+    parts["remark"] = "only noise"
+    across = MeasureRow("drag", "force_y", relative_l2=None, estimated=None, **parts)
+    best = (replace(along, relative_l2=0.87),)
+    text = told(replace(ANSWER, loads=(along, across), nearest_loads=best, times="late: drag"))
+    assert "Late: drag. The measured force (drag) differs over time, as a vector by 9.7 %, " in text
+    assert "force x by 1.5 % (nearest state 0.87 %, estimate 8.0 %); force y: only noise " in text
+    assert "in the full run, the difference is 49 N/m." in text
 
 
 def test_it_is_about_values_between_training_then_about_the_worst_outside() -> None:

@@ -16,6 +16,7 @@ from sphrom.metrics.series import (
     oscillation,
     oscillation_beside,
     pole_of,
+    settled_from,
     shortest_period,
 )
 
@@ -129,10 +130,25 @@ def test_an_oscillation_that_grows_or_is_noisy() -> None:
 
 @pytest.mark.parametrize("signal", [np.full(100, 3.3), TIME, np.exp(-TIME), np.sin(15.0 * TIME)])
 def test_a_record_without_three_periods_has_a_mean_alone(signal) -> None:
-    assert oscillation(TIME, signal) == {"amplitude": 0.0, "mean": signal.mean()}
-    found = oscillation_beside(TIME, signal, np.sin(40.0 * TIME))
-    assert found["amplitude_error"] == 100.0
-    assert "phase_error" not in found
+    assert oscillation(TIME, signal) == {"mean": signal.mean()}
+    assert oscillation_beside(TIME, signal, np.sin(40.0 * TIME)) == {"mean": signal.mean()}
+
+
+@pytest.mark.parametrize(
+    ("driving", "end"),
+    [
+        (np.minimum(TIME, 0.5), 0.5),
+        (1.0 - np.exp(-20.0 * TIME), np.log(1000.0) / 20.0),
+        (np.minimum(TIME, 0.5) * [[1.0], [2.0]], 0.5),
+        (np.ones(100), 0.0),  # starts at once
+        (0.0 * TIME, 0.0),
+        (TIME, 0.0),  # never keeps its value
+        (1.0 + np.sin(40.0 * TIME), 0.0),
+        (np.exp(-20.0 * TIME), 0.0),  # falls
+    ],
+)
+def test_the_end_of_a_gradual_start(driving, end) -> None:
+    assert settled_from(TIME, np.atleast_2d(driving)) == pytest.approx(end, abs=0.011)
 
 
 @pytest.mark.parametrize("mean", [TIME**2, np.exp(-3.0 * TIME), np.tanh(2.0 * TIME)])
