@@ -54,7 +54,7 @@ def case_problems(case: Case, *, force: bool = False) -> list[Problem]:
     """Return the problems of a case; `force` accepts an unstable time step."""
     limits = () if force else (_check_limits,)
     # Later checks need valid names, and then valid steps and points.
-    for checks in ((_check_names,), (*_CHECKS, *limits), _SNAPSHOT_CHECKS):
+    for checks in ((_check_names, _check_histories), (*_CHECKS, *limits), _SNAPSHOT_CHECKS):
         if problems := [problem for check in checks for problem in check(case)]:
             return [Problem(_path(key), reason) for key, reason in problems]
     return []
@@ -77,6 +77,13 @@ def _check_names(case: Case) -> Found:
         yield f"parameters.test.{REYNOLDS}", "is missing, and parameters.train has several; give it"
     for name, reason in case.scene.parameter_problems(case.plan.parameter_names):
         yield f"parameters.{name}", f"can't vary: {reason}"
+
+
+def _check_histories(case: Case) -> Found:
+    """Check that histories contain all times of full and reduced runs."""
+    ends = [model.until for model in case.rom if model.until is not None]
+    for key, reason in case.scene.time_problems(max(case.time.final_time, *ends, 0.0)):
+        yield f"scene.{key}", reason
 
 
 def _references(case: Case) -> Iterator[tuple[str, str, Collection[str | None], Collection[str]]]:
@@ -379,6 +386,8 @@ def _model_problems(case: Case, model: ReducedModelSection) -> Found:
 def steady_problem(case: Case) -> str | None:
     """Return the reason why a case has no steady states, or None."""
     force = case.plan.flow(case.plan.points[0]).body_force
+    if case.scene.amplitudes:
+        return "walls' velocities change with time, so there is no steady state"
     if force is None or not force.changes:
         return None
     return "the body force changes with time, so there is no steady state"
@@ -397,6 +406,11 @@ def _check_fixed_points(case: Case) -> Found:
         if name is not None and value != needed:
             reason = f"must be {needed} for models with evaluation: operators, such as {name}"
             yield f"discretization.{key}", f"{reason}; got {value}"
+    amplitudes = case.scene.amplitudes
+    if name is not None and len(set(amplitudes.values())) > 1:
+        found = " and ".join(f"{text} of {key}" for key, text in amplitudes.items())
+        reason = f"must all have one amplitude in time, like forces, for models such as {name}"
+        yield "scene.walls", f"{reason}; got {found}; set rom: [] for full runs alone"
 
 
 def _check_surface(case: Case) -> Found:

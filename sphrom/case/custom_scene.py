@@ -7,19 +7,19 @@ once: each parameter that drives the flow has its own operators, which its value
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
-from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 import shapely
-from pydantic import PrivateAttr, ValidationInfo, model_validator
+from pydantic import PrivateAttr, ValidationInfo, field_validator, model_validator
 from shapely.geometry.base import BaseGeometry
 
 from sphrom.arrays import Array
 from sphrom.case.custom_sections import (
+    HistorySection,
     InflowSection,
     PorousSection,
     Rate,
@@ -32,12 +32,13 @@ from sphrom.case.custom_sections import (
     ramp_share,
     read_start,
     start_fields,
+    with_digest,
 )
-from sphrom.case.expressions import CONSTANTS, FUNCTIONS, MOST_QUOTED, Expression
+from sphrom.case.expressions import CALLED, CONSTANTS, FUNCTIONS, MOST_QUOTED, Expression
 from sphrom.case.fields import Coordinate, Place, Positive, SafeName, Section, key
 from sphrom.case.scene_section import MEASURE, OF_WALLS, Defaults, Measures, SceneSection
 from sphrom.case.shapes import ShapeSection
-from sphrom.scenes.flows import BodyForce, CustomFlow, Scales, Scene
+from sphrom.scenes.flows import Amplitude, BodyForce, CustomFlow, Scales, Scene, peak
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import SIDES, Domain
 from sphrom.sph.fluid import NONE, Resistance, Strip
@@ -45,8 +46,6 @@ from sphrom.text import shortened
 
 N_SAMPLES = 200
 """Points along each edge of the box, or along a wall, at which expressions are checked."""
-N_INSTANTS = 50
-"""Times of a run at which a body force is checked."""
 ALONG = 0.02
 """Largest normal speed of a wall over its speed; it is not zero because circles are polygons."""
 TOUCHING = 1e-6
@@ -62,7 +61,7 @@ OTHER_UNIT = 100.0
 MOST_AREAS = 4
 """Most areas that a warning about separate parts of the fluid lists."""
 N_TIMES = 4096
-"""Most times with a cached amplitude of the body force."""
+"""Most times with a cached amplitude, and times at which histories are looked for."""
 
 
 class BoxSection(Section):
@@ -76,9 +75,11 @@ class BoxSection(Section):
 class MovingWallSection(Section):
     """The motion of a wall along itself."""
 
-    velocity: Vector | None = key(None, "velocity, numbers or expressions in x, y", unit="m/s")
-    rotation: Coordinate | None = key(
-        None, "rate of rotation about its centroid, anticlockwise", unit="rad/s"
+    velocity: Vector | None = key(None, "velocity, numbers or expressions in x, y, t", unit="m/s")
+    rotation: Value | None = key(
+        None,
+        "rate of rotation about its centroid, anticlockwise, a number or an expression in t",
+        unit="rad/s",
     )
 
 
@@ -99,15 +100,7 @@ class InitialSection(Section):
     @classmethod
     def _with_digest(cls, values: Any, info: ValidationInfo) -> Any:
         """Add the digest of the file, so that the case identifies its content."""
-        name = values.get("file") if isinstance(values, dict) else None
-        folder = (info.context or {}).get("folder")
-        # The case in an artifact is read without its files, and does not start runs.
-        if not isinstance(name, str) or (folder is None and values.get("sha256") is not None):
-            return values
-        digest = read_start(Path(folder or "") / name)
-        if values.get("sha256") not in (None, digest):
-            raise ValueError(f"{name} has changed since its sha256 was taken")
-        return {**values, "sha256": digest}
+        return with_digest(values, info, read_start)
 
     @model_validator(mode="after")
     def _file_alone(self) -> InitialSection:
@@ -132,6 +125,9 @@ class CustomScene(SceneSection):
         {}, "moving walls: sides of the box (left, right, bottom, top) and solids, by name"
     )
     constants: dict[SafeName, Coordinate] = key({}, "constants for expressions, by name")
+    histories: dict[SafeName, HistorySection] = key(
+        {}, "measured histories, by name; for one named sway, expressions in t may contain sway(t)"
+    )
     body_force: Vector = key(
         (0.0, 0.0), "acceleration, numbers or expressions in x, y, t", unit="m/s2"
     )
@@ -151,12 +147,32 @@ class CustomScene(SceneSection):
     measure: Measures = MEASURE
     _values: Mapping[str, float] = PrivateAttr(default_factory=dict)
 
+    @field_validator("histories", mode="before")
+    @classmethod
+    def _with_columns(cls, values: Any) -> Any:
+        """Fill in the names of columns."""
+        if not isinstance(values, dict):
+            return values
+        return {
+            name: {**given, "value": name if given.get("value") is None else given["value"]}
+            if isinstance(given, dict)
+            else given
+            for name, given in values.items()
+        }
+
     @model_validator(mode="after")
     def _consistent(self) -> CustomScene:
         """Refuse inconsistent keys, and scenes that can't be built."""
-        for name in self.constants:
-            if name in ("x", "y", "t", *CONSTANTS, *FUNCTIONS):
-                raise ValueError(f"constants.{name}: the name is reserved; choose another")
+        for where in (
+            f"{n}.{name}" for n in ("constants", "histories") for name in getattr(self, n)
+        ):
+            name = where.partition(".")[2]
+            if name in ("x", "y", "t", *CONSTANTS, *FUNCTIONS, *CALLED):
+                raise ValueError(f"{where}: the name is reserved; choose another")
+        for name in self.histories:
+            if name in self.constants or not name.isidentifier():
+                reason = "must be a name of letters, digits and _ that no constant has"
+                raise ValueError(f"histories.{name}: {reason}")
         for name, wall in self.walls.items():
             if (wall.velocity is None) == (wall.rotation is None):
                 raise ValueError(f"walls.{name}: give velocity or rotation")
@@ -268,6 +284,7 @@ class CustomScene(SceneSection):
             here._begin(scales.density),
             here._force,
             self._resistance,
+            here._wall_amplitudes,
         )
 
     def _begin(self, density: float) -> Callable[[Array], Array]:
@@ -292,19 +309,24 @@ class CustomScene(SceneSection):
         _ = self.domain, self._shapes, self._resistance
         other = self.model_copy()
         other._values = values
-        for built in ("_force", "_pushes", "_start", "_initial", "_known"):
+        parts = "_force", "_pushes", "_motions", "_wall_amplitudes", "_start", "_initial", "_known"
+        for built in parts:
             other.__dict__.pop(built, None)
         return other
 
     def parameters(self, reference_speed: float) -> dict[str, float]:
         """Return constants, rates of rotation, and factors of velocities and the body force."""
-        own = {name: 1.0 if w.rotation is None else w.rotation for name, w in self.walls.items()}
+        rates = ((name, wall.rotation) for name, wall in self.walls.items())
+        own = {name: rate if isinstance(rate, float) else 1.0 for name, rate in rates}
         return {**self.constants, **own, **dict.fromkeys(self._factor, 1.0)}
 
     @property
     def _factor(self) -> tuple[str, ...]:
-        """The name of the factor of the driving, empty unless either force or inflow drives."""
-        return tuple(self._pushes) if len(self._pushes) == 1 else ()
+        """The name of the factor of the driving, empty unless either force or inflow drives.
+
+        It is a factor of the amplitude, which may be that of walls, too.
+        """
+        return tuple(self._pushes) if len(self._pushes) == 1 and not self._wall_amplitudes else ()
 
     def parameter_problems(self, names: Collection[str]) -> Iterator[tuple[str, str]]:
         """Yield constants in which walls or the force aren't affine, and ambiguous names."""
@@ -312,6 +334,10 @@ class CustomScene(SceneSection):
         slowed = self._expression("resistance", self.resistance, "x", "y")
         for name in (name for name in varied if slowed.degree_in([name]) > 0.0):
             yield name, "resistance depends on it, which no parameter changes"
+        for where, timed in self._timed():
+            for name in varied:
+                if any(time.degree_in([name]) > 0.0 for _, time in timed.read()):
+                    yield name, f"{where} reads a history at times that depend on it"
         for name in varied:
             if name in (*self.walls, BODY_FORCE, INFLOW):
                 yield name, "is a constant's name and a wall's or the force's; rename the constant"
@@ -339,12 +365,10 @@ class CustomScene(SceneSection):
 
     def _drives(self) -> Iterator[tuple[str, str, Expression]]:
         """Yield all driving expressions, with their key and the parameter that multiplies them."""
-        for name, wall in self.walls.items():
-            for value in wall.velocity or ():
-                where = f"walls.{name}.velocity"
-                yield where, name, self._expression(where, value, "x", "y")
-        for name, push in self._pushes.items():
-            yield from ((KEYS[name], "", field) for field in push.fields)
+        for name, motion in self._motions.items():
+            yield from ((motion.key, name, field) for field in motion.fields)
+        for push in self._pushes.values():
+            yield from ((push.key, "", field) for field in push.fields)
 
     def check_at(self, values: Mapping[str, float]) -> None:
         here = self._at(values)
@@ -353,10 +377,14 @@ class CustomScene(SceneSection):
         _ = here._force, here._initial, here._resistance
         here._check_surface()
 
-    def largest_wall_speed(self, values: Mapping[str, float]) -> float:
+    def largest_wall_speed(self, values: Mapping[str, float], until: float = 0.0) -> float:
         """Return the largest speed of walls and the inflow [m/s], at values of the parameters."""
         here = self._at(values)
-        velocities = [here._wall_velocity(name)(here._edge(name)) for name in here.walls]
+        velocities = [
+            peak(here._wall_amplitudes.get(name), self.instants(until))
+            * here._wall_velocity(name)(here._edge(name))
+            for name in here.walls
+        ]
         if here.inflow is not None and (strip := here._strip) is not None:
             inside = here._samples[strip.contains(here._samples.T)].T
             velocities.append(here._values.get(INFLOW, 1.0) * here._pushes[INFLOW](inside).T)
@@ -370,9 +398,9 @@ class CustomScene(SceneSection):
         text = value if isinstance(value, str) else repr(value)
         try:
             constants = {name: self._values.get(name, own) for name, own in self.constants.items()}
-            expression = Expression(text, variables, constants)
-            # Without a surface, expressions in t are split into factors of space and time.
-            apart = "t" in variables and not self.has_surface
+            expression = Expression(text, variables, constants, self.histories)
+            # Except a force beside a surface, expressions in t are split into factors.
+            apart = "t" in variables and not (self.has_surface and where == BODY_FORCE)
             parts = expression.separated("t") if apart else (expression,)
             _ = [part.compiled for part in parts]
             return expression
@@ -417,20 +445,73 @@ class CustomScene(SceneSection):
 
     def _wall_velocity(self, name: str) -> Callable[[Array], Array]:
         """Return the velocity (n_points, 2) [m/s] of a wall at places on it (n_points, 2) [m]."""
-        wall = self.walls[name]
+        wall, motion, factor = self.walls[name], self._motions[name], self._values.get(name, 1.0)
         if wall.velocity is None:
-            rate = self._values.get(name, wall.rotation or 0.0)
+            rate = factor * float(motion.fields[0]())
+            if isinstance(wall.rotation, float):
+                rate = self._values.get(name, wall.rotation)
             centre = shapely.get_coordinates(self._shapes[name].centroid)[0]
             return lambda at: rate * np.stack((centre[1] - at[:, 1], at[:, 0] - centre[0]), axis=1)
-        where = f"walls.{name}.velocity"
-        parts = [self._expression(where, value, "x", "y") for value in wall.velocity]
-        factor = self._values.get(name, 1.0)
+        return lambda at: factor * motion(self._in_box(at.T)).T
 
-        def velocity(place: Array) -> Array:
-            x, y = self._in_box(place.T)
-            return factor * np.stack([part(x=x, y=y) for part in parts], axis=1)
+    @cached_property
+    def _motions(self) -> dict[str, _Push]:
+        """The velocities, or rates of rotation, of moving walls, by their names."""
+        motions = {}
+        for name, wall in self.walls.items():
+            if wall.velocity is None:
+                motion = self._push(f"walls.{name}.rotation", [wall.rotation or 0.0], "t")
+            else:
+                motion = self._push(f"walls.{name}.velocity", wall.velocity, "x", "y", "t")
+            if len(motion.amplitudes) > 1:
+                amplitudes = " and ".join(motion.amplitudes)
+                reason = f"both components must have the same amplitude in time; got {amplitudes}"
+                raise ValueError(f"{motion.key}: {reason}")
+            motions[name] = motion
+        return motions
 
-        return velocity
+    @cached_property
+    def _wall_amplitudes(self) -> dict[str, Amplitude]:
+        """The amplitudes of walls whose velocity changes with time, one for each expression."""
+        known, found = dict[str, Amplitude](), {}
+        for name, motion in self._motions.items():
+            for text, amplitude in motion.amplitudes.items():
+                if amplitude.depends_on:
+                    at = lru_cache(N_TIMES)(lambda t, value=amplitude: float(value(t=t)))
+                    found[name] = known.setdefault(text, at)
+        return found
+
+    @property
+    def amplitudes(self) -> Mapping[str, str]:
+        if not self._wall_amplitudes:
+            return {}
+        drives = [*self._motions.values(), *self._pushes.values()]
+        found = {drive.key: text for drive in drives for text in drive.amplitudes}
+        return found if self.inflow is None else {**found, KEYS[INFLOW]: "its ramp"}
+
+    def _timed(self) -> Iterator[tuple[str, Expression]]:
+        """Yield the expressions that may read histories, with their keys."""
+        for drive in (*self._motions.values(), *self._pushes.values()):
+            yield from ((drive.key, amplitude) for amplitude in drive.amplitudes.values())
+        if isinstance(self._force, SurfaceForce):
+            yield from ((BODY_FORCE, part) for part in self._force.parts)
+
+    def instants(self, until: float) -> Array:
+        """Return times of a run [s], with those of the histories' extreme values."""
+        extremes = []
+        for history in self.histories.values():
+            times, values = history.rows[:, 1:-1]
+            inside = (times >= 0.0) & (times <= until)
+            if inside.any():
+                extremes += [times[inside][find(values[inside])] for find in (np.argmin, np.argmax)]
+        return np.union1d(super().instants(until), extremes)
+
+    def time_problems(self, until: float) -> Iterator[tuple[str, str]]:
+        times = np.linspace(0.0, until, N_TIMES)
+        for where, expression in self._timed():
+            for name, time in expression.read():
+                if (problem := self.histories[name].lacks(time(t=times))) is not None:
+                    yield where, f"{name}: {problem}"
 
     def _edge(self, name: str) -> Array:
         """Return points (n_points, 2) [m] of a wall that touch the fluid, except corners."""
@@ -483,12 +564,20 @@ class CustomScene(SceneSection):
         pushes, inflow = {}, () if self.inflow is None else self.inflow.velocity
         for name, values in {BODY_FORCE: self.body_force, INFLOW: inflow}.items():
             if any(value != 0.0 for value in values):
-                wholes = [self._expression(KEYS[name], value, "x", "y", "t") for value in values]
-                parts = [whole.separated("t") for whole in wholes]
-                # Zero components fit any amplitude.
-                moving = {a.text: a for v, (_, a) in zip(values, parts, strict=True) if v != 0.0}
-                pushes[name] = _Push([field for field, _ in parts], moving)
+                pushes[name] = self._push(KEYS[name], values, "x", "y", "t")
         return pushes
+
+    def _push(self, where: str, values: Iterable[float | str], *variables: str) -> _Push:
+        """Return the fields and amplitudes of expressions."""
+        fields, moving = [], {}
+        for value in values:
+            whole = self._expression(where, value, *variables)
+            field, amplitude = whole.separated("t")
+            # A product that is split rounds differently, and walls may not do so.
+            fields.append(field if where in KEYS.values() or whole.depends_on & {"t"} else whole)
+            if value != 0.0:  # zero components fit any amplitude
+                moving[amplitude.text] = amplitude
+        return _Push(where, fields, moving)
 
     @cached_property
     def _force(self) -> BodyForce | None:
@@ -589,7 +678,7 @@ class CustomScene(SceneSection):
 
     def largest_head(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
         here = self._at(values)
-        times = np.linspace(0.0, final_time, N_INSTANTS)
+        times = self.instants(final_time)
         if here.has_surface and here._force is not None:
             heights = self.domain.lengths[0], min(self.level_at(values), self.domain.upper[1])
             reach = np.array(heights) - (0.0, self.domain.lower[1])
@@ -621,7 +710,7 @@ class CustomScene(SceneSection):
         if self.inflow_ramp >= final_time:
             yield "inflow.ramp", f"takes {self.inflow_ramp:g} s, until time.final_time or longer"
         if self._force is not None:
-            for time in np.linspace(0.0, final_time, N_INSTANTS):
+            for time in self.instants(final_time):
                 amplitude = self._force.amplitude(time)
                 if self.has_surface:
                     amplitude = float(self._force(self._samples.T, time).sum())
@@ -631,12 +720,19 @@ class CustomScene(SceneSection):
                         f"is not finite at t = {time:.4g} s",
                     )
                     return
+        for name, amplitude_of in self._wall_amplitudes.items():
+            for time in self.instants(final_time):
+                if not math.isfinite(amplitude_of(time)):
+                    yield f"walls.{name}", f"is not finite at t = {time:.4g} s"
+                    break
 
 
 @dataclass(frozen=True)
 class _Push:
-    """A body force or inflow: a field, with its amplitudes in time by their texts."""
+    """A force, an inflow or a moving wall: a field, with its amplitudes in time by their texts."""
 
+    key: str
+    """Its key in the scene."""
     fields: list[Expression]
     amplitudes: dict[str, Expression]
 

@@ -1,18 +1,18 @@
-"""Sections of the scene of kind custom: resistances, free surfaces, and files of initial fields."""
+"""Sections of the scene of kind custom: inflows, free surfaces, histories and initial fields."""
 
 from __future__ import annotations
 
 import csv
 import hashlib
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 import shapely
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, ValidationInfo, model_validator
 from shapely.geometry.base import BaseGeometry
 
 from sphrom.arrays import Array
@@ -31,7 +31,7 @@ from sphrom.case.shapes import CircleSection, RectangleSection, ShapeSection
 from sphrom.errors import CaseError
 from sphrom.scenes.flows import BodyForce
 from sphrom.sph.domain import Domain
-from sphrom.sph.fluid import Rates, Strip
+from sphrom.sph.fluid import ROUNDING, Rates, Strip
 from sphrom.text import shortened, visible
 from sphrom.whole_files import read_whole
 
@@ -39,9 +39,25 @@ Value = Coordinate | Annotated[str, Field(max_length=1000)]
 """A number, or an expression."""
 Rate = Duration | Annotated[str, Field(max_length=1000)]
 """A non-negative number, or an expression."""
-Vector = Annotated[tuple[Value, ...], Field(min_length=2, max_length=2)]
+Table = TypeVar("Table")
 NO_FLOW = 1e-6
 """Least mean speed of an inflow along the axis, over the largest speed."""
+
+
+def _without_tables(value: Any) -> Any:
+    """Refuse mappings, which are meant as tables."""
+    parts = value if isinstance(value, list) else [value]
+    if any(isinstance(part, Mapping) for part in parts):
+        raise ValueError(
+            "must be a list of 2 numbers or expressions; to use a table, name it in scene, as in "
+            "histories: {sway: {file: sway.csv}}, and write the expression sway(t)"
+        )
+    return value
+
+
+Vector = Annotated[
+    tuple[Value, ...], Field(min_length=2, max_length=2), BeforeValidator(_without_tables)
+]
 
 
 class PorousSection(ShapeSection):
@@ -242,10 +258,128 @@ def hydrostatic(
     return at
 
 
+MOST_BYTES = 16 * 1024 * 1024
+"""Largest size of a table [bytes]."""
+FAR_BEYOND = 0.25
+"""Share of a history's duration beyond which it has no values."""
+
+
+def with_digest(values: Any, info: ValidationInfo, read: Callable[[Path], str]) -> Any:
+    """Return the keys of a section with the digest of its file, so that it identifies the content.
+
+    `read` reads a file and returns its digest. Raises ValueError when the file has changed.
+    """
+    name = values.get("file") if isinstance(values, dict) else None
+    folder = (info.context or {}).get("folder")
+    # The case in an artifact is read without its files, and does not start runs.
+    if not isinstance(name, str) or (folder is None and values.get("sha256") is not None):
+        return values
+    digest = read(Path(folder or "") / name)
+    if values.get("sha256") not in (None, digest):
+        raise ValueError(f"{visible(name)} has changed since its sha256 was taken")
+    return {**values, "sha256": digest}
+
+
+class HistorySection(Section):
+    """A measured history: a column of a table over time, linear between rows."""
+
+    file: str = key(..., "a CSV file: the names of its columns, then one row for each time")
+    time: str | None = key(None, "column of the times in seconds; null is the first column")
+    value: str | None = key(None, "column of the values; null is the one with the history's name")
+    scale: Coordinate = key(1.0, "factor of the values, such as 9.81 for accelerations in g")
+    sha256: str | None = key(None, "digest of the file; computed if it is missing")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_digest(cls, values: Any, info: ValidationInfo) -> Any:
+        given = values if isinstance(values, dict) else {}
+        time, value = given.get("time"), given.get("value")
+        if not (isinstance(time, str | None) and isinstance(value, str | None)):
+            return values  # with a wrong type
+        return with_digest(values, info, lambda path: read_history(path, time, value))
+
+    @property
+    def rows(self) -> Array:
+        """Times [s] and values (2, n_rows + 2), with a row before the first and after the last.
+
+        Raises CaseError when the file is missing or has changed.
+        """
+        columns = self.time, self.value
+        table = self.sha256, *columns
+        try:
+            if table not in _HISTORIES and read_history(Path(self.file), *columns) != self.sha256:
+                raise ValueError(f"{visible(self.file)} has changed since the case was read")
+            return _HISTORIES[table]
+        except ValueError as error:
+            raise CaseError(f"scene.histories: {error}") from error
+
+    def lacks(self, times: Array, tolerated: float = ROUNDING) -> str | None:
+        """Return a problem if the table doesn't contain some times [s], else None.
+
+        Parameters
+        ----------
+        tolerated : duration beyond the table over that of the table.
+        """
+        first, last = self.rows[0, [1, -2]]
+        margin = tolerated * (last - first)
+        for time in (times.min(), times.max()):
+            if not first - margin <= time <= last + margin:
+                name = visible(self.file)
+                return f"{name} has times from {first:g} to {last:g} s; {time:g} s is needed"
+        return None
+
+    def __call__(self, time: Array) -> Array:
+        """Return the values at times [s].
+
+        The last step of a fast model may end beyond the last snapshot, and its table. There, lines
+        are prolonged by the duration of a row, and then values are constant.
+
+        Raises CaseError far beyond the table.
+        """
+        if (problem := self.lacks(time, FAR_BEYOND)) is not None:
+            raise CaseError(f"scene.histories: {problem}")
+        return self.scale * np.interp(time, *self.rows)
+
+
+_HISTORIES: dict[tuple[str | None, ...], Array] = {}
+"""A cache of tables by the digests of their files and the names of the columns."""
+
+
+def read_history(path: Path, time: str | None, value: str | None) -> str:
+    """Read two columns of a table over time, cache them, and return the SHA-256 of the file.
+
+    Raises ValueError where the file can't be read, or is not such a table.
+    """
+
+    def parsed(text: str) -> Array:
+        names, rows = _table(text)
+        chosen = [next(iter(names), "t") if time is None else time, str(value)]
+        for name in chosen:
+            if names.count(name) != 1:
+                found = ", ".join(names) or "nothing"
+                raise ValueError(
+                    f"must have a column {name}, once; its first line names {found}; the keys time "
+                    "and value name the columns to take"
+                )
+        if chosen[0] == chosen[1]:
+            raise ValueError(f"the column {value} can't be both time and value")
+        columns = _numbers(rows, [names.index(name) for name in chosen]).T
+        late = np.flatnonzero(np.diff(columns[0]) <= 0.0)
+        if columns.shape[1] < 2:
+            raise ValueError("must hold two rows or more")
+        for before, after in columns[0, late[:1, None] + (0, 1)]:
+            raise ValueError(f"times must increase from row to row; {after:g} follows {before:g}")
+        before = 2.0 * columns[:, :1] - columns[:, 1:2]
+        after = 2.0 * columns[:, -1:] - columns[:, -2:-1]
+        return np.concatenate((before, columns, after), axis=1)
+
+    digest, rows = _read_table(path, parsed)
+    _HISTORIES[digest, time, value] = rows
+    return digest
+
+
 COLUMNS = ("x", "y", "u", "v", "p")
 """The columns of a file; the last is optional."""
-MOST_BYTES = 16 * 1024 * 1024
-"""Largest size of a file [bytes]."""
 MOST_POINTS = 200_000
 """Largest number of points, whose triangulation takes seconds."""
 
@@ -278,43 +412,79 @@ def read_start(path: Path) -> str:
     from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
     from scipy.spatial import QhullError
 
-    name = visible(path.name)
-    try:
-        content = read_whole(path, MOST_BYTES)
-        points = _points(content.decode("utf-8-sig"))
-        between = LinearNDInterpolator(points[:, :2], points[:, 2:])
+    def parsed(text: str) -> Callable[[Array], Array]:
+        points = _points(text)
+        try:
+            between = LinearNDInterpolator(points[:, :2], points[:, 2:])
+        except QhullError as error:
+            raise ValueError("all points lie on one line") from error
         nearest = NearestNDInterpolator(points[:, :2], points[:, 2:])
-    except OSError as error:
-        raise ValueError(f"{visible(str(path))}: can't be read: {error.strerror}") from error
-    except QhullError as error:
-        raise ValueError(f"{name}: all points lie on one line") from error
-    except (csv.Error, ValueError) as error:
-        raise ValueError(f"{name}: {shortened(str(error))}") from error
 
-    def fields(position: Array) -> Array:
-        values = np.asarray(between(position))
-        beyond = np.isnan(values).any(axis=1)
-        values[beyond] = nearest(position[beyond])
-        return values
+        def fields(position: Array) -> Array:
+            values = np.asarray(between(position))
+            beyond = np.isnan(values).any(axis=1)
+            values[beyond] = nearest(position[beyond])
+            return values
 
-    digest = hashlib.sha256(content).hexdigest()
+        return fields
+
+    digest, fields = _read_table(path, parsed)
     _FIELDS[digest] = fields
     return digest
 
 
+def _read_table(path: Path, parsed: Callable[[str], Table]) -> tuple[str, Table]:
+    """Return the SHA-256 of a file, and the table that a function parses from its text.
+
+    Raises ValueError, with the file's name.
+    """
+    name = visible(path.name)
+    try:
+        content = read_whole(path, MOST_BYTES)
+        return hashlib.sha256(content).hexdigest(), parsed(content.decode("utf-8-sig"))
+    except OSError as error:
+        raise ValueError(f"{visible(str(path))}: can't be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{name}: is not UTF-8 text") from error
+    except (csv.Error, ValueError) as error:
+        raise ValueError(f"{name}: {shortened(str(error))}") from error
+
+
+def _table(text: str) -> tuple[list[str], list[str]]:
+    """Return the names of the columns of a table, and all of its lines.
+
+    Raises ValueError unless commas separate the same number of columns in each line.
+    """
+    lines = [line for line in text.splitlines() if line.strip()]
+    names = [name.strip() for name in next(csv.reader(lines), [])]
+    if len(names) == 1 and set(lines[0]) & set(";\t"):
+        raise ValueError("columns must be separated by commas, and decimals by points")
+    for number, row in enumerate(csv.reader(lines), 1):
+        if len(row) != len(names):
+            reason = f"line {number} has {len(row)} values for {len(names)} columns"
+            raise ValueError(f"{reason}; decimals must be separated by points")
+    return names, lines
+
+
+def _numbers(lines: list[str], columns: list[int]) -> Array:
+    """Return some columns (n_rows, n_columns) of a table with a header. Raises ValueError."""
+    values = np.loadtxt(
+        lines, delimiter=",", usecols=columns, ndmin=2, skiprows=1, comments=None, quotechar='"'
+    )
+    if not np.all(np.abs(values) <= LARGEST):  # also refuses NaN
+        raise ValueError(f"values must be numbers up to {LARGEST:g}")
+    return values
+
+
 def _points(text: str) -> Array:
     """Return x, y, u, v and p of each point (n_points, 5)."""
-    rows = [line for line in text.splitlines() if line.strip()]
-    names = [name.strip() for name in next(csv.reader(rows), [])]
+    names, rows = _table(text)
     if any(names.count(name) != 1 for name in COLUMNS[:4]):
         raise ValueError("its first line must name the columns x, y, u, v and perhaps p, once each")
     if not 3 <= len(rows) - 1 <= MOST_POINTS:
         raise ValueError(f"must hold 3 to {MOST_POINTS} points; got {len(rows) - 1}")
     columns = [names.index(name) for name in COLUMNS if name in names]
-    values = np.loadtxt(rows, delimiter=",", usecols=columns, ndmin=2, skiprows=1, comments=None)
-    values = np.pad(values, ((0, 0), (0, 5 - len(columns))))
-    if not np.all(np.abs(values) <= LARGEST):  # also refuses NaN
-        raise ValueError(f"values must be numbers up to {LARGEST:g}")
+    values = np.pad(_numbers(rows, columns), ((0, 0), (0, 5 - len(columns))))
     if len(np.unique(values[:, :2], axis=0)) < len(values):
         raise ValueError("a point appears twice")
     return values

@@ -6,10 +6,11 @@ The text is parsed and may contain numbers, known names and functions only; nume
 from __future__ import annotations
 
 import ast
+import itertools
 import math
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import Any
 
 import numpy as np
@@ -25,8 +26,14 @@ FUNCTIONS = {
     "abs": 1, "arccos": 1, "arcsin": 1, "arctan": 1, "arctan2": 2, "cos": 1, "cosh": 1, "exp": 1,
     "log": 1, "log10": 1, "sin": 1, "sinh": 1, "sqrt": 1, "tan": 1, "tanh": 1, "where": 3,
 }  # fmt: skip
-"""Functions, with their numbers of arguments."""
+"""Functions that numexpr evaluates, with their numbers of arguments."""
+CALLED = ("interp", "max", "min")
+"""Functions that are evaluated before the rest of the expression, with several arguments."""
+MOST_CALLED = 20
+"""Most different calls of these functions, because numexpr has at most 31 inputs."""
 CONSTANTS = {"pi": math.pi}
+History = Callable[[Array], Array]
+"""Values at times [s]."""
 _OPERATORS = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.USub, ast.UAdd)
 _COMPARISONS = (ast.Lt, ast.LtE, ast.Gt, ast.GtE)
 
@@ -39,6 +46,7 @@ class Expression:
     text : the expression.
     variables : names whose values each evaluation passes.
     constants : values of further names.
+    histories : functions of the time t, by their names.
 
     Attributes
     ----------
@@ -48,15 +56,64 @@ class Expression:
     """
 
     def __init__(
-        self, text: str, variables: tuple[str, ...], constants: Mapping[str, float] | None = None
+        self,
+        text: str,
+        variables: tuple[str, ...],
+        constants: Mapping[str, float] | None = None,
+        histories: Mapping[str, History] | None = None,
     ) -> None:
         self.text = text
-        self._variables = variables
+        self._variables, self._histories = variables, histories or {}
         self._constants = {**CONSTANTS, **(constants or {})}
         self._tree = _parsed(text)
-        _check(self._tree.body, (*variables, *self._constants))
+        _check(self._tree.body, (*variables, *self._constants), self._histories)
         used = {node.id for node in ast.walk(self._tree) if isinstance(node, ast.Name)}
         self.depends_on = frozenset(used.intersection(variables))
+        calls = dict(self._called(self._tree.body))
+        if len(calls) > MOST_CALLED:
+            names = ", ".join((*CALLED, *self._histories))
+            raise ValueError(
+                f"has {len(calls)} calls of {names}; at most {MOST_CALLED} are allowed"
+            )
+        self._calls = [self._call(call) for call in calls.values()]
+        self._plain = _Plain(self._constants, [*calls])
+        self._plain_tree = self._plain.visit(_parsed(text))
+
+    def _called(self, node: ast.AST) -> Iterator[tuple[str, ast.Call]]:
+        """Yield the outermost calls of histories and of CALLED, with their texts."""
+        if isinstance(node, ast.Call) and _name(node) in (*CALLED, *self._histories):
+            yield ast.unparse(node), node
+            return
+        for part in ast.iter_child_nodes(node):
+            yield from self._called(part)
+
+    def _call(self, node: ast.Call) -> Callable[..., Array]:
+        """Return a function for the values of a call at values of the variables."""
+        name, parts = _name(node), [self._like(ast.unparse(part)) for part in node.args]
+        if name in self._histories:
+            history, (time,) = self._histories[name], parts
+            return lambda **given: history(time(**{n: given[n] for n in time.depends_on}))
+        if name != "interp":
+            chosen = np.minimum if name == "min" else np.maximum
+            return lambda **given: reduce(chosen, [part(**given) for part in parts])
+        place, knots, values = parts[0], parts[1::2], parts[2::2]
+        if any(knot.depends_on for knot in knots):
+            raise ValueError(f"the places in '{_short(node)}' must be numbers or constants")
+        at = [float(knot()) for knot in knots]
+        if not all(low < high for low, high in itertools.pairwise(at)):
+            raise ValueError(f"the places in '{_short(node)}' must increase")
+        return lambda **given: _between(place(**given), at, [value(**given) for value in values])
+
+    def _like(self, text: str, variables: tuple[str, ...] | None = None) -> Expression:
+        """Return another expression of the same names."""
+        names = self._variables if variables is None else variables
+        return Expression(text, names, self._constants, self._histories)
+
+    def read(self) -> Iterator[tuple[str, Expression]]:
+        """Yield the histories that the expression reads, each with its time."""
+        for call in ast.walk(self._tree):
+            if isinstance(call, ast.Call) and _name(call) in self._histories:
+                yield _name(call), self._like(ast.unparse(call.args[0]))
 
     @cached_property
     def compiled(self) -> Callable[..., Any]:
@@ -64,11 +121,10 @@ class Expression:
         import numexpr  # late, because few scenes need it
 
         numexpr.set_num_threads(1)
-        tree = _Plain(self._constants).visit(_parsed(self.text))
-        names = [(name, np.float64) for name in sorted(self.depends_on)]
+        names = [(name, np.float64) for name in sorted(self._plain.names)]
         try:
             with np.errstate(all="ignore"):
-                compiled: Callable[..., Any] = numexpr.NumExpr(ast.unparse(tree), names)
+                compiled: Callable[..., Any] = numexpr.NumExpr(ast.unparse(self._plain_tree), names)
         except (OverflowError, ZeroDivisionError, ValueError, TypeError) as error:
             reason = error.args[-1]
             raise ValueError(f"{_quoted(self.text)} can't be evaluated: {reason}") from error
@@ -77,9 +133,11 @@ class Expression:
     def __call__(self, **variables: Array | float) -> Array:
         """Return the values, in the shape to which the variables broadcast."""
         shape = np.broadcast_shapes(*(np.shape(value) for value in variables.values()))
-        inputs = [np.atleast_1d(variables[name]).astype(float) for name in sorted(self.depends_on)]
         with np.errstate(all="ignore"):
-            value = self.compiled(*inputs)
+            called = {f"_{n}": call(**variables) for n, call in enumerate(self._calls)}
+            given = {**variables, **called}
+            names = sorted(self._plain.names)
+            value = self.compiled(*(np.atleast_1d(given[name]).astype(float) for name in names))
         values = np.asarray(value, dtype=np.float64)
         return np.broadcast_to(values, shape) if shape else values.reshape(())
 
@@ -109,8 +167,8 @@ class Expression:
             (alone if variable in used else without).append(f"1/{text}" if inverse else text)
         others = tuple(name for name in self._variables if name != variable)
         return (
-            Expression("*".join(without) or "1", others, self._constants),
-            Expression("*".join(alone) or "1", (variable,), self._constants),
+            self._like("*".join(without) or "1", others),
+            self._like("*".join(alone) or "1", (variable,)),
         )
 
 
@@ -126,6 +184,10 @@ def _degree(node: ast.AST, names: Collection[str]) -> float:
             return left + right
         if isinstance(node.op, ast.Div) and right == 0.0:
             return left
+    elif isinstance(node, ast.Call) and _name(node) == "interp":
+        _, place, *knots = parts
+        if not any((place, *knots[::2])):
+            return max(knots[1::2])
     elif isinstance(node, ast.UnaryOp):
         return parts[1]
     return math.inf if any(parts) else 0.0
@@ -143,15 +205,41 @@ def _factors(node: ast.expr, inverse: bool = False) -> Iterator[tuple[ast.expr, 
         yield node, inverse
 
 
-class _Plain(ast.NodeTransformer):
-    """Replaces constants by numbers, and all numbers by floats, so that `9**9**9` overflows."""
+def _between(place: Array, knots: list[float], values: list[Array]) -> Array:
+    """Return values that are linear between knots, and constant beyond the first and the last."""
+    out = np.where(np.isnan(place), np.nan, values[0])
+    for low, high, below, above in zip(knots, knots[1:], values, values[1:], strict=False):
+        share = np.clip((place - low) / (high - low), 0.0, 1.0)
+        out = np.where(place > low, (1.0 - share) * below + share * above, out)
+    return out
 
-    def __init__(self, constants: Mapping[str, float]) -> None:
-        self._constants = constants
+
+class _Plain(ast.NodeTransformer):
+    """Replaces calls by names, constants by numbers, and all numbers by floats.
+
+    With floats, `9**9**9` overflows.
+    """
+
+    def __init__(self, constants: Mapping[str, float], calls: list[str]) -> None:
+        self._constants, self._calls = constants, calls
+        self.names: set[str] = set()
+        """The names that remain."""
+
+    def visit_Call(self, node: ast.Call) -> ast.expr:
+        text = ast.unparse(node)
+        if text not in self._calls:
+            node.args = [self.visit(part) for part in node.args]
+            return node
+        name = f"_{self._calls.index(text)}"
+        self.names.add(name)
+        return ast.Name(name)
 
     def visit_Name(self, node: ast.Name) -> ast.expr:
         value = self._constants.get(node.id)
-        return node if value is None else ast.Constant(float(value))
+        if value is not None:
+            return ast.Constant(float(value))
+        self.names.add(node.id)
+        return node
 
     def visit_Constant(self, node: ast.Constant) -> ast.expr:
         return ast.Constant(float(node.value))  # type: ignore[arg-type]
@@ -171,6 +259,10 @@ def _parsed(text: str) -> ast.Expression:
     return tree
 
 
+def _name(call: ast.Call) -> str:
+    return call.func.id if isinstance(call.func, ast.Name) else _short(call.func)
+
+
 def _quoted(text: str) -> str:
     return f"'{shortened(text, MOST_QUOTED)}'"
 
@@ -179,36 +271,52 @@ def _short(node: ast.expr) -> str:
     return shortened(ast.unparse(node), MOST_QUOTED)
 
 
-def _check(whole: ast.expr, known: tuple[str, ...]) -> None:
+def _check(whole: ast.expr, known: tuple[str, ...], histories: Collection[str]) -> None:
     """Raise ValueError unless an expression has only numbers, known names and functions."""
     parts = [whole]
     for node in parts:  # the list grows during the loop
         if isinstance(node, ast.Call) and not node.keywords:
-            parts += _arguments(node)
+            parts += _arguments(node, histories)
         elif isinstance(node, ast.BinOp) and isinstance(node.op, _OPERATORS):
             parts += [node.left, node.right]
         elif isinstance(node, ast.UnaryOp) and isinstance(node.op, _OPERATORS):
             parts.append(node.operand)
         elif isinstance(node, ast.Name):
+            if node.id in histories:
+                raise ValueError(f"{node.id} is a history; write {node.id}(t)")
             if node.id not in known:
                 raise ValueError(f"{_short(node)} is not a known name; use {', '.join(known)}")
         elif not (isinstance(node, ast.Constant) and type(node.value) in (int, float)):
             raise ValueError(
                 f"'{_short(node)}' is not allowed: use numbers, + - * / **, {', '.join(known)} and "
-                f"the functions {', '.join(FUNCTIONS)}"
+                f"the functions {', '.join((*FUNCTIONS, *CALLED, *histories))}"
             )
         elif not abs(node.value) <= sys.float_info.max:  # type: ignore[arg-type]
             raise ValueError(f"{_short(node)} is too large")
 
 
-def _arguments(node: ast.Call) -> list[ast.expr]:
+def _arguments(node: ast.Call, histories: Collection[str]) -> list[ast.expr]:
     """Return the arguments of a call; a condition is replaced by its two sides."""
-    name = node.func.id if isinstance(node.func, ast.Name) else _short(node.func)
+    name, number = _name(node), len(node.args)
+    if name in histories:
+        used = {part.id for part in ast.walk(node) if isinstance(part, ast.Name)}
+        if number != 1 or used & {"x", "y"}:
+            raise ValueError(f"{name} is a history, which takes a time, such as {name}(t)")
+        return node.args
+    if name in CALLED:
+        if name == "interp" and (number < 5 or number % 2 == 0):
+            raise ValueError(
+                "interp takes a variable, then a place and a value for each of two or more knots, "
+                f"such as interp(t, 0, 0, 2, 1); got {number} arguments"
+            )
+        if number < 2:
+            raise ValueError(f"{name} takes two or more arguments; got {number}")
+        return node.args
     if name not in FUNCTIONS:
-        known = ", ".join(FUNCTIONS)
+        known = ", ".join((*FUNCTIONS, *CALLED, *histories))
         raise ValueError(f"{_short(node.func)} is not a known function; use {known}")
-    if len(node.args) != FUNCTIONS[name]:
-        raise ValueError(f"{name} takes {FUNCTIONS[name]} arguments; got {len(node.args)}")
+    if number != FUNCTIONS[name]:
+        raise ValueError(f"{name} takes {FUNCTIONS[name]} arguments; got {number}")
     if name != "where":
         return node.args
     condition, *others = node.args

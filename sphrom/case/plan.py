@@ -151,7 +151,9 @@ class Plan:
     @cached_property
     def max_speed(self) -> float:
         """The largest speed at all points: the reference speed, or the speed of a varied wall."""
-        walls = (self._case.scene.largest_wall_speed(v) for v in self._settings if v)
+        scene, end = self._case.scene, self._case.time.final_time
+        varied = (v for v in self._settings if v or scene.amplitudes)
+        walls = (scene.largest_wall_speed(v, end) for v in varied)
         return max(self._case.fluid.reference_speed, *walls, 0.0)
 
     @cached_property
@@ -180,7 +182,8 @@ class Plan:
         place = shapely.get_coordinates(shapely.segmentize(edge.exterior, dx))
         of_walls = domain.distance_and_normal(place)[0] <= 0.0
         points = {point.others: point for point in self.points}.values()
-        velocities = (self.flow(point).wall_velocity(place) for point in points)
+        times = self._case.scene.instants(self._case.time.final_time)
+        velocities = (self.flow(point).fastest_walls(place, times) for point in points)
         jumps = (np.diff(np.where(of_walls, v.T, np.nan)) for v in velocities)
         return max(float(np.nanmax(np.hypot(*jump), initial=0.0)) for jump in jumps)
 

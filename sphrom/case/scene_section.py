@@ -28,6 +28,10 @@ OF_WALLS: Defaults = {
 """Defaults of other sections for scenes with walls."""
 
 
+N_INSTANTS = 50
+"""Times of a run at which its driving is checked."""
+
+
 class SceneSection(Section):
     """A kind of scene, the base class of the sections that a case may have."""
 
@@ -81,9 +85,25 @@ class SceneSection(Section):
     def check_at(self, values: Mapping[str, float]) -> None:
         """Raise ValueError if the scene is impossible with some values of its parameters."""
 
-    def largest_wall_speed(self, values: Mapping[str, float]) -> float:
-        """Return the largest speed of varied walls at values of the parameters [m/s]."""
+    def largest_wall_speed(self, values: Mapping[str, float], until: float = 0.0) -> float:
+        """Return the largest speed of varied walls at values of the parameters [m/s].
+
+        `until` is the end of runs [s].
+        """
         return 0.0
+
+    def instants(self, until: float) -> Array:
+        """Return times (n_times,) of a run that ends at a time [s], to check its driving."""
+        return np.linspace(0.0, until, N_INSTANTS)
+
+    @property
+    def amplitudes(self) -> Mapping[str, str]:
+        """The amplitudes in time of walls and forces, by key; empty unless walls change."""
+        return {}
+
+    def time_problems(self, until: float) -> Iterator[tuple[str, str]]:
+        """Yield keys that need values of histories beyond their tables, until a time [s]."""
+        yield from ()
 
     def largest_head(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
         """Return a bound of the body force's head along the fluid until a time [m2/s2].

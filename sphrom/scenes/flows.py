@@ -74,6 +74,11 @@ class BodyForce:
         return self.amplitude(time) * self.field(position)
 
 
+def peak(amplitude: Amplitude | None, times: Array) -> float:
+    """Return the largest magnitude of an amplitude at some times [s], one if there is none."""
+    return 1.0 if amplitude is None else max(abs(amplitude(time)) for time in times.tolist())
+
+
 @dataclass(frozen=True)
 class Channel:
     """A channel along x."""
@@ -114,6 +119,14 @@ class Scene(ABC):
         """The time-dependent factor of `wall_velocity`, or None if walls move steadily."""
         return None
 
+    def wall_speed(self, position: Array) -> Callable[[float], float | Array] | None:
+        """Return the factor of `wall_velocity` at times, for all ghosts or for each (n_ghosts,)."""
+        return self.wall_amplitude
+
+    def fastest_walls(self, position: Array, times: Array) -> Array:
+        """Return `wall_velocity` with the largest amplitudes of walls at some times [s]."""
+        return self.wall_velocity(position)
+
     @property
     def amplitude(self) -> Amplitude | None:
         """The time-dependent factor of the driving force or walls, or None if it never changes."""
@@ -137,10 +150,39 @@ class CustomFlow(Scene):
     """Velocity [m/s] and pressure [Pa] (n_points, 3) at positions (n_points, 2) [m]."""
     body_force: BodyForce | None = None
     resistance: Resistance | None = None
+    wall_amplitudes: Mapping[str, Amplitude] = field(default_factory=dict)
+    """Factors of the velocities of walls that change with time, by the walls' names."""
 
     @property
     def domain(self) -> Domain:
         return self.where
+
+    @property
+    def wall_amplitude(self) -> Amplitude | None:
+        return next(iter(self.wall_amplitudes.values()), None)
+
+    def wall_speed(self, position: Array) -> Callable[[float], float | Array] | None:
+        if len({self.wall_amplitudes.get(name) for name in self.wall_velocities}) < 2:
+            return self.wall_amplitude
+        names = self._wall_names(position)
+
+        def speed(time: float) -> Array:
+            factors = np.ones(len(position))
+            for name, amplitude in self.wall_amplitudes.items():
+                factors[names == name] = amplitude(time)
+            return factors
+
+        return speed
+
+    def fastest_walls(self, position: Array, times: Array) -> Array:
+        velocity = self.wall_velocity(position)
+        for name, amplitude in self.wall_amplitudes.items():
+            velocity[self._wall_names(position) == name] *= peak(amplitude, times)
+        return velocity
+
+    def _wall_names(self, position: Array) -> NDArray[np.str_]:
+        """Return the names of the walls nearest to positions (n_points, 2) [m]."""
+        return np.array(self.where.wall_names)[self.where.nearest_wall(position)]
 
     def initial_velocity(self, position: Array) -> Array:
         return self.start(position)[:, :2]
@@ -151,7 +193,7 @@ class CustomFlow(Scene):
     def wall_velocity(self, position: Array) -> Array:
         velocity = np.zeros_like(position)
         if self.wall_velocities:
-            names = np.array(self.where.wall_names)[self.where.nearest_wall(position)]
+            names = self._wall_names(position)
             place = self.where.on_wall(position)
             for name, field_of in self.wall_velocities.items():
                 chosen = names == name
