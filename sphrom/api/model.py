@@ -319,7 +319,7 @@ class Model:
             return reduced
         steps = self._workspace.case.plan.steps
         longer = lengthened(steps, final_time)
-        for key, reason in self._workspace.case.scene.time_problems(longer.end_time):
+        for key, reason in self._workspace.case.scene.problems(longer.end_time):
             raise CaseError(f"final_time: scene.{key}: {reason}")
         if longer.end_time > steps.end_time:
             self._warn(beyond_training(steps.end_time))

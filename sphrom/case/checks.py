@@ -54,7 +54,7 @@ def case_problems(case: Case, *, force: bool = False) -> list[Problem]:
     """Return the problems of a case; `force` accepts an unstable time step."""
     limits = () if force else (_check_limits,)
     # Later checks need valid names, and then valid steps and points.
-    for checks in ((_check_names, _check_histories), (*_CHECKS, *limits), _SNAPSHOT_CHECKS):
+    for checks in ((_check_names,), (*_CHECKS, *limits), _SNAPSHOT_CHECKS):
         if problems := [problem for check in checks for problem in check(case)]:
             return [Problem(_path(key), reason) for key, reason in problems]
     return []
@@ -77,13 +77,6 @@ def _check_names(case: Case) -> Found:
         yield f"parameters.test.{REYNOLDS}", "is missing, and parameters.train has several; give it"
     for name, reason in case.scene.parameter_problems(case.plan.parameter_names):
         yield f"parameters.{name}", f"can't vary: {reason}"
-
-
-def _check_histories(case: Case) -> Found:
-    """Check that histories contain all times of full and reduced runs."""
-    ends = [model.until for model in case.rom if model.until is not None]
-    for key, reason in case.scene.time_problems(max(case.time.final_time, *ends, 0.0)):
-        yield f"scene.{key}", reason
 
 
 def _references(case: Case) -> Iterator[tuple[str, str, Collection[str | None], Collection[str]]]:
@@ -472,7 +465,10 @@ def _check_modes(case: Case) -> Found:
 def _check_reduced_times(case: Case) -> Found:
     for i, model in enumerate(case.rom):
         try:
-            case.plan.model_steps(model)
+            end = case.plan.model_steps(model).end_time
+            if model.until is not None:
+                problems = case.scene.problems(end)
+                yield from ((f"rom.{i}.until", f"scene.{key}: {why}") for key, why in problems)
         except CaseError as error:
             yield f"rom.{i}.until", str(error).removeprefix("final_time: ")
         if not isinstance(model.time_step, str):

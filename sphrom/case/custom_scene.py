@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 import shapely
-from pydantic import PrivateAttr, ValidationInfo, field_validator, model_validator
+from pydantic import PrivateAttr, ValidationInfo, model_validator
 from shapely.geometry.base import BaseGeometry
 
 from sphrom.arrays import Array
@@ -147,30 +147,14 @@ class CustomScene(SceneSection):
     measure: Measures = MEASURE
     _values: Mapping[str, float] = PrivateAttr(default_factory=dict)
 
-    @field_validator("histories", mode="before")
-    @classmethod
-    def _with_columns(cls, values: Any) -> Any:
-        """Fill in the names of columns."""
-        if not isinstance(values, dict):
-            return values
-        return {
-            name: {**given, "value": name if given.get("value") is None else given["value"]}
-            if isinstance(given, dict)
-            else given
-            for name, given in values.items()
-        }
-
     @model_validator(mode="after")
     def _consistent(self) -> CustomScene:
         """Refuse inconsistent keys, and scenes that can't be built."""
-        for where in (
-            f"{n}.{name}" for n in ("constants", "histories") for name in getattr(self, n)
-        ):
-            name = where.partition(".")[2]
+        for name in (*self.constants, *self.histories):
+            kind = "constants" if name in self.constants else "histories"
             if name in ("x", "y", "t", *CONSTANTS, *FUNCTIONS, *CALLED):
-                raise ValueError(f"{where}: the name is reserved; choose another")
-        for name in self.histories:
-            if name in self.constants or not name.isidentifier():
+                raise ValueError(f"{kind}.{name}: the name is reserved; choose another")
+            if name in self.histories and (name in self.constants or not name.isidentifier()):
                 reason = "must be a name of letters, digits and _ that no constant has"
                 raise ValueError(f"histories.{name}: {reason}")
         for name, wall in self.walls.items():
@@ -483,11 +467,9 @@ class CustomScene(SceneSection):
 
     @property
     def amplitudes(self) -> Mapping[str, str]:
-        if not self._wall_amplitudes:
-            return {}
-        drives = [*self._motions.values(), *self._pushes.values()]
+        drives = [*self._motions.values(), *self._pushes.values()] if self._wall_amplitudes else []
         found = {drive.key: text for drive in drives for text in drive.amplitudes}
-        return found if self.inflow is None else {**found, KEYS[INFLOW]: "its ramp"}
+        return found | ({KEYS[INFLOW]: "its ramp"} if found and self.inflow is not None else {})
 
     def _timed(self) -> Iterator[tuple[str, Expression]]:
         """Yield the expressions that may read histories, with their keys."""
@@ -497,21 +479,11 @@ class CustomScene(SceneSection):
             yield from ((BODY_FORCE, part) for part in self._force.parts)
 
     def instants(self, until: float) -> Array:
-        """Return times of a run [s], with those of the histories' extreme values."""
-        extremes = []
+        times = [super().instants(until)]
         for history in self.histories.values():
-            times, values = history.rows[:, 1:-1]
-            inside = (times >= 0.0) & (times <= until)
-            if inside.any():
-                extremes += [times[inside][find(values[inside])] for find in (np.argmin, np.argmax)]
-        return np.union1d(super().instants(until), extremes)
-
-    def time_problems(self, until: float) -> Iterator[tuple[str, str]]:
-        times = np.linspace(0.0, until, N_TIMES)
-        for where, expression in self._timed():
-            for name, time in expression.read():
-                if (problem := self.histories[name].lacks(time(t=times))) is not None:
-                    yield where, f"{name}: {problem}"
+            rows = history.rows[:, (history.rows[0] >= 0.0) & (history.rows[0] <= until)]
+            times += [rows[0, [np.argmin(rows[1]), np.argmax(rows[1])]]] if rows.size else []
+        return np.unique(np.concatenate(times)) if self.histories else times[0]
 
     def _edge(self, name: str) -> Array:
         """Return points (n_points, 2) [m] of a wall that touch the fluid, except corners."""
@@ -706,24 +678,24 @@ class CustomScene(SceneSection):
         return np.array([ways[:, axis].mean(axis=-1 - axis).max() for axis in range(2)])
 
     def problems(self, final_time: float) -> Iterator[tuple[str, str]]:
-        """Refuse a driving that isn't finite at all times, and an inflow that ramps too long."""
+        """Refuse driving that isn't known and finite at all times, and an inflow's long ramp."""
         if self.inflow_ramp >= final_time:
             yield "inflow.ramp", f"takes {self.inflow_ramp:g} s, until time.final_time or longer"
-        if self._force is not None:
-            for time in self.instants(final_time):
-                amplitude = self._force.amplitude(time)
-                if self.has_surface:
-                    amplitude = float(self._force(self._samples.T, time).sum())
-                if not math.isfinite(amplitude):
-                    yield (
-                        KEYS[next(iter(self._pushes), BODY_FORCE)],
-                        f"is not finite at t = {time:.4g} s",
-                    )
+        times, force = np.linspace(0.0, final_time, N_TIMES), self._force
+        for where, expression in self._timed():
+            for name, time in expression.read():
+                if (problem := self.histories[name].lacks(time(t=times))) is not None:
+                    yield where, f"{name}: {problem}"
                     return
-        for name, amplitude_of in self._wall_amplitudes.items():
+        drives = {f"walls.{name}": at for name, at in self._wall_amplitudes.items()}
+        if force is not None and self.has_surface:
+            drives[BODY_FORCE] = lambda time: float(force(self._samples.T, time).sum())
+        elif force is not None:
+            drives[KEYS[next(iter(self._pushes))]] = force.amplitude
+        for where, drive in drives.items():
             for time in self.instants(final_time):
-                if not math.isfinite(amplitude_of(time)):
-                    yield f"walls.{name}", f"is not finite at t = {time:.4g} s"
+                if not math.isfinite(drive(time)):
+                    yield where, f"is not finite at t = {time:.4g} s"
                     break
 
 

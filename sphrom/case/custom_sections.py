@@ -46,11 +46,10 @@ NO_FLOW = 1e-6
 
 def _without_tables(value: Any) -> Any:
     """Refuse mappings, which are meant as tables."""
-    parts = value if isinstance(value, list) else [value]
-    if any(isinstance(part, Mapping) for part in parts):
+    if any(isinstance(part, Mapping) for part in (value if isinstance(value, list) else [value])):
         raise ValueError(
-            "must be a list of 2 numbers or expressions; to use a table, name it in scene, as in "
-            "histories: {sway: {file: sway.csv}}, and write the expression sway(t)"
+            "must be a list of 2 numbers or expressions; for a table, set scene.histories to "
+            "{sway: {file: sway.csv}}, and write sway(t) in an expression"
         )
     return value
 
@@ -285,57 +284,46 @@ class HistorySection(Section):
 
     file: str = key(..., "a CSV file: the names of its columns, then one row for each time")
     time: str | None = key(None, "column of the times in seconds; null is the first column")
-    value: str | None = key(None, "column of the values; null is the one with the history's name")
+    value: str | None = key(None, "column of the values; null is the other one of two columns")
     scale: Coordinate = key(1.0, "factor of the values, such as 9.81 for accelerations in g")
-    sha256: str | None = key(None, "digest of the file; computed if it is missing")
+    sha256: str | None = key(None, "digest of that file; computed if it is missing")
 
     @model_validator(mode="before")
     @classmethod
     def _with_digest(cls, values: Any, info: ValidationInfo) -> Any:
         given = values if isinstance(values, dict) else {}
-        time, value = given.get("time"), given.get("value")
-        if not (isinstance(time, str | None) and isinstance(value, str | None)):
-            return values  # with a wrong type
+        columns = (given.get(name) for name in ("time", "value"))
+        time, value = (name if isinstance(name, str) else None for name in columns)
         return with_digest(values, info, lambda path: read_history(path, time, value))
 
     @property
     def rows(self) -> Array:
         """Times [s] and values (2, n_rows + 2), with a row before the first and after the last.
 
+        The last step of a fast model may end beyond the last snapshot, and its table.
+
         Raises CaseError when the file is missing or has changed.
         """
-        columns = self.time, self.value
-        table = self.sha256, *columns
+        table = self.sha256, self.time, self.value
         try:
-            if table not in _HISTORIES and read_history(Path(self.file), *columns) != self.sha256:
+            if table not in _HISTORIES and read_history(Path(self.file), *table[1:]) != table[0]:
                 raise ValueError(f"{visible(self.file)} has changed since the case was read")
-            return _HISTORIES[table]
         except ValueError as error:
             raise CaseError(f"scene.histories: {error}") from error
+        return _HISTORIES[table]
 
     def lacks(self, times: Array, tolerated: float = ROUNDING) -> str | None:
-        """Return a problem if the table doesn't contain some times [s], else None.
-
-        Parameters
-        ----------
-        tolerated : duration beyond the table over that of the table.
-        """
+        """Return a problem if times [s] are beyond the table by a share of its duration."""
         first, last = self.rows[0, [1, -2]]
         margin = tolerated * (last - first)
         for time in (times.min(), times.max()):
             if not first - margin <= time <= last + margin:
                 name = visible(self.file)
-                return f"{name} has times from {first:g} to {last:g} s; {time:g} s is needed"
+                return f"{name} has times from {first:g} to {last:g} s, but {time:g} s is needed"
         return None
 
     def __call__(self, time: Array) -> Array:
-        """Return the values at times [s].
-
-        The last step of a fast model may end beyond the last snapshot, and its table. There, lines
-        are prolonged by the duration of a row, and then values are constant.
-
-        Raises CaseError far beyond the table.
-        """
+        """Return the values at times [s]. Raises CaseError far beyond the table."""
         if (problem := self.lacks(time, FAR_BEYOND)) is not None:
             raise CaseError(f"scene.histories: {problem}")
         return self.scale * np.interp(time, *self.rows)
@@ -352,26 +340,22 @@ def read_history(path: Path, time: str | None, value: str | None) -> str:
     """
 
     def parsed(text: str) -> Array:
-        names, rows = _table(text)
-        chosen = [next(iter(names), "t") if time is None else time, str(value)]
-        for name in chosen:
-            if names.count(name) != 1:
-                found = ", ".join(names) or "nothing"
-                raise ValueError(
-                    f"must have a column {name}, once; its first line names {found}; the keys time "
-                    "and value name the columns to take"
-                )
-        if chosen[0] == chosen[1]:
-            raise ValueError(f"the column {value} can't be both time and value")
-        columns = _numbers(rows, [names.index(name) for name in chosen]).T
-        late = np.flatnonzero(np.diff(columns[0]) <= 0.0)
-        if columns.shape[1] < 2:
+        names, lines = _table(text)
+        others = [name for name in names if name != (time or names[0])]
+        chosen = time or names[0], value or (others[0] if len(others) == 1 else "")
+        if chosen[0] == chosen[1] or not names.count(chosen[0]) == names.count(chosen[1]) == 1:
+            raise ValueError(
+                "its first line must name a column of times and one of values, which the keys "
+                f"`time` and `value` choose; it names {', '.join(names)}"
+            )
+        rows = _numbers(lines, [names.index(name) for name in chosen]).T
+        if rows.shape[1] < 2:
             raise ValueError("must hold two rows or more")
-        for before, after in columns[0, late[:1, None] + (0, 1)]:
+        for late in np.flatnonzero(np.diff(rows[0]) <= 0.0):
+            before, after = rows[0, late : late + 2]
             raise ValueError(f"times must increase from row to row; {after:g} follows {before:g}")
-        before = 2.0 * columns[:, :1] - columns[:, 1:2]
-        after = 2.0 * columns[:, -1:] - columns[:, -2:-1]
-        return np.concatenate((before, columns, after), axis=1)
+        ends = 2.0 * rows[:, [0, -1]] - rows[:, [1, -2]]
+        return np.concatenate((ends[:, :1], rows, ends[:, 1:]), axis=1)
 
     digest, rows = _read_table(path, parsed)
     _HISTORIES[digest, time, value] = rows
@@ -451,26 +435,20 @@ def _read_table(path: Path, parsed: Callable[[str], Table]) -> tuple[str, Table]
 
 
 def _table(text: str) -> tuple[list[str], list[str]]:
-    """Return the names of the columns of a table, and all of its lines.
-
-    Raises ValueError unless commas separate the same number of columns in each line.
-    """
+    """Return the names of the columns of a table, and its lines, which commas must separate."""
     lines = [line for line in text.splitlines() if line.strip()]
-    names = [name.strip() for name in next(csv.reader(lines), [])]
-    if len(names) == 1 and set(lines[0]) & set(";\t"):
-        raise ValueError("columns must be separated by commas, and decimals by points")
-    for number, row in enumerate(csv.reader(lines), 1):
-        if len(row) != len(names):
-            reason = f"line {number} has {len(row)} values for {len(names)} columns"
-            raise ValueError(f"{reason}; decimals must be separated by points")
-    return names, lines
+    rows = list(csv.reader(lines)) or [[""]]
+    for number, row in enumerate(rows, 1):
+        if len(row) != len(rows[0]) or (len(row) == 1 and set(*row) & set(";\t")):
+            reason = "commas must separate the same number of columns in all lines, and points"
+            raise ValueError(f"{reason} the decimals; see line {number}")
+    return [name.strip() for name in rows[0]], lines
 
 
 def _numbers(lines: list[str], columns: list[int]) -> Array:
     """Return some columns (n_rows, n_columns) of a table with a header. Raises ValueError."""
-    values = np.loadtxt(
-        lines, delimiter=",", usecols=columns, ndmin=2, skiprows=1, comments=None, quotechar='"'
-    )
+    options: dict[str, Any] = {"delimiter": ",", "comments": None, "quotechar": '"'}
+    values = np.loadtxt(lines, usecols=columns, ndmin=2, skiprows=1, **options)
     if not np.all(np.abs(values) <= LARGEST):  # also refuses NaN
         raise ValueError(f"values must be numbers up to {LARGEST:g}")
     return values

@@ -11,6 +11,7 @@ import math
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import cached_property, reduce
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -28,9 +29,9 @@ FUNCTIONS = {
 }  # fmt: skip
 """Functions that numexpr evaluates, with their numbers of arguments."""
 CALLED = ("interp", "max", "min")
-"""Functions that are evaluated before the rest of the expression, with several arguments."""
-MOST_CALLED = 20
-"""Most different calls of these functions, because numexpr has at most 31 inputs."""
+"""Functions that are evaluated before the others, because numexpr lacks them."""
+MOST_INPUTS = 30
+"""Most variables and calls of those functions that numexpr can take."""
 CONSTANTS = {"pi": math.pi}
 History = Callable[[Array], Array]
 """Values at times [s]."""
@@ -60,54 +61,41 @@ class Expression:
         text: str,
         variables: tuple[str, ...],
         constants: Mapping[str, float] | None = None,
-        histories: Mapping[str, History] | None = None,
+        histories: Mapping[str, History] = MappingProxyType({}),
     ) -> None:
         self.text = text
-        self._variables, self._histories = variables, histories or {}
+        self._variables, self._histories = variables, histories
         self._constants = {**CONSTANTS, **(constants or {})}
         self._tree = _parsed(text)
         _check(self._tree.body, (*variables, *self._constants), self._histories)
         used = {node.id for node in ast.walk(self._tree) if isinstance(node, ast.Name)}
         self.depends_on = frozenset(used.intersection(variables))
-        calls = dict(self._called(self._tree.body))
-        if len(calls) > MOST_CALLED:
-            names = ", ".join((*CALLED, *self._histories))
-            raise ValueError(
-                f"has {len(calls)} calls of {names}; at most {MOST_CALLED} are allowed"
-            )
-        self._calls = [self._call(call) for call in calls.values()]
+        called = (*CALLED, *histories)
+        calls = {ast.unparse(node): node for node in _outermost(self._tree.body, called)}
+        self._calls = [self._call(node) for node in calls.values()]
         self._plain = _Plain(self._constants, [*calls])
-        self._plain_tree = self._plain.visit(_parsed(text))
-
-    def _called(self, node: ast.AST) -> Iterator[tuple[str, ast.Call]]:
-        """Yield the outermost calls of histories and of CALLED, with their texts."""
-        if isinstance(node, ast.Call) and _name(node) in (*CALLED, *self._histories):
-            yield ast.unparse(node), node
-            return
-        for part in ast.iter_child_nodes(node):
-            yield from self._called(part)
 
     def _call(self, node: ast.Call) -> Callable[..., Array]:
         """Return a function for the values of a call at values of the variables."""
         name, parts = _name(node), [self._like(ast.unparse(part)) for part in node.args]
+        _ = [part.compiled for part in parts]
         if name in self._histories:
             history, (time,) = self._histories[name], parts
             return lambda **given: history(time(**{n: given[n] for n in time.depends_on}))
         if name != "interp":
             chosen = np.minimum if name == "min" else np.maximum
             return lambda **given: reduce(chosen, [part(**given) for part in parts])
-        place, knots, values = parts[0], parts[1::2], parts[2::2]
-        if any(knot.depends_on for knot in knots):
+        x, values = parts[0], parts[2::2]
+        if any(place.depends_on for place in parts[1::2]):
             raise ValueError(f"the places in '{_short(node)}' must be numbers or constants")
-        at = [float(knot()) for knot in knots]
-        if not all(low < high for low, high in itertools.pairwise(at)):
+        places = [float(place()) for place in parts[1::2]]
+        if not all(low < high for low, high in itertools.pairwise(places)):
             raise ValueError(f"the places in '{_short(node)}' must increase")
-        return lambda **given: _between(place(**given), at, [value(**given) for value in values])
+        return lambda **given: _between(x(**given), places, [value(**given) for value in values])
 
     def _like(self, text: str, variables: tuple[str, ...] | None = None) -> Expression:
-        """Return another expression of the same names."""
-        names = self._variables if variables is None else variables
-        return Expression(text, names, self._constants, self._histories)
+        """Return another expression of the same names, or of other variables."""
+        return Expression(text, variables or self._variables, self._constants, self._histories)
 
     def read(self) -> Iterator[tuple[str, Expression]]:
         """Yield the histories that the expression reads, each with its time."""
@@ -121,10 +109,13 @@ class Expression:
         import numexpr  # late, because few scenes need it
 
         numexpr.set_num_threads(1)
+        tree = self._plain.visit(_parsed(self.text))
         names = [(name, np.float64) for name in sorted(self._plain.names)]
         try:
+            if len(names) > MOST_INPUTS:
+                raise ValueError(f"it calls {', '.join(CALLED)} or histories too often")
             with np.errstate(all="ignore"):
-                compiled: Callable[..., Any] = numexpr.NumExpr(ast.unparse(self._plain_tree), names)
+                compiled: Callable[..., Any] = numexpr.NumExpr(ast.unparse(tree), names)
         except (OverflowError, ZeroDivisionError, ValueError, TypeError) as error:
             reason = error.args[-1]
             raise ValueError(f"{_quoted(self.text)} can't be evaluated: {reason}") from error
@@ -133,11 +124,12 @@ class Expression:
     def __call__(self, **variables: Array | float) -> Array:
         """Return the values, in the shape to which the variables broadcast."""
         shape = np.broadcast_shapes(*(np.shape(value) for value in variables.values()))
+        given: dict[str, Any] = {**variables}
         with np.errstate(all="ignore"):
-            called = {f"_{n}": call(**variables) for n, call in enumerate(self._calls)}
-            given = {**variables, **called}
-            names = sorted(self._plain.names)
-            value = self.compiled(*(np.atleast_1d(given[name]).astype(float) for name in names))
+            for n, call in enumerate(self._calls):
+                given[f"_{n}"] = call(**variables)
+            compiled, names = self.compiled, sorted(self._plain.names)
+            value = compiled(*(np.atleast_1d(given[name]).astype(float) for name in names))
         values = np.asarray(value, dtype=np.float64)
         return np.broadcast_to(values, shape) if shape else values.reshape(())
 
@@ -214,30 +206,36 @@ def _between(place: Array, knots: list[float], values: list[Array]) -> Array:
     return out
 
 
-class _Plain(ast.NodeTransformer):
-    """Replaces calls by names, constants by numbers, and all numbers by floats.
+def _outermost(node: ast.AST, names: Collection[str]) -> Iterator[ast.Call]:
+    """Yield the calls of some functions that are not within others of these calls."""
+    if isinstance(node, ast.Call) and _name(node) in names:
+        yield node
+    else:
+        for part in ast.iter_child_nodes(node):
+            yield from _outermost(part, names)
 
-    With floats, `9**9**9` overflows.
+
+class _Plain(ast.NodeTransformer):
+    """Replaces some calls by names such as `_0`, and constants by numbers.
+
+    All numbers become floats, so that `9**9**9` overflows.
     """
 
     def __init__(self, constants: Mapping[str, float], calls: list[str]) -> None:
         self._constants, self._calls = constants, calls
         self.names: set[str] = set()
-        """The names that remain."""
+        """The names that remain, apart from those of functions."""
 
     def visit_Call(self, node: ast.Call) -> ast.expr:
-        text = ast.unparse(node)
-        if text not in self._calls:
+        if (text := ast.unparse(node)) not in self._calls:
             node.args = [self.visit(part) for part in node.args]
             return node
-        name = f"_{self._calls.index(text)}"
-        self.names.add(name)
+        self.names.add(name := f"_{self._calls.index(text)}")
         return ast.Name(name)
 
     def visit_Name(self, node: ast.Name) -> ast.expr:
-        value = self._constants.get(node.id)
-        if value is not None:
-            return ast.Constant(float(value))
+        if node.id in self._constants:
+            return ast.Constant(float(self._constants[node.id]))
         self.names.add(node.id)
         return node
 
@@ -300,15 +298,13 @@ def _arguments(node: ast.Call, histories: Collection[str]) -> list[ast.expr]:
     name, number = _name(node), len(node.args)
     if name in histories:
         used = {part.id for part in ast.walk(node) if isinstance(part, ast.Name)}
-        if number != 1 or used & {"x", "y"}:
+        if number != 1 or "t" not in used or used & {"x", "y"}:
             raise ValueError(f"{name} is a history, which takes a time, such as {name}(t)")
         return node.args
+    if name == "interp" and (number < 5 or number % 2 == 0):
+        reason = "a variable, then places and values in turn, such as interp(t, 0, 0, 2, 1)"
+        raise ValueError(f"interp takes {reason}; got {number} arguments")
     if name in CALLED:
-        if name == "interp" and (number < 5 or number % 2 == 0):
-            raise ValueError(
-                "interp takes a variable, then a place and a value for each of two or more knots, "
-                f"such as interp(t, 0, 0, 2, 1); got {number} arguments"
-            )
         if number < 2:
             raise ValueError(f"{name} takes two or more arguments; got {number}")
         return node.args

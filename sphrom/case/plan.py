@@ -274,12 +274,13 @@ class Plan:
         return self._case.fluid.reference_density * scene.gravity * (level - position[:, 1])
 
     def flow(self, point: ParameterPoint) -> Scene:
-        """Return the flow at a parameter point."""
-        fluid = self._case.fluid
-        viscosity = self.kinematic_viscosity(point)
-        return self._case.scene.flow(
-            Scales(fluid.reference_speed, fluid.reference_density, viscosity, point.factors)
-        )
+        """Return the flow at a parameter point. Raises CaseError if there is none."""
+        fluid, viscosity = self._case.fluid, self.kinematic_viscosity(point)
+        scales = Scales(fluid.reference_speed, fluid.reference_density, viscosity, point.factors)
+        try:
+            return self._case.scene.flow(scales)
+        except ValueError as error:
+            raise CaseError(f"scene: at {point.label}: {error}") from error
 
     @cached_property
     def strip(self) -> Strip | None:

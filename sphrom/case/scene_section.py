@@ -101,10 +101,6 @@ class SceneSection(Section):
         """The amplitudes in time of walls and forces, by key; empty unless walls change."""
         return {}
 
-    def time_problems(self, until: float) -> Iterator[tuple[str, str]]:
-        """Yield keys that need values of histories beyond their tables, until a time [s]."""
-        yield from ()
-
     def largest_head(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
         """Return a bound of the body force's head along the fluid until a time [m2/s2].
 

@@ -162,27 +162,18 @@ class CustomFlow(Scene):
         return next(iter(self.wall_amplitudes.values()), None)
 
     def wall_speed(self, position: Array) -> Callable[[float], float | Array] | None:
-        if len({self.wall_amplitudes.get(name) for name in self.wall_velocities}) < 2:
-            return self.wall_amplitude
-        names = self._wall_names(position)
-
-        def speed(time: float) -> Array:
-            factors = np.ones(len(position))
-            for name, amplitude in self.wall_amplitudes.items():
-                factors[names == name] = amplitude(time)
-            return factors
-
-        return speed
+        if not self.wall_amplitudes:
+            return None
+        nearest, names = self.where.nearest_wall(position), self.where.wall_names
+        factors = [self.wall_amplitudes.get(name, lambda time: 1.0) for name in names]
+        return lambda time: np.array([factor(time) for factor in factors])[nearest]
 
     def fastest_walls(self, position: Array, times: Array) -> Array:
-        velocity = self.wall_velocity(position)
-        for name, amplitude in self.wall_amplitudes.items():
-            velocity[self._wall_names(position) == name] *= peak(amplitude, times)
-        return velocity
-
-    def _wall_names(self, position: Array) -> NDArray[np.str_]:
-        """Return the names of the walls nearest to positions (n_points, 2) [m]."""
-        return np.array(self.where.wall_names)[self.where.nearest_wall(position)]
+        if not self.wall_amplitudes:
+            return self.wall_velocity(position)
+        peaks = [peak(self.wall_amplitudes.get(name), times) for name in self.where.wall_names]
+        nearest = self.where.nearest_wall(position)
+        return np.array(peaks)[nearest, None] * self.wall_velocity(position)
 
     def initial_velocity(self, position: Array) -> Array:
         return self.start(position)[:, :2]
@@ -193,7 +184,7 @@ class CustomFlow(Scene):
     def wall_velocity(self, position: Array) -> Array:
         velocity = np.zeros_like(position)
         if self.wall_velocities:
-            names = self._wall_names(position)
+            names = np.array(self.where.wall_names)[self.where.nearest_wall(position)]
             place = self.where.on_wall(position)
             for name, field_of in self.wall_velocities.items():
                 chosen = names == name

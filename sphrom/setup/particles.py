@@ -112,7 +112,7 @@ def _rest_and_units(case: Case) -> tuple[Scene, dict[str, Scene]]:
 
     try:
         return at(None), {name: at(name) for name in names}
-    except ValueError as error:
+    except CaseError as error:
         raise CaseError(f"parameters: operators need the flow at 0 and 1: {error}") from error
 
 
