@@ -54,7 +54,7 @@ def case_problems(case: Case, *, force: bool = False) -> list[Problem]:
     """Return the problems of a case; `force` accepts an unstable time step."""
     limits = () if force else (_check_limits,)
     # Later checks need valid names, and then valid steps and points.
-    for checks in ((_check_names,), (*_CHECKS, *limits), _SNAPSHOT_CHECKS):
+    for checks in ((_check_names, _check_driving), (*_CHECKS, *limits), _SNAPSHOT_CHECKS):
         if problems := [problem for check in checks for problem in check(case)]:
             return [Problem(_path(key), reason) for key, reason in problems]
     return []
@@ -252,9 +252,12 @@ def _check_limits(case: Case) -> Found:
         yield "time.step", f"{reason}; --force accepts it"
 
 
-def _check_scene(case: Case) -> Found:
+def _check_driving(case: Case) -> Found:
     for name, reason in case.scene.problems(case.time.final_time):
         yield f"scene.{name}", reason
+
+
+def _check_scene(case: Case) -> Found:
     for name, measured in case.scene.measure.items():
         kind = only_one(measured, type(measured).model_fields)
         if (problem := _measure_problem(case, measured)) is not None:

@@ -249,6 +249,9 @@ class CustomScene(SceneSection):
         if len(areas := self.domain.separate_areas) > 1:
             sizes = ", ".join(f"{area:.4g}" for area in areas[:MOST_AREAS])
             yield "solids", f"divide the fluid into {len(areas)} parts, of {sizes} m2"
+        read = {name for _, expression in self._timed() for name, _ in expression.read()}
+        for name in self.histories.keys() - read:
+            yield f"histories.{name}", f"is not used; write {name}(t) in an expression"
         if (strip := self._strip) is None:
             return
         # Solids may cross the strip if their width is constant, like walls.

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 
+import numpy as np
+
 from sphrom.case.checks import beyond_limits
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint, outside
@@ -24,6 +26,7 @@ def case_warnings(case: Case) -> list[str]:
         *(f"scene.{key}: {reason}" for key, reason in case.scene.warnings()),
         *(f"time.step: {reason}" for reason in beyond_limits(case)),
         *_of_strip(case),
+        *_of_histories(case),
         *_extrapolations(case, "parameters.test", case.plan.test_points),
         *_of_models(case),
         *_of_numerics(case),
@@ -38,6 +41,16 @@ def _of_strip(case: Case) -> Iterator[str]:
             f"scene.inflow.strip: is {width:.3g} m wide, so its forcing is too steep for the "
             f"particles; use {least:.3g} m, or discretization.resolution: {resolution}"
         )
+
+
+def _of_histories(case: Case) -> Iterator[str]:
+    step, histories = case.plan.steps.time_step, getattr(case.scene, "histories", {})
+    for name, history in histories.items():
+        if (interval := float(np.median(np.diff(history.rows[0])))) < step * (1.0 - ROUNDING):
+            yield (
+                f"scene.histories.{name}: has a row every {interval:.3g} s, but runs only use values "
+                f"at steps of {step:.3g} s; average its rows, or set time.step"
+            )
 
 
 def _extrapolations(case: Case, key: str, points: Iterable[ParameterPoint]) -> Iterator[str]:
