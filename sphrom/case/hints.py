@@ -48,8 +48,8 @@ def _of_histories(case: Case) -> Iterator[str]:
     for name, history in histories.items():
         if (interval := float(np.median(np.diff(history.rows[0])))) < step * (1.0 - ROUNDING):
             yield (
-                f"scene.histories.{name}: has a row every {interval:.3g} s, but runs only use values "
-                f"at steps of {step:.3g} s; average its rows, or set time.step"
+                f"scene.histories.{name}: has a row every {interval:.3g} s, but runs use values "
+                f"at steps of {step:.3g} s alone; average its rows, or set time.step"
             )
 
 

@@ -29,7 +29,7 @@ def value(text: str, **constants: float) -> np.ndarray:
         ("arctan2(x, y)", np.arctan2(X, 0.5)),
         ("2*min(x, y, a - 3) - max(x, 1)", 2.0 * np.minimum(X, 0.0) - np.maximum(X, 1.0)),
         ("interp(x, -b, 1, 1, 3*a, 1.5, -1)", np.interp(X, [-0.25, 1.0, 1.5], [1.0, 9.0, -1.0])),
-        ("interp(x, 0, x, 1, min(y, t))", np.interp(X, [0.0, 0.5, 1.0], [0.0, 0.5, 0.5])),
+        ("interp(x, 0, y, 1, t)", 0.5 + 1.5 * np.clip(X, 0.0, 1.0)),
         ("where(max(x, 0) > y, interp(t, 0, 0, 4, 1), 0)", np.where(X > 0.5, 0.5, 0.0)),
     ],
 )

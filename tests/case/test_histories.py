@@ -12,6 +12,7 @@ import yaml
 from sphrom.case.hints import case_warnings
 from sphrom.case.loader import case_of_text, load_case
 from sphrom.case.models import Case, resolved_yaml, section_inputs
+from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
 
 TABLE = "time,ax\n0,0\n0.5,2\n2,-1\n"
@@ -164,7 +165,7 @@ def test_walls_follow_expressions_in_t(load) -> None:
     [
         (
             {"top": {"velocity": ["sway(t)", 0]}, "bottom": {"velocity": [1, 0]}},
-            "got 1 of walls.bottom.velocity and",
+            "1 of walls.bottom",
         ),
         ({"top": {"velocity": ["cos(t)", 0]}}, r"cos\(t\)\) of walls.top.velocity and \(sway"),
         ({"top": {"velocity": ["sway(t)", 0]}}, ""),
@@ -178,3 +179,10 @@ def test_fast_models_need_one_amplitude(load, walls: dict[str, Any], words: str)
         return
     with pytest.raises(CaseError, match=words):
         load(walls=walls, rom=fast)
+
+
+def test_values_without_a_scene(load) -> None:
+    case = load(constants={"a": 0.5}, body_force=["interp(t, 0, 0, a, 1)", 0])
+    point = case.plan.points[0]
+    with pytest.raises(CaseError, match=r"a=-1: body_force: the places in .* must increase"):
+        case.plan.flow(ParameterPoint(point.reynolds, (("a", -1.0),)))
