@@ -38,7 +38,7 @@ from sphrom.case.expressions import CALLED, CONSTANTS, FUNCTIONS, MOST_QUOTED, E
 from sphrom.case.fields import Coordinate, Place, Positive, SafeName, Section, key
 from sphrom.case.scene_section import MEASURE, OF_WALLS, Defaults, Measures, SceneSection
 from sphrom.case.shapes import ShapeSection
-from sphrom.scenes.flows import Amplitude, BodyForce, CustomFlow, Scales, Scene, peak
+from sphrom.scenes.flows import Amplitude, BodyForce, CustomFlow, Scales, Scene
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import SIDES, Domain
 from sphrom.sph.fluid import NONE, Resistance, Strip
@@ -46,6 +46,8 @@ from sphrom.text import shortened
 
 N_SAMPLES = 200
 """Points along each edge of the box, or along a wall, at which expressions are checked."""
+N_INSTANTS = 50
+"""Times of a run at which its driving is checked."""
 ALONG = 0.02
 """Largest normal speed of a wall over its speed; it is not zero because circles are polygons."""
 TOUCHING = 1e-6
@@ -309,10 +311,8 @@ class CustomScene(SceneSection):
 
     @property
     def _factor(self) -> tuple[str, ...]:
-        """The name of the factor of the driving, empty unless either force or inflow drives.
-
-        It is a factor of the amplitude, which may be that of walls, too.
-        """
+        """The name of the factor of the driving, empty unless either force or inflow drives."""
+        # It is a factor of the amplitude, which may be that of walls.
         return tuple(self._pushes) if len(self._pushes) == 1 and not self._wall_amplitudes else ()
 
     def parameter_problems(self, names: Collection[str]) -> Iterator[tuple[str, str]]:
@@ -367,11 +367,8 @@ class CustomScene(SceneSection):
     def largest_wall_speed(self, values: Mapping[str, float], until: float = 0.0) -> float:
         """Return the largest speed of walls and the inflow [m/s], at values of the parameters."""
         here = self._at(values)
-        velocities = [
-            peak(here._wall_amplitudes.get(name), self.instants(until))
-            * here._wall_velocity(name)(here._edge(name))
-            for name in here.walls
-        ]
+        largest = here.largest_amplitude(until)
+        velocities = [largest * here._wall_velocity(name)(here._edge(name)) for name in here.walls]
         if here.inflow is not None and (strip := here._strip) is not None:
             inside = here._samples[strip.contains(here._samples.T)].T
             velocities.append(here._values.get(INFLOW, 1.0) * here._pushes[INFLOW](inside).T)
@@ -474,6 +471,12 @@ class CustomScene(SceneSection):
         found = {drive.key: text for drive in drives for text in drive.amplitudes}
         return found | ({KEYS[INFLOW]: "its ramp"} if found and self.inflow is not None else {})
 
+    def largest_amplitude(self, until: float) -> float:
+        changing, times = self._wall_amplitudes, self._instants(until).tolist()
+        largest = [1.0] if len(changing) < len(self.walls) else []  # of steady walls
+        largest += [abs(amplitude(time)) for amplitude in changing.values() for time in times]
+        return max(largest, default=1.0)
+
     def _timed(self) -> Iterator[tuple[str, Expression]]:
         """Yield the expressions that may read histories, with their keys."""
         for drive in (*self._motions.values(), *self._pushes.values()):
@@ -481,8 +484,9 @@ class CustomScene(SceneSection):
         if isinstance(self._force, SurfaceForce):
             yield from ((BODY_FORCE, part) for part in self._force.parts)
 
-    def instants(self, until: float) -> Array:
-        times = [super().instants(until)]
+    def _instants(self, until: float) -> Array:
+        """Return times of a run [s] at which its driving is checked, in rising order."""
+        times = [np.linspace(0.0, until, N_INSTANTS)]
         for history in self.histories.values():
             rows = history.rows[:, (history.rows[0] >= 0.0) & (history.rows[0] <= until)]
             times += [rows[0, [np.argmin(rows[1]), np.argmax(rows[1])]]] if rows.size else []
@@ -653,7 +657,7 @@ class CustomScene(SceneSection):
 
     def largest_head(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
         here = self._at(values)
-        times = self.instants(final_time)
+        times = self._instants(final_time)
         if here.has_surface and here._force is not None:
             heights = self.domain.lengths[0], min(self.level_at(values), self.domain.upper[1])
             reach = np.array(heights) - (0.0, self.domain.lower[1])
@@ -696,7 +700,7 @@ class CustomScene(SceneSection):
         elif force is not None:
             drives[KEYS[next(iter(self._pushes))]] = force.amplitude
         for where, drive in drives.items():
-            for time in self.instants(final_time):
+            for time in self._instants(final_time):
                 if not math.isfinite(drive(time)):
                     yield where, f"is not finite at t = {time:.4g} s"
                     break

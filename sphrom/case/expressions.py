@@ -35,6 +35,8 @@ MOST_INPUTS = 30
 CONSTANTS = {"pi": math.pi}
 History = Callable[[Array], Array]
 """Values at times [s]."""
+Given = Mapping[str, Array | float]
+"""Values of variables."""
 _OPERATORS = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.USub, ast.UAdd)
 _COMPARISONS = (ast.Lt, ast.LtE, ast.Gt, ast.GtE)
 
@@ -75,23 +77,38 @@ class Expression:
         self._calls = [self._call(node) for node in calls.values()]
         self._plain = _Plain(self._constants, [*calls])
 
-    def _call(self, node: ast.Call) -> Callable[..., Array]:
-        """Return a function for the values of a call at values of the variables."""
+    def _call(self, node: ast.Call) -> Callable[[Given], Array]:
+        """Return a function for the values of a call, given those of the variables."""
         name, parts = _name(node), [self._like(ast.unparse(part)) for part in node.args]
         _ = [part.compiled for part in parts]
         if name in self._histories:
-            history, (time,) = self._histories[name], parts
-            return lambda **given: history(time(**{n: given[n] for n in time.depends_on}))
+            return lambda given: self._histories[name](parts[0]._of(given))
         if name != "interp":
             chosen = np.minimum if name == "min" else np.maximum
-            return lambda **given: reduce(chosen, [part(**given) for part in parts])
-        x, values = parts[0], parts[2::2]
+            return lambda given: reduce(chosen, [part._of(given) for part in parts])
         if any(place.depends_on for place in parts[1::2]):
             raise ValueError(f"the places in '{_short(node)}' must be numbers or constants")
         places = [float(place()) for place in parts[1::2]]
         if not all(low < high for low, high in itertools.pairwise(places)):
             raise ValueError(f"the places in '{_short(node)}' must increase")
-        return lambda **given: _between(x(**given), places, [value(**given) for value in values])
+
+        def interpolated(given: Given) -> Array:
+            x, values = parts[0]._of(given), [value._of(given) for value in parts[2::2]]
+            out = np.where(np.isnan(x), x, values[0])
+            for n, low in enumerate(places[:-1]):
+                share = np.clip((x - low) / (places[n + 1] - low), 0.0, 1.0)
+                out = np.where(x > low, (1.0 - share) * values[n] + share * values[n + 1], out)
+            return out
+
+        return interpolated
+
+    def _of(self, given: Given) -> Array:
+        """Return the values in the shape of the variables that the expression depends on."""
+        return self(**{n: given[n] for n in self.depends_on}) if self.depends_on else self._fixed
+
+    @cached_property
+    def _fixed(self) -> Array:
+        return self()
 
     def _like(self, text: str, variables: tuple[str, ...] | None = None) -> Expression:
         """Return another expression of the same names, or of other variables."""
@@ -124,10 +141,10 @@ class Expression:
     def __call__(self, **variables: Array | float) -> Array:
         """Return the values, in the shape to which the variables broadcast."""
         shape = np.broadcast_shapes(*(np.shape(value) for value in variables.values()))
-        given: dict[str, Any] = {**variables}
+        given = dict(variables)
         with np.errstate(all="ignore"):
             for n, call in enumerate(self._calls):
-                given[f"_{n}"] = call(**variables)
+                given[f"_{n}"] = call(variables)
             compiled, names = self.compiled, sorted(self._plain.names)
             value = compiled(*(np.atleast_1d(given[name]).astype(float) for name in names))
         values = np.asarray(value, dtype=np.float64)
@@ -195,15 +212,6 @@ def _factors(node: ast.expr, inverse: bool = False) -> Iterator[tuple[ast.expr, 
         yield from _factors(node.operand, inverse)
     else:
         yield node, inverse
-
-
-def _between(place: Array, knots: list[float], values: list[Array]) -> Array:
-    """Return values that are linear between knots, and constant beyond the first and the last."""
-    out = np.where(np.isnan(place), np.nan, values[0])
-    for low, high, below, above in zip(knots, knots[1:], values, values[1:], strict=False):
-        share = np.clip((place - low) / (high - low), 0.0, 1.0)
-        out = np.where(place > low, (1.0 - share) * below + share * above, out)
-    return out
 
 
 def _outermost(node: ast.AST, names: Collection[str]) -> Iterator[ast.Call]:

@@ -18,6 +18,7 @@ import numpy as np
 import shapely
 
 from sphrom.arrays import Array
+from sphrom.case.fields import LARGEST
 from sphrom.case.points import REYNOLDS, GivenPoints, ParameterPoint, Values, nearest_point
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection, SubsetSection
 from sphrom.errors import CaseError
@@ -154,7 +155,10 @@ class Plan:
         scene, end = self._case.scene, self._case.time.final_time
         varied = (v for v in self._settings if v or scene.amplitudes)
         walls = (scene.largest_wall_speed(v, end) for v in varied)
-        return max(self._case.fluid.reference_speed, *walls, 0.0)
+        fastest = max(self._case.fluid.reference_speed, *walls, 0.0)
+        if not fastest <= LARGEST:
+            raise CaseError(f"scene: walls or the inflow have a speed of {fastest:g} m/s; lower it")
+        return fastest
 
     @cached_property
     def sound_speed(self) -> float:
@@ -182,10 +186,10 @@ class Plan:
         place = shapely.get_coordinates(shapely.segmentize(edge.exterior, dx))
         of_walls = domain.distance_and_normal(place)[0] <= 0.0
         points = {point.others: point for point in self.points}.values()
-        times = self._case.scene.instants(self._case.time.final_time)
-        velocities = (self.flow(point).fastest_walls(place, times) for point in points)
+        velocities = (self.flow(point).wall_velocity(place) for point in points)
         jumps = (np.diff(np.where(of_walls, v.T, np.nan)) for v in velocities)
-        return max(float(np.nanmax(np.hypot(*jump), initial=0.0)) for jump in jumps)
+        largest = max(float(np.nanmax(np.hypot(*jump), initial=0.0)) for jump in jumps)
+        return largest * self._case.scene.largest_amplitude(self._case.time.final_time)
 
     @cached_property
     def mass(self) -> float:

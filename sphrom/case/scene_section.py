@@ -28,10 +28,6 @@ OF_WALLS: Defaults = {
 """Defaults of other sections for scenes with walls."""
 
 
-N_INSTANTS = 50
-"""Times of a run at which its driving is checked."""
-
-
 class SceneSection(Section):
     """A kind of scene, the base class of the sections that a case may have."""
 
@@ -86,15 +82,12 @@ class SceneSection(Section):
         """Raise ValueError if the scene is impossible with some values of its parameters."""
 
     def largest_wall_speed(self, values: Mapping[str, float], until: float = 0.0) -> float:
-        """Return the largest speed of varied walls at values of the parameters [m/s].
-
-        `until` is the end of runs [s].
-        """
+        """Return the largest speed of varied walls until a time, at values of parameters [m/s]."""
         return 0.0
 
-    def instants(self, until: float) -> Array:
-        """Return times (n_times,) of a run that ends at a time [s], to check its driving."""
-        return np.linspace(0.0, until, N_INSTANTS)
+    def largest_amplitude(self, until: float) -> float:
+        """Return the largest factor of the walls' velocities in runs until a time [s]."""
+        return 1.0
 
     @property
     def amplitudes(self) -> Mapping[str, str]:

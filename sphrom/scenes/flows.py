@@ -74,11 +74,6 @@ class BodyForce:
         return self.amplitude(time) * self.field(position)
 
 
-def peak(amplitude: Amplitude | None, times: Array) -> float:
-    """Return the largest magnitude of an amplitude at some times [s], one if there is none."""
-    return 1.0 if amplitude is None else max(abs(amplitude(time)) for time in times.tolist())
-
-
 @dataclass(frozen=True)
 class Channel:
     """A channel along x."""
@@ -123,10 +118,6 @@ class Scene(ABC):
         """Return the factor of `wall_velocity` at times, for all ghosts or for each (n_ghosts,)."""
         return self.wall_amplitude
 
-    def fastest_walls(self, position: Array, times: Array) -> Array:
-        """Return `wall_velocity` with the largest amplitudes of walls at some times [s]."""
-        return self.wall_velocity(position)
-
     @property
     def amplitude(self) -> Amplitude | None:
         """The time-dependent factor of the driving force or walls, or None if it never changes."""
@@ -167,13 +158,6 @@ class CustomFlow(Scene):
         nearest, names = self.where.nearest_wall(position), self.where.wall_names
         factors = [self.wall_amplitudes.get(name, lambda time: 1.0) for name in names]
         return lambda time: np.array([factor(time) for factor in factors])[nearest]
-
-    def fastest_walls(self, position: Array, times: Array) -> Array:
-        if not self.wall_amplitudes:
-            return self.wall_velocity(position)
-        peaks = [peak(self.wall_amplitudes.get(name), times) for name in self.where.wall_names]
-        nearest = self.where.nearest_wall(position)
-        return np.array(peaks)[nearest, None] * self.wall_velocity(position)
 
     def initial_velocity(self, position: Array) -> Array:
         return self.start(position)[:, :2]
