@@ -336,6 +336,8 @@ class Model:
         steps = self._workspace.case.plan.steps
         longer = lengthened(steps, final_time)
         if longer.end_time > steps.end_time:
+            for key, reason in self._workspace.case.plan.problems_until(longer.end_time):
+                raise CaseError(f"final_time: scene.{key}: {reason}")
             self._warn(beyond_training(steps.end_time))
         times = replace(reduced.output_times, n_snapshots=longer.n_snapshots)
         return replace(reduced, output_times=times)

@@ -67,7 +67,8 @@ def case_problems(case: Case, *, force: bool = False) -> list[Problem]:
     """Return the problems of a case; `force` accepts an unstable time step."""
     limits = () if force else (_check_limits,)
     # Later checks need valid names, and then valid steps and points.
-    for checks in ((_check_names,), (_check_points,), (*_CHECKS, *limits), _SNAPSHOT_CHECKS):
+    first = (_check_names, _check_histories)
+    for checks in (first, (_check_points,), (*_CHECKS, *limits), _SNAPSHOT_CHECKS):
         if problems := [problem for check in checks for problem in check(case)]:
             return [Problem(_path(key), reason) for key, reason in problems]
     return []
@@ -324,9 +325,13 @@ def _check_limits(case: Case) -> Found:
         yield "time.step", f"{reason}; --force accepts it"
 
 
+def _check_histories(case: Case) -> Found:
+    for name, reason in case.scene.unknown_times(case.time.final_time):
+        yield f"scene.{name}", reason
+
+
 def _check_scene(case: Case) -> Found:
-    fluid = case.plan.fluid(case.plan.points[0])
-    for name, reason in case.plan.scene.problems(case.time.final_time, fluid):
+    for name, reason in case.plan.problems_until(case.time.final_time):
         yield f"scene.{name}", reason
     for name, measured in case.scene.measure.items():
         kind = only_one(measured, KINDS)
@@ -455,6 +460,8 @@ def _model_problems(case: Case, model: ReducedModelSection) -> Found:
 def steady_problem(case: Case) -> str | None:
     """Return the reason why a case has no steady states, or None."""
     force = case.plan.flow(case.plan.points[0]).body_force
+    if case.scene.amplitudes:
+        return "walls' velocities change with time, so there is no steady state"
     if force is None or not force.changes:
         return None
     return "the body force changes with time, so there is no steady state"
@@ -473,6 +480,11 @@ def _check_fixed_points(case: Case) -> Found:
         if name is not None and value != needed:
             reason = f"must be {needed} for models with evaluation: operators, such as {name}"
             yield f"discretization.{key}", f"{reason}; got {value}"
+    amplitudes = case.scene.amplitudes
+    if name is not None and len(set(amplitudes.values())) > 1:
+        found = " and ".join(f"{text} of {key}" for key, text in amplitudes.items())
+        reason = f"must all have one amplitude in time, like forces, for models such as {name}"
+        yield "scene.walls", f"{reason}; got {found}; set rom: [] for full runs alone"
 
 
 def _check_surface(case: Case) -> Found:
@@ -529,7 +541,9 @@ def _start_problem(case: Case, point: ParameterPoint) -> str | None:
 def _check_training_runs(case: Case) -> Found:
     """Refuse models that training runs can't teach anything."""
     plan = case.plan
-    asked = "rom" in case.model_fields_set and case.rom
+    # A box of fluid that nothing describes yet is a template.
+    is_template = case.scene == type(case.scene)(kind=case.scene.kind)
+    asked = "rom" in case.model_fields_set and case.rom and not is_template
     if asked and not any(map(plan.is_driven, plan.train_points)):
         reason = "nothing drives the fluid in any training run, so that there are no modes"
         yield "parameters.train", f"{reason}; drive it, or set rom: []"
@@ -577,7 +591,10 @@ def _check_modes(case: Case) -> Found:
 def _check_reduced_times(case: Case) -> Found:
     for i, model in enumerate(case.rom):
         try:
-            case.plan.model_steps(model)
+            end = case.plan.model_steps(model).end_time
+            if model.until is not None:
+                problems = case.plan.problems_until(end)
+                yield from ((f"rom.{i}.until", f"scene.{key}: {why}") for key, why in problems)
         except CaseError as error:
             yield f"rom.{i}.until", str(error).removeprefix("final_time: ")
         if not isinstance(model.time_step, str):

@@ -7,12 +7,11 @@ once: each parameter that drives the flow has its own operators, which its value
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
 from itertools import combinations
-from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -22,6 +21,7 @@ from shapely.geometry.base import BaseGeometry
 
 from sphrom.arrays import Array
 from sphrom.case.custom_sections import (
+    HistorySection,
     InflowSection,
     PorousSection,
     Rate,
@@ -34,14 +34,15 @@ from sphrom.case.custom_sections import (
     ramp_share,
     read_start,
     start_fields,
+    with_digest,
 )
-from sphrom.case.expressions import CONSTANTS, FUNCTIONS, MOST_QUOTED, Expression
+from sphrom.case.expressions import CALLED, CONSTANTS, FUNCTIONS, MOST_QUOTED, Expression
 from sphrom.case.fields import LARGEST, Coordinate, Place, Positive, SafeName, Section, key
 from sphrom.case.scene_section import MEASURE, OF_WALLS, Defaults, Measures, SceneSection, Settings
 from sphrom.case.shapes import ShapeSection
 from sphrom.metrics.measures import midpoints
 from sphrom.metrics.series import pole_of, sharpened, shortest_period
-from sphrom.scenes.flows import BodyForce, CustomFlow, Scales, Scene
+from sphrom.scenes.flows import Amplitude, BodyForce, CustomFlow, Scales, Scene
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import SIDES, Domain
 from sphrom.sph.fluid import NONE, Fluid, Resistance, Strip
@@ -84,7 +85,7 @@ OTHER_UNIT = 100.0
 MOST_AREAS = 4
 """Most areas that a warning about separate parts of the fluid lists."""
 N_TIMES = 4096
-"""Most times with a cached amplitude of the body force."""
+"""Most times with a cached amplitude, and times at which histories are looked for."""
 
 
 class BoxSection(Section):
@@ -98,9 +99,11 @@ class BoxSection(Section):
 class MovingWallSection(Section):
     """The motion of a wall along itself."""
 
-    velocity: Vector | None = key(None, "velocity, numbers or expressions in x, y", unit="m/s")
-    rotation: Coordinate | None = key(
-        None, "rate of rotation about its centroid, anticlockwise", unit="rad/s"
+    velocity: Vector | None = key(None, "velocity, numbers or expressions in x, y, t", unit="m/s")
+    rotation: Value | None = key(
+        None,
+        "rate of rotation about its centroid, anticlockwise, a number or an expression in t",
+        unit="rad/s",
     )
 
 
@@ -121,15 +124,7 @@ class InitialSection(Section):
     @classmethod
     def _with_digest(cls, values: Any, info: ValidationInfo) -> Any:
         """Add the digest of the file, so that the case identifies its content."""
-        name = values.get("file") if isinstance(values, dict) else None
-        folder = (info.context or {}).get("folder")
-        # The case in an artifact is read without its files, and does not start runs.
-        if not isinstance(name, str) or (folder is None and values.get("sha256") is not None):
-            return values
-        digest = read_start(Path(folder or "") / name)
-        if values.get("sha256") not in (None, digest):
-            raise ValueError(f"{name} has changed since its sha256 was taken")
-        return {**values, "sha256": digest}
+        return with_digest(values, info, read_start)
 
     @model_validator(mode="after")
     def _file_alone(self) -> InitialSection:
@@ -154,6 +149,9 @@ class CustomScene(SceneSection):
         {}, "moving walls: sides of the box (left, right, bottom, top) and solids, by name"
     )
     constants: dict[SafeName, Coordinate] = key({}, "constants for expressions, by name")
+    histories: dict[SafeName, HistorySection] = key(
+        {}, "measured histories, by name; for one named sway, expressions in t may contain sway(t)"
+    )
     body_force: Vector = key(
         (0.0, 0.0), "acceleration, numbers or expressions in x, y, t", unit="m/s2"
     )
@@ -176,9 +174,13 @@ class CustomScene(SceneSection):
     @model_validator(mode="after")
     def _consistent(self) -> CustomScene:
         """Refuse inconsistent keys, and scenes that can't be built."""
-        for name in self.constants:
-            if name in ("x", "y", "t", *CONSTANTS, *FUNCTIONS):
-                raise ValueError(f"constants.{name}: the name is reserved; choose another")
+        for name in (*self.constants, *self.histories):
+            kind = "constants" if name in self.constants else "histories"
+            if name in ("x", "y", "t", *CONSTANTS, *FUNCTIONS, *CALLED):
+                raise ValueError(f"{kind}.{name}: the name is reserved; choose another")
+            if name in self.histories and (name in self.constants or not name.isidentifier()):
+                reason = "must be a name of letters, digits and _ that no constant has"
+                raise ValueError(f"histories.{name}: {reason}")
         for name, wall in self.walls.items():
             if (wall.velocity is None) == (wall.rotation is None):
                 raise ValueError(f"walls.{name}: give velocity or rotation")
@@ -273,6 +275,9 @@ class CustomScene(SceneSection):
         if len(areas := self.domain.separate_areas) > 1:
             sizes = ", ".join(f"{area:.4g}" for area in areas[:MOST_AREAS])
             yield "solids", f"divide the fluid into {len(areas)} parts, of {sizes} m2"
+        read = {name for _, expression in self._timed() for name, _ in expression.read()}
+        for name in self.histories.keys() - read:
+            yield f"histories.{name}", f"is not used; write {name}(t) in an expression"
         if (strip := self.strip) is None:
             return
         # Solids may cross the strip if their width is constant, like walls.
@@ -292,6 +297,7 @@ class CustomScene(SceneSection):
             here._begin(scales.density),
             here._force,
             self._resistance,
+            here._wall_amplitudes,
         )
 
     def _begin(self, density: float) -> Callable[[Array], Array]:
@@ -302,13 +308,14 @@ class CustomScene(SceneSection):
         weight = density * self.fluid.gravity
         return hydrostatic(lambda at: self._initial(at), level, weight)
 
-    def over(self, settings: Settings, particle_spacing: float) -> CustomScene:
-        """Return the scene whose strip fits all values of its parameters.
+    def over(self, settings: Settings, particle_spacing: float, until: float) -> CustomScene:
+        """Return the scene whose strip fits all values of its parameters, and times [s] of runs.
 
         Expressions are also checked at the places of particles with a spacing [m], and between.
         """
         other = self._copied("strip", "inflow_ramp", "_resistance")
         other.__dict__["_settings"] = settings
+        other.__dict__["_until"] = until
         given = (*self.body_force, self.resistance)
         varied = bool(self.porous) or any(isinstance(value, str) for value in given)
         if varied and MOST_PLACES * particle_spacing**2 > math.prod(self.domain.lengths):
@@ -320,6 +327,11 @@ class CustomScene(SceneSection):
     def _settings(self) -> Settings:
         """The values of the parameters at all points, where these are known."""
         return [{}]
+
+    @cached_property
+    def _until(self) -> float:
+        """The end of runs [s], where it is known."""
+        return 0.0
 
     @cached_property
     def _extra(self) -> Array:
@@ -334,7 +346,8 @@ class CustomScene(SceneSection):
     def _copied(self, *without: str) -> CustomScene:
         """Return a copy that does not share some cached parts."""
         other = self.model_copy()
-        for built in (*without, "_force", "_pushes", "_start", "_initial", "_known"):
+        timed = "_force", "_pushes", "_motions", "_wall_amplitudes"
+        for built in (*without, *timed, "_start", "_initial", "_known"):
             other.__dict__.pop(built, None)
         return other
 
@@ -356,13 +369,15 @@ class CustomScene(SceneSection):
 
     def parameters(self, reference_speed: float) -> dict[str, float]:
         """Return constants, rates of rotation, and factors of velocities and the body force."""
-        own = {name: 1.0 if w.rotation is None else w.rotation for name, w in self.walls.items()}
+        rates = ((name, wall.rotation) for name, wall in self.walls.items())
+        own = {name: rate if isinstance(rate, float) else 1.0 for name, rate in rates}
         return {**self.constants, **own, **dict.fromkeys(self._factor, 1.0)}
 
     @property
     def _factor(self) -> tuple[str, ...]:
         """The name of the factor of the driving, empty unless either force or inflow drives."""
-        return tuple(self._pushes) if len(self._pushes) == 1 else ()
+        # It is a factor of the amplitude, which may be that of walls.
+        return tuple(self._pushes) if len(self._pushes) == 1 and not self._wall_amplitudes else ()
 
     def parameter_problems(self, names: Collection[str]) -> Iterator[tuple[str, str]]:
         """Yield constants in which walls or the force aren't affine, and ambiguous names."""
@@ -370,6 +385,10 @@ class CustomScene(SceneSection):
         slowed = self._expression("resistance", self.resistance, "x", "y")
         for name in (name for name in varied if slowed.degree_in([name]) > 0.0):
             yield name, "resistance depends on it, which no parameter changes"
+        for where, timed in self._timed():
+            for name in varied:
+                if any(time.degree_in([name]) > 0.0 for _, time in timed.read()):
+                    yield name, f"{where} reads a history at times that depend on it"
         for name in varied:
             if name in (*self.walls, BODY_FORCE, INFLOW):
                 yield name, "is a constant's name and a wall's or the force's; rename the constant"
@@ -397,12 +416,10 @@ class CustomScene(SceneSection):
 
     def _drives(self) -> Iterator[tuple[str, str, Expression]]:
         """Yield all driving expressions, with their key and the parameter that multiplies them."""
-        for name, wall in self.walls.items():
-            for value in wall.velocity or ():
-                where = f"walls.{name}.velocity"
-                yield where, name, self._expression(where, value, "x", "y")
-        for name, push in self._pushes.items():
-            yield from ((KEYS[name], "", field) for field in push.fields)
+        for name, motion in self._motions.items():
+            yield from ((motion.key, name, field) for field in motion.fields)
+        for push in self._pushes.values():
+            yield from ((push.key, "", field) for field in push.fields)
 
     def check_at(self, values: Mapping[str, float]) -> None:
         here = self._at(values)
@@ -411,10 +428,11 @@ class CustomScene(SceneSection):
         _ = here._force, here._initial, here._resistance
         here._check_surface()
 
-    def largest_wall_speed(self, values: Mapping[str, float]) -> float:
+    def largest_wall_speed(self, values: Mapping[str, float], until: float = 0.0) -> float:
         """Return the largest speed of walls and the inflow [m/s], at values of the parameters."""
         here = self._at(values)
-        velocities = [here._wall_velocity(name)(here._edge(name)) for name in here.walls]
+        largest = here.largest_amplitude(until)
+        velocities = [largest * here._wall_velocity(name)(here._edge(name)) for name in here.walls]
         if here.inflow is not None and (strip := here.strip) is not None:
             inside = here.inflow.samples(here.domain, strip.axis, N_SAMPLES + 1).T
             velocities.append(here._inflow_field(inside).T)
@@ -428,9 +446,9 @@ class CustomScene(SceneSection):
         text = value if isinstance(value, str) else repr(value)
         try:
             constants = {name: self._values.get(name, own) for name, own in self.constants.items()}
-            expression = Expression(text, variables, constants)
-            # Without a surface, expressions in t are split into factors of space and time.
-            apart = "t" in variables and not self.has_surface
+            expression = Expression(text, variables, constants, self.histories)
+            # Except a force beside a surface, expressions in t are split into factors.
+            apart = "t" in variables and not (self.has_surface and where == BODY_FORCE)
             parts = expression.separated("t") if apart else (expression,)
             _ = [part.compiled for part in parts]
             return expression
@@ -504,20 +522,68 @@ class CustomScene(SceneSection):
 
     def _wall_velocity(self, name: str) -> Callable[[Array], Array]:
         """Return the velocity (n_points, 2) [m/s] of a wall at places on it (n_points, 2) [m]."""
-        wall = self.walls[name]
+        wall, motion, factor = self.walls[name], self._motions[name], self._values.get(name, 1.0)
         if wall.velocity is None:
-            rate = self._values.get(name, wall.rotation or 0.0)
+            rate = factor * float(motion.fields[0]())
+            if isinstance(wall.rotation, float):
+                rate = self._values.get(name, wall.rotation)
             centre = shapely.get_coordinates(self._shapes[name].centroid)[0]
             return lambda at: rate * np.stack((centre[1] - at[:, 1], at[:, 0] - centre[0]), axis=1)
-        where = f"walls.{name}.velocity"
-        parts = [self._expression(where, value, "x", "y") for value in wall.velocity]
-        factor = self._values.get(name, 1.0)
+        return lambda at: factor * motion(self._in_box(at.T)).T
 
-        def velocity(place: Array) -> Array:
-            x, y = self._in_box(place.T)
-            return factor * np.stack([part(x=x, y=y) for part in parts], axis=1)
+    @cached_property
+    def _motions(self) -> dict[str, _Push]:
+        """The velocities, or rates of rotation, of moving walls, by their names."""
+        motions = {}
+        for name, wall in self.walls.items():
+            if wall.velocity is None:
+                motion = self._push(f"walls.{name}.rotation", [wall.rotation or 0.0], "t")
+            else:
+                motion = self._push(f"walls.{name}.velocity", wall.velocity, "x", "y", "t")
+            if len(motion.amplitudes) > 1:
+                amplitudes = " and ".join(motion.amplitudes)
+                reason = f"both components must have the same amplitude in time; got {amplitudes}"
+                raise ValueError(f"{motion.key}: {reason}")
+            motions[name] = motion
+        return motions
 
-        return velocity
+    @cached_property
+    def _wall_amplitudes(self) -> dict[str, Amplitude]:
+        """The amplitudes of walls whose velocity changes with time, one for each expression."""
+        known, found = dict[str, Amplitude](), {}
+        for name, motion in self._motions.items():
+            for text, amplitude in motion.amplitudes.items():
+                if amplitude.depends_on:
+                    at = lru_cache(N_TIMES)(lambda t, value=amplitude: float(value(t=t)))
+                    found[name] = known.setdefault(text, at)
+        return found
+
+    @property
+    def amplitudes(self) -> Mapping[str, str]:
+        drives = [*self._motions.values(), *self._pushes.values()] if self._wall_amplitudes else []
+        found = {drive.key: text for drive in drives for text in drive.amplitudes}
+        return found | ({KEYS[INFLOW]: "its ramp"} if found and self.inflow is not None else {})
+
+    def largest_amplitude(self, until: float) -> float:
+        changing, times = self._wall_amplitudes, self._instants(until).tolist()
+        largest = [1.0] if len(changing) < len(self.walls) else []  # of steady walls
+        largest += [abs(amplitude(time)) for amplitude in changing.values() for time in times]
+        return max(largest, default=1.0)
+
+    def _timed(self) -> Iterator[tuple[str, Expression]]:
+        """Yield the expressions that may read histories, with their keys."""
+        for drive in (*self._motions.values(), *self._pushes.values()):
+            yield from ((drive.key, amplitude) for amplitude in drive.amplitudes.values())
+        if isinstance(self._force, SurfaceForce):
+            yield from ((BODY_FORCE, part) for part in self._force.parts)
+
+    def _instants(self, until: float) -> Array:
+        """Return times of a run [s] at which its driving is checked, in rising order."""
+        times = [np.linspace(0.0, until, N_INSTANTS)]
+        for history in self.histories.values():
+            rows = history.rows[:, (history.rows[0] >= 0.0) & (history.rows[0] <= until)]
+            times += [rows[0, [np.argmin(rows[1]), np.argmax(rows[1])]]] if rows.size else []
+        return np.unique(np.concatenate(times)) if self.histories else times[0]
 
     def _edge(self, name: str) -> Array:
         """Return points (n_points, 2) [m] of a wall that touch the fluid, except corners."""
@@ -570,12 +636,20 @@ class CustomScene(SceneSection):
         pushes, inflow = {}, () if self.inflow is None else self.inflow.velocity
         for name, values in {BODY_FORCE: self.body_force, INFLOW: inflow}.items():
             if any(value != 0.0 for value in values):
-                wholes = [self._expression(KEYS[name], value, "x", "y", "t") for value in values]
-                parts = [whole.separated("t") for whole in wholes]
-                # Zero components fit any amplitude.
-                moving = {a.text: a for v, (_, a) in zip(values, parts, strict=True) if v != 0.0}
-                pushes[name] = _Push([field for field, _ in parts], moving)
+                pushes[name] = self._push(KEYS[name], values, "x", "y", "t")
         return pushes
+
+    def _push(self, where: str, values: Iterable[float | str], *variables: str) -> _Push:
+        """Return the fields and amplitudes of expressions."""
+        fields, moving = [], {}
+        for value in values:
+            whole = self._expression(where, value, *variables)
+            field, amplitude = whole.separated("t")
+            # A product that is split rounds differently, and walls may not do so.
+            fields.append(field if where in KEYS.values() or whole.depends_on & {"t"} else whole)
+            if value != 0.0:  # zero components fit any amplitude
+                moving[amplitude.text] = amplitude
+        return _Push(where, fields, moving)
 
     @cached_property
     def _force(self) -> BodyForce | None:
@@ -620,8 +694,15 @@ class CustomScene(SceneSection):
         return BodyForce(field, at, series, changes=bool(amplitude.depends_on))
 
     def _inflow_field(self, position: Array) -> Array:
-        """Return the inflow (2, n_positions) [m/s] for an amplitude of one."""
-        return self._values.get(INFLOW, 1.0) * self._pushes[INFLOW](position)
+        """Return the inflow (2, n_positions) [m/s] when it is fastest, before its ramp."""
+        push = self._pushes[INFLOW]
+        largest = self._values.get(INFLOW, 1.0)
+        if self._until > 0.0:
+            times = np.linspace(0.0, self._until, N_CHECKED)
+            sizes = [np.abs(amplitude(t=times)) for amplitude in push.amplitudes.values()]
+            # Amplitudes that are not finite are refused later, with their times.
+            largest *= max(float(size.max(initial=0.0, where=size <= LARGEST)) for size in sizes)
+        return largest * push(position)
 
     @cached_property
     def strip(self) -> Strip | None:
@@ -740,7 +821,7 @@ class CustomScene(SceneSection):
 
     def largest_head(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
         here = self._at(values)
-        times = np.linspace(0.0, final_time, N_INSTANTS)
+        times = self._instants(final_time)
         if here.has_surface and here._force is not None:
             heights = self.domain.lengths[0], min(self.level_at(values), self.domain.upper[1])
             reach = np.array(heights) - (0.0, self.domain.lower[1])
@@ -766,6 +847,14 @@ class CustomScene(SceneSection):
         # One-way means along lines: forces to a centre press from both sides.
         ways = np.maximum((force, -force), 0.0).reshape(2, 2, N_SAMPLES + 1, -1)
         return np.array([ways[:, axis].mean(axis=-1 - axis).max() for axis in range(2)])
+
+    def unknown_times(self, final_time: float) -> Iterator[tuple[str, str]]:
+        times = np.linspace(0.0, final_time, N_TIMES)
+        for where, expression in self._timed():
+            for name, time in expression.read():
+                if (problem := self.histories[name].lacks(time(t=times))) is not None:
+                    yield where, f"{name}: {problem}"
+                    return
 
     def problems(self, final_time: float, fluid: Fluid) -> Iterator[tuple[str, str]]:
         """Refuse a driving that isn't finite at all times, and an inflow that ramps too long.
@@ -806,23 +895,28 @@ class CustomScene(SceneSection):
 
     def _signals(self) -> dict[str, Callable[[Array], Array]]:
         """Return what drives the flow (..., n_times) at times (n_times,) [s], by key."""
-        force = self._force
+        force, signals = self._force, dict[str, Callable[[Array], Array]]()
+        for name, motion in self._motions.items():
+            for amplitude in motion.amplitudes.values():
+                if amplitude.depends_on:
+                    signals[f"walls.{name}"] = partial(_at_times, amplitude)
         if not isinstance(force, SurfaceForce):
-            if force is None or force.series is None or not force.changes:
-                return {}
-            return {KEYS[next(iter(self._pushes))]: force.series}
+            if force is not None and force.series is not None and force.changes:
+                signals[KEYS[next(iter(self._pushes))]] = force.series
+            return signals
         moving = [part for part in force.parts if "t" in part.depends_on]
         x, y = self._samples[:: len(self._samples) // N_PEAKS + 1].T[..., None]
         if not any(part.depends_on & {"x", "y"} for part in moving):
             x, y = x[:1], y[:1]
         signal = lambda t: np.concatenate([part(x=x, y=y, t=t) for part in moving])  # noqa: E731
-        return {BODY_FORCE: signal} if moving else {}
+        return signals | ({BODY_FORCE: signal} if moving else {})
 
     def shortest_period(self, final_time: float, settings: Settings) -> float:
         """Return the shortest period [s] with which the driving oscillates at some values."""
         force = self._force
-        amplitudes = [a for push in self._pushes.values() for a in push.amplitudes.values()]
-        timed = force.parts if isinstance(force, SurfaceForce) else amplitudes
+        drives = (*self._motions.values(), *self._pushes.values())
+        timed = [amplitude for drive in drives for amplitude in drive.amplitudes.values()]
+        timed += force.parts if isinstance(force, SurfaceForce) else ()
         used = [n for n in self.constants if any(each.degree_in([n]) > 0.0 for each in timed)]
         chosen = {tuple(v.get(n, self.constants[n]) for n in used): v for v in settings}
         shortest = math.inf
@@ -836,9 +930,11 @@ class CustomScene(SceneSection):
 
     def _speeds(self, times: Array) -> Iterator[tuple[str, float]]:
         """Yield the largest given speeds [m/s] at times [s], with their keys."""
-        speeds = {
-            f"walls.{name}": self._wall_velocity(name)(self._edge(name)) for name in self.walls
-        }
+        speeds = {}
+        for name in self.walls:
+            amplitude = self._wall_amplitudes.get(name, lambda time: 1.0)
+            largest = max(abs(amplitude(time)) for time in times[::N_EACH].tolist())
+            speeds[f"walls.{name}"] = largest * self._wall_velocity(name)(self._edge(name))
         strip, force = self.strip, self._force
         if strip is not None and self.inflow is not None and force is not None:
             places = self.inflow.samples(self.domain, strip.axis, N_SAMPLES + 1)
@@ -866,14 +962,20 @@ class CustomScene(SceneSection):
 
 @dataclass(frozen=True)
 class _Push:
-    """A body force or inflow: a field, with its amplitudes in time by their texts."""
+    """A force, an inflow or a moving wall: a field, with its amplitudes in time by their texts."""
 
+    key: str
+    """Its key in the scene."""
     fields: list[Expression]
     amplitudes: dict[str, Expression]
 
     def __call__(self, position: Array) -> Array:
         """Return the field (2, n_positions) at positions (2, n_positions) [m]."""
         return np.stack([field(x=position[0], y=position[1]) for field in self.fields])
+
+
+def _at_times(amplitude: Expression, times: Array) -> Array:
+    return amplitude(t=times)
 
 
 def _geometries(where: str, sections: Mapping[str, ShapeSection]) -> dict[str, BaseGeometry]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 
+import numpy as np
+
 from sphrom.case.checks import beyond_limits
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint, outside
@@ -16,6 +18,8 @@ SNAPSHOTS_PER_MODE = 2
 """Least number of snapshots per mode without a warning."""
 SNAPSHOTS_PER_PERIOD = 4
 """Least number of snapshots in a period of the driving without a warning."""
+ROWS_PER_PERIOD = 4
+"""Rows of a measured history in its shortest period, below which this period is noise."""
 THICKENED = 4
 """Spacings across a porous body that is thin enough to be one, and resolved."""
 LEAST_STRIP = 20.0
@@ -39,6 +43,7 @@ def case_warnings(case: Case) -> list[str]:
         *_of_kernel(case),
         *_of_porous(case),
         *_of_driving(case),
+        *_of_histories(case),
         *_extrapolations(case, "parameters.test", case.plan.test_points),
         *_of_models(case),
         *_of_numerics(case),
@@ -94,6 +99,23 @@ def _of_driving(case: Case) -> Iterator[str]:
             f"snapshots.every: snapshots {interval:.4g} s apart show the driving, whose period is "
             f"{period:.4g} s, as a slower oscillation; set {max(1, most)}"
         )
+
+
+def _of_histories(case: Case) -> Iterator[str]:
+    plan, histories = case.plan, getattr(case.scene, "histories", {})
+    for name, history in histories.items():
+        interval = float(np.median(np.diff(history.rows[0])))
+        rows = f"scene.histories.{name}: has a row every {interval:.3g} s"
+        if ROWS_PER_PERIOD * interval > plan.shortest_period:
+            yield (
+                f"{rows}, and changes from row to row like noise, which steps of "
+                f"{plan.steps.time_step:.3g} s resolve; filter or average it for longer steps"
+            )
+        elif interval < plan.steps.time_step * (1.0 - ROUNDING):
+            yield (
+                f"{rows}, but runs use values at steps of {plan.steps.time_step:.3g} s alone; "
+                "average its rows, or set time.step"
+            )
 
 
 def _extrapolations(case: Case, key: str, points: Iterable[ParameterPoint]) -> Iterator[str]:

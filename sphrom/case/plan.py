@@ -8,7 +8,7 @@ of a case can use those that do not depend on a wrong key.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from fractions import Fraction
 from functools import cached_property
@@ -18,6 +18,7 @@ import numpy as np
 import shapely
 
 from sphrom.arrays import Array, Mask
+from sphrom.case.fields import LARGEST
 from sphrom.case.points import REYNOLDS, ParameterPoint, Values, nearest_point
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection, SubsetSection
 from sphrom.errors import CaseError
@@ -86,7 +87,8 @@ class Plan:
     @cached_property
     def scene(self) -> SceneSection:
         """The scene with the strip and the checks that fit all points and the particles."""
-        return self._case.scene.over(self._settings, self.particle_spacing)
+        end = self._case.time.final_time
+        return self._case.scene.over(self._settings, self.particle_spacing, end)
 
     # Lengths, speeds and particles
 
@@ -175,8 +177,13 @@ class Plan:
     @cached_property
     def max_speed(self) -> float:
         """The largest speed at all points: the reference speed, or the speed of a varied wall."""
-        walls = (self._case.scene.largest_wall_speed(v) for v in self._settings if v)
-        return max(self._case.fluid.reference_speed, *walls, 0.0)
+        scene, end = self.scene, self._case.time.final_time
+        varied = (v for v in self._settings if v or scene.amplitudes)
+        walls = (scene.largest_wall_speed(v, end) for v in varied)
+        fastest = max(self._case.fluid.reference_speed, *walls, 0.0)
+        if not fastest <= LARGEST:
+            raise CaseError(f"scene: walls or the inflow have a speed of {fastest:g} m/s; lower it")
+        return fastest
 
     @cached_property
     def sound_speed(self) -> float:
@@ -214,7 +221,8 @@ class Plan:
         points = {point.others: point for point in self.points}.values()
         velocities = (self.flow(point).wall_velocity(place) for point in points)
         jumps = (np.diff(np.where(of_walls, v.T, np.nan)) for v in velocities)
-        return max(float(np.nanmax(np.hypot(*jump), initial=0.0)) for jump in jumps)
+        largest = max(float(np.nanmax(np.hypot(*jump), initial=0.0)) for jump in jumps)
+        return largest * self._case.scene.largest_amplitude(self._case.time.final_time)
 
     @cached_property
     def mass(self) -> float:
@@ -309,12 +317,14 @@ class Plan:
         return self._case.fluid.reference_density * scene.gravity * (level - position[:, 1])
 
     def flow(self, point: ParameterPoint) -> Scene:
-        """Return the flow at a parameter point."""
+        """Return the flow at a parameter point. Raises CaseError if there is none."""
         fluid = self._case.fluid
         viscosity = self.kinematic_viscosity(point)
-        return self.scene.flow(
-            Scales(fluid.reference_speed, fluid.reference_density, viscosity, point.factors)
-        )
+        scales = Scales(fluid.reference_speed, fluid.reference_density, viscosity, point.factors)
+        try:
+            return self.scene.flow(scales)
+        except ValueError as error:
+            raise CaseError(f"scene: at {point.label}: {error}") from error
 
     @cached_property
     def rest_and_units(self) -> tuple[Scene, dict[str, Scene]]:
@@ -331,7 +341,7 @@ class Plan:
 
         try:
             return at(None), {name: at(name) for name in names}
-        except ValueError as error:
+        except CaseError as error:
             raise CaseError(f"parameters: operators need the flow at 0 and 1: {error}") from error
 
     def is_driven(self, point: ParameterPoint) -> bool:
@@ -355,6 +365,14 @@ class Plan:
         times = np.linspace(0.0, self._case.time.final_time, N_INSTANTS)
         weight = np.array([[0.0], [scene.gravity]])
         return any((force(fluid.T, float(time)) + weight).any() for time in times)
+
+    def problems_until(self, end: float) -> Iterator[tuple[str, str]]:
+        """Yield keys of the scene that don't allow runs until a time [s], with reasons."""
+        # Driving can't be evaluated at unknown times.
+        if problems := list(self.scene.unknown_times(end)):
+            yield from problems
+        else:
+            yield from self.scene.problems(end, self.fluid(self.points[0]))
 
     @cached_property
     def strip(self) -> Strip | None:

@@ -93,9 +93,18 @@ class SceneSection(Section):
     def check_at(self, values: Mapping[str, float]) -> None:
         """Raise ValueError if the scene is impossible with some values of its parameters."""
 
-    def largest_wall_speed(self, values: Mapping[str, float]) -> float:
-        """Return the largest speed of varied walls at values of the parameters [m/s]."""
+    def largest_wall_speed(self, values: Mapping[str, float], until: float = 0.0) -> float:
+        """Return the largest speed of varied walls until a time, at values of parameters [m/s]."""
         return 0.0
+
+    def largest_amplitude(self, until: float) -> float:
+        """Return the largest factor of the walls' velocities in runs until a time [s]."""
+        return 1.0
+
+    @property
+    def amplitudes(self) -> Mapping[str, str]:
+        """The amplitudes in time of walls and forces, by key; empty unless walls change."""
+        return {}
 
     def largest_head(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
         """Return a bound of the body force's head along the fluid until a time [m2/s2].
@@ -206,13 +215,17 @@ class SceneSection(Section):
         """Return the profiles of independent solutions of the flow."""
         return ()
 
-    def over(self, settings: Settings, particle_spacing: float) -> SceneSection:
-        """Return the scene for all values of its parameters, and for a spacing of particles [m]."""
+    def over(self, settings: Settings, particle_spacing: float, until: float) -> SceneSection:
+        """Return the scene for all parameters, a spacing [m] and an end of runs [s]."""
         return self
 
     def shortest_period(self, final_time: float, settings: Settings) -> float:
         """Return the shortest period [s] of the driving at some values of the parameters."""
         return math.inf
+
+    def unknown_times(self, final_time: float) -> Iterator[tuple[str, str]]:
+        """Yield keys whose histories don't contain all times of runs [s], with reasons."""
+        yield from ()
 
     def problems(self, final_time: float, fluid: Fluid) -> Iterator[tuple[str, str]]:
         """Yield keys of the scene that don't fit the final time [s] or the fluid, with reasons."""

@@ -85,7 +85,7 @@ class LidDrivenCavityScene(SceneSection):
         """Return the lid, if its speed is a parameter."""
         return tuple(name for name in names if name == "lid")
 
-    def largest_wall_speed(self, values: Mapping[str, float]) -> float:
+    def largest_wall_speed(self, values: Mapping[str, float], until: float = 0.0) -> float:
         """Return the lid's largest speed [m/s]."""
         return abs(values.get("lid", 0.0))
 

@@ -39,13 +39,14 @@ HEIGHTS = 2
 def functional(case: Case, point: ParameterPoint) -> Functional:
     """Return the full-order functional at a parameter point."""
     flow = case.plan.flow(point)
+    ghosts = walls(case, flow)
     return Functional(
         case.plan.fluid(point),
         case.plan.discretization,
         flow.domain,
-        walls=walls(case, flow),
+        walls=ghosts,
         body_force=flow.body_force,
-        wall_speed=flow.wall_amplitude,
+        wall_speed=None if ghosts is None else flow.wall_speed(ghosts.position),
         resistance=flow.resistance,
     )
 

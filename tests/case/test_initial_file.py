@@ -91,7 +91,7 @@ def test_a_case_written_elsewhere_names_the_same_files(load, tmp_path: Path) -> 
         ("x,y,u,v\n0,0,0,0\n1,0,0,0\n", "got 2"),
         ("x,y,u,v\n0,0,0,0\n1,1,0,0\n2,2,0,0\n", "on one line"),
         (SQUARE + "1,0,0,0,0\n", "twice"),
-        (b"x,y,u,v\n\xff", "utf-8"),
+        (b"x,y,u,v\n\xff", "UTF-8"),
         (b" " * (17 * 1024 * 1024), "16 MiB"),
     ],
 )
