@@ -24,7 +24,6 @@ from sphrom.case.study_sections import FULL, ErrorFigure, FieldFigure, ModeFigur
 from sphrom.case.yaml_reader import Problem
 from sphrom.errors import CaseError
 from sphrom.kernels import SUPPORT_RATIO
-from sphrom.sph.box_domain import WHOLE_TOLERANCE
 from sphrom.sph.fluid import ROUNDING
 from sphrom.text import exact, nearest, repeated
 
@@ -139,16 +138,17 @@ def _check_geometry(case: Case) -> Found:
     plan, section = case.plan, case.discretization
     if domain.narrowest_gap <= 0.0:
         yield "scene", "its lengths differ so much that the smallest one is lost in rounding"
-    elif not domain.fits_lattice(plan.particle_spacing):
-        reason = f"a spacing of {plan.particle_spacing:g} m doesn't divide all lengths of the scene"
+    elif not domain.fits_lattice(spacing := length / section.resolution):
+        reason = f"a spacing of {spacing:g} m doesn't divide all lengths of the scene to 0.5 %"
         nearest_one = nearest_fitting_resolution(case) or "none that is near"
         yield "discretization.resolution", f"{reason}; {nearest_one} does"
     for level in sorted({case.scene.level_at(dict(point.others)) for point in plan.points}):
-        rows = (level - domain.lower[1]) / plan.particle_spacing
-        if math.isfinite(level) and abs(rows - round(rows)) > WHOLE_TOLERANCE:
-            nearest_level = domain.lower[1] + max(1, round(rows)) * plan.particle_spacing
-            reason = f"rows of particles {plan.particle_spacing:g} m apart don't end at {level:g} m"
-            yield "scene.fluid.level", f"{reason}; they do at {nearest_level:g} m"
+        if not math.isfinite(level) or not domain.fills_box:
+            continue
+        if (fits := domain.row_end(level, plan.particle_spacing)) != level:
+            pitch = domain.pitches(plan.particle_spacing)[1]
+            reason = f"rows of particles {pitch:g} m apart don't end at {level:g} m"
+            yield "scene.fluid.level", f"{reason}; they do at {fits:g} m"
     if case.scene.has_surface and not plan.n_particles:
         yield "scene.fluid", "no particle is in it; raise discretization.resolution"
     if case.scene.has_surface and section.shifting.enabled:
@@ -186,7 +186,7 @@ def nearest_fitting_resolution(case: Case) -> int | None:
     """Return the nearest resolution at which walls fit the lattice, or None if none is near."""
     domain, length = case.scene.domain, case.scene.resolved_length
     resolution, half = case.discretization.resolution, case.discretization.resolution // 2
-    near = range(resolution - half + 1, resolution + half)
+    near = range(resolution - half + 1, 2 * resolution + 1)
     fitting = (number for number in near if domain.fits_lattice(length / number))
     return min(fitting, key=lambda number: (abs(number - resolution), -number), default=None)
 

@@ -186,7 +186,8 @@ class SurfaceFluidSection(Section):
         ----------
         level : height of the surface at rest [m]; not used for a shape.
         """
-        points = domain.fill(particle_spacing)
+        level_fits = self.level is None or domain.row_end(level, particle_spacing) == level
+        points = (domain if level_fits else domain.below(level)).fill(particle_spacing)
         if self.level is not None:
             return points[points[:, 1] < level]
         return points[shapely.contains_xy(self.geometry(), *points.T)]
