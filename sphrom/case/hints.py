@@ -14,6 +14,8 @@ from sphrom.sph.fluid import ROUNDING
 
 SNAPSHOTS_PER_MODE = 2
 """Least number of snapshots per mode without a warning."""
+MOST_MISSED = 0.02
+"""Largest difference of the areas of particles and their shape without a warning, over the area."""
 LEAST_STRIP = 20.0
 """Least width of a strip, over the spacing; its rate then falls within two spacings."""
 
@@ -24,6 +26,7 @@ def case_warnings(case: Case) -> list[str]:
         *(f"scene.{key}: {reason}" for key, reason in case.scene.warnings()),
         *(f"time.step: {reason}" for reason in beyond_limits(case)),
         *_of_strip(case),
+        *_of_filling(case),
         *_extrapolations(case, "parameters.test", case.plan.test_points),
         *_of_models(case),
         *_of_numerics(case),
@@ -37,6 +40,19 @@ def _of_strip(case: Case) -> Iterator[str]:
         yield (
             f"scene.inflow.strip: is {width:.3g} m wide, so its forcing is too steep for the "
             f"particles; use {least:.3g} m, or discretization.resolution: {resolution}"
+        )
+
+
+def _of_filling(case: Case) -> Iterator[str]:
+    """Warn if the particles of a fluid with a shape have another area than the shape."""
+    fluid = getattr(case.scene, "fluid", None)
+    if fluid is None or fluid.level is not None:
+        return
+    area, filled = fluid.geometry().area, case.plan.n_particles * case.plan.particle_spacing**2
+    if abs(filled / area - 1.0) > MOST_MISSED:
+        yield (
+            f"scene.fluid: its particles have an area of {filled:.4g} m2, and its shape "
+            f"{area:.4g} m2; choose a discretization.resolution whose spacing divides its sides"
         )
 
 
