@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sphrom.artifacts import (
@@ -29,7 +29,7 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import fast_section, sweep_model, sweep_name
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.kernels import ask_for_threads
-from sphrom.setup.context import StageContext
+from sphrom.setup.context import KnownArtifacts, StageContext
 
 FULL_RUN = ("scene", "fluid", "discretization", "time", "snapshots")
 """The sections that a full run depends on."""
@@ -159,6 +159,41 @@ class Workspace:
                 remedy = f"no simulation replaces what was imported: import again with `{command}`"
             raise ArtifactError(f"{target.path} {reason}; {remedy}")
 
+    def shorter_run(self, point: ParameterPoint) -> Target | None:
+        """Return the finished run that a full run would continue beyond its final time, or None.
+
+        Raises ArtifactError if it can't be continued because the longer case has other steps, or
+        another speed of sound, with `resume` and without `force`.
+        """
+        target, case, before = self.full_run(point), self.case, None
+        if not target.path.exists() or self.imported(target) or not self.reason_to_make(target):
+            return None
+        with (
+            suppress(ArtifactError, CaseError),
+            open_artifact(target.path, target.schema, made_by=target.made_by) as run,
+        ):
+            if run.text("status") == "complete":
+                before = case.model_copy(update={"time": case_of_text(run.case_text).time})
+        if before is None or before.time.spin_up != case.time.spin_up:
+            return None
+        shorter = Workspace(replace(self.context, case=before, known=KnownArtifacts()))
+        old, new = before.plan, case.plan
+        found = shorter.full_run(point)
+        if shorter.reason_to_make(found) or old.steps.end_time >= new.steps.end_time:
+            return None
+        remedy, change = "", ""
+        if old.sound_speed != new.sound_speed:
+            change = f"speed of sound is {old.sound_speed!r} m/s there, {new.sound_speed!r} m/s here"
+        elif old.steps.time_step != new.steps.time_step:
+            change = f"step is {old.steps.time_step!r} s there, {new.steps.time_step!r} s here"
+            remedy = f"`--set time.step={old.steps.time_step!r}` keeps it, "
+        if change and self.context.resume and not self.context.force:
+            raise ArtifactError(
+                f"{target.path} can't be continued from {old.steps.end_time:g} to "
+                f"{new.steps.end_time:g} s: the {change}; {remedy}`--force` makes it anew"
+            )
+        return None if change else found
+
     def imported(self, target: Target) -> dict[str, str]:
         """Return the import attributes of an artifact; empty if it was made here or is damaged."""
         with suppress(Fault), open_file(target.path) as file:
@@ -194,13 +229,21 @@ class Workspace:
 
     @contextmanager
     def create(
-        self, target: Target, attributes: Mapping[str, object] | None = None
+        self,
+        target: Target,
+        attributes: Mapping[str, object] | None = None,
+        *,
+        replaces: bool = False,
     ) -> Iterator[ArtifactWriter]:
-        """Write an artifact that is made from the current state of its parents."""
+        """Write an artifact that is made from the current state of its parents.
+
+        It replaces an existing one with `replaces` or with the context's `force`.
+        """
         for parent in target.parents.values():
             self.require(parent)
         make_folder(target.path.parent)
-        with self.create_intermediate(target, attributes, force=self.context.force) as artifact:
+        force = self.context.force or replaces
+        with self.create_intermediate(target, attributes, force=force) as artifact:
             yield artifact
         self.context.known.forget(target.path)
         self.context.report.info(f"wrote {target.path}")
