@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import json
+import re
 from collections import Counter
 from collections.abc import Iterable
 from difflib import get_close_matches
@@ -10,6 +12,7 @@ from typing import Any
 
 MAX_SHOWN = 60
 """Characters of a value that a message quotes."""
+DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(e[-+]?\d+)?", re.IGNORECASE)
 
 
 def exact(value: float) -> str:
@@ -65,6 +68,44 @@ def nearest(word: str, known: Iterable[str]) -> str:
     if close:
         return f"did you mean {close[0]}?"
     return "known: " + ", ".join(words) if words else "none is known here"
+
+
+def table_rows(text: str) -> list[tuple[int, list[str]]]:
+    """Return the rows of a CSV table with their line numbers, the names of columns first.
+
+    Cells end at commas, or at semicolons or tabs if the first row has any; numbers may then have
+    decimal commas, which become points. Blank lines and lines that begin with # are left out, and
+    missing cells at the end of a row are empty.
+
+    Raises ValueError for a row with more cells than names, and for points beside decimal commas;
+    csv.Error for a damaged line.
+    """
+    lines = [
+        (number, line)
+        for number, line in enumerate(text.splitlines(), 1)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    head = lines[0][1] if lines else ""
+    separator = next((each for each in ";\t" if each in head), ",")
+    rows, with_point, with_comma = [], 0, 0
+    for number, line in lines:
+        row = [cell.strip() for cell in next(csv.reader([line], delimiter=separator))]
+        if rows and len(row) > len(rows[0][1]):
+            raise ValueError(
+                f"line {number}: has {len(row)} cells for {len(rows[0][1])} columns; numbers with "
+                "decimal commas need semicolons between cells"
+            )
+        if rows and separator != ",":
+            commas = [DECIMAL_COMMA.fullmatch(cell) is not None for cell in row]
+            with_comma = number if any(commas) else with_comma
+            with_point = number if any("." in cell for cell in row) else with_point
+            row = [cell.replace(",", ".") if c else cell for c, cell in zip(commas, row, strict=True)]
+        rows.append((number, row + [""] * (len(rows[0][1]) - len(row) if rows else 0)))
+    if with_comma and with_point:
+        raise ValueError(
+            f"line {with_comma} has decimal commas, and line {with_point} points: use one of them"
+        )
+    return rows
 
 
 def data_size(n_bytes: int) -> str:

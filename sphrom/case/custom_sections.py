@@ -32,7 +32,7 @@ from sphrom.errors import CaseError
 from sphrom.scenes.flows import BodyForce
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Rates, Strip
-from sphrom.text import shortened, visible
+from sphrom.text import shortened, table_rows, visible
 from sphrom.whole_files import read_whole
 
 Value = Coordinate | Annotated[str, Field(max_length=1000)]
@@ -305,14 +305,13 @@ def read_start(path: Path) -> str:
 
 def _points(text: str) -> Array:
     """Return x, y, u, v and p of each point (n_points, 5)."""
-    rows = [line for line in text.splitlines() if line.strip()]
-    names = [name.strip() for name in next(csv.reader(rows), [])]
+    (_, names), *rows = table_rows(text) or [(0, [])]
     if any(names.count(name) != 1 for name in COLUMNS[:4]):
         raise ValueError("its first line must name the columns x, y, u, v and perhaps p, once each")
-    if not 3 <= len(rows) - 1 <= MOST_POINTS:
-        raise ValueError(f"must hold 3 to {MOST_POINTS} points; got {len(rows) - 1}")
+    if not 3 <= len(rows) <= MOST_POINTS:
+        raise ValueError(f"must hold 3 to {MOST_POINTS} points; got {len(rows)}")
     columns = [names.index(name) for name in COLUMNS if name in names]
-    values = np.loadtxt(rows, delimiter=",", usecols=columns, ndmin=2, skiprows=1, comments=None)
+    values = np.array([[row[column] for column in columns] for _, row in rows], dtype=np.float64)
     values = np.pad(values, ((0, 0), (0, 5 - len(columns))))
     if not np.all(np.abs(values) <= LARGEST):  # also refuses NaN
         raise ValueError(f"values must be numbers up to {LARGEST:g}")
