@@ -12,7 +12,8 @@ from typing import Any
 
 MAX_SHOWN = 60
 """Characters of a value that a message quotes."""
-DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(e[-+]?\d+)?", re.IGNORECASE)
+DECIMAL = re.compile(r"[-+]?\d*([.,])\d*(e[-+]?\d+)?", re.IGNORECASE)
+"""A number with a decimal point or comma."""
 
 
 def exact(value: float) -> str:
@@ -85,26 +86,25 @@ def table_rows(text: str) -> list[tuple[int, list[str]]]:
         for number, line in enumerate(text.splitlines(), 1)
         if line.strip() and not line.lstrip().startswith("#")
     ]
-    head = lines[0][1] if lines else ""
-    separator = next((each for each in ";\t" if each in head), ",")
-    rows, with_point, with_comma = [], 0, 0
+    separator = next((each for each in ";\t" if lines and each in lines[0][1]), ",")
+    rows: list[tuple[int, list[str]]] = []
+    marks: dict[str, int] = {}  # the last lines with decimal points and commas
     for number, line in lines:
         row = [cell.strip() for cell in next(csv.reader([line], delimiter=separator))]
-        if rows and len(row) > len(rows[0][1]):
+        if separator != ",":
+            found = [DECIMAL.fullmatch(cell) for cell in row]
+            marks |= {match[1]: number for match in found if match}
+            row = [c.replace(",", ".") if m else c for c, m in zip(row, found, strict=True)]
+        missing = len(rows[0][1]) - len(row) if rows else 0
+        if missing < 0:
             raise ValueError(
                 f"line {number}: has {len(row)} cells for {len(rows[0][1])} columns; numbers with "
                 "decimal commas need semicolons between cells"
             )
-        if rows and separator != ",":
-            commas = [DECIMAL_COMMA.fullmatch(cell) is not None for cell in row]
-            with_comma = number if any(commas) else with_comma
-            with_point = number if any("." in cell for cell in row) else with_point
-            row = [cell.replace(",", ".") if c else cell for c, cell in zip(commas, row, strict=True)]
-        rows.append((number, row + [""] * (len(rows[0][1]) - len(row) if rows else 0)))
-    if with_comma and with_point:
-        raise ValueError(
-            f"line {with_comma} has decimal commas, and line {with_point} points: use one of them"
-        )
+        rows.append((number, row + [""] * missing))
+    if len(marks) > 1:
+        reason = f"line {marks[',']} has decimal commas, and line {marks['.']} points"
+        raise ValueError(f"{reason}: use one of them")
     return rows
 
 

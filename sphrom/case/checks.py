@@ -138,17 +138,17 @@ def _check_geometry(case: Case) -> Found:
     plan, section = case.plan, case.discretization
     if domain.narrowest_gap <= 0.0:
         yield "scene", "its lengths differ so much that the smallest one is lost in rounding"
-    elif not domain.fits_lattice(spacing := length / section.resolution):
-        reason = f"a spacing of {spacing:g} m doesn't divide all lengths of the scene to 0.5 %"
+    elif not domain.fits_lattice(wanted := length / section.resolution):
+        reason = f"a spacing of {wanted:g} m doesn't divide all lengths of the scene to 0.5 %"
         nearest_one = nearest_fitting_resolution(case) or "none that is near"
         yield "discretization.resolution", f"{reason}; {nearest_one} does"
     for level in sorted({case.scene.level_at(dict(point.others)) for point in plan.points}):
         if not math.isfinite(level) or not domain.fills_box:
             continue
-        if (fits := domain.row_end(level, plan.particle_spacing)) != level:
+        if (end := domain.row_end(level, plan.particle_spacing)) != level:
             pitch = domain.pitches(plan.particle_spacing)[1]
             reason = f"rows of particles {pitch:g} m apart don't end at {level:g} m"
-            yield "scene.fluid.level", f"{reason}; they do at {fits:g} m"
+            yield "scene.fluid.level", f"{reason}; they do at {end:g} m"
     if case.scene.has_surface and not plan.n_particles:
         yield "scene.fluid", "no particle is in it; raise discretization.resolution"
     if case.scene.has_surface and section.shifting.enabled:

@@ -186,10 +186,15 @@ class SurfaceFluidSection(Section):
         ----------
         level : height of the surface at rest [m]; not used for a shape.
         """
-        level_fits = self.level is None or domain.row_end(level, particle_spacing) == level
-        points = (domain if level_fits else domain.below(level)).fill(particle_spacing)
+        points = domain.fill(particle_spacing)
         if self.level is not None:
-            return points[points[:, 1] < level]
+            filled = points[points[:, 1] < level]
+            if domain.fills_box:
+                return filled
+            # Beside solids a lattice may not end at the level, or not along the sides.
+            below, ends = domain.below(level), domain.row_end(level, particle_spacing) == level
+            right = ends and len(filled) == below.n_particles(particle_spacing)
+            return filled if right else below.fill(particle_spacing)
         return points[shapely.contains_xy(self.geometry(), *points.T)]
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from sphrom.artifacts import write_record
 from sphrom.artifacts.records.runs import Packing, Start
 from sphrom.case.points import ParameterPoint
-from sphrom.errors import ArtifactError, UnstableError
+from sphrom.errors import UnstableError
 from sphrom.setup import assembly, particles
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import describe_cost, described_run, require_room
@@ -59,15 +59,9 @@ def ensure_run(workspace: Workspace, point: ParameterPoint) -> Target:
     must not be overwritten, or can't be continued.
     """
     _ensure_spun_up(workspace, point)
-    target, context = workspace.full_run(point), workspace.context
-    shorter = workspace.shorter_run(point) if context.resume or not context.force else None
-    if shorter is not None and not context.resume:
-        raise ArtifactError(
-            f"{target.path} ends before {workspace.case.plan.steps.end_time:g} s: `--resume` "
-            "continues it, `--force` makes it anew"
-        )
+    target, shorter = workspace.full_run(point), workspace.shorter_run(point)
     if shorter is not None or workspace.must_make(target):
-        context.report.info(described_run(workspace.case, point))
+        workspace.context.report.info(described_run(workspace.case, point))
         _run_point(workspace, point, shorter)
     return target
 
@@ -165,7 +159,7 @@ def _run_point(workspace: Workspace, point: ParameterPoint, shorter: Target | No
     begin = start(workspace, point)
     target = workspace.full_run(point)
     attributes = assembly.run_attributes(case, point, steps.time_step)
-    with workspace.create(target, attributes, replaces=shorter is not None) as artifact:
+    with workspace.create(target, attributes, over=shorter is not None) as artifact:
         checkpoints = Checkpoints(workspace, target, artifact, shorter)
         with checkpoints.progress(f"full run, {point.label}", steps.n_steps) as advance:
             functional = particles.functional(case, point)

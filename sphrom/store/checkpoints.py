@@ -174,12 +174,6 @@ class Checkpoints:
             last = artifact.length("step") - 1
             position, density, velocity = snapshot_fields(artifact, last)
             step, time = (artifact.dataset(name)[last] for name in ("step", "time"))
-            if artifact.text("softwareVersion") != __version__ and not self._context.force:
-                raise ArtifactError(
-                    f"{self._name} was computed with another version of sphrom; if it is continued,"
-                    " the last bits may differ from those of one run: `--resume --force` continues "
-                    "anyway, `--force` alone starts anew"
-                )
             self._artifact.add_time(artifact.number("wall_seconds"))
             self._context.report.note(
                 f"{self._name}: goes on from its end at step {step}, t = {time:.6g} s"
@@ -194,7 +188,9 @@ class Checkpoints:
             kept = read_record(artifact, Checkpoint)
         if kept.continued not in (None, self._continued):
             path = self._target.path
-            raise ArtifactError(f"{path} is no longer the run that was continued; `--force` starts anew")
+            raise ArtifactError(
+                f"{path} is no longer the run that was continued; `--force` starts anew"
+            )
         for number in range(1, kept.n_parts + 1):
             target = self._part(number)
             if not target.path.exists():

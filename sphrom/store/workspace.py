@@ -30,6 +30,7 @@ from sphrom.case.studies import fast_section, sweep_model, sweep_name
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.kernels import ask_for_threads
 from sphrom.setup.context import KnownArtifacts, StageContext
+from sphrom.version import __version__
 
 FULL_RUN = ("scene", "fluid", "discretization", "time", "snapshots")
 """The sections that a full run depends on."""
@@ -160,39 +161,45 @@ class Workspace:
             raise ArtifactError(f"{target.path} {reason}; {remedy}")
 
     def shorter_run(self, point: ParameterPoint) -> Target | None:
-        """Return the finished run that a full run would continue beyond its final time, or None.
+        """Return the finished run that a full run continues beyond its final time, or None.
 
-        Raises ArtifactError if it can't be continued because the longer case has other steps, or
-        another speed of sound, with `resume` and without `force`.
+        Raises ArtifactError without `force` if there is one, but `resume` is not set, or the longer
+        case has other steps or another speed of sound.
         """
-        target, case, before = self.full_run(point), self.case, None
+        target, case, context, before = self.full_run(point), self.case, self.context, None
         if not target.path.exists() or self.imported(target) or not self.reason_to_make(target):
             return None
         with (
             suppress(ArtifactError, CaseError),
             open_artifact(target.path, target.schema, made_by=target.made_by) as run,
         ):
+            version = run.text("softwareVersion")
             if run.text("status") == "complete":
                 before = case.model_copy(update={"time": case_of_text(run.case_text).time})
         if before is None or before.time.spin_up != case.time.spin_up:
             return None
-        shorter = Workspace(replace(self.context, case=before, known=KnownArtifacts()))
-        old, new = before.plan, case.plan
-        found = shorter.full_run(point)
+        shorter = Workspace(replace(context, case=before, known=KnownArtifacts()))
+        found, old, new = shorter.full_run(point), before.plan, case.plan
         if shorter.reason_to_make(found) or old.steps.end_time >= new.steps.end_time:
             return None
-        remedy, change = "", ""
-        if old.sound_speed != new.sound_speed:
-            change = f"speed of sound is {old.sound_speed!r} m/s there, {new.sound_speed!r} m/s here"
-        elif old.steps.time_step != new.steps.time_step:
-            change = f"step is {old.steps.time_step!r} s there, {new.steps.time_step!r} s here"
-            remedy = f"`--set time.step={old.steps.time_step!r}` keeps it, "
-        if change and self.context.resume and not self.context.force:
-            raise ArtifactError(
-                f"{target.path} can't be continued from {old.steps.end_time:g} to "
-                f"{new.steps.end_time:g} s: the {change}; {remedy}`--force` makes it anew"
-            )
-        return None if change else found
+        step, ends = old.steps.time_step, f"{target.path} ends at {old.steps.end_time:g} s"
+        changes = {
+            "speed of sound": (old.sound_speed, new.sound_speed, ""),
+            "step": (step, new.steps.time_step, f"`--set time.step={step!r}` keeps it, "),
+            "version of sphrom": (version, __version__, ""),
+        }
+        different = (name for name, (there, here, _) in changes.items() if there != here)
+        if (name := next(different, None)) is not None:
+            there, here, remedy = changes[name]
+            if context.resume and not context.force:
+                change = (
+                    f"the {name} is {there} there, {here} here; {remedy}`--force` makes it anew"
+                )
+                raise ArtifactError(f"{ends}, and can't be continued: {change}")
+            return None
+        if not context.resume and not context.force:
+            raise ArtifactError(f"{ends}: `--resume` continues it, `--force` makes it anew")
+        return found if context.resume else None
 
     def imported(self, target: Target) -> dict[str, str]:
         """Return the import attributes of an artifact; empty if it was made here or is damaged."""
@@ -229,20 +236,13 @@ class Workspace:
 
     @contextmanager
     def create(
-        self,
-        target: Target,
-        attributes: Mapping[str, object] | None = None,
-        *,
-        replaces: bool = False,
+        self, target: Target, attributes: Mapping[str, object] | None = None, *, over: bool = False
     ) -> Iterator[ArtifactWriter]:
-        """Write an artifact that is made from the current state of its parents.
-
-        It replaces an existing one with `replaces` or with the context's `force`.
-        """
+        """Write an artifact made from its parents' state; with `over` or `force`, over another."""
         for parent in target.parents.values():
             self.require(parent)
         make_folder(target.path.parent)
-        force = self.context.force or replaces
+        force = self.context.force or over
         with self.create_intermediate(target, attributes, force=force) as artifact:
             yield artifact
         self.context.known.forget(target.path)

@@ -65,8 +65,8 @@ def test_semicolons_and_tabs_allow_decimal_commas(load, separator) -> None:
     found = start(load("# ours\n" + rows), (0.25, 0.5))
     np.testing.assert_array_equal(found[0], expected[0])
     np.testing.assert_array_equal(found[1], expected[1])
-    for mixed in ("x,y,u,v\n0,5,0,0,0\n", rows + separator.join("3,0 3.0 1 1 1".split())):
-        with pytest.raises(CaseError, match="semicolons between cells|decimal commas, and line 6"):
+    for mixed in ("x,y,u,v\n0,5,0,0,0\n", rows + separator.join(["3,0", "3.0", "1", "1", "1"])):
+        with pytest.raises(CaseError, match=r"semicolons between|commas, and line \d"):
             load(mixed)
 
 
