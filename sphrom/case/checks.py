@@ -136,17 +136,19 @@ def _check_repeated(key: str, points: Iterable[ParameterPoint]) -> Found:
 def _check_geometry(case: Case) -> Found:
     domain, length = case.scene.domain, case.scene.resolved_length
     plan, section = case.plan, case.discretization
+    wanted = length / section.resolution
+    fits = domain.narrowest_gap > 0.0 and domain.fits_lattice(wanted)
     if domain.narrowest_gap <= 0.0:
         yield "scene", "its lengths differ so much that the smallest one is lost in rounding"
-    elif not domain.fits_lattice(wanted := length / section.resolution):
+    elif not fits:
         reason = f"a spacing of {wanted:g} m doesn't divide all lengths of the scene to 0.5 %"
         nearest_one = nearest_fitting_resolution(case) or "none that is near"
         yield "discretization.resolution", f"{reason}; {nearest_one} does"
     for level in sorted({case.scene.level_at(dict(point.others)) for point in plan.points}):
         if not math.isfinite(level) or not domain.fills_box:
             continue
-        if (end := domain.row_end(level, plan.particle_spacing)) != level:
-            pitch = domain.pitches(plan.particle_spacing)[1]
+        pitch = domain.pitches(plan.particle_spacing)[1] if fits else wanted
+        if (end := domain.row_end(level, pitch)) != level:
             reason = f"rows of particles {pitch:g} m apart don't end at {level:g} m"
             yield "scene.fluid.level", f"{reason}; they do at {end:g} m"
     if case.scene.has_surface and not plan.n_particles:
@@ -174,11 +176,11 @@ def _check_geometry(case: Case) -> Found:
     radius = SUPPORT_RATIO * max(own, mapped)
     if gap > 0.0 and radius > most * (1.0 + ROUNDING):
         least = math.ceil(section.resolution * radius / most * (1.0 - ROUNDING))
-        fits = (n for n in range(least, 2 * least) if domain.fits_lattice(length / n))
+        enough = (n for n in range(least, 2 * least) if domain.fits_lattice(length / n))
         yield (
             f"{'reference' if mapped > own else 'discretization'}.smoothing_length_ratio",
             f"a support of radius {radius:g} m is larger than {limit}: "
-            f"discretization.resolution: {next(fits, least)} would do",
+            f"discretization.resolution: {next(enough, least)} would do",
         )
 
 

@@ -242,12 +242,11 @@ class Domain(ABC):
         """Return the distances of lattice points along x and y [m]."""
         return particle_spacing, particle_spacing
 
-    def row_end(self, level: float, particle_spacing: float) -> float:
+    def row_end(self, level: float, pitch: float) -> float:
         """Return the height [m] nearest to a level at which a row ends, or the level if one does.
 
-        Rows have the lattice's pitch, and begin at the floor.
+        Rows begin at the floor, `pitch` apart [m].
         """
-        pitch = self.pitches(particle_spacing)[1]
         rows = (level - self.lower[1]) / pitch
         whole = max(1, round(rows))
         return level if abs(rows - whole) <= WHOLE_TOLERANCE else self.lower[1] + whole * pitch

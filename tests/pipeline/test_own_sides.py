@@ -132,13 +132,6 @@ def test_a_lattice_fills_a_box_exactly(periodic, sides, number) -> None:
         np.testing.assert_allclose(np.sort(above[:, 1]), layers, rtol=1e-9)
 
 
-def test_a_box_that_fits_keeps_its_bits() -> None:
-    """Also where the quotient of side and spacing is rounded."""
-    domain = BoxDomain((0.0, 0.0), (0.3, 0.1), (False, False))
-    assert domain.lattice_spacing(0.3 / 9) == 0.3 / 9
-    np.testing.assert_array_equal(domain.fill(0.3 / 9)[:9, 0], 0.3 / 9 * (np.arange(9) + 0.5))
-
-
 def test_more_than_half_a_percent_is_refused_with_a_resolution_that_fits(tmp_path) -> None:
     with pytest.raises(CaseError, match=r"to 0\.5 %; 21 does") as refused:
         load(tmp_path, {**tank(1.237, 0.413, 20, fluid=None, reference_length=None, measure={})})
