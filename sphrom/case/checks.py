@@ -33,7 +33,6 @@ from sphrom.case.yaml_reader import Problem
 from sphrom.errors import CaseError, SphromError
 from sphrom.kernels import SUPPORT_RATIO
 from sphrom.metrics.elevation import find_elevation
-from sphrom.sph.box_domain import WHOLE_TOLERANCE
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import ROUNDING
 from sphrom.sph.polygons import periodic_shifts
@@ -163,18 +162,21 @@ def _check_repeated(key: str, points: Iterable[ParameterPoint]) -> Found:
 def _check_geometry(case: Case) -> Found:
     domain, length = case.scene.domain, case.scene.resolved_length
     plan, section = case.plan, case.discretization
+    wanted = length / section.resolution
+    fits = domain.narrowest_gap > 0.0 and domain.fits_lattice(wanted)
     if domain.narrowest_gap <= 0.0:
         yield "scene", "its lengths differ so much that the smallest one is lost in rounding"
-    elif not domain.fits_lattice(plan.particle_spacing):
-        reason = f"a spacing of {plan.particle_spacing:g} m doesn't divide all lengths of the scene"
+    elif not fits:
+        reason = f"a spacing of {wanted:g} m doesn't divide all lengths of the scene to 0.5 %"
         nearest_one = nearest_fitting_resolution(case) or "none that is near"
         yield "discretization.resolution", f"{reason}; {nearest_one} does"
     for level in sorted({case.scene.level_at(dict(point.others)) for point in plan.points}):
-        rows = (level - domain.lower[1]) / plan.particle_spacing
-        if math.isfinite(level) and abs(rows - round(rows)) > WHOLE_TOLERANCE:
-            nearest_level = domain.lower[1] + max(1, round(rows)) * plan.particle_spacing
-            reason = f"rows of particles {plan.particle_spacing:g} m apart don't end at {level:g} m"
-            yield "scene.fluid.level", f"{reason}; they do at {nearest_level:g} m"
+        if not math.isfinite(level) or not domain.fills_box:
+            continue
+        pitch = domain.pitches(plan.particle_spacing)[1] if fits else wanted
+        if (end := domain.row_end(level, pitch)) != level:
+            reason = f"rows of particles {pitch:g} m apart don't end at {level:g} m"
+            yield "scene.fluid.level", f"{reason}; they do at {end:g} m"
     if case.scene.has_surface and not plan.n_particles:
         yield "scene.fluid", "no particle is in it; raise discretization.resolution"
     if case.scene.has_surface and section.shifting.enabled:
@@ -200,8 +202,8 @@ def _check_geometry(case: Case) -> Found:
     radius = SUPPORT_RATIO * max(own, mapped)
     if gap > 0.0 and radius > most * (1.0 + ROUNDING):
         least = math.ceil(section.resolution * radius / most * (1.0 - ROUNDING))
-        fits = (n for n in range(least, 2 * least) if domain.fits_lattice(length / n))
-        remedy = f"discretization.resolution: {next(fits, least)} would do"
+        enough = (n for n in range(least, 2 * least) if domain.fits_lattice(length / n))
+        remedy = f"discretization.resolution: {next(enough, least)} would do"
         if least > MOST_REFINED * section.resolution:
             remedy = f"make it at least {radius:.3g} m thick"
             if most < solid:
@@ -251,7 +253,7 @@ def nearest_fitting_resolution(case: Case) -> int | None:
     """Return the nearest resolution at which walls fit the lattice, or None if none is near."""
     domain, length = case.scene.domain, case.scene.resolved_length
     resolution, half = case.discretization.resolution, case.discretization.resolution // 2
-    near = range(resolution - half + 1, resolution + half)
+    near = range(resolution - half + 1, 2 * resolution + 1)
     fitting = (number for number in near if domain.fits_lattice(length / number))
     return min(fitting, key=lambda number: (abs(number - resolution), -number), default=None)
 
@@ -542,7 +544,7 @@ def _check_training_runs(case: Case) -> Found:
     """Refuse models that training runs can't teach anything."""
     plan = case.plan
     # A box of fluid that nothing describes yet is a template.
-    is_template = case.scene == type(case.scene)(kind=case.scene.kind)
+    is_template = case.scene == type(case.scene).model_validate({"kind": case.scene.kind})
     asked = "rom" in case.model_fields_set and case.rom and not is_template
     if asked and not any(map(plan.is_driven, plan.train_points)):
         reason = "nothing drives the fluid in any training run, so that there are no modes"

@@ -251,7 +251,7 @@ class CustomScene(SceneSection):
         corners = (lower[0], lower[1]), (upper[0], upper[1])
         periodic = ("x" in self.box.periodic, "y" in self.box.periodic)
         if not self.solids:
-            return BoxDomain(*corners, periodic)
+            return BoxDomain(*corners, periodic, level=self._row_end)
         # Imported late, because it loads kernels that other scenes do not need.
         from sphrom.sph.polygon_domain import PolygonDomain
 
@@ -260,6 +260,15 @@ class CustomScene(SceneSection):
         except ValueError as error:
             hints = "".join(f"; solids.{name} {hint}" for name, hint in self._odd_units())
             raise ValueError(f"{error}{hints}") from error
+
+    @property
+    def _row_end(self) -> float | None:
+        """The level below the box's upper side that no constant changes [m], or None."""
+        if self.fluid is None or self.fluid.level is None:
+            return None
+        constant = not self._expression("fluid.level", self.fluid.level).degree_in(self.constants)
+        level = self.level_at() if constant else math.inf
+        return level if self.box.lower[1] < level < self.box.upper[1] else None
 
     def _odd_units(self) -> Iterator[tuple[str, str]]:
         """Yield solids whose coordinates seem to have another unit than the box, with reasons."""

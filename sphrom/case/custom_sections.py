@@ -33,7 +33,7 @@ from sphrom.errors import CaseError
 from sphrom.scenes.flows import BodyForce
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import ROUNDING, Rates, Strip
-from sphrom.text import shortened, visible
+from sphrom.text import shortened, table_rows, visible
 from sphrom.whole_files import read_whole
 
 Value = Coordinate | Annotated[str, Field(max_length=1000)]
@@ -236,7 +236,13 @@ class SurfaceFluidSection(Section):
         """
         points = domain.fill(particle_spacing)
         if self.level is not None:
-            return points[points[:, 1] < level]
+            filled = points[points[:, 1] < level]
+            if domain.fills_box:
+                return filled
+            # Beside solids a lattice may not end at the level, or not along the sides.
+            below, ends = domain.below(level), domain.row_end(level, particle_spacing) == level
+            right = ends and len(filled) == below.n_particles(particle_spacing)
+            return filled if right else below.fill(particle_spacing)
         return points[shapely.contains_xy(self.geometry(), *points.T)]
 
 
@@ -470,21 +476,16 @@ def _read_table(path: Path, parsed: Callable[[str], Table]) -> tuple[str, Table]
         raise ValueError(f"{name}: {shortened(str(error))}") from error
 
 
-def _table(text: str) -> tuple[list[str], list[str]]:
-    """Return the names of the columns of a table, and its lines, which commas must separate."""
-    lines = [line for line in text.splitlines() if line.strip()]
-    rows = list(csv.reader(lines)) or [[""]]
-    for number, row in enumerate(rows, 1):
-        if len(row) != len(rows[0]) or (len(row) == 1 and set(*row) & set(";\t")):
-            reason = "commas must separate the same number of columns in all lines, and points"
-            raise ValueError(f"{reason} the decimals; see line {number}")
-    return [name.strip() for name in rows[0]], lines
+def _table(text: str) -> tuple[list[str], list[list[str]]]:
+    """Return the names of the columns of a table, and the cells of its rows."""
+    (_, names), *rows = table_rows(text) or [(0, [])]
+    return names, [cells for _, cells in rows]
 
 
-def _numbers(lines: list[str], columns: list[int]) -> Array:
-    """Return some columns (n_rows, n_columns) of a table with a header. Raises ValueError."""
-    options: dict[str, Any] = {"delimiter": ",", "comments": None, "quotechar": '"'}
-    values = np.loadtxt(lines, usecols=columns, ndmin=2, skiprows=1, **options)
+def _numbers(rows: list[list[str]], columns: list[int]) -> Array:
+    """Return some columns (n_rows, n_columns) of a table. Raises ValueError."""
+    cells = [[row[column] for column in columns] for row in rows]
+    values = np.array(cells, dtype=np.float64).reshape(-1, len(columns))
     if not np.all(np.abs(values) <= LARGEST):  # also refuses NaN
         raise ValueError(f"values must be numbers up to {LARGEST:g}")
     return values
@@ -495,8 +496,8 @@ def _points(text: str) -> Array:
     names, rows = _table(text)
     if any(names.count(name) != 1 for name in COLUMNS[:4]):
         raise ValueError("its first line must name the columns x, y, u, v and perhaps p, once each")
-    if not 3 <= len(rows) - 1 <= MOST_POINTS:
-        raise ValueError(f"must hold 3 to {MOST_POINTS} points; got {len(rows) - 1}")
+    if not 3 <= len(rows) <= MOST_POINTS:
+        raise ValueError(f"must hold 3 to {MOST_POINTS} points; got {len(rows)}")
     columns = [names.index(name) for name in COLUMNS if name in names]
     values = np.pad(_numbers(rows, columns), ((0, 0), (0, 5 - len(columns))))
     if len(np.unique(values[:, :2], axis=0)) < len(values):

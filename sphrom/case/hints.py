@@ -22,6 +22,8 @@ ROWS_PER_PERIOD = 4
 """Rows of a measured history in its shortest period, below which this period is noise."""
 THICKENED = 4
 """Spacings across a porous body that is thin enough to be one, and resolved."""
+MOST_MISSED = 0.02
+"""Largest difference of the areas of particles and their shape without a warning, over the area."""
 LEAST_STRIP = 20.0
 """Least width of a strip, over the spacing; its rate then falls within two spacings."""
 
@@ -44,6 +46,7 @@ def case_warnings(case: Case) -> list[str]:
         *_of_porous(case),
         *_of_driving(case),
         *_of_histories(case),
+        *_of_filling(case),
         *_extrapolations(case, "parameters.test", case.plan.test_points),
         *_of_models(case),
         *_of_numerics(case),
@@ -116,6 +119,19 @@ def _of_histories(case: Case) -> Iterator[str]:
                 f"{rows}, but runs use values at steps of {plan.steps.time_step:.3g} s alone; "
                 "average its rows, or set time.step"
             )
+
+
+def _of_filling(case: Case) -> Iterator[str]:
+    """Warn if the particles of a fluid with a shape have another area than the shape."""
+    fluid = getattr(case.scene, "fluid", None)
+    if fluid is None or fluid.level is not None:
+        return
+    area, filled = fluid.geometry().area, case.plan.n_particles * case.plan.particle_spacing**2
+    if abs(filled / area - 1.0) > MOST_MISSED:
+        yield (
+            f"scene.fluid: its particles have an area of {filled:.4g} m2, and its shape "
+            f"{area:.4g} m2; choose a discretization.resolution whose spacing divides its sides"
+        )
 
 
 def _extrapolations(case: Case, key: str, points: Iterable[ParameterPoint]) -> Iterator[str]:

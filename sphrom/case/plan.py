@@ -94,8 +94,9 @@ class Plan:
 
     @cached_property
     def particle_spacing(self) -> float:
-        """dx [m]."""
-        return self._case.scene.resolved_length / self._case.discretization.resolution
+        """dx [m], the square root of the area of a particle."""
+        wanted = self._case.scene.resolved_length / self._case.discretization.resolution
+        return self._case.scene.domain.lattice_spacing(wanted)
 
     @cached_property
     def smoothing_length(self) -> float:

@@ -60,13 +60,16 @@ def run(context: StageContext) -> None:
 def ensure_run(workspace: Workspace, point: ParameterPoint) -> Target:
     """Run the full model at a parameter point unless its run is up to date.
 
-    Raises UnstableError if its spin-up is unstable.
+    With `resume`, a finished run that ends earlier is continued.
+
+    Raises UnstableError if its spin-up is unstable; ArtifactError if there is an earlier run that
+    must not be overwritten, or can't be continued.
     """
     _ensure_spun_up(workspace, point)
-    target = workspace.full_run(point)
-    if workspace.must_make(target):
+    target, shorter = workspace.full_run(point), workspace.shorter_run(point)
+    if shorter is not None or workspace.must_make(target):
         workspace.context.report.info(described_run(workspace.case, point))
-        _run_point(workspace, point)
+        _run_point(workspace, point, shorter)
     return target
 
 
@@ -157,15 +160,14 @@ def _spin_up(workspace: Workspace, point: ParameterPoint) -> None:
         artifact.annotate("timing/integration", clock.seconds)
 
 
-def _run_point(workspace: Workspace, point: ParameterPoint) -> None:
+def _run_point(workspace: Workspace, point: ParameterPoint, shorter: Target | None) -> None:
     case = workspace.case
     steps = case.plan.steps
     begin = start(workspace, point)
     target = workspace.full_run(point)
-    with workspace.create(
-        target, assembly.run_attributes(case, point, steps.time_step)
-    ) as artifact:
-        checkpoints = Checkpoints(workspace, target, artifact)
+    attributes = assembly.run_attributes(case, point, steps.time_step)
+    with workspace.create(target, attributes, over=shorter is not None) as artifact:
+        checkpoints = Checkpoints(workspace, target, artifact, shorter)
         with checkpoints.progress(f"full run, {point.label}", steps.n_steps) as advance:
             functional = particles.functional(case, point)
             integrate(

@@ -240,7 +240,9 @@ def _describe_shape(case: Case, report: Reporter) -> None:
     ]
     filled = case.plan.n_particles * case.plan.particle_spacing**2
     area = filled if case.scene.has_surface else domain.area
-    report.info("; ".join((f"the fluid's area is {area:.4g} m2", *described)))
+    x, y = domain.pitches(case.plan.particle_spacing)
+    uneven = [f"particles {x:.4g} m apart along x and {y:.4g} m along y fit its sides"] * (x != y)
+    report.info("; ".join((f"the fluid's area is {area:.4g} m2", *uneven, *described)))
 
 
 def describe_cost(case: Case, report: Reporter) -> None:

@@ -156,6 +156,11 @@ class TrajectoryWriter:
         self.write(item)
         return item
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the datasets with one entry per snapshot."""
+        return tuple(self._streams)
+
     def write(self, item: Item) -> None:
         """Write one snapshot that `append` returned before."""
         for name, stream in self._streams.items():

@@ -14,6 +14,7 @@ import pytest
 import yaml
 
 from sphrom.artifacts import open_artifact
+from sphrom.exchange.import_options import ImportOptions
 from sphrom.scenes.flows import TaylorGreen
 
 PYSPH = sorted((Path(__file__).parent / "data" / "pysph").glob("*.hdf5"))
@@ -172,6 +173,19 @@ def test_units_are_those_of_the_options(case, sphrom) -> None:
     np.testing.assert_allclose(run["velocity"][1], np.stack((si["u"], si["v"]), 1), rtol=1e-12)
     np.testing.assert_allclose(run["density_fluctuation"][1], si["rho"] - 1.0, atol=1e-14)
     np.testing.assert_allclose(run["pressure"][1], 100.0 * (si["rho"] - 1.0), atol=1e-12)
+
+
+def test_the_table_of_units() -> None:
+    units = "pressure=GPa,velocity=km/h,time=h,density=t/mm3,length=um"
+    values = {
+        "pressure": 1e9,
+        "velocity": 1.0 / 3.6,
+        "time": 3600.0,
+        "density": 1e12,
+        "length": 1e-6,
+    }
+    assert ImportOptions(units=units).scales == values
+    assert ImportOptions(units="velocity=mm/ms,pressure=bar").scales["velocity"] == 1.0
 
 
 def test_one_array_of_several_is_taken(case, sphrom, refused) -> None:
@@ -364,6 +378,13 @@ def test_particles_that_come_and_go_are_refused(case, sphrom) -> None:
         ({}, ("--velocity", "a,b,c"), 2, "--velocity: must be two"),
         ({}, ("--density", "rho", "--pressure", "p"), 2, "--density, --pressure"),
         ({}, ("--units", "length=furlong"), 2, "got 'length=furlong'"),
+        ({}, ("--units", "length=1e308"), 2, "must be a number from 1e-12 to 1e+12, or one of"),
+        ({}, ("--units", "time=1e-308"), 2, "got 'time=1e-308'"),
+        ({}, ("--origin=nan,nan",), 2, "must be two numbers up to 1e+12, like 0.5,0.5"),
+        ({}, ("--origin=0,-inf",), 2, "--origin: must be two numbers"),
+        ({}, ("--time-step", "1e308"), 2, "--time-step: must be a number above zero, up to 1e+12"),
+        ({}, ("--seconds", "1e308"), 2, "--seconds: must be a number above zero"),
+        ({}, ("--start=-inf",), 2, "--start: must be a number up to 1e+12; got -inf"),
         ({}, ("--units", "density=kg/mm3"), 2, "check the density or pressure of --units"),
         ({}, ("--units", "time=ms"), 2, "--write-case FILE; time=s of --units would"),
         ({"u": HIGH, "v": HIGH}, ("--units", "velocity=6"), 2, "speed); velocity=m/s of --units"),

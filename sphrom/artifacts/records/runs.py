@@ -196,6 +196,10 @@ class Checkpoint(Record, kind="sphrom/checkpoint"):
     computed_with: str = attribute("", "versions and processor on which its last bits depend")
     seconds: float = attribute("s", "time spent on the steps", at="timing/integration")
     wall_seconds: float = attribute("s", "time spent on the artifact", at="timing/wall")
+    continued: str | None = attribute(
+        "", "digest of the finished run whose snapshots come first; absent without one",
+        default=None,
+    )
 
 
 class TrajectoryPart(Snapshots, kind="sphrom/trajectory-part"):
