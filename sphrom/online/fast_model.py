@@ -23,6 +23,7 @@ from sphrom.errors import UnstableError
 from sphrom.metrics.measures import Quantities, Samples, items
 from sphrom.online.basis_model import BasisModel, quantities_of
 from sphrom.online.error_estimates import ErrorEstimate, estimate
+from sphrom.online.training import train
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.polynomial_model import Run
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, automatic
@@ -69,7 +70,7 @@ class FastModel:
     def on_basis(self, name: str) -> BasisModel:
         """Return the model with one of its bases."""
         if name not in self._on_basis:
-            self._on_basis[name] = BasisModel(self.workspace, self.section, name, self._starts.at)
+            self._on_basis[name] = train(self.workspace, self.section, name, self._starts.at)
         return self._on_basis[name]
 
     def at_point(self, point: ParameterPoint) -> BasisModel:
@@ -121,13 +122,14 @@ class FastModel:
         case has no error estimates.
         """
         bases = [self.on_basis(name) for name in dict.fromkeys(map(self.basis_at, points))]
-        if any(basis.trained_errors is None for basis in bases):
-            return []
-        return [
-            (place, items(basis.measured_differences, k))
-            for basis in bases
-            for k, place in enumerate(basis.places)
-        ]
+        found = []
+        for basis in bases:
+            if (errors := basis.errors) is None:
+                return []
+            differences = {name: each.quantities for name, each in errors.differences.items()}
+            for row, k in enumerate(errors.held_out.run):
+                found.append((basis.places[k], items(differences, row)))
+        return found
 
     def velocities(self, run: FastRun) -> ModeVelocities:
         """Return the object that computes speeds and energies of a run, one per basis."""
@@ -199,7 +201,7 @@ class FastRun(Run):
     def doubts(self) -> tuple[str, ...]:
         """Why a completed run may be wrong, as far as is known without a full run."""
         errors = self.estimate
-        if errors is None and self.model.at_point(self.point).trained_errors is not None:
+        if errors is None and self.model.at_point(self.point).errors is not None:
             text = "no estimate of errors: the training runs have none, or all of them diverge"
             return (*self.outside, text)
         if errors is None or max(errors.velocity_percent, errors.pressure_percent) < DOUBTFUL:
