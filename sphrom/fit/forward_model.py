@@ -274,7 +274,7 @@ def _differences(model: FittedModel, name: str) -> tuple[Array, Array]:
     workspace, trained = model.fast.workspace, model.fast.on_basis(name)
     points, compared = trained.points, compared_snapshots(workspace.case.plan.steps.n_snapshots)
     differences, sizes, oscillations = [], [], workspace.case.scene.oscillations
-    if (errors := trained.errors) is None:
+    if (errors := trained.errors) is None or (known := errors.held_out) is None:
         return np.zeros(0), np.zeros(0)
     whole = {name: each.quantities for name, each in errors.differences.items()}
     for row, (k, reduced, own) in enumerate(trained.held_out()):
@@ -291,5 +291,5 @@ def _differences(model: FittedModel, name: str) -> tuple[Array, Array]:
         if not np.isfinite(model.stacked(change)).all():
             continue  # the run does not oscillate
         differences.append(model.stacked(change))
-        sizes.append(errors.held_out.errors[row])
+        sizes.append(known.errors[row])
     return np.array(differences), np.array(sizes)

@@ -74,6 +74,7 @@ class BasisModel:
         trained: TrainedBasis,
         basis: TrialBasis,
         start: Start,
+        splines: Callable[[], ModeSplines],
     ) -> None:
         self.workspace = workspace
         self.section = section
@@ -83,6 +84,7 @@ class BasisModel:
         self.points = workspace.case.plan.bases[name]
         self.n_integrated = trained.rates.get(LEADING, trained.rates[ALL_MODES]).operators.n_modes
         self._start = start
+        self._read_splines = splines
         self.problem: CaseError | None = None
         self._last: Fields | None = None
         self._starts: dict[int, tuple[Array, float]] = {}
@@ -112,9 +114,7 @@ class BasisModel:
     @cached_property
     def splines(self) -> ModeSplines:
         """The splines of the model's modes."""
-        from sphrom.store.trained_models import read_modes  # it imports kernels of splines
-
-        return read_modes(self.workspace, self.name, self.section.size)[1]
+        return self._read_splines()
 
     def sampled(self, points: Array, time: Array, coordinates: Array, mean: float) -> Samples:
         """Return velocity and pressure at points (n_points, 2) for coordinates (n_times, n_modes).
@@ -264,10 +264,9 @@ class BasisModel:
 
         Each is the number of the training run, the model, and its coordinates.
         """
-        if self.errors is None:
+        if self.errors is None or (known := self.errors.held_out) is None:
             return []
         found = []
-        known = self.errors.held_out
         for k, run in zip(known.run.tolist(), known.coordinates, strict=True):
             model = self.projected(self.points[k], in_training=True)
             found.append((k, self.corrected(model, self.points[k], held_out=True), run))
@@ -276,10 +275,10 @@ class BasisModel:
     @cached_property
     def output_errors(self) -> dict[str, dict[str, OutputErrors]]:
         """The errors of any run by measurement and quantity, from held-out training runs."""
-        if self.errors is None:
+        if self.errors is None or (known := self.errors.held_out) is None:
             return {}
         averages = sound_averages(self.workspace.case)
-        places = self.places[self.errors.held_out.run]
+        places = self.places[known.run]
         return {
             name: {q: output_errors(e, places, averages) for q, e in each.quantities.items()}
             for name, each in self.errors.differences.items()

@@ -7,17 +7,20 @@ the corrections of coordinates and forces, and the fit of error estimates.
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from sphrom.arrays import Array, Indices
-from sphrom.artifacts import Artifact, read_record
+from sphrom.artifacts import Artifact, read_record, write_record
+from sphrom.artifacts.records.reduced_models import TrainedModel
 from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import Quantities
 from sphrom.metrics.series import smoothed
+from sphrom.offline import operators
 from sphrom.online.basis_model import BasisModel, Start, forces_of, quantities_of
 from sphrom.reduction.calibration import (
     Calibration,
@@ -28,6 +31,7 @@ from sphrom.reduction.calibration import (
 from sphrom.reduction.correction import UNLIMITED, Correction, learn_correction
 from sphrom.reduction.error_calibration import calibrate_errors, compared_snapshots
 from sphrom.reduction.held_out import FieldProducts, UnheldShares
+from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.polynomial_model import Run
 from sphrom.reduction.reduced_measures import ReducedMeasure
 from sphrom.reduction.reduced_operators import MemoryOperators, ResidualFactor
@@ -45,17 +49,60 @@ from sphrom.reduction.trained_basis import (
 )
 from sphrom.reduction.trial_basis import truncate
 from sphrom.setup.assembly import scaled_parameters, sound_averages
+from sphrom.setup.context import StageContext
 from sphrom.store.trained_models import (
+    MappedStarts,
     calibrated,
     cycle_closure,
     read_basis,
+    read_modes,
     read_operators,
     read_recorded,
     read_wall_force,
     sized_in,
     snapshot_times,
+    stored_starts,
 )
 from sphrom.store.workspace import Workspace
+
+
+def run(context: StageContext) -> None:
+    """Project the operators of the case, and train its models from operators.
+
+    A model without the necessary corrections gets no artifact: its runs report why.
+    """
+    operators.run(context)
+    workspace = Workspace(context)
+    if context.case.scene.has_surface:
+        return
+    for section in context.case.rom:
+        if section.from_operators and workspace.must_make(workspace.model(section)):
+            write_model(workspace, section)
+
+
+def write_model(workspace: Workspace, section: ReducedModelSection) -> None:
+    """Train a model with all its bases, and write its artifact."""
+    case, started = workspace.case, time.perf_counter()
+    starts = stored_starts(workspace)
+    start = MappedStarts(workspace, stored=starts).at
+    models = {name: train(workspace, section, name, start) for name in case.plan.bases_for(section)}
+    if any(model.problem is not None for model in models.values()):
+        return
+    with workspace.open(workspace.basis()) as artifact:
+        points, volume = artifact.read("reference_position"), artifact.read("volume")
+    stored = TrainedModel(
+        bases={name: model.trained for name, model in models.items()},
+        modes={name: model.basis for name, model in models.items()},
+        volume=volume,
+        reference_position=points,
+        starts=starts,
+        model=section.name,
+        reference_density=case.fluid.reference_density,
+        sound_speed=case.plan.sound_speed,
+    )
+    with workspace.create(workspace.model(section)) as artifact:
+        write_record(artifact, stored)
+        artifact.annotate("timing/training", time.perf_counter() - started)
 
 
 def train(
@@ -67,7 +114,10 @@ def train(
     """
     section = sized_in(workspace, section, name)
     with workspace.open(workspace.operators()) as artifact:
-        return _Training(workspace, section, name, start, artifact).model()
+        model = _Training(workspace, section, name, start, artifact).model()
+    # Sums over arrays in this order have the bits of a model that is read from its artifact.
+    model.trained = model.trained.mapped(np.ascontiguousarray)
+    return model
 
 
 class _Training:
@@ -126,7 +176,12 @@ class _Training:
         return self._learnt(trained, models, runs)
 
     def _with(self, trained: TrainedBasis) -> BasisModel:
-        return BasisModel(self.workspace, self.section, self.name, trained, self.basis, self.start)
+        def splines() -> ModeSplines:
+            return read_modes(self.workspace, self.name, self.section.size)[1]
+
+        return BasisModel(
+            self.workspace, self.section, self.name, trained, self.basis, self.start, splines
+        )
 
     def _learnt(
         self, trained: TrainedBasis, models: Sequence[ReferenceModel], runs: Sequence[Run]
@@ -276,9 +331,6 @@ class _Training:
         errors = TrainedErrors(
             factor=factor.of_model(whole, self.modes),
             products=products,
-            held_out=HeldOutRuns(
-                run=np.arange(0), coordinates=coordinates[:0], errors=np.zeros((0, 0, 2))
-            ),
             units=np.array([1.0, scale]),
         )
         held_out, own, residuals, known = [], [], [], []
@@ -301,12 +353,12 @@ class _Training:
             unheld.mapped(lambda shares: shares[..., self.section.size - 1, :]),
         )
         complete = [k for k, (_, run) in enumerate(held_out) if np.isfinite(run).all()]
+        if not complete:
+            return replace(errors, fitted=fitted)
         runs = HeldOutRuns(
             run=np.array(complete, dtype=np.int64),
-            coordinates=np.array([held_out[k][1] for k in complete]).reshape(
-                len(complete), *coordinates.shape[1:]
-            ),
-            errors=np.array([known[k] for k in complete]).reshape(len(complete), len(compared), 2),
+            coordinates=np.stack([held_out[k][1] for k in complete]),
+            errors=np.stack([known[k] for k in complete]),
         )
         differences = self._differences([held_out[k] for k in complete], complete)
         return replace(errors, fitted=fitted, held_out=runs, differences=differences)
@@ -318,8 +370,6 @@ class _Training:
 
         They include sound and particle noise, which the model lacks.
         """
-        if not complete:
-            return {}
         own = [quantities_of(self.case, reduced, self.times, run) for reduced, run in held_out]
         found = {}
         for name, full in read_recorded(self.case, self.artifact, self.name).items():

@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,7 +24,6 @@ from sphrom.metrics.measures import Quantities
 from sphrom.reduction.calibration import Calibration, CycleClosure, Harmonics, TrainedCycles
 from sphrom.reduction.correction import PLACES, Correction
 from sphrom.reduction.error_calibration import ErrorCalibration
-from sphrom.reduction.exponential_steps import LinearPart
 from sphrom.reduction.held_out import FieldProducts
 from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure
 from sphrom.reduction.reduced_operators import (
@@ -33,6 +33,9 @@ from sphrom.reduction.reduced_operators import (
     ResidualFactor,
 )
 from sphrom.sph.fluid import Factors
+
+if TYPE_CHECKING:
+    from sphrom.reduction.exponential_steps import LinearPart
 
 ALL_MODES, LEADING = "all", "leading"
 """The names of the rates of all modes, and of those of the modes that are integrated."""
@@ -70,6 +73,8 @@ class TrainedRates(Record):
     @cached_property
     def linear_parts(self) -> list[LinearPart]:
         """The linear parts of steps, with the matrices that runs have computed, by training run."""
+        from sphrom.reduction.exponential_steps import LinearPart  # it loads kernels
+
         return [LinearPart(matrix) for matrix in self.linear]
 
     def at(
@@ -158,7 +163,8 @@ class TrainedErrors(Record):
     products: FieldProducts = part()
     fitted: ErrorCalibration | None = part(default=None)
     """None if the training runs have no errors, or all of them diverge."""
-    held_out: HeldOutRuns = part()
+    held_out: HeldOutRuns | None = part(default=None)
+    """None if all of them diverge."""
     differences: Mapping[str, Differences] = part(default_factory=dict)
     units: Array = dataset("field", "m/s, Pa", "units of the errors of velocity and pressure")
 
