@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from sphrom.api.result import Labels, Result, Sensitivities, finite_array, rows_of
 from sphrom.arrays import Array
+from sphrom.artifacts.records.reduced_models import TrainedModel
 from sphrom.case.checks import steady_problem
 from sphrom.case.hints import beyond_training, extrapolation
 from sphrom.case.loader import parameter_point
@@ -63,12 +64,20 @@ class Model:
     _point: ParameterPoint
     _reduced: ReferenceModel | SurfaceModelAt | None = None
 
-    def __init__(self, context: StageContext, section: ReducedModelSection) -> None:
-        self._workspace, self._section = Workspace(context), section
+    def __init__(
+        self,
+        context: StageContext,
+        section: ReducedModelSection,
+        stored: TrainedModel | None = None,
+    ) -> None:
+        self._workspace = Workspace(context)
+        self._section = section
         self._labels = Labels(context.case)
         self._errors: TrainingDifferences = {}
         self._fast: FastModel | SurfaceModel | None = None
-        if section.from_operators:
+        if stored is not None:
+            self._fast = FastModel(self._workspace, section, stored)
+        elif section.from_operators:
             self._workspace.require(self._workspace.operators())
             self._fast = fast_model(self._workspace, section)
 
