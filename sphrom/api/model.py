@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from sphrom.api.result import Labels, Result, Sensitivities, finite_array, rows_of
 from sphrom.arrays import Array
 from sphrom.artifacts.records.reduced_models import TrainedModel
+from sphrom.artifacts.records.runs import TrainedSurfaceModel
 from sphrom.case.checks import steady_problem
 from sphrom.case.hints import beyond_training, extrapolation
 from sphrom.case.loader import parameter_point
@@ -68,18 +69,17 @@ class Model:
         self,
         context: StageContext,
         section: ReducedModelSection,
-        stored: TrainedModel | None = None,
+        stored: TrainedModel | TrainedSurfaceModel | None = None,
     ) -> None:
         self._workspace = Workspace(context)
         self._section = section
         self._labels = Labels(context.case)
         self._errors: TrainingDifferences = {}
         self._fast: FastModel | SurfaceModel | None = None
-        if stored is not None:
-            self._fast = FastModel(self._workspace, section, stored)
-        elif section.from_operators:
+        if stored is None and section.from_operators:
             self._workspace.require(self._workspace.operators())
-            self._fast = fast_model(self._workspace, section)
+        if section.from_operators:
+            self._fast = fast_model(self._workspace, section, stored)
 
     def _points(self, rows: Iterable[Mapping[str, float]]) -> list[ParameterPoint]:
         """Return the points with some values; warn of the first one that extrapolates."""

@@ -12,6 +12,7 @@ from sphrom import stages
 from sphrom.api.model import Model
 from sphrom.artifacts import open_artifact, read_record
 from sphrom.artifacts.records.reduced_models import TrainedModel
+from sphrom.artifacts.records.runs import TrainedSurfaceModel
 from sphrom.case.loader import case_of_text, load_case
 from sphrom.case.models import Case
 from sphrom.console import Reporter
@@ -171,9 +172,16 @@ def load(path: str | os.PathLike[str]) -> Model:
     Raises ArtifactError when the file is missing, damaged, foreign, or of another major version.
     """
     made_by = "sphrom operators CASE"
-    with open_artifact(Path(path), "sphrom/model", made_by=made_by) as artifact:
-        stored = read_record(artifact, TrainedModel)
+    stored: TrainedModel | TrainedSurfaceModel
+    with open_artifact(Path(path), None, made_by=made_by) as artifact:
+        kind = artifact.schema
         text = artifact.case_text
+        if kind == "sphrom/model":
+            stored = read_record(artifact, TrainedModel)
+        elif kind == "sphrom/surface-model":
+            stored = read_record(artifact, TrainedSurfaceModel)
+        else:
+            raise ArtifactError(f"{path} is a {kind}, no model; `{made_by}` writes model-NAME.h5")
     try:
         case = case_of_text(text)
     except CaseError as error:

@@ -87,6 +87,7 @@ class BasisModel:
         self._read_splines = splines
         self.problem: CaseError | None = None
         self._last: Fields | None = None
+        self._placed: tuple[ParameterPoint, Array] | None = None
         self._starts: dict[int, tuple[Array, float]] = {}
         self._leading_basis = truncate(basis, self.n_integrated)
 
@@ -138,7 +139,9 @@ class BasisModel:
 
     def place(self, point: ParameterPoint) -> Array:
         """Return the scaled parameters (n_parameters,) of a point."""
-        return scaled_parameters(self.workspace.case, [point])[0]
+        if self._placed is None or self._placed[0] is not point:
+            self._placed = point, scaled_parameters(self.workspace.case, [point])[0]
+        return self._placed[1]
 
     def at(self, point: ParameterPoint) -> ReferenceModel:
         """Return the model at a point, with its corrections by training runs.

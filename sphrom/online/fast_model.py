@@ -17,6 +17,7 @@ import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.artifacts.records.reduced_models import TrainedModel
+from sphrom.artifacts.records.runs import TrainedSurfaceModel
 from sphrom.case.hints import beyond_training, extrapolation
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
@@ -46,13 +47,19 @@ DOUBTFUL = 50.0
 """Estimated error from which a run is doubtful [%]; errors are up to twice their estimates."""
 
 
-def fast_model(workspace: Workspace, section: ReducedModelSection) -> FastModel | SurfaceModel:
-    """Return a model that runs without particles."""
+def fast_model(
+    workspace: Workspace,
+    section: ReducedModelSection,
+    stored: TrainedModel | TrainedSurfaceModel | None = None,
+) -> FastModel | SurfaceModel:
+    """Return a model that runs without particles, from its artifact if one is `stored`."""
     if workspace.case.scene.has_surface:
         from sphrom.online.surface_model import SurfaceModel  # it loads kernels
 
-        return SurfaceModel(workspace, section)
-    return FastModel(workspace, section)
+        assert not isinstance(stored, TrainedModel)
+        return SurfaceModel(workspace, section, stored)
+    assert not isinstance(stored, TrainedSurfaceModel)
+    return FastModel(workspace, section, stored)
 
 
 class FastModel:

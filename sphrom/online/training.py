@@ -16,6 +16,7 @@ import numpy as np
 from sphrom.arrays import Array, Indices
 from sphrom.artifacts import Artifact, read_record, write_record
 from sphrom.artifacts.records.reduced_models import TrainedModel
+from sphrom.artifacts.records.runs import TrainedSurfaceModel
 from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import Quantities
@@ -50,6 +51,7 @@ from sphrom.reduction.trained_basis import (
 from sphrom.reduction.trial_basis import truncate
 from sphrom.setup.assembly import scaled_parameters, sound_averages
 from sphrom.setup.context import StageContext
+from sphrom.store.surfaces import TrainedSurface
 from sphrom.store.trained_models import (
     MappedStarts,
     calibrated,
@@ -73,11 +75,24 @@ def run(context: StageContext) -> None:
     """
     operators.run(context)
     workspace = Workspace(context)
-    if context.case.scene.has_surface:
-        return
+    write = write_surface_model if context.case.scene.has_surface else write_model
     for section in context.case.rom:
         if section.from_operators and workspace.must_make(workspace.model(section)):
-            write_model(workspace, section)
+            write(workspace, section)
+
+
+def write_surface_model(workspace: Workspace, section: ReducedModelSection) -> None:
+    """Write the artifact of a model of a flow with a free surface, which is trained."""
+    model = TrainedSurface(workspace, section)
+    stored = TrainedSurfaceModel(
+        basis=model.basis,
+        graph=model.trained,
+        model=section.name,
+        reference_density=workspace.case.fluid.reference_density,
+        sound_speed=workspace.case.plan.sound_speed,
+    )
+    with workspace.create(workspace.model(section)) as artifact:
+        write_record(artifact, stored)
 
 
 def write_model(workspace: Workspace, section: ReducedModelSection) -> None:
