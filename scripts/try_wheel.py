@@ -57,8 +57,13 @@ def built(folder: Path) -> Path:
     with tarfile.open(sdist) as archive:
         archive.extractall(folder / "source", filter="data")
     (source,) = (folder / "source").iterdir()
+    source = source.rename(folder / "source" / "sphrom")
     call(programs / "python", "-c", backend, "build_wheel", folder, cwd=source)
     (wheel,) = folder.glob("*.whl")
+    # An editable install has to work beside a folder that is called like the package.
+    call(programs / "python", "-m", "pip", "install", "--quiet", "--no-deps",
+         "--no-build-isolation", "-e", source)  # fmt: skip
+    call(programs / "python", "-c", "import sphrom; print(sphrom.__version__)", cwd=source.parent)
     return wheel
 
 

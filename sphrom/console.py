@@ -1,7 +1,7 @@
 """Report lines, warnings, tables and progress to a terminal, to a log, or to a program.
 
 All output goes through this module. Texts may come from other people's files and arguments, so
-control characters are shown as escapes.
+control characters are shown as escapes. Only on a terminal, rich is loaded and lays out the output.
 """
 
 from __future__ import annotations
@@ -11,14 +11,15 @@ import shutil
 import sys
 import textwrap
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from copy import copy
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from enum import IntEnum
 from functools import partial
+from itertools import accumulate
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, TextIO
 
 from sphrom.text import duration, shortened, visible
 from sphrom.whole_files import open_to_write
@@ -29,8 +30,6 @@ LINE_INTERVAL = 10.0
 """Time before the first plain line about progress [s]; each next interval is twice as long."""
 LONGEST_INTERVAL = 600.0
 """Longest interval between such lines [s]."""
-REFRESHED = 0.1
-"""Time between changes of a terminal's last line [s]."""
 LONGEST_LINE = 500
 """Most characters of an error or a warning; the texts that they quote may be of any length."""
 PROSE = 100
@@ -38,38 +37,84 @@ PROSE = 100
 TOGETHER = re.compile("`[^`]*`|sphrom [^`]*$| %")
 """Texts that are never broken over lines: commands to copy, and a number with its percent sign."""
 WHOLE_WORDS: Any = {"break_long_words": False, "break_on_hyphens": False}
-_ERASE = "\r\x1b[K"
-
-_status = ""
-"""The terminal's last line, which shows progress."""
+_bars: Any = None
+"""The progress bars below the lines of the terminal."""
 
 
-def tell(text: str, *, error: bool = False, indent: int = 0) -> None:
-    """Write one line to the output, or shortened to the error stream.
-
-    On a terminal the line is wrapped at whole words, with an indent from the second line on.
-    """
-    _show_status("")
+def tell(text: str, *, error: bool = False, indent: int = 0, style: str = "") -> None:
+    """Write one line, wrapped on a terminal, to the output or, shortened, to the error stream."""
     stream = sys.stderr if error else sys.stdout
     text = shortened(text, LONGEST_LINE) if error else visible(text)
-    if stream.isatty():
+    is_terminal = getattr(stream, "rich_proxied_file", stream).isatty()
+    if is_terminal:
         text = TOGETHER.sub(lambda match: match[0].replace(" ", "\xa0"), text)
-        text = textwrap.fill(text, _columns(), subsequent_indent=" " * indent, **WHOLE_WORDS)
+        width = shutil.get_terminal_size().columns
+        text = textwrap.fill(text, width, subsequent_indent=" " * indent, **WHOLE_WORDS)
         text = text.replace("\xa0", " ")
-    print(text, file=stream, flush=True)
+    if is_terminal and (style or _bars):
+        _console(stream).print(text, style=style, soft_wrap=True)
+    else:
+        print(text, file=stream, flush=True)
 
 
-def _columns() -> int:
-    return shutil.get_terminal_size().columns
+def _console(stream: TextIO) -> Any:
+    """Return the terminal of a stream, which interprets no text as markup, emoji or a number."""
+    from rich.console import Console
+
+    if _bars is not None:
+        return _bars.console
+    return Console(file=stream, force_jupyter=False, markup=False, emoji=False, highlight=False)
 
 
-def _show_status(text: str) -> None:
-    """Replace the terminal's last line."""
-    global _status
-    text = textwrap.shorten(visible(text), _columns() - 1, placeholder=" ...", **WHOLE_WORDS)
-    if text != _status:
-        _status = text
-        print(_ERASE + text, end="", flush=True)
+def _show_table(columns: Sequence[Sequence[str]]) -> None:
+    """Show a table on the terminal. Columns that don't fit follow below, beside the first one."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    console = _console(sys.stdout)
+    ends = accumulate(2 + max(map(len, cells)) for cells in columns)
+    n_fit = max(2, sum(end - 2 <= console.width for end in ends))
+    headings, *rows = zip(*columns[:n_fit], strict=True)
+    table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
+    for heading in headings:
+        table.add_column(heading, justify="right" if table.columns else "left", overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    console.print(table)
+    if columns[n_fit:]:
+        _show_table([columns[0], *columns[n_fit:]])
+
+
+@contextmanager
+def _bar(description: str, total: int) -> Iterator[Callable[[int], None]]:
+    """Show a progress bar below the lines; the block gets a function that takes what is done."""
+    from rich.progress import BarColumn, Progress, TimeRemainingColumn
+
+    global _bars
+    bars = _bars = _bars or Progress(
+        "{task.description}", BarColumn(20), "{task.percentage:3.0f} %", TimeRemainingColumn(),
+        console=_console(sys.stdout), redirect_stderr=sys.stderr.isatty(), transient=True,
+        auto_refresh=False, refresh_per_second=4.0, speed_estimate_period=float("inf"),
+    )  # fmt: skip
+    task = bars.add_task(shortened(description, bars.console.width // 2 - 5), total=total)
+    shown = 0.0
+
+    def show(done: int) -> None:
+        nonlocal shown
+        if time.monotonic() >= shown + 1.0 / bars.live.refresh_per_second:
+            shown = time.monotonic()
+            bars.update(task, completed=done, refresh=True)
+
+    try:
+        bars.start()
+        bars.console.show_cursor()  # a killed process could not do it
+        yield show
+    finally:
+        if task == bars.task_ids[0]:
+            _bars = None
+            bars.stop()
+        bars.remove_task(task)
+        bars.refresh()
 
 
 class LogFile:
@@ -92,7 +137,7 @@ class LogFile:
             with open_to_write(self._path, "a") as file:
                 file.write("".join(self._waiting))
         except OSError as error:
-            tell(f"warning: {self._path}: no log is written: {error.strerror}", error=True)
+            _warn(f"warning: {self._path}: no log is written: {error.strerror}")
             self._path = None
         self._waiting.clear()
 
@@ -119,49 +164,38 @@ class Level(IntEnum):
     RESULT = 2
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Reporter:
-    """Reports the progress of a stage to the user: lines, warnings and tables.
+    """Reports the progress of a stage to the user: lines, warnings and tables."""
 
-    Parameters
-    ----------
-    quiet : whether to show only warnings and results.
-    verbose : whether to show details.
-    log : log file, which gets all lines.
-    write : a program's own function, which takes each line instead of the output.
-    """
-
-    def __init__(
-        self,
-        *,
-        quiet: bool = False,
-        verbose: bool = False,
-        log: LogFile | None = None,
-        write: Callable[[str], object] | None = None,
-    ) -> None:
-        self._least = Level.RESULT if quiet else Level.DETAIL if verbose else Level.INFO
-        self._level = Level.INFO
-        self._is_brief = self._has_progress = False
-        self._label = ""
-        self._log = log or LogFile()
-        self._write = write
-        self._terminal = write is None and sys.stdout.isatty()
-        self._running: list[_Progress] = []
+    quiet: bool = False
+    """Whether to show only warnings and results."""
+    verbose: bool = False
+    """Whether to show details."""
+    log: LogFile = field(default_factory=LogFile)
+    """A file that gets all lines."""
+    write: Callable[[str], object] | None = None
+    """A program's own function, which takes each line instead of the output."""
+    _level: Level = Level.INFO
+    _is_brief: bool = False
+    _has_progress: bool = True
+    _label: str = ""
 
     @property
     def details(self) -> Self:
         """A reporter whose lines go to the log, and to the terminal with --verbose only."""
-        return self._changed(_level=Level.DETAIL)
+        return replace(self, _level=Level.DETAIL)
 
     def brief(self, *, label: str = "", progress: bool = False) -> Self:
         """Return a reporter for auxiliary runs: it shows warnings, and progress if asked."""
-        return self._changed(
-            _is_brief=True, _has_progress=progress, _label=f"{label}: " if label else ""
-        )
+        return replace(self, _is_brief=True, _has_progress=progress, _label=label and f"{label}: ")
 
-    def _changed(self, **attributes: object) -> Self:
-        changed = copy(self)
-        changed.__dict__.update(attributes)
-        return changed
+    @property
+    def _terminal(self) -> bool:
+        return self.write is None and (_bars is not None or sys.stdout.isatty())
+
+    def _shows(self, level: Level) -> bool:
+        return level >= (Level.RESULT if self.quiet else Level.INFO - self.verbose)
 
     def info(self, text: str) -> None:
         """Report one line."""
@@ -182,117 +216,83 @@ class Reporter:
 
     def _tell(self, text: str, level: Level) -> None:
         if not self._is_brief:
-            self._show(text, level)
-
-    def _show(self, text: str, level: Level) -> None:
-        self._log.write(text)
-        if level >= self._least:
-            (self._write or tell)(text)
+            self.log.write(text)
+            if self._shows(level):
+                (self.write or tell)(text)
 
     def warn(self, text: str) -> None:
         """Warn the user in one line, on the error stream."""
         text = f"warning: {self._label}{text}"
-        self._log.write(text)
-        (self._write or partial(tell, error=True))(text)
+        self.log.write(text)
+        (self.write or _warn)(text)
 
     def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        """Show a table with its first column aligned left and the others right.
-
-        Columns that don't fit the width of the terminal follow below, with the first one repeated.
-        """
-        columns, *rows = ([visible(cell) for cell in row] for row in (columns, *rows))
-        widths = [max(map(len, cells)) for cells in zip(columns, *rows, strict=True)]
+        """Show a table with its first column aligned left and the others right."""
+        rows = [[visible(cell) for cell in row] for row in (columns, *rows)]
+        cells = list(zip(*rows, strict=True))
+        widths = [max(map(len, column)) for column in cells]
         level = Level.DETAIL if self._level is Level.DETAIL else Level.RESULT
-        room = _columns() if self._terminal else sys.maxsize
-        parts: list[list[int]] = [[]]
-        for k in range(1, len(widths)):
-            if parts[-1] and widths[0] + sum(2 + widths[i] for i in (*parts[-1], k)) > room:
-                parts.append([])
-            parts[-1].append(k)
-        self._tell(title, level)
-        for part in parts:
-            for row in (columns, ["-" * width for width in widths], *rows):
-                cells = (row[k].rjust(widths[k]) for k in part)
-                self._tell("  ".join((row[0].ljust(widths[0]), *cells)).rstrip(), level)
+        is_laid_out = self._terminal and self._shows(level) and not self._is_brief
+        show = self.log.write if is_laid_out else partial(self._tell, level=level)
+        show(title)
+        for row in (rows[0], ["-" * width for width in widths], *rows[1:]):
+            texts = (row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:]))
+            show("  ".join(texts).rstrip())
+        if is_laid_out:
+            tell(title, style="bold")
+            _show_table(cells)
 
     @contextmanager
     def progress(self, description: str, total: int) -> Iterator[Callable[[int], None]]:
-        """Show how much of `total` is done, and the time left.
+        """Show how much of `total` is done, and the time left, by a bar or by lines now and then.
 
-        The block gets a function that takes the number of items done since its last call. The last
-        line of a terminal shows all tasks in progress. Without a terminal, a line is written now
-        and then, and at the end; for details that are quickly done, there is none.
+        The block gets a function that takes the number of items done since its last call.
         """
-        if self._is_brief and not self._has_progress:
+        if not self._has_progress:
             yield lambda done: None
             return
-        progress = _Progress(description, total)
-        self._running.append(progress)
+        report = replace(self, _is_brief=False)
+        has_bar = self._terminal and self._shows(Level.INFO) and _console(sys.stdout).is_interactive
+        level = Level.DETAIL if has_bar else Level.INFO
+        start = time.monotonic()
+        lines = _progress_lines(description, total)
+        next(lines)
+        done = 0
+        with _bar(description, total) if has_bar else nullcontext(lambda done: None) as show:
 
-        def show() -> None:
-            now, is_seen = time.monotonic(), self._terminal and self._least <= Level.INFO
-            if is_seen and now >= progress.shown + REFRESHED:
-                progress.shown = now
-                _show_status("; ".join(map(str, self._running)))
+            def advance(more: int) -> None:
+                nonlocal done
+                done += more
+                show(done)
+                if line := lines.send(done):
+                    report._tell(line, level)
 
-        def advance(done: int) -> None:
-            progress.count(done)
-            show()
-            if progress.is_due():
-                self._show(str(progress), Level.DETAIL if self._terminal else Level.INFO)
-
-        show()
-        try:
             yield advance
-        finally:
-            self._running.remove(progress)
-            _show_status("")
-        seconds = time.monotonic() - progress.start
-        is_hidden = self._terminal or (seconds < LINE_INTERVAL and self._level is Level.DETAIL)
-        self._show(
-            f"{description}: {progress.done} of {total} in {duration(seconds)}",
-            Level.DETAIL if is_hidden else Level.INFO,
-        )
+        seconds = time.monotonic() - start
+        if seconds < LINE_INTERVAL:
+            level = min(level, self._level)  # no line for details that are quickly done
+        report._tell(f"{description}: {done} of {total} in {duration(seconds)}", level)
 
 
-class SilentReporter(Reporter):
-    """A reporter that shows nothing."""
-
-    def __init__(self) -> None:
-        super().__init__(write=lambda text: None)
+_warn = partial(tell, error=True, style="yellow")
+SilentReporter = partial(Reporter, write=lambda text: None)
+"""A reporter that shows nothing."""
 
 
-class _Progress:
-    """Progress of a task: the share that is done, its rate, and the time of the next report."""
-
-    def __init__(self, description: str, total: int) -> None:
-        self._description, self._total = description, total
-        self.start = self._since = time.monotonic()
-        self.shown = -REFRESHED
-        """Time of the last refresh of the terminal's line [s]."""
-        self.done = self._first = 0
-        self._interval = LINE_INTERVAL
-        self._next = self.start + self._interval
-
-    def count(self, done: int) -> None:
-        """Add to the number of items done."""
-        if not self.done:
-            # The first items may include compiling kernels, so they don't count in the rate.
-            self._first, self._since = done, time.monotonic()
-        self.done += done
-
-    def is_due(self) -> bool:
-        """Return whether to write a line; the intervals grow with time."""
+def _progress_lines(description: str, total: int) -> Generator[str, int, None]:
+    """Take the number of items done, time after time; yield a line more and more rarely, or ""."""
+    interval = LINE_INTERVAL
+    due = time.monotonic() + interval
+    first = done = yield ""
+    since = time.monotonic()  # the first items may include compiling, which the rate leaves out
+    while True:
+        line = ""
         now = time.monotonic()
-        if now < self._next or not 0 < self.done < self._total:
-            return False
-        self._interval = min(2.0 * self._interval, LONGEST_INTERVAL)
-        self._next = now + self._interval
-        return True
-
-    def __str__(self) -> str:
-        text = f"{self._description}: {100 * self.done // max(1, self._total)} %"
-        if self.done > self._first:
-            each = (time.monotonic() - self._since) / (self.done - self._first)
-            text += f", {duration(each * (self._total - self.done))} left"
-        return text
+        if now >= due and 0 < done < total:
+            interval = min(2.0 * interval, LONGEST_INTERVAL)
+            due = now + interval
+            line = f"{description}: {100 * done // total} %"
+            if done > first:
+                item = (now - since) / (done - first)
+                line += f", {duration(item * (total - done))} left"
+        done = yield line

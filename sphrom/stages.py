@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib import import_module
+from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -83,7 +84,12 @@ def run_stage(stage: str, context: StageContext, **asked: Any) -> Any:
     Raises SphromError.
     """
     with _warnings_in_lines(context.report):
-        return import_module(f"sphrom.{STAGES[stage]}").run(context, **asked)
+        run = import_module(f"sphrom.{STAGES[stage]}").run
+        known = [*signature(run).parameters][1:]
+        for name in asked:
+            if name not in known:
+                raise CaseError(f"{stage}: has no option {quoted(name)}; {nearest(name, known)}")
+        return run(context, **asked)
 
 
 def run_all(context: StageContext, until: str | None = None) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import json
+import re
 from collections import Counter
 from collections.abc import Iterable
 from difflib import get_close_matches
@@ -10,6 +12,8 @@ from typing import Any
 
 MAX_SHOWN = 60
 """Characters of a value that a message quotes."""
+DECIMAL = re.compile(r"[-+]?\d*([.,])\d*(e[-+]?\d+)?", re.IGNORECASE)
+"""A number with a decimal point or comma."""
 
 
 def exact(value: float) -> str:
@@ -65,6 +69,43 @@ def nearest(word: str, known: Iterable[str]) -> str:
     if close:
         return f"did you mean {close[0]}?"
     return "known: " + ", ".join(words) if words else "none is known here"
+
+
+def table_rows(text: str) -> list[tuple[int, list[str]]]:
+    """Return the rows of a CSV table with their line numbers, the names of columns first.
+
+    Cells end at commas, or at semicolons or tabs if the first row has any; numbers may then have
+    decimal commas, which become points. Blank lines and lines that begin with # are left out, and
+    missing cells at the end of a row are empty.
+
+    Raises ValueError for a row with more cells than names, and for points beside decimal commas;
+    csv.Error for a damaged line.
+    """
+    lines = [
+        (number, line)
+        for number, line in enumerate(text.splitlines(), 1)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    separator = next((each for each in ";\t" if lines and each in lines[0][1]), ",")
+    rows: list[tuple[int, list[str]]] = []
+    marks: dict[str, int] = {}  # the last lines with decimal points and commas
+    for number, line in lines:
+        row = [cell.strip() for cell in next(csv.reader([line], delimiter=separator))]
+        if separator != ",":
+            found = [DECIMAL.fullmatch(cell) for cell in row]
+            marks |= {match[1]: number for match in found if match}
+            row = [c.replace(",", ".") if m else c for c, m in zip(row, found, strict=True)]
+        missing = len(rows[0][1]) - len(row) if rows else 0
+        if missing < 0:
+            raise ValueError(
+                f"line {number}: has {len(row)} cells for {len(rows[0][1])} columns; numbers with "
+                "decimal commas need semicolons between cells"
+            )
+        rows.append((number, row + [""] * missing))
+    if len(marks) > 1:
+        reason = f"line {marks[',']} has decimal commas, and line {marks['.']} points"
+        raise ValueError(f"{reason}: use one of them")
+    return rows
 
 
 def data_size(n_bytes: int) -> str:

@@ -45,6 +45,16 @@ CASE: dict[str, Any] = {
 }
 
 
+LID: dict[str, Any] = {
+    "name": "lid",
+    "scene": {"kind": "lid-driven-cavity"},
+    "discretization": {"resolution": 12},
+    "time": {"final_time": 0.3},
+    "snapshots": {"every": 2},
+    "rom": [{"name": "fast", "evaluation": "operators", "n_modes": 2}],
+}
+
+
 TOLD: list[str] = []
 """The lines that the study tells."""
 
@@ -163,6 +173,29 @@ def test_a_model_moves_to_other_values_without_reading_again(study, model, monke
     assert model.parameters == {"reynolds": 150.0}
 
 
+def test_a_model_keeps_the_values_that_are_not_named(tmp_path):
+    """Each way to other values starts from those of the model, here a slower lid."""
+    sections = {
+        **LID,
+        "scene": {"kind": "lid-driven-cavity", "measure": {"drag": {"force_on": "top"}}},
+        "parameters": {"train": {"reynolds": [100, 200], "lid": [0.5, 1.0]}},
+        "operators": {"error_estimate": False},
+    }
+    study = sphrom.Study(sections, out=tmp_path, threads=1, report=TOLD.append)
+    study.run(until="operators")
+    model = study.model("fast", reynolds=150, lid=0.6)
+    there = study.model("fast", reynolds=151, lid=0.6).run()
+    assert model.at(reynolds=151).at().parameters == {"reynolds": 151.0, "lid": 0.6}
+    np.testing.assert_array_equal(model.at(reynolds=151).run().coordinates, there.coordinates)
+    many = model.run_many({"reynolds": [120, 151]})
+    np.testing.assert_array_equal(many.lid, [0.6, 0.6])
+    np.testing.assert_array_equal(many.drag_force[1], there.measures.drag_force)
+    # What the study's model does not name is the scene's own value, also after another model.
+    assert study.model("fast", reynolds=151).parameters["lid"] == 1.0
+    measured = {"time": there.time[1:], "drag_force_x": there.measures.drag_force[1:, 0]}
+    assert model.fit(measured, "reynolds", noise="1%")["reynolds"].value == pytest.approx(151, 1e-3)
+
+
 def test_many_runs_are_those_at_each_point(study, model):
     found = model.run_many(xarray.Dataset({"reynolds": ("run", [120, 300])}))
     assert "fast: reynolds=300 is outside of the trained range" in TOLD[-1]
@@ -265,13 +298,13 @@ def fast(study: sphrom.Study) -> sphrom.Model:
         (lambda s: s.run_stage("fom", only=["reynolds=7"]), "this command runs"),
         (lambda s: fast(s).rates(np.zeros(4)), "must have the shape (3,); got (4,)"),
         (lambda s: fast(s).jacobian([0, np.inf, 0]), "coordinates: must be finite"),
-        (lambda s: fast(s).rates(np.zeros(3), np.nan), "time: must be finite"),
+        (lambda s: fast(s).rates(np.zeros(3), np.nan), "time: must be a finite number; got NaN"),
         (lambda s: fast(s).run(final_time=0.1234), "the nearest is 0.114"),
         (lambda s: fast(s).run_many({"reynolds": [120, -1]}), "reynolds: must be a number above"),
         (lambda s: fast(s).run_many({"reynolds": []}), "points: are empty"),
         (lambda s: fast(s).run_many([{"reynolds": 120}]), "points: must be values by parameter"),
         (lambda s: fast(s).run().fields([0.1, 0.2]), "must have the shape (n_points, 2); got (2,)"),
-        (lambda s: sphrom.Study(CASE, threads="2"), "--threads: must be a whole number"),
+        (lambda s: sphrom.Study(CASE, threads="2"), "threads: must be a whole number"),
         (lambda s: sphrom.Study(CASE, resolutoin=3), "did you mean resolution?"),
     ],
 )
@@ -282,16 +315,9 @@ def test_what_is_refused(study, call, text):
 
 
 def test_points_have_to_be_in_the_fluid(tmp_path):
-    cavity = {
-        "name": "lid",
-        "scene": {"kind": "lid-driven-cavity"},
-        "discretization": {"resolution": 12},
-        "time": {"final_time": 0.3},
-        "snapshots": {"every": 2},
-        "rom": [{"name": "fast", "evaluation": "operators", "n_modes": 2}],
-    }
-    study = sphrom.Study(cavity, out=tmp_path, threads=1, report=TOLD.append)
+    study = sphrom.Study(LID, out=tmp_path, threads=1, report=TOLD.append)
     study.run(until="operators")
+    assert study.model("fast").parameters == {"reynolds": 100.0}
     result = study.model("fast", reynolds=90).run()
     assert result.fields([[0.5, 1.0], [0.0, 0.0]]).sizes["point"] == 2
     with pytest.raises(sphrom.errors.CaseError, match=r"\(0.5, 1.01\) m is not in the fluid"):

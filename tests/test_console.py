@@ -1,5 +1,11 @@
 from __future__ import annotations
 
+import io
+import os
+import pty
+import re
+import signal
+import subprocess
 import sys
 from contextlib import suppress
 
@@ -9,22 +15,41 @@ from sphrom import console
 from sphrom.console import LogFile, Reporter, SilentReporter
 
 
-class Terminal:
+class Terminal(io.StringIO):
     """A stream that says it is a terminal, and keeps what is written."""
 
     encoding = "utf-8"
 
-    def __init__(self) -> None:
-        self.text = ""
-
-    def write(self, text: str) -> int:
-        self.text += text
-        return len(text)
-
-    def flush(self) -> None: ...
-
     def isatty(self) -> bool:
         return True
+
+
+def at_terminal(monkeypatch, columns: int, kind: str = "xterm") -> Terminal:
+    """Return a terminal that is both streams."""
+    for name in ("NO_COLOR", "FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("TERM", kind)
+    monkeypatch.setenv("COLUMNS", str(columns))
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stdout", terminal)
+    monkeypatch.setattr(sys, "stderr", terminal)
+    return terminal
+
+
+def screen(text: str) -> list[str]:
+    """Return the lines that a terminal shows of an output, whose codes may only be rich's."""
+    lines = [""]
+    for part in re.split(r"(\x1b\[[\d;?]*[a-zA-Z]|[\r\n])", text):
+        if part == "\n":
+            lines.append("")
+        elif part == "\x1b[1A":
+            lines.pop()
+        elif part == "\x1b[2K":
+            lines[-1] = ""
+        elif not re.fullmatch(r"\r|\x1b\[(\?25[lh]|[\d;]*m)", part):
+            assert part.isprintable()
+            lines[-1] += part
+    return [line.rstrip() for line in lines]
 
 
 @pytest.fixture
@@ -61,7 +86,8 @@ HOSTILE = "a\x1b[2J\x07\x7f\x9b31m\u202eb\nc\u200b \udcff [red]d[/red] :warning:
 SHOWN = r"a\x1b[2J\x07\x7f\x9b31m\u202eb\nc\u200b \udcff [red]d[/red] :warning:"
 
 
-def test_what_comes_from_outside_is_shown_and_never_obeyed(capsys, clock):
+def test_what_comes_from_outside_is_shown_and_never_obeyed(capsys, clock, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rich.console", None)  # only terminals need it
     report = Reporter()
     report.info(HOSTILE)
     report.warn(HOSTILE)
@@ -78,42 +104,76 @@ def test_what_comes_from_outside_is_shown_and_never_obeyed(capsys, clock):
 
 
 def test_a_terminal_shows_it_so_too(monkeypatch, clock):
-    """Its last line tells of all that is running, and is gone in the end, also of what fails."""
-    terminal = Terminal()
-    monkeypatch.setattr(sys, "stdout", terminal)
-    monkeypatch.setenv("COLUMNS", "200")
+    """Bars of all that is running are below the lines, and gone in the end, also of what fails."""
+    terminal = at_terminal(monkeypatch, 200)
     report = Reporter()
     with report.progress("all runs", 2) as outer:
         with suppress(RuntimeError), report.progress(HOSTILE, 4) as inner:
-            clock[0] = 1.0
-            inner(2)
-            report.info("a line between")
-            clock[0] = 2.0
-            inner(1)
+            for clock[0] in (1.0, 1.1):  # too soon for the second change
+                inner(1)
+            report.info(HOSTILE)
+            report.warn("of 1 fault")
+            print("of another program", file=sys.stderr)
+            report.table(HOSTILE, ["run", HOSTILE], [[HOSTILE, "1"]])
+            *lines, first, second = screen(terminal.getvalue())
+            assert [first[-12:], second[-12:]] == [" 0 % -:--:--", "25 % -:--:--"]
             raise RuntimeError
-        outer(2)
-    erased = console._ERASE
-    assert terminal.text == (
-        f"{erased}all runs: 0 %{erased}all runs: 0 %; {SHOWN}: 0 %"
-        f"{erased}all runs: 0 %; {SHOWN}: 50 %{erased}a line between\n"
-        f"{erased}all runs: 0 %; {SHOWN}: 75 %, 1 s left{erased}"
-        f"{erased}all runs: 100 %{erased}"
+        clock[0] = 2.0
+        outer(1)
+        assert screen(terminal.getvalue())[-1].endswith("  50 % -:--:--")
+    width = len(SHOWN)
+    assert screen(terminal.getvalue()) == [*lines, ""] == [
+        SHOWN, "warning: of 1 fault", "of another program", SHOWN,
+        f"{'run':{width}}  {SHOWN}", "─" * (2 * width + 2), f"{SHOWN}  {'1':>{width}}", "",
+    ]  # fmt: skip
+    assert sys.stdout is sys.stderr is terminal
+    assert "\x1b[33mwarning: of 1 fault\x1b[0m" in terminal.getvalue()
+    assert f"\x1b[1m{SHOWN}\x1b[0m" in terminal.getvalue()
+
+
+def test_terminal_without_codes_gets_lines(monkeypatch, clock):
+    terminal = at_terminal(monkeypatch, 80, "dumb")
+    say_all(Reporter())
+    assert "\x1b" not in terminal.getvalue()
+    assert screen(terminal.getvalue()) == [
+        "info", "note", "result", "warning: warning", "table", "model", "─────", "a", EVERY[-1],
+        "note", "result", "warning: warning", "",
+    ]  # fmt: skip
+
+
+def test_an_interrupt_removes_the_bar_and_restores_the_cursor():
+    code = (
+        "import signal; from sphrom.console import Reporter\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "with Reporter().progress('a run', 9) as advance: advance(1); signal.raise_signal(2)"
     )
+    reader, terminal = pty.openpty()
+    done = subprocess.run(
+        [sys.executable, "-c", code], stdout=terminal, stderr=subprocess.DEVNULL, timeout=60,
+        env={**os.environ, "TERM": "xterm", "NO_COLOR": "1"},
+    )  # fmt: skip
+    output = os.read(reader, 4096).decode()
+    os.close(reader)
+    os.close(terminal)
+    assert done.returncode == -signal.SIGINT
+    assert " 11 % -:--:--" in output  # without colours
+    assert screen(output) == [""]
+    assert output.rindex("\x1b[?25h") > output.rindex("\x1b[?25l")
 
 
 def test_lines_of_a_terminal_have_whole_words(monkeypatch):
     """Commands stay whole, to be copied; columns of tables go on below, beside the first one."""
-    terminal = Terminal()
-    monkeypatch.setattr(sys, "stdout", terminal)
-    monkeypatch.setenv("COLUMNS", "20")
+    terminal = at_terminal(monkeypatch, 20)
     console.tell("a well-known name  or `what it is`", indent=4)
     console.tell("next: `sphrom run a_case_of_a_long_name.yaml --out there`")
     Reporter().table("five words of a title", ["run", "speed", "pressure"], [["full", "1", "2"]])
-    assert terminal.text.splitlines() == [
+    Reporter().table("wide", ["run", "speed"], [["a name of five words", "1"]])
+    assert screen(terminal.getvalue()) == [
         "a well-known name", "    or `what it is`",
         "next:", "`sphrom run a_case_of_a_long_name.yaml --out there`", "five words of a", "title",
-        "run   speed", "----  -----", "full      1",
-        "run   pressure", "----  --------", "full         2",
+        "run   speed", "───────────", "full      1",
+        "run   pressure", "──────────────", "full         2",
+        "wide", "run            speed", "─" * 20, "a name of          1", "five words", "",
     ]  # fmt: skip
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -28,6 +30,17 @@ def test_package_carries_the_cases_and_the_constraints() -> None:
     assert wanted | {package / "constraints.txt", package / "py.typed"} <= carried
     assert {path.suffix for path in carried} <= {".yaml", ".md", ".txt", ".typed", ".ipynb",
                                                 ".mk", ".smk"}  # fmt: skip
+
+
+def test_folder_of_a_clone_does_not_hide_the_package(tmp_path) -> None:
+    """A folder `sphrom` beside a program could be imported as a namespace package."""
+    (tmp_path / "sphrom").mkdir()
+    (tmp_path / "program.py").write_text("import sphrom; print(sphrom.__version__)")
+    for words in (["-m", "sphrom", "--version"], ["program.py"]):
+        done = subprocess.run(
+            [sys.executable, *words], cwd=tmp_path, capture_output=True, text=True, timeout=60
+        )
+        assert done.stdout.split()[-1:] == [sphrom.__version__], done.stderr
 
 
 def test_version_is_told_once() -> None:

@@ -7,23 +7,24 @@ from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sphrom.api.result import Labels, Result, Sensitivities, finite_array, rows_of
+from sphrom.api.result import Labels, Result, Sensitivities, rows_of
+from sphrom.arguments import checked, finite_array
 from sphrom.arrays import Array
 from sphrom.artifacts.records.reduced_models import TrainedModel
 from sphrom.artifacts.records.runs import TrainedSurfaceModel
 from sphrom.case.checks import steady_problem
+from sphrom.case.fields import LARGEST
 from sphrom.case.hints import beyond_training, extrapolation
 from sphrom.case.loader import parameter_point
 from sphrom.case.plan import lengthened
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.case.studies import fit_ranges, fit_values, percent, require_basis, trained_ranges
+from sphrom.case.studies import fit_ranges, percent, require_basis, trained_ranges
 from sphrom.errors import CaseError, UnstableError
 from sphrom.fit.fit import Fit, fit
 from sphrom.fit.forward_model import TrainingDifferences, box_of
@@ -46,6 +47,8 @@ from sphrom.text import nearest, quoted
 if TYPE_CHECKING:
     import xarray
 
+LEAST_STEP = 1e-3
+"""Least length of the steps of sensitivities, over the automatic one."""
 AnyModel = TypeVar("AnyModel", bound=ReferenceModel | SurfaceModelAt)
 """A model at a parameter point."""
 
@@ -63,6 +66,7 @@ class Model:
     """
 
     _point: ParameterPoint
+    _own: Mapping[str, float] = {}
     _reduced: ReferenceModel | SurfaceModelAt | None = None
 
     def __init__(
@@ -82,9 +86,9 @@ class Model:
             self._fast = fast_model(self._workspace, section, stored)
 
     def _points(self, rows: Iterable[Mapping[str, float]]) -> list[ParameterPoint]:
-        """Return the points with some values; warn of the first one that extrapolates."""
+        """Return the points with some values and the model's own; warn of one that extrapolates."""
         case = self._workspace.case
-        points = [parameter_point(case, values) for values in rows]
+        points = [parameter_point(case, {**self._own, **values}) for values in rows]
         for point in points:
             require_basis(case, self._section, point)
         if warning := next(filter(None, map(partial(extrapolation, case), points)), None):
@@ -114,13 +118,18 @@ class Model:
 
     @guarded()
     def at(self, **parameters: float) -> Model:
-        """Return the same model at other parameter values, without reading files again."""
+        """Return the same model at other parameter values, without reading files again.
+
+        The model keeps the values of all parameters that are not named.
+        """
         other = copy(self)
         (other._point,) = self._points([parameters])
+        other._own = other._point.as_dict()
         other._reduced = None if self._fast is None else self._fast.at(other._point)
         return other
 
     @guarded()
+    @checked
     def run(self, final_time: float | None = None) -> Result:
         """Run the model, and estimate its error.
 
@@ -161,7 +170,7 @@ class Model:
         Parameters
         ----------
         points : values (n_runs,) by parameter, in a dictionary, or a table of pandas or xarray; a
-            single number applies to all runs.
+            single number applies to all runs. Others have the values of this model.
 
         Returns
         -------
@@ -177,6 +186,7 @@ class Model:
         return self._labels.runs(map(fast.run, at), [p.as_dict() for p in at], self.name)
 
     @guarded()
+    @checked
     def sensitivities(
         self, *names: str, final_time: float | None = None, step_factor: float = 1.0
     ) -> Sensitivities:
@@ -195,8 +205,8 @@ class Model:
         """
         case, (fast, reduced) = self._workspace.case, self._by_operators("sensitivities")
         self._require_names(names)
-        if not (np.isfinite(step_factor) and step_factor > 0.0):
-            raise CaseError(f"step_factor: must be above zero; got {step_factor:g}")
+        if step_factor < LEAST_STEP:
+            raise CaseError(f"step_factor: must be {LEAST_STEP:g} or more; got {step_factor:g}")
         if case.time.spin_up > 0.0:
             self._warn("derivatives do not include changes of the spin-up")
         longer = self._lengthened(reduced, final_time)
@@ -216,6 +226,7 @@ class Model:
         return Sensitivities(**vars(slopes), **own, _labels=self._labels, _sample=changes)
 
     @guarded()
+    @checked
     def fit(
         self,
         measurements: str | os.PathLike[str] | Mapping[str, ArrayLike],
@@ -228,8 +239,8 @@ class Model:
         ----------
         measurements : a CSV file, or its columns by name in a dictionary or a table of pandas;
             see `sphrom.fit.measurements`.
-        names : the free parameters; others have the values of this model. By default, the section
-            `fit` of the case determines free parameters and fixed values.
+        names : the free parameters. By default, the section `fit` of the case determines free
+            parameters and fixed values. All others have the values of this model.
         noise : standard deviation over each history's range, such as `"1%"` or 1.0, if the
             measurements have none; by default the case's.
 
@@ -242,13 +253,15 @@ class Model:
         fast, _ = self._without_particles("fit")
         self._require_names(names)
         share = case.fit.noise if noise is None else percent(noise, "noise")
-        source = Path(measurements) if isinstance(measurements, str | os.PathLike) else measurements
-        data = read_measurements(source, case, case.plan.model_steps(section), share)
-        ranges, values = fit_ranges(case, section), fit_values(case)
+        # A path is a `Path` here, see `checked`.
+        data = read_measurements(measurements, case, case.plan.model_steps(section), share)  # type: ignore[arg-type]
+        ranges, values = fit_ranges(case, section), self.parameters
         if names:
             trained = trained_ranges(case, section)
             ranges = {name: ranges.get(name, trained[name]) for name in dict.fromkeys(names)}
-            values = {n: v for n, v in self.parameters.items() if n not in ranges}
+        else:
+            values |= {n: v for n, v in case.fit.parameters.items() if isinstance(v, float)}
+        values = {n: v for n, v in values.items() if n not in ranges}
         return fit(fast, box_of(ranges, values), data, self._errors)
 
     def _require_names(self, names: Sequence[str]) -> None:
@@ -259,6 +272,7 @@ class Model:
                     f"{quoted(name)}: does not vary in the case; {nearest(str(name), known)}"
                 )
 
+    @checked
     def rates(self, coordinates: ArrayLike, time: float | None = None) -> Array:
         """Return the rates da/dt (n_modes,) [1/s] of coordinates (n_modes,).
 
@@ -269,6 +283,7 @@ class Model:
         reduced, state, amplitude, _ = self._at("rates", coordinates, time)
         return reduced.polynomial(state, amplitude)
 
+    @checked
     def jacobian(self, coordinates: ArrayLike, time: float | None = None) -> Array:
         """Return the derivative (n_modes, n_modes) [1/s] of the rates at coordinates (n_modes,).
 
@@ -290,6 +305,7 @@ class Model:
         return steady_state(reduced.polynomial, state, amplitude=amplitude)
 
     @guarded()
+    @checked
     def measures(self, coordinates: ArrayLike, time: float | None = None) -> xarray.Dataset:
         """Return the measurements of a state with coordinates (n_modes,), within microseconds.
 
@@ -329,6 +345,8 @@ class Model:
         steps = self._workspace.case.plan.steps
         longer = lengthened(steps, final_time)
         if longer.end_time > steps.end_time:
+            for key, reason in self._workspace.case.plan.problems_until(longer.end_time):
+                raise CaseError(f"final_time: scene.{key}: {reason}")
             self._warn(beyond_training(steps.end_time))
         times = replace(reduced.output_times, n_snapshots=longer.n_snapshots)
         return replace(reduced, output_times=times)
@@ -341,9 +359,10 @@ class Model:
         state, shape = finite_array(coordinates, "coordinates"), reduced.start.shape
         if state.shape != shape:
             raise CaseError(f"coordinates: must have the shape {shape}; got {state.shape}")
-        at = self._workspace.case.plan.steps.end_time if time is None else float(time)
-        if not np.isfinite(at):
-            raise CaseError(f"time: must be finite; got {at:g}")
+        at = self._workspace.case.plan.steps.end_time if time is None else time
+        for name, values in (("coordinates", state), ("time", np.array(at))):
+            if np.abs(values).max(initial=0.0) > LARGEST:
+                raise CaseError(f"{name}: must be from {-LARGEST:g} to {LARGEST:g}")
         if reduced.amplitude is None:
             return reduced, state, 0.0, at
         return reduced, state, float(reduced.amplitude(np.array([at]))[0]), at

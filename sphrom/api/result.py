@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sphrom.arguments import finite_array
 from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
-from sphrom.metrics.measures import AXES, PLACED, UNITS, VECTORS, Quantities
+from sphrom.metrics.measures import AXES, PLACED, UNITS, VECTORS, Quantities, since
+from sphrom.metrics.series import NO_OSCILLATION
 from sphrom.online.error_estimates import ErrorEstimate, measured_errors
 from sphrom.online.fast_model import FastRun
 from sphrom.online.sensitivities import Tangents
@@ -24,7 +26,7 @@ from sphrom.store.stored_run import Samples
 if TYPE_CHECKING:
     import xarray
 
-Variable = tuple[object, ...]
+Variable = tuple[Any, ...]
 """Axes, values and attributes of a variable of xarray."""
 Measured = Mapping[str, Quantities]
 """Quantities of measurements, by the name of the measurement."""
@@ -66,8 +68,9 @@ class Labels:
                 unit = UNITS.get(quantity)
                 if unit is None:  # an oscillation has one figure per run
                     dims, values = axes.removesuffix("snapshot"), values[..., 0]
-                    unit = self.case.scene.oscillations[own].units_of(quantity)
+                    unit = self.case.plan.oscillations[own].units_of(quantity)
                 variables[f"{name}_{quantity}"] = labelled(dims, values, unit, meaning)
+                variables[f"{name}_{quantity}"][2].update(self._notes(own, quantity, values))
         if (key := time.tobytes()) not in self._known:
             coordinates = axes_of(time)
             for name, measure in field_measures(self.case).items():
@@ -78,6 +81,13 @@ class Labels:
                     coordinates[f"{name}_position"] = where
             self._known = {key: xarray.Dataset(coords=coordinates).set_xindex("time").coords}
         return xarray.Dataset(variables, self._known[key], dict(about))
+
+    def _notes(self, name: str, quantity: str, values: Array) -> dict[str, Any]:
+        """Return attributes: the first time that counts [s], and why an oscillation is NaN."""
+        plan, missing = self.case.plan, quantity not in UNITS and bool(np.isnan(values).any())
+        of = plan.oscillations.get(name)
+        begin = plan.means_from.get(name, plan.settled_from) if of is None else of.from_time
+        return {"from_time": begin} | ({"missing": NO_OSCILLATION} if missing else {})
 
     def fields(
         self,
@@ -122,7 +132,7 @@ class Labels:
                 errors[:, k] = own.velocity_percent, own.pressure_percent, own.extrapolated
             own_errors = measured_errors(run) if isinstance(run, FastRun) else {}
             estimates = {f"{ERROR}{name}": each for name, each in own_errors.items()}
-            own_values = run.measured | self.case.scene.oscillations.of(time, run.measured)
+            own_values = run.measured | self.case.plan.oscillations.of(time, run.measured)
             for name, quantities in (own_values | estimates).items():
                 stacked = measured.setdefault(name, {})
                 for quantity, values in quantities.items():
@@ -143,7 +153,9 @@ def rows_of(points: Mapping[str, ArrayLike]) -> list[dict[str, float]]:
     """Return the points of a table with a column (n_runs,) or a number per parameter."""
     try:
         columns = {str(name): finite_array(each, str(name)) for name, each in dict(points).items()}
-        rows = np.stack(np.broadcast_arrays(*columns.values()), axis=-1).reshape(-1, len(columns))
+        rows = np.stack(np.broadcast_arrays(*map(np.atleast_1d, columns.values())), axis=-1)
+        if rows.ndim != 2:
+            raise ValueError("got several axes")
     except (TypeError, ValueError) as error:
         raise CaseError("points: must be values by parameter, of equal lengths") from error
     if not len(rows):
@@ -203,8 +215,24 @@ class Result:
         """
         about = {"model": self.model, **self.parameters}
         labels, measured = self._labels, dict(self._measured())
-        measured |= labels.case.scene.oscillations.of(self.time, measured)
+        measured |= labels.case.plan.oscillations.of(self.time, measured)
         return labels.dataset(measured, self.time, about)
+
+    @property
+    @guarded()
+    def means(self) -> xarray.Dataset:
+        """The means over time of `measures`, each from its attribute `from_time` [s] on.
+
+        They are NaN if the run ends before.
+        """
+        import xarray
+
+        measures, means = self.measures, {}
+        for name, each in measures.items():
+            if "snapshot" in each.dims:
+                late = xarray.DataArray(since(self.time, each.from_time), dims="snapshot")
+                means[name] = each.where(late).mean("snapshot", keep_attrs=True)
+        return measures.drop_dims("snapshot").assign(means)
 
     @guarded()
     def fields(self, points: ArrayLike) -> xarray.Dataset:
@@ -224,17 +252,6 @@ class Result:
         """
         about = {"model": self.model, **self.parameters}
         return self._labels.fields(points, self._sample, self.time, about)
-
-
-def finite_array(data: ArrayLike, name: str) -> Array:
-    """Return a copy as an array of finite numbers. Raises CaseError for other data."""
-    try:
-        values = np.array(data, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise CaseError(f"{name}: must be numbers; {error}") from error
-    if not np.isfinite(values).all():
-        raise CaseError(f"{name}: must be finite")
-    return values
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)

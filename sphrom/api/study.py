@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from sphrom import stages
 from sphrom.api.model import Model
+from sphrom.arguments import checked
 from sphrom.artifacts import open_artifact, read_record
 from sphrom.artifacts.records.reduced_models import TrainedModel
 from sphrom.artifacts.records.runs import TrainedSurfaceModel
@@ -46,6 +47,7 @@ class Study:
     """
 
     @guarded()
+    @checked
     def __init__(
         self,
         case: str | os.PathLike[str] | Mapping[str, Any],
@@ -58,12 +60,8 @@ class Study:
         report: Callable[[str], object] | None = None,
         **keys: Any,
     ) -> None:
-        if threads is not None and not (isinstance(threads, int) and threads >= 1):
-            raise CaseError(f"--threads: must be a whole number from 1 on; got {quoted(threads)}")
-        if out is not None and not os.fspath(out):
-            raise CaseError("out: is empty; give a folder")
         self._context = stages.context_of(
-            load_case(case, {**(set or {}), **keys}, force),
+            load_case(case, {**({} if set is None else set), **keys}, force),
             Reporter(quiet=quiet, write=report),
             out=None if out is None else Path(out),
             force=force,
@@ -92,6 +90,7 @@ class Study:
         return tuple(model.name for model in self.case.rom)
 
     @guarded()
+    @checked
     def run(
         self, until: str | None = None, *, resume: bool = False, checkpoint_every: float = 60.0
     ) -> None:
@@ -109,6 +108,7 @@ class Study:
         stages.run_all(context, until)
 
     @guarded()
+    @checked
     def run_stage(
         self,
         stage: str,
@@ -140,6 +140,7 @@ class Study:
         stages.run_stage(name, context, **options)
 
     @guarded()
+    @checked
     def model(self, name: str, **parameters: float) -> Model:
         """Return a reduced model at parameter values, which may differ from the trained ones.
 
@@ -148,7 +149,9 @@ class Study:
         Parameters
         ----------
         name : name of a model in the case's section `rom`.
-        parameters : parameter values, such as `reynolds=137`; by default, the scene's own values.
+        parameters : parameter values, such as `reynolds=137`. By default, a parameter has the value
+            of all training runs, or the scene's own value if they differ. The scene has no Reynolds
+            number, so it is necessary if training runs have several.
         """
         sections = {section.name: section for section in self.case.rom}
         if name not in sections:
@@ -161,6 +164,7 @@ class Study:
 
 
 @guarded()
+@checked
 def load(path: str | os.PathLike[str]) -> Model:
     """Open a trained model from its artifact, such as `model-fast.h5`, and nothing else.
 
@@ -194,6 +198,7 @@ def load(path: str | os.PathLike[str]) -> Model:
 
 
 @guarded(computes=False)
+@checked
 def open(path: str | os.PathLike[str], group: str = "") -> xarray.Dataset:
     """Open an artifact, or a group of one such as `bases/all`, as a dataset with named axes.
 

@@ -18,6 +18,7 @@ import contextlib
 import hashlib
 import math
 import os
+import shlex
 import time
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -57,6 +58,8 @@ SHOWN_KEYS = 4
 """Number of differing keys of two cases that a message names."""
 MOST_CHARACTERS = 60
 """Longest value shown in a message: a foreign file may contain any text."""
+MOST_NESTED = 32
+"""Most groups within each other: the time to follow a path grows with its length."""
 
 SETTLED = 2.0
 """Age [s] from which timestamps reliably show a change of a file: their resolution is coarse."""
@@ -382,6 +385,8 @@ DIGEST = "sha256"
 LOCKINGS = (None, False, True)
 """Ways to lock a file. HDF5 refuses any other than the one with which this process has the file
 open, so the default comes first. An artifact never changes, so it can be read without a lock."""
+LEFT_OPEN = "already open for"
+"""What HDF5 says of a file whose superblock has the mark of a writer, which it sets since 1.10."""
 # The exceptions that h5py raises for the various damaged structures of a file.
 DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, OverflowError)
 
@@ -410,7 +415,7 @@ def damage(what: str) -> Iterator[None]:
 
 
 def open_file(path: Path) -> h5py.File:
-    """Open a regular HDF5 file for reading. Raises Fault."""
+    """Open a regular HDF5 file for reading. Raises Fault, or ArtifactError if it may be whole."""
     try:
         if not path.is_file():  # opening a pipe would block
             raise Fault("is not a file" if path.exists() else "is missing")
@@ -422,6 +427,11 @@ def open_file(path: Path) -> h5py.File:
             return h5py.File(path, "r", locking=locking)
         except (OSError, RuntimeError, ValueError) as error:
             fault = error
+            if LEFT_OPEN in str(error):
+                raise ArtifactError(
+                    f"{path} is marked as open for writing: another program writes it, or was "
+                    f"killed; if none does, `h5clear -s {shlex.quote(str(path))}` removes the mark"
+                ) from error
     raise Fault("is damaged, truncated, or not an HDF5 file") from fault
 
 
@@ -457,17 +467,27 @@ def inspect(file: h5py.File) -> Contents:
 def items(file: h5py.File, but: str = "") -> Iterator[tuple[str, h5py.HLObject]]:
     """Yield every group and dataset by its path, except those in the group `but`.
 
-    Raises Fault if a link or a dataset may lead out of the file.
+    Raises Fault if a link or a dataset may lead out of the file, a name is not UTF-8, or groups
+    are nested too deep.
     """
-    links: dict[str, object] = {}
+    names: list[bytes] = []
+
+    def is_deep(name: bytes) -> bool | None:
+        names.append(name)
+        return name.count(b"/") >= MOST_NESTED or None
+
     with damage("its structure"):  # each link once, however many names a group has
-        file.visititems_links(links.__setitem__)
-    for path, link in links.items():
+        if file.id.links.visit(is_deep):
+            raise Fault(f"is refused: its groups are nested more than {MOST_NESTED} deep")
+    for name in names:
+        path = name.decode(errors="backslashreplace")
+        if path.encode() != name:
+            raise Fault(f"is refused: the name /{path} is not UTF-8")
         if path.partition("/")[0] == but:
             continue
-        if not isinstance(link, h5py.HardLink):
-            raise Fault(f"is refused: /{path} is a link that may lead out of the file")
         with damage(f"/{path}"):
+            if not isinstance(file.get(path, getlink=True), h5py.HardLink):
+                raise Fault(f"is refused: /{path} is a link that may lead out of the file")
             item = file[path]
             if isinstance(item, h5py.Dataset):
                 sources = item.virtual_sources() if item.is_virtual else ()
@@ -479,7 +499,7 @@ def items(file: h5py.File, but: str = "") -> Iterator[tuple[str, h5py.HLObject]]
 def _require_plain(dataset: h5py.Dataset, path: str) -> None:
     """Raise Fault unless a dataset holds plain numbers, or the case, with checksums at most."""
     if dataset.dtype.kind not in ("S" if path == CASE else "fiu") or dataset.shape is None:
-        raise Fault(f"is refused: {path} is of type {dataset.dtype}, which no artifact holds")
+        raise Fault(f"is refused: {path} is empty, or of type {dataset.dtype}, not plain numbers")
     properties = dataset.id.get_create_plist()
     filters = {properties.get_filter(i)[0] for i in range(properties.get_nfilters())}
     if filters - {h5py.h5z.FILTER_FLETCHER32}:
@@ -492,7 +512,8 @@ def attributes_at(item: h5py.HLObject, path: str) -> dict[str, layout.Value]:
     Raises Fault if they are damaged.
     """
     with damage(f"an attribute of /{path}"):
-        values = {joined(path, key): _value(item.attrs.get_id(key)) for key in item.attrs}
+        # A name that is not UTF-8 consists of bytes.
+        values = {joined(path, str(key)): _value(item.attrs.get_id(key)) for key in item.attrs}
     return {name: value for name, value in values.items() if value is not None}
 
 

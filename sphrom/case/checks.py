@@ -7,25 +7,35 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from itertools import product
 from typing import Any
 
 import numpy as np
+import shapely
+from shapely.affinity import translate
 
 from sphrom.arrays import Array
 from sphrom.case import studies
 from sphrom.case.custom_sections import SurfaceForce
 from sphrom.case.fields import only_one
 from sphrom.case.models import Case
-from sphrom.case.plan import MAX_STEPS, WHOLE_STEPS_TOLERANCE
+from sphrom.case.plan import (
+    LEAST_SNAPSHOTS,
+    MAX_STEPS,
+    STEPS_PER_PERIOD,
+    WHOLE_STEPS_TOLERANCE,
+)
 from sphrom.case.points import REYNOLDS, ParameterPoint, nearest_point
-from sphrom.case.scene_section import MeasureSection
+from sphrom.case.scene_section import KINDS, MeasureSection
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection
 from sphrom.case.study_sections import FULL, ErrorFigure, FieldFigure, ModeFigure, OfModes, OfRuns
 from sphrom.case.yaml_reader import Problem
-from sphrom.errors import CaseError
+from sphrom.errors import CaseError, SphromError
 from sphrom.kernels import SUPPORT_RATIO
-from sphrom.sph.box_domain import WHOLE_TOLERANCE
+from sphrom.metrics.elevation import find_elevation
+from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import ROUNDING
+from sphrom.sph.polygons import periodic_shifts
 from sphrom.text import exact, nearest, repeated
 
 Found = Iterator[tuple[str, str]]
@@ -46,6 +56,8 @@ SURFACE_KEYS: Mapping[str, tuple[object, ...]] = {
     "steady": (False,),
 }
 """The values of keys that reduced models of a free surface may have."""
+MOST_REFINED = 4
+"""Largest factor of the resolution that is a remedy for a narrow place."""
 COARSEST = 8
 """The lowest resolution."""
 
@@ -54,7 +66,8 @@ def case_problems(case: Case, *, force: bool = False) -> list[Problem]:
     """Return the problems of a case; `force` accepts an unstable time step."""
     limits = () if force else (_check_limits,)
     # Later checks need valid names, and then valid steps and points.
-    for checks in ((_check_names,), (*_CHECKS, *limits), _SNAPSHOT_CHECKS):
+    first = (_check_names, _check_histories)
+    for checks in (first, (_check_points,), (*_CHECKS, *limits), _SNAPSHOT_CHECKS):
         if problems := [problem for check in checks for problem in check(case)]:
             return [Problem(_path(key), reason) for key, reason in problems]
     return []
@@ -70,13 +83,24 @@ def _check_names(case: Case) -> Found:
         for name in names:
             if name is not None and name not in known:
                 yield key, f"no {kind} has the name {name}; {nearest(name, known)}"
-    train, test = case.parameters.train, case.parameters.test
-    if len(train.reynolds) > 1 and not all(
-        REYNOLDS in each for each in (*train.named, *test.named)
-    ):
-        yield f"parameters.test.{REYNOLDS}", "is missing, and parameters.train has several; give it"
+    yield from _check_reynolds(case)
     for name, reason in case.scene.parameter_problems(case.plan.parameter_names):
         yield f"parameters.{name}", f"can't vary: {reason}"
+
+
+def _check_reynolds(case: Case) -> Found:
+    """Check that all points name the Reynolds number if training runs have several."""
+    named: dict[str, Iterable[Collection[str]]] = {"parameters.test": case.parameters.test.named}
+    if REYNOLDS not in case.plan.own_values:
+        named |= {"parameters.train": case.parameters.train.named, "sweep": case.sweep.named}
+        for i, model in enumerate(case.rom):
+            # Numbers in a list are Reynolds numbers.
+            named[f"rom.{i}.parameters"] = [v for v in model.parameters if isinstance(v, dict)]
+    elif REYNOLDS not in case.training.ranges:
+        return
+    for key, points in named.items():
+        if any(REYNOLDS not in names for names in points):
+            yield f"{key}.{REYNOLDS}", "is missing, and training runs have several; give it"
 
 
 def _references(case: Case) -> Iterator[tuple[str, str, Collection[str | None], Collection[str]]]:
@@ -84,7 +108,7 @@ def _references(case: Case) -> Iterator[tuple[str, str, Collection[str | None], 
     models = [model.name for model in case.rom]
     fast = [model.name for model in case.rom if model.from_operators]
     bases, parameters, varied = (ALL, *case.basis.subsets), "parameter", "parameter that varies"
-    own, varying = case.plan.own_values, case.plan.parameter_names
+    own, varying = (REYNOLDS, *case.plan.own_values), case.plan.parameter_names
     yield "parameters.train", parameters, case.parameters.train.names, own
     yield "parameters.test", parameters, case.parameters.test.names, own
     for name, subset in case.basis.subsets.items():
@@ -120,10 +144,11 @@ def _check_points(case: Case) -> Found:
         yield from _check_repeated(key, points)
         for others in dict.fromkeys(point.others for point in points):
             try:
-                case.scene.check_at(dict(others))
+                case.plan.scene.check_at(dict(others))
             except ValueError as error:
                 values = ", ".join(f"{name}={exact(value)}" for name, value in others)
-                yield key, f"{values}: {error}"
+                where, _, reason = str(error).partition(": ")
+                yield (key, f"{values}: {error}") if values else (f"scene.{where}", reason)
                 break
     for point in filter(set(train).__contains__, test):
         yield "parameters.test", f"{point.label} is a training value; test other values"
@@ -137,18 +162,21 @@ def _check_repeated(key: str, points: Iterable[ParameterPoint]) -> Found:
 def _check_geometry(case: Case) -> Found:
     domain, length = case.scene.domain, case.scene.resolved_length
     plan, section = case.plan, case.discretization
+    wanted = length / section.resolution
+    fits = domain.narrowest_gap > 0.0 and domain.fits_lattice(wanted)
     if domain.narrowest_gap <= 0.0:
         yield "scene", "its lengths differ so much that the smallest one is lost in rounding"
-    elif not domain.fits_lattice(plan.particle_spacing):
-        reason = f"a spacing of {plan.particle_spacing:g} m doesn't divide all lengths of the scene"
+    elif not fits:
+        reason = f"a spacing of {wanted:g} m doesn't divide all lengths of the scene to 0.5 %"
         nearest_one = nearest_fitting_resolution(case) or "none that is near"
         yield "discretization.resolution", f"{reason}; {nearest_one} does"
     for level in sorted({case.scene.level_at(dict(point.others)) for point in plan.points}):
-        rows = (level - domain.lower[1]) / plan.particle_spacing
-        if math.isfinite(level) and abs(rows - round(rows)) > WHOLE_TOLERANCE:
-            nearest_level = domain.lower[1] + max(1, round(rows)) * plan.particle_spacing
-            reason = f"rows of particles {plan.particle_spacing:g} m apart don't end at {level:g} m"
-            yield "scene.fluid.level", f"{reason}; they do at {nearest_level:g} m"
+        if not math.isfinite(level) or not domain.fills_box:
+            continue
+        pitch = domain.pitches(plan.particle_spacing)[1] if fits else wanted
+        if (end := domain.row_end(level, pitch)) != level:
+            reason = f"rows of particles {pitch:g} m apart don't end at {level:g} m"
+            yield "scene.fluid.level", f"{reason}; they do at {end:g} m"
     if case.scene.has_surface and not plan.n_particles:
         yield "scene.fluid", "no particle is in it; raise discretization.resolution"
     if case.scene.has_surface and section.shifting.enabled:
@@ -174,19 +202,58 @@ def _check_geometry(case: Case) -> Found:
     radius = SUPPORT_RATIO * max(own, mapped)
     if gap > 0.0 and radius > most * (1.0 + ROUNDING):
         least = math.ceil(section.resolution * radius / most * (1.0 - ROUNDING))
-        fits = (n for n in range(least, 2 * least) if domain.fits_lattice(length / n))
+        enough = (n for n in range(least, 2 * least) if domain.fits_lattice(length / n))
+        remedy = f"discretization.resolution: {next(enough, least)} would do"
+        if least > MOST_REFINED * section.resolution:
+            remedy = f"make it at least {radius:.3g} m thick"
+            if most < solid:
+                nearest_walls = narrow_place(domain, 2.0 * radius)
+                remedy = nearest_walls or f"make it at least {2.0 * radius:.3g} m wide"
         yield (
             f"{'reference' if mapped > own else 'discretization'}.smoothing_length_ratio",
-            f"a support of radius {radius:g} m is larger than {limit}: "
-            f"discretization.resolution: {next(fits, least)} would do",
+            f"a support of radius {radius:g} m is larger than {limit}: {remedy}",
         )
+
+
+def narrow_place(domain: Domain, width: float) -> str | None:
+    """Return the two walls that are nearest to each other, and remedies, if nearer than a width."""
+    lower, upper = np.array(domain.lower), np.array(domain.upper)
+    frame = shapely.get_coordinates(shapely.box(*lower, *upper))
+    # The corners begin at the right, at the bottom, and go around anticlockwise.
+    sides = zip(("right", "top", "left", "bottom"), frame[:-1], frame[1:], strict=True)
+    lines = {name: shapely.linestrings(ends) for name, *ends in sides if name in domain.wall_names}
+    found: list[tuple[float, str]] = []
+    for (name, shape), (other, moved) in product(domain.polygons, _images(domain, lines)):
+        line = shapely.shortest_line(shape, moved)
+        if name == other and shapely.equals(shape, moved):
+            continue
+        if shapely.length(line) < width:
+            x, y = shapely.get_coordinates(line).mean(axis=0)
+            remedy = "let them overlap, join them to one solid by `union`, or leave"
+            if other in lines:
+                remedy = f"let {name} dip into the wall, or leave"
+            found.append(
+                (
+                    float(shapely.length(line)),
+                    f"at ({x:.4g}, {y:.4g}) m, between {name} and "
+                    f"{other}: {remedy} {width:.3g} m between them",
+                )
+            )
+    return min(found)[1] if found else None
+
+
+def _images(domain: Domain, lines: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Yield the sides of the box, and the solids with their periodic images, by name."""
+    yield from lines.items()
+    for shift in periodic_shifts(domain.lengths, domain.periodic):
+        yield from ((name, translate(shape, *shift)) for name, shape in domain.polygons)
 
 
 def nearest_fitting_resolution(case: Case) -> int | None:
     """Return the nearest resolution at which walls fit the lattice, or None if none is near."""
     domain, length = case.scene.domain, case.scene.resolved_length
     resolution, half = case.discretization.resolution, case.discretization.resolution // 2
-    near = range(resolution - half + 1, resolution + half)
+    near = range(resolution - half + 1, 2 * resolution + 1)
     fitting = (number for number in near if domain.fits_lattice(length / number))
     return min(fitting, key=lambda number: (abs(number - resolution), -number), default=None)
 
@@ -200,9 +267,17 @@ def coarser_resolution(case: Case) -> int | None:
 
 def _check_steps(case: Case) -> Found:
     time, plan = case.time, case.plan
-    if (number := time.final_time / plan.step_target) > MAX_STEPS:
-        yield "time", f"a run of {number:.3g} steps; at most {MAX_STEPS:g} are allowed"
+    if not plan.step_target > 0.0:
+        yield "time", "no step is short enough; the resistance or the inflow is too strong"
         return
+    resolved = plan.shortest_period / STEPS_PER_PERIOD
+    swings = f"the driving oscillates with a period of {plan.shortest_period:.4g} s"
+    if (number := time.final_time / plan.step_target) > MAX_STEPS:
+        why = f"; {swings}" if resolved <= plan.step_target else ""
+        yield "time", f"a run of {number:.3g} steps; at most {MAX_STEPS:g} are allowed{why}"
+        return
+    if plan.step_target > resolved * (1.0 + WHOLE_STEPS_TOLERANCE):
+        yield "time.step", f"{swings}, which needs steps of at most {resolved:.4g} s"
     number = max(1.0, plan.recorded_time / plan.step_target)
     if case.snapshots.every > number * (1.0 + WHOLE_STEPS_TOLERANCE):
         reason = f"must be at most the number of steps, {int(number)}; got {case.snapshots.every}"
@@ -252,25 +327,33 @@ def _check_limits(case: Case) -> Found:
         yield "time.step", f"{reason}; --force accepts it"
 
 
+def _check_histories(case: Case) -> Found:
+    for name, reason in case.scene.unknown_times(case.time.final_time):
+        yield f"scene.{name}", reason
+
+
 def _check_scene(case: Case) -> Found:
-    for name, reason in case.scene.problems(case.time.final_time):
+    for name, reason in case.plan.problems_until(case.time.final_time):
         yield f"scene.{name}", reason
     for name, measured in case.scene.measure.items():
-        kind = only_one(measured, type(measured).model_fields)
+        kind = only_one(measured, KINDS)
         if (problem := _measure_problem(case, measured)) is not None:
             yield f"scene.measure.{name}.{kind}", problem
 
 
 def _measure_problem(case: Case, measured: MeasureSection) -> str | None:
+    section = measured.frequency or measured
+    if (since := section.from_time) is not None and since >= case.time.final_time:
+        end = exact(case.time.final_time)
+        return f"from_time must be before time.final_time, {end} s; got {exact(since)}"
+    if measured.frequency is not None:
+        return None
     if measured.force_on is not None:
         names = case.scene.domain.wall_names
         missing = f"there is no such wall; the walls are {', '.join(names) or 'none'}"
         if measured.force_on in getattr(case.scene, "porous", ()):
             missing = "is a porous body, which has no wall to measure a force on"
         return None if measured.force_on in names else missing
-    if measured.frequency is not None:
-        late = measured.frequency.from_time >= case.time.final_time
-        return "from_time must be before time.final_time" if late else None
     if measured.probe is not None:
         return outside_fluid(case, np.array([measured.probe]))
     if measured.of_surface:
@@ -379,6 +462,8 @@ def _model_problems(case: Case, model: ReducedModelSection) -> Found:
 def steady_problem(case: Case) -> str | None:
     """Return the reason why a case has no steady states, or None."""
     force = case.plan.flow(case.plan.points[0]).body_force
+    if case.scene.amplitudes:
+        return "walls' velocities change with time, so there is no steady state"
     if force is None or not force.changes:
         return None
     return "the body force changes with time, so there is no steady state"
@@ -397,6 +482,11 @@ def _check_fixed_points(case: Case) -> Found:
         if name is not None and value != needed:
             reason = f"must be {needed} for models with evaluation: operators, such as {name}"
             yield f"discretization.{key}", f"{reason}; got {value}"
+    amplitudes = case.scene.amplitudes
+    if name is not None and len(set(amplitudes.values())) > 1:
+        found = " and ".join(f"{text} of {key}" for key, text in amplitudes.items())
+        reason = f"must all have one amplitude in time, like forces, for models such as {name}"
+        yield "scene.walls", f"{reason}; got {found}; set rom: [] for full runs alone"
 
 
 def _check_surface(case: Case) -> Found:
@@ -410,6 +500,12 @@ def _check_surface(case: Case) -> Found:
         yield "scene", f"{reason} {whole}; set rom: []"
     if scene.largest_resistance(1.0):
         yield "scene.resistance", f"{plain} {reason}; leave it out"
+    if not scene.gravity > 0.0:
+        yield "scene.fluid.gravity", f"must be above zero for {reason}; got 0"
+    for point in () if case.time.spin_up else case.plan.points:
+        if domain.fills_box and (problem := _start_problem(case, point)) is not None:
+            yield "scene.fluid", f"{point.label}: at the start, {problem}; set rom: []"
+            break
     for point in case.plan.points[:1]:
         force = case.plan.flow(point).body_force
         parts = force.parts if isinstance(force, SurfaceForce) else ()
@@ -426,6 +522,45 @@ def _check_surface(case: Case) -> Found:
             if (value := getattr(model, key)) not in usual:
                 needed = " or ".join(map(_yaml, usual))
                 yield f"rom.{i}.{key}", f"must be {needed} for {reason}; got {_yaml(value)}"
+
+
+def _start_problem(case: Case, point: ParameterPoint) -> str | None:
+    """Return the reason why the fluid's shape at the start of a run is no graph, or None."""
+    plan, scene = case.plan, case.scene
+    if math.isfinite(scene.level_at(point.factors)):
+        return None
+    position, space = scene.fill(plan.particle_spacing, point.factors), plan.stream_space
+    volume, radius = np.full(len(position), plan.particle_spacing**2), 2.0 * plan.smoothing_length
+    walls = space.left, space.right, space.bottom
+    try:
+        find_elevation(position, volume, plan.surface_columns, radius, walls)
+    except SphromError as error:
+        text = str(error).rstrip(".").replace("The column", "the column")
+        return f"{text}, and reduced models need one surface above each x"
+    return None
+
+
+def _check_training_runs(case: Case) -> Found:
+    """Refuse models that training runs can't teach anything."""
+    plan = case.plan
+    # A box of fluid that nothing describes yet is a template.
+    is_template = case.scene == type(case.scene).model_validate({"kind": case.scene.kind})
+    asked = "rom" in case.model_fields_set and case.rom and not is_template
+    if asked and not any(map(plan.is_driven, plan.train_points)):
+        reason = "nothing drives the fluid in any training run, so that there are no modes"
+        yield "parameters.train", f"{reason}; drive it, or set rom: []"
+    if plan.reference_bases and plan.driving:
+        try:
+            _ = plan.rest_and_units
+        except CaseError as error:
+            key, _, reason = str(error).partition(": ")
+            yield key, reason
+    short = plan.steps.n_snapshots < LEAST_SNAPSHOTS and not case.scene.has_surface
+    for i, model in enumerate(case.rom if short else ()):
+        key = "calibrated" if model.calibrated is True else "n_modes"
+        if model.from_operators and (model.calibrated is True or model.n_modes == AUTO):
+            needed = f"needs training runs of {LEAST_SNAPSHOTS} snapshots or more"
+            yield f"rom.{i}.{key}", f"{_yaml(getattr(model, key))} {needed}; see snapshots.every"
 
 
 def _yaml(value: object) -> str:
@@ -458,12 +593,20 @@ def _check_modes(case: Case) -> Found:
 def _check_reduced_times(case: Case) -> Found:
     for i, model in enumerate(case.rom):
         try:
-            case.plan.model_steps(model)
+            end = case.plan.model_steps(model).end_time
+            if model.until is not None:
+                problems = case.plan.problems_until(end)
+                yield from ((f"rom.{i}.until", f"scene.{key}: {why}") for key, why in problems)
         except CaseError as error:
             yield f"rom.{i}.until", str(error).removeprefix("final_time: ")
         if not isinstance(model.time_step, str):
             reason = _not_whole(case.plan.steps.snapshot_interval, model.time_step)
             yield from () if reason is None else ((f"rom.{i}.time_step", reason),)
+            for point in case.plan.rom_points(model):
+                if model.time_step > (longest := case.plan.longest_step(point)) * (1.0 + ROUNDING):
+                    reason = f"{point.label}: the driving needs steps of at most {longest:.4g} s"
+                    yield f"rom.{i}.time_step", reason
+                    break
 
 
 def _check_compare(case: Case) -> Found:
@@ -477,6 +620,8 @@ def _check_compare(case: Case) -> Found:
     if not left < line < right:
         reason = f"must be within the scene, between {left:g} and {right:g} m; got {line:g}"
         yield "compare.line", reason
+    elif not domain.sections(line):
+        yield "compare.line", f"there is no fluid at x = {line:g} m; give another x"
     strip = case.plan.strip
     if strip is not None and strip.axis == 0 and strip.start < line < strip.end:
         reason = f"x = {line:g} m is in the strip of the inflow; set it downstream of it"
@@ -557,7 +702,6 @@ def _check_training(case: Case) -> Found:
 
 
 _CHECKS: tuple[Callable[[Case], Found], ...] = (
-    _check_points,
     _check_geometry,
     _check_scene,
     _check_splines,
@@ -569,6 +713,7 @@ _CHECKS: tuple[Callable[[Case], Found], ...] = (
     _check_compare,
 )
 _SNAPSHOT_CHECKS: tuple[Callable[[Case], Found], ...] = (
+    _check_training_runs,
     _check_modes,
     _check_reduced_times,
     _check_trade,

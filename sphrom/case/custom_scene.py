@@ -7,10 +7,11 @@ once: each parameter that drives the flow has its own operators, which its value
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
-from pathlib import Path
+from itertools import combinations
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -20,6 +21,7 @@ from shapely.geometry.base import BaseGeometry
 
 from sphrom.arrays import Array
 from sphrom.case.custom_sections import (
+    HistorySection,
     InflowSection,
     PorousSection,
     Rate,
@@ -32,21 +34,42 @@ from sphrom.case.custom_sections import (
     ramp_share,
     read_start,
     start_fields,
+    with_digest,
 )
-from sphrom.case.expressions import CONSTANTS, FUNCTIONS, MOST_QUOTED, Expression
-from sphrom.case.fields import Coordinate, Place, Positive, SafeName, Section, key
-from sphrom.case.scene_section import MEASURE, OF_WALLS, Defaults, Measures, SceneSection
+from sphrom.case.expressions import CALLED, CONSTANTS, FUNCTIONS, MOST_QUOTED, Expression
+from sphrom.case.fields import LARGEST, Coordinate, Place, Positive, SafeName, Section, key
+from sphrom.case.scene_section import MEASURE, OF_WALLS, Defaults, Measures, SceneSection, Settings
 from sphrom.case.shapes import ShapeSection
-from sphrom.scenes.flows import BodyForce, CustomFlow, Scales, Scene
+from sphrom.metrics.measures import midpoints
+from sphrom.metrics.series import pole_of, sharpened, shortest_period
+from sphrom.scenes.flows import Amplitude, BodyForce, CustomFlow, Scales, Scene
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import SIDES, Domain
-from sphrom.sph.fluid import NONE, Resistance, Strip
+from sphrom.sph.fluid import NONE, Fluid, Resistance, Strip
+from sphrom.sph.polygons import connects_images
 from sphrom.text import shortened
 
 N_SAMPLES = 200
 """Points along each edge of the box, or along a wall, at which expressions are checked."""
 N_INSTANTS = 50
-"""Times of a run at which a body force is checked."""
+"""Times of a run at which the head of a body force is computed."""
+N_CHECKED = 4097
+"""Times of a run at which a driving is checked."""
+N_EACH = 16
+"""Checked times from one whose amplitude gives a speed to the next."""
+N_PEAKS = 16
+"""Samples with the largest values, from which peaks of an expression are searched."""
+MOST_PLACES = 200_000
+"""Most places of particles at which expressions are checked, too."""
+MOST_SETTINGS = 64
+"""Most values of the parameters, evenly chosen, at which slow checks are made."""
+FASTEST = 0.45
+"""Largest speed over that of sound; the density then changes by 10 %, which ends a run."""
+LARGEST_CHANGE = 0.1
+"""Largest relative change of the density, which ends a run."""
+THROUGH_WALL = 0.07
+"""Largest initial speed through a wall over that of sound. Sound that a flat wall reflects changes
+the density by this share, and more in corners; at 0.08 a box of 20 x 20 particles is unstable."""
 ALONG = 0.02
 """Largest normal speed of a wall over its speed; it is not zero because circles are polygons."""
 TOUCHING = 1e-6
@@ -62,7 +85,7 @@ OTHER_UNIT = 100.0
 MOST_AREAS = 4
 """Most areas that a warning about separate parts of the fluid lists."""
 N_TIMES = 4096
-"""Most times with a cached amplitude of the body force."""
+"""Most times with a cached amplitude, and times at which histories are looked for."""
 
 
 class BoxSection(Section):
@@ -76,9 +99,11 @@ class BoxSection(Section):
 class MovingWallSection(Section):
     """The motion of a wall along itself."""
 
-    velocity: Vector | None = key(None, "velocity, numbers or expressions in x, y", unit="m/s")
-    rotation: Coordinate | None = key(
-        None, "rate of rotation about its centroid, anticlockwise", unit="rad/s"
+    velocity: Vector | None = key(None, "velocity, numbers or expressions in x, y, t", unit="m/s")
+    rotation: Value | None = key(
+        None,
+        "rate of rotation about its centroid, anticlockwise, a number or an expression in t",
+        unit="rad/s",
     )
 
 
@@ -99,15 +124,7 @@ class InitialSection(Section):
     @classmethod
     def _with_digest(cls, values: Any, info: ValidationInfo) -> Any:
         """Add the digest of the file, so that the case identifies its content."""
-        name = values.get("file") if isinstance(values, dict) else None
-        folder = (info.context or {}).get("folder")
-        # The case in an artifact is read without its files, and does not start runs.
-        if not isinstance(name, str) or (folder is None and values.get("sha256") is not None):
-            return values
-        digest = read_start(Path(folder or "") / name)
-        if values.get("sha256") not in (None, digest):
-            raise ValueError(f"{name} has changed since its sha256 was taken")
-        return {**values, "sha256": digest}
+        return with_digest(values, info, read_start)
 
     @model_validator(mode="after")
     def _file_alone(self) -> InitialSection:
@@ -132,6 +149,9 @@ class CustomScene(SceneSection):
         {}, "moving walls: sides of the box (left, right, bottom, top) and solids, by name"
     )
     constants: dict[SafeName, Coordinate] = key({}, "constants for expressions, by name")
+    histories: dict[SafeName, HistorySection] = key(
+        {}, "measured histories, by name; for one named sway, expressions in t may contain sway(t)"
+    )
     body_force: Vector = key(
         (0.0, 0.0), "acceleration, numbers or expressions in x, y, t", unit="m/s2"
     )
@@ -154,9 +174,13 @@ class CustomScene(SceneSection):
     @model_validator(mode="after")
     def _consistent(self) -> CustomScene:
         """Refuse inconsistent keys, and scenes that can't be built."""
-        for name in self.constants:
-            if name in ("x", "y", "t", *CONSTANTS, *FUNCTIONS):
-                raise ValueError(f"constants.{name}: the name is reserved; choose another")
+        for name in (*self.constants, *self.histories):
+            kind = "constants" if name in self.constants else "histories"
+            if name in ("x", "y", "t", *CONSTANTS, *FUNCTIONS, *CALLED):
+                raise ValueError(f"{kind}.{name}: the name is reserved; choose another")
+            if name in self.histories and (name in self.constants or not name.isidentifier()):
+                reason = "must be a name of letters, digits and _ that no constant has"
+                raise ValueError(f"histories.{name}: {reason}")
         for name, wall in self.walls.items():
             if (wall.velocity is None) == (wall.rotation is None):
                 raise ValueError(f"walls.{name}: give velocity or rotation")
@@ -210,7 +234,9 @@ class CustomScene(SceneSection):
             )
         force = self._force
         if force is not None:
-            _require_finite("body_force", force(self._samples.T, 0.0).T, self._samples)
+            _require_finite("body_force", force(self._places.T, 0.0).T, self._places)
+        if force is not None and not self._values:  # for all values the same peaks
+            self._peak("body_force", lambda at: np.abs(force(at, 0.0)).sum(axis=0))
 
     @cached_property
     def _shapes(self) -> dict[str, BaseGeometry]:
@@ -225,7 +251,7 @@ class CustomScene(SceneSection):
         corners = (lower[0], lower[1]), (upper[0], upper[1])
         periodic = ("x" in self.box.periodic, "y" in self.box.periodic)
         if not self.solids:
-            return BoxDomain(*corners, periodic)
+            return BoxDomain(*corners, periodic, level=self._row_end)
         # Imported late, because it loads kernels that other scenes do not need.
         from sphrom.sph.polygon_domain import PolygonDomain
 
@@ -234,6 +260,15 @@ class CustomScene(SceneSection):
         except ValueError as error:
             hints = "".join(f"; solids.{name} {hint}" for name, hint in self._odd_units())
             raise ValueError(f"{error}{hints}") from error
+
+    @property
+    def _row_end(self) -> float | None:
+        """The level below the box's upper side that no constant changes [m], or None."""
+        if self.fluid is None or self.fluid.level is None:
+            return None
+        constant = not self._expression("fluid.level", self.fluid.level).degree_in(self.constants)
+        level = self.level_at() if constant else math.inf
+        return level if self.box.lower[1] < level < self.box.upper[1] else None
 
     def _odd_units(self) -> Iterator[tuple[str, str]]:
         """Yield solids whose coordinates seem to have another unit than the box, with reasons."""
@@ -249,7 +284,10 @@ class CustomScene(SceneSection):
         if len(areas := self.domain.separate_areas) > 1:
             sizes = ", ".join(f"{area:.4g}" for area in areas[:MOST_AREAS])
             yield "solids", f"divide the fluid into {len(areas)} parts, of {sizes} m2"
-        if (strip := self._strip) is None:
+        read = {name for _, expression in self._timed() for name, _ in expression.read()}
+        for name in self.histories.keys() - read:
+            yield f"histories.{name}", f"is not used; write {name}(t) in an expression"
+        if (strip := self.strip) is None:
             return
         # Solids may cross the strip if their width is constant, like walls.
         ends = np.tile(np.array([self.domain.lower, self.domain.upper]), (N_SAMPLES + 1, 1, 1))
@@ -268,6 +306,7 @@ class CustomScene(SceneSection):
             here._begin(scales.density),
             here._force,
             self._resistance,
+            here._wall_amplitudes,
         )
 
     def _begin(self, density: float) -> Callable[[Array], Array]:
@@ -277,6 +316,49 @@ class CustomScene(SceneSection):
             return lambda at: self._initial(at)
         weight = density * self.fluid.gravity
         return hydrostatic(lambda at: self._initial(at), level, weight)
+
+    def over(self, settings: Settings, particle_spacing: float, until: float) -> CustomScene:
+        """Return the scene whose strip fits all values of its parameters, and times [s] of runs.
+
+        Expressions are also checked at the places of particles with a spacing [m], and between.
+        """
+        other = self._copied("strip", "inflow_ramp", "_resistance")
+        other.__dict__["_settings"] = settings
+        other.__dict__["_until"] = until
+        given = (*self.body_force, self.resistance)
+        varied = bool(self.porous) or any(isinstance(value, str) for value in given)
+        if varied and MOST_PLACES * particle_spacing**2 > math.prod(self.domain.lengths):
+            fills = (self.domain.fill(part * particle_spacing) for part in (1.0, 0.5))
+            other.__dict__["_extra"] = np.concatenate([*fills])
+        return other
+
+    @cached_property
+    def _settings(self) -> Settings:
+        """The values of the parameters at all points, where these are known."""
+        return [{}]
+
+    @cached_property
+    def _until(self) -> float:
+        """The end of runs [s], where it is known."""
+        return 0.0
+
+    @cached_property
+    def _extra(self) -> Array:
+        """The places of particles (n_places, 2) [m], where these are known."""
+        return np.empty((0, 2))
+
+    @cached_property
+    def _periods(self) -> dict[tuple[float, ...], float]:
+        """The shortest periods of the driving [s], by its final time and parameters."""
+        return {}
+
+    def _copied(self, *without: str) -> CustomScene:
+        """Return a copy that does not share some cached parts."""
+        other = self.model_copy()
+        timed = "_force", "_pushes", "_motions", "_wall_amplitudes"
+        for built in (*without, *timed, "_start", "_initial", "_known"):
+            other.__dict__.pop(built, None)
+        return other
 
     @cached_property
     def _known(self) -> Callable[[tuple[tuple[str, float], ...]], CustomScene]:
@@ -290,21 +372,21 @@ class CustomScene(SceneSection):
     def _changed(self, values: Mapping[str, float]) -> CustomScene:
         # Build the parts that do not depend on parameters, so that copies share them.
         _ = self.domain, self._shapes, self._resistance
-        other = self.model_copy()
+        other = self._copied()
         other._values = values
-        for built in ("_force", "_pushes", "_start", "_initial", "_known"):
-            other.__dict__.pop(built, None)
         return other
 
     def parameters(self, reference_speed: float) -> dict[str, float]:
         """Return constants, rates of rotation, and factors of velocities and the body force."""
-        own = {name: 1.0 if w.rotation is None else w.rotation for name, w in self.walls.items()}
+        rates = ((name, wall.rotation) for name, wall in self.walls.items())
+        own = {name: rate if isinstance(rate, float) else 1.0 for name, rate in rates}
         return {**self.constants, **own, **dict.fromkeys(self._factor, 1.0)}
 
     @property
     def _factor(self) -> tuple[str, ...]:
         """The name of the factor of the driving, empty unless either force or inflow drives."""
-        return tuple(self._pushes) if len(self._pushes) == 1 else ()
+        # It is a factor of the amplitude, which may be that of walls.
+        return tuple(self._pushes) if len(self._pushes) == 1 and not self._wall_amplitudes else ()
 
     def parameter_problems(self, names: Collection[str]) -> Iterator[tuple[str, str]]:
         """Yield constants in which walls or the force aren't affine, and ambiguous names."""
@@ -312,6 +394,10 @@ class CustomScene(SceneSection):
         slowed = self._expression("resistance", self.resistance, "x", "y")
         for name in (name for name in varied if slowed.degree_in([name]) > 0.0):
             yield name, "resistance depends on it, which no parameter changes"
+        for where, timed in self._timed():
+            for name in varied:
+                if any(time.degree_in([name]) > 0.0 for _, time in timed.read()):
+                    yield name, f"{where} reads a history at times that depend on it"
         for name in varied:
             if name in (*self.walls, BODY_FORCE, INFLOW):
                 yield name, "is a constant's name and a wall's or the force's; rename the constant"
@@ -339,12 +425,10 @@ class CustomScene(SceneSection):
 
     def _drives(self) -> Iterator[tuple[str, str, Expression]]:
         """Yield all driving expressions, with their key and the parameter that multiplies them."""
-        for name, wall in self.walls.items():
-            for value in wall.velocity or ():
-                where = f"walls.{name}.velocity"
-                yield where, name, self._expression(where, value, "x", "y")
-        for name, push in self._pushes.items():
-            yield from ((KEYS[name], "", field) for field in push.fields)
+        for name, motion in self._motions.items():
+            yield from ((motion.key, name, field) for field in motion.fields)
+        for push in self._pushes.values():
+            yield from ((push.key, "", field) for field in push.fields)
 
     def check_at(self, values: Mapping[str, float]) -> None:
         here = self._at(values)
@@ -353,13 +437,14 @@ class CustomScene(SceneSection):
         _ = here._force, here._initial, here._resistance
         here._check_surface()
 
-    def largest_wall_speed(self, values: Mapping[str, float]) -> float:
+    def largest_wall_speed(self, values: Mapping[str, float], until: float = 0.0) -> float:
         """Return the largest speed of walls and the inflow [m/s], at values of the parameters."""
         here = self._at(values)
-        velocities = [here._wall_velocity(name)(here._edge(name)) for name in here.walls]
-        if here.inflow is not None and (strip := here._strip) is not None:
-            inside = here._samples[strip.contains(here._samples.T)].T
-            velocities.append(here._values.get(INFLOW, 1.0) * here._pushes[INFLOW](inside).T)
+        largest = here.largest_amplitude(until)
+        velocities = [largest * here._wall_velocity(name)(here._edge(name)) for name in here.walls]
+        if here.inflow is not None and (strip := here.strip) is not None:
+            inside = here.inflow.samples(here.domain, strip.axis, N_SAMPLES + 1).T
+            velocities.append(here._inflow_field(inside).T)
         return max((float(np.linalg.norm(each, axis=1).max()) for each in velocities), default=0.0)
 
     @property
@@ -370,9 +455,9 @@ class CustomScene(SceneSection):
         text = value if isinstance(value, str) else repr(value)
         try:
             constants = {name: self._values.get(name, own) for name, own in self.constants.items()}
-            expression = Expression(text, variables, constants)
-            # Without a surface, expressions in t are split into factors of space and time.
-            apart = "t" in variables and not self.has_surface
+            expression = Expression(text, variables, constants, self.histories)
+            # Except a force beside a surface, expressions in t are split into factors.
+            apart = "t" in variables and not (self.has_surface and where == BODY_FORCE)
             parts = expression.separated("t") if apart else (expression,)
             _ = [part.compiled for part in parts]
             return expression
@@ -389,6 +474,35 @@ class CustomScene(SceneSection):
         ]
         points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
         return points[self.domain.contains(points)]
+
+    @property
+    def _places(self) -> Array:
+        """The samples, and places of particles."""
+        return np.concatenate([self._samples, self._extra])
+
+    def _peak(self, where: str, size: Callable[[Array], Array]) -> tuple[float, Array]:
+        """Return the largest value of an expression in the fluid, and its place (2,) [m].
+
+        Peaks narrower than the distance between samples are found from their feet.
+
+        Raises ValueError if it is infinite or not a number.
+        """
+
+        low = np.array(self.domain.lower)[:, None]
+        high = np.array(self.domain.upper)[:, None]
+
+        def inside(place: Array) -> Array:
+            within = np.clip(place, low, high)
+            # Walls themselves are samples; beside them a place may be in the solid by rounding.
+            fluid = self.domain.wall_distance(within.T) > TOUCHING * max(self.domain.lengths)
+            return np.where(fluid, size(within), -np.inf)
+
+        highest = self._places[np.argsort(-size(self._places.T), kind="stable")[:N_PEAKS]]
+        found, place = sharpened(inside, highest.T, np.array(self.domain.lengths) / N_SAMPLES)
+        best = int(np.argmax(found))
+        place = np.clip(place, low, high)
+        _require_finite(where, found[[best]], place[:, best][None])
+        return float(found[best]), place[:, best]
 
     @cached_property
     def _start(self) -> dict[str, Expression]:
@@ -417,20 +531,68 @@ class CustomScene(SceneSection):
 
     def _wall_velocity(self, name: str) -> Callable[[Array], Array]:
         """Return the velocity (n_points, 2) [m/s] of a wall at places on it (n_points, 2) [m]."""
-        wall = self.walls[name]
+        wall, motion, factor = self.walls[name], self._motions[name], self._values.get(name, 1.0)
         if wall.velocity is None:
-            rate = self._values.get(name, wall.rotation or 0.0)
+            rate = factor * float(motion.fields[0]())
+            if isinstance(wall.rotation, float):
+                rate = self._values.get(name, wall.rotation)
             centre = shapely.get_coordinates(self._shapes[name].centroid)[0]
             return lambda at: rate * np.stack((centre[1] - at[:, 1], at[:, 0] - centre[0]), axis=1)
-        where = f"walls.{name}.velocity"
-        parts = [self._expression(where, value, "x", "y") for value in wall.velocity]
-        factor = self._values.get(name, 1.0)
+        return lambda at: factor * motion(self._in_box(at.T)).T
 
-        def velocity(place: Array) -> Array:
-            x, y = self._in_box(place.T)
-            return factor * np.stack([part(x=x, y=y) for part in parts], axis=1)
+    @cached_property
+    def _motions(self) -> dict[str, _Push]:
+        """The velocities, or rates of rotation, of moving walls, by their names."""
+        motions = {}
+        for name, wall in self.walls.items():
+            if wall.velocity is None:
+                motion = self._push(f"walls.{name}.rotation", [wall.rotation or 0.0], "t")
+            else:
+                motion = self._push(f"walls.{name}.velocity", wall.velocity, "x", "y", "t")
+            if len(motion.amplitudes) > 1:
+                amplitudes = " and ".join(motion.amplitudes)
+                reason = f"both components must have the same amplitude in time; got {amplitudes}"
+                raise ValueError(f"{motion.key}: {reason}")
+            motions[name] = motion
+        return motions
 
-        return velocity
+    @cached_property
+    def _wall_amplitudes(self) -> dict[str, Amplitude]:
+        """The amplitudes of walls whose velocity changes with time, one for each expression."""
+        known, found = dict[str, Amplitude](), {}
+        for name, motion in self._motions.items():
+            for text, amplitude in motion.amplitudes.items():
+                if amplitude.depends_on:
+                    at = lru_cache(N_TIMES)(lambda t, value=amplitude: float(value(t=t)))
+                    found[name] = known.setdefault(text, at)
+        return found
+
+    @property
+    def amplitudes(self) -> Mapping[str, str]:
+        drives = [*self._motions.values(), *self._pushes.values()] if self._wall_amplitudes else []
+        found = {drive.key: text for drive in drives for text in drive.amplitudes}
+        return found | ({KEYS[INFLOW]: "its ramp"} if found and self.inflow is not None else {})
+
+    def largest_amplitude(self, until: float) -> float:
+        changing, times = self._wall_amplitudes, self._instants(until).tolist()
+        largest = [1.0] if len(changing) < len(self.walls) else []  # of steady walls
+        largest += [abs(amplitude(time)) for amplitude in changing.values() for time in times]
+        return max(largest, default=1.0)
+
+    def _timed(self) -> Iterator[tuple[str, Expression]]:
+        """Yield the expressions that may read histories, with their keys."""
+        for drive in (*self._motions.values(), *self._pushes.values()):
+            yield from ((drive.key, amplitude) for amplitude in drive.amplitudes.values())
+        if isinstance(self._force, SurfaceForce):
+            yield from ((BODY_FORCE, part) for part in self._force.parts)
+
+    def _instants(self, until: float) -> Array:
+        """Return times of a run [s] at which its driving is checked, in rising order."""
+        times = [np.linspace(0.0, until, N_INSTANTS)]
+        for history in self.histories.values():
+            rows = history.rows[:, (history.rows[0] >= 0.0) & (history.rows[0] <= until)]
+            times += [rows[0, [np.argmin(rows[1]), np.argmax(rows[1])]]] if rows.size else []
+        return np.unique(np.concatenate(times)) if self.histories else times[0]
 
     def _edge(self, name: str) -> Array:
         """Return points (n_points, 2) [m] of a wall that touch the fluid, except corners."""
@@ -462,7 +624,7 @@ class CustomScene(SceneSection):
         normal = self.domain.distance_and_normal(place)[1]
         across = np.abs(np.sum(velocity * normal, axis=1))
         worst = int(np.argmax(across))
-        if across[worst] > ALONG * float(np.max(np.linalg.norm(velocity, axis=1))):
+        if across[worst] > ALONG * float(np.max(np.hypot(*velocity.T))):
             x, y = place[worst]
             raise ValueError(
                 f"walls.{name}: its velocity at ({x:g}, {y:g}) m has a normal component of "
@@ -483,12 +645,20 @@ class CustomScene(SceneSection):
         pushes, inflow = {}, () if self.inflow is None else self.inflow.velocity
         for name, values in {BODY_FORCE: self.body_force, INFLOW: inflow}.items():
             if any(value != 0.0 for value in values):
-                wholes = [self._expression(KEYS[name], value, "x", "y", "t") for value in values]
-                parts = [whole.separated("t") for whole in wholes]
-                # Zero components fit any amplitude.
-                moving = {a.text: a for v, (_, a) in zip(values, parts, strict=True) if v != 0.0}
-                pushes[name] = _Push([field for field, _ in parts], moving)
+                pushes[name] = self._push(KEYS[name], values, "x", "y", "t")
         return pushes
+
+    def _push(self, where: str, values: Iterable[float | str], *variables: str) -> _Push:
+        """Return the fields and amplitudes of expressions."""
+        fields, moving = [], {}
+        for value in values:
+            whole = self._expression(where, value, *variables)
+            field, amplitude = whole.separated("t")
+            # A product that is split rounds differently, and walls may not do so.
+            fields.append(field if where in KEYS.values() or whole.depends_on & {"t"} else whole)
+            if value != 0.0:  # zero components fit any amplitude
+                moving[amplitude.text] = amplitude
+        return _Push(where, fields, moving)
 
     @cached_property
     def _force(self) -> BodyForce | None:
@@ -496,7 +666,7 @@ class CustomScene(SceneSection):
         if self.fluid is not None:
             parts = [self._expression(BODY_FORCE, v, "x", "y", "t") for v in self.body_force]
             return SurfaceForce.of(tuple(parts), self.fluid.gravity)
-        pushes, strip = self._pushes, self._strip
+        pushes, strip = self._pushes, self.strip
         moving = {text: a for push in pushes.values() for text, a in push.amplitudes.items()}
         if not moving:
             return None
@@ -516,7 +686,12 @@ class CustomScene(SceneSection):
             return np.sum(fields, axis=0) if len(fields) > 1 else fields[0]
 
         for name, push in pushes.items():
-            _require_finite(KEYS[name], push(self._samples.T).T, self._samples)
+            places = self._places
+            if strip is not None and self.inflow is not None and name == INFLOW:
+                places = self.inflow.samples(self.domain, strip.axis, N_SAMPLES + 1)
+            _require_finite(KEYS[name], push(places.T).T, places)
+        if BODY_FORCE in pushes and not self._values:  # for all values the same peaks
+            self._peak("body_force", lambda at: np.abs(pushes[BODY_FORCE](at)).sum(axis=0))
         factor = next((self._values.get(name, 1.0) for name in self._factor), 1.0)
         share = partial(ramp_share, self.inflow_ramp)
         # Cached, because all runs of a case use the same times.
@@ -527,23 +702,51 @@ class CustomScene(SceneSection):
 
         return BodyForce(field, at, series, changes=bool(amplitude.depends_on))
 
+    def _inflow_field(self, position: Array) -> Array:
+        """Return the inflow (2, n_positions) [m/s] when it is fastest, before its ramp."""
+        push = self._pushes[INFLOW]
+        largest = self._values.get(INFLOW, 1.0)
+        if self._until > 0.0:
+            times = np.linspace(0.0, self._until, N_CHECKED)
+            sizes = [np.abs(amplitude(t=times)) for amplitude in push.amplitudes.values()]
+            # Amplitudes that are not finite are refused later, with their times.
+            largest *= max(float(size.max(initial=0.0, where=size <= LARGEST)) for size in sizes)
+        return largest * push(position)
+
     @cached_property
-    def _strip(self) -> Strip | None:
-        """The strip of the inflow, which does not depend on parameters."""
+    def strip(self) -> Strip | None:
+        """The strip of the inflow, the same at all values of the parameters."""
         if self.inflow is None:
             return None
         if INFLOW not in self._pushes:
             raise ValueError("inflow.velocity: is zero; leave inflow out")
-        return self.inflow.strip_in(self.domain, self._samples, self._pushes[INFLOW])
+        velocities = []
+        for values in self._settings:
+            other = self._copied()
+            other._values = values
+            velocities.append(other._inflow_field)
+        strip = self.inflow.strip_in(self.domain, N_SAMPLES + 1, velocities)
+        if not connects_images(self.domain.fluid_with_images, self.domain.lengths, strip.axis):
+            along = "xy"[strip.axis]
+            raise ValueError(
+                f"inflow: solids block the flow along {along}, so fluid that leaves the strip at "
+                f"{along} = {strip.end if strip.speed > 0.0 else strip.start:g} m can't come back "
+                "to it; leave a gap, or make the solid a porous body"
+            )
+        return strip
 
     @cached_property
     def inflow_ramp(self) -> float:
         """The time in which the inflow reaches its speed [s]; 0 without an inflow."""
-        if self.inflow is None or (strip := self._strip) is None:
+        if self.inflow is None or (strip := self.strip) is None:
             return 0.0
         from_rest = self.initial == InitialSection()
         usual = self.domain.lengths[strip.axis] / abs(strip.speed) if from_rest else 0.0
         return usual if self.inflow.ramp is None else self.inflow.ramp
+
+    @property
+    def ramp(self) -> float:
+        return self.inflow_ramp
 
     @cached_property
     def _resistance(self) -> Resistance | None:
@@ -558,38 +761,76 @@ class CustomScene(SceneSection):
                 )
         if self.resistance != 0.0:
             expression = self._expression("resistance", self.resistance, "x", "y")
-            rate = expression(x=self._samples[:, 0], y=self._samples[:, 1])
-            _require_finite("resistance", rate, self._samples)
-            if rate.min() < 0.0:
-                x, y = self._samples[np.argmin(rate)]
-                raise ValueError(f"resistance: is negative at ({x:g}, {y:g}) m")
+            rate = expression(x=self._places[:, 0], y=self._places[:, 1])
+            _require_finite("resistance", rate, self._places)
 
             def own(at: Array) -> Array:
                 return expression(x=at[0], y=at[1])
 
+            self._peak("resistance", own)
+            least, (x, y) = self._peak("resistance", lambda at: -own(at))
+            if rate.min() < 0.0:
+                x, y = self._places[np.argmin(rate)]
+            if min(rate.min(), -least) < 0.0:
+                raise ValueError(f"resistance: is negative at ({x:g}, {y:g}) m")
+
         inverse = inverse_permeability((self.porous[name], shape) for name, shape in shapes.items())
-        if own is None and inverse is None and self._strip is None:
+        if own is None and inverse is None and self.strip is None:
             return None
-        return Resistance(own, inverse, self._strip, self._in_box)
+        return Resistance(own, inverse, self.strip, self._in_box)
 
     def largest_resistance(self, viscosity: float) -> float:
         resistance = self._resistance
-        return 0.0 if resistance is None else resistance.largest(self._samples.T, viscosity)
+        if resistance is None:
+            return 0.0
+        return resistance.largest(self._slowest.T, viscosity)
 
-    @property
+    @cached_property
+    def _slowest(self) -> Array:
+        """Places (n_places, 2) [m] that include those with the largest resistance."""
+        places = [self._places]
+        if self._resistance is not None and self._resistance.own is not None:
+            places.append(self._peak("resistance", self._resistance.own)[1][None])
+        # Samples miss thin bodies.
+        parts = list(self._porous_parts.values())
+        shared = (one.intersection(other) for one, other in combinations(parts, 2))
+        inside = [part.representative_point() for part in (*parts, *shared) if part.area > 0.0]
+        return np.concatenate([*places, shapely.get_coordinates(inside)])
+
+    @cached_property
+    def _porous_parts(self) -> dict[str, BaseGeometry]:
+        """The parts of porous bodies in the fluid, by name."""
+        shapes = _geometries("porous", self.porous)
+        return {name: self.domain.fluid.intersection(shape) for name, shape in shapes.items()}
+
+    @cached_property
     def porous_way(self) -> float:
         """The least integral of 1/k along lines through the box [1/m], the larger of x and y."""
-        if self._resistance is None or (inverse := self._resistance.inverse_permeability) is None:
-            return 0.0
-        inverses, ways = inverse(self._samples.T), []
-        for across, length in zip(self._samples.T[::-1], self.domain.lengths, strict=True):
-            line = np.unique(across, return_inverse=True)[1]
-            ways.append(length * float((np.bincount(line, inverses) / np.bincount(line)).min()))
+        shapes = self._porous_parts
+        ways = [0.0]
+        lower, upper = np.array(self.domain.lower), np.array(self.domain.upper)
+        for axis in range(2) if shapes else ():
+            ends = np.tile(np.array([lower, upper]), (N_SAMPLES, 1, 1))
+            ends[..., 1 - axis] = midpoints(lower[1 - axis], upper[1 - axis], N_SAMPLES)[:, None]
+            lines = shapely.intersection(self.domain.fluid, shapely.linestrings(ends))
+            lines = lines[shapely.length(lines) > 0.0]
+            parts = (
+                shapely.length(shapely.intersection(shape, lines)) / self.porous[name].permeability
+                for name, shape in shapes.items()
+            )
+            ways.append(float(sum(parts).min(initial=math.inf)))
         return max(ways)
+
+    @property
+    def porous_widths(self) -> dict[str, float]:
+        """The width [m] of each porous body, the diameter of the largest circle in it."""
+        parts = self._porous_parts.items()
+        circles = {name: shapely.maximum_inscribed_circle(part) for name, part in parts}
+        return {name: 2.0 * float(circle.length) for name, circle in circles.items()}
 
     def largest_head(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
         here = self._at(values)
-        times = np.linspace(0.0, final_time, N_INSTANTS)
+        times = self._instants(final_time)
         if here.has_surface and here._force is not None:
             heights = self.domain.lengths[0], min(self.level_at(values), self.domain.upper[1])
             reach = np.array(heights) - (0.0, self.domain.lower[1])
@@ -616,33 +857,134 @@ class CustomScene(SceneSection):
         ways = np.maximum((force, -force), 0.0).reshape(2, 2, N_SAMPLES + 1, -1)
         return np.array([ways[:, axis].mean(axis=-1 - axis).max() for axis in range(2)])
 
-    def problems(self, final_time: float) -> Iterator[tuple[str, str]]:
-        """Refuse a driving that isn't finite at all times, and an inflow that ramps too long."""
+    def unknown_times(self, final_time: float) -> Iterator[tuple[str, str]]:
+        times = np.linspace(0.0, final_time, N_TIMES)
+        for where, expression in self._timed():
+            for name, time in expression.read():
+                if (problem := self.histories[name].lacks(time(t=times))) is not None:
+                    yield where, f"{name}: {problem}"
+                    return
+
+    def problems(self, final_time: float, fluid: Fluid) -> Iterator[tuple[str, str]]:
+        """Refuse a driving that isn't finite at all times, and an inflow that ramps too long.
+
+        Also speeds near that of sound, and an initial velocity through a wall.
+        """
+        sound_speed = fluid.sound_speed
         if self.inflow_ramp >= final_time:
             yield "inflow.ramp", f"takes {self.inflow_ramp:g} s, until time.final_time or longer"
-        if self._force is not None:
-            for time in np.linspace(0.0, final_time, N_INSTANTS):
-                amplitude = self._force.amplitude(time)
-                if self.has_surface:
-                    amplitude = float(self._force(self._samples.T, time).sum())
-                if not math.isfinite(amplitude):
+        times = np.linspace(0.0, final_time, N_CHECKED)
+        step = math.ceil(len(self._settings) / MOST_SETTINGS)
+        for here in map(self._at, self._settings[::step]):
+            for where, signal in here._signals().items():
+                if (pole := pole_of(signal, times)) is not None:
+                    yield where, f"is not finite at t = {pole:.4g} s"
+                    return
+            for where, speed in here._speeds(times):
+                if speed > FASTEST * sound_speed:
                     yield (
-                        KEYS[next(iter(self._pushes), BODY_FORCE)],
-                        f"is not finite at t = {time:.4g} s",
+                        where,
+                        f"reaches {speed:.4g} m/s, {speed / sound_speed:.2g} times the speed of "
+                        f"sound; set fluid.reference_speed: {speed:.3g}, or lower it",
                     )
                     return
+            speed, wall = here._through_wall()
+            pressure = np.abs(here._initial(here._samples)[:, 2]).max()
+            if pressure > LARGEST_CHANGE * fluid.reference_density * fluid.sound_speed**2:
+                yield "initial.p", f"{pressure:.3g} Pa changes the density by more than 10 %"
+                return
+            if speed > THROUGH_WALL * sound_speed:
+                yield (
+                    "initial",
+                    f"goes through the wall {wall} with {speed:.3g} m/s, which makes a shock of "
+                    "sound; start at rest, or with a velocity along the walls, or lower "
+                    "fluid.mach_number",
+                )
+                return
+
+    def _signals(self) -> dict[str, Callable[[Array], Array]]:
+        """Return what drives the flow (..., n_times) at times (n_times,) [s], by key."""
+        force, signals = self._force, dict[str, Callable[[Array], Array]]()
+        for name, motion in self._motions.items():
+            for amplitude in motion.amplitudes.values():
+                if amplitude.depends_on:
+                    signals[f"walls.{name}"] = partial(_at_times, amplitude)
+        if not isinstance(force, SurfaceForce):
+            if force is not None and force.series is not None and force.changes:
+                signals[KEYS[next(iter(self._pushes))]] = force.series
+            return signals
+        moving = [part for part in force.parts if "t" in part.depends_on]
+        x, y = self._samples[:: len(self._samples) // N_PEAKS + 1].T[..., None]
+        if not any(part.depends_on & {"x", "y"} for part in moving):
+            x, y = x[:1], y[:1]
+        signal = lambda t: np.concatenate([part(x=x, y=y, t=t) for part in moving])  # noqa: E731
+        return signals | ({BODY_FORCE: signal} if moving else {})
+
+    def shortest_period(self, final_time: float, settings: Settings) -> float:
+        """Return the shortest period [s] with which the driving oscillates at some values."""
+        force = self._force
+        drives = (*self._motions.values(), *self._pushes.values())
+        timed = [amplitude for drive in drives for amplitude in drive.amplitudes.values()]
+        timed += force.parts if isinstance(force, SurfaceForce) else ()
+        used = [n for n in self.constants if any(each.degree_in([n]) > 0.0 for each in timed)]
+        chosen = {tuple(v.get(n, self.constants[n]) for n in used): v for v in settings}
+        shortest = math.inf
+        for values in sorted(chosen)[:: math.ceil(len(chosen) / MOST_SETTINGS)]:
+            if (known := (final_time, *values)) not in self._periods:
+                signals = self._at(chosen[values])._signals().values()
+                periods = (shortest_period(signal, final_time) for signal in signals)
+                self._periods[known] = min(periods, default=math.inf)
+            shortest = min(shortest, self._periods[known])
+        return shortest
+
+    def _speeds(self, times: Array) -> Iterator[tuple[str, float]]:
+        """Yield the largest given speeds [m/s] at times [s], with their keys."""
+        speeds = {}
+        for name in self.walls:
+            amplitude = self._wall_amplitudes.get(name, lambda time: 1.0)
+            largest = max(abs(amplitude(time)) for time in times[::N_EACH].tolist())
+            speeds[f"walls.{name}"] = largest * self._wall_velocity(name)(self._edge(name))
+        strip, force = self.strip, self._force
+        if strip is not None and self.inflow is not None and force is not None:
+            places = self.inflow.samples(self.domain, strip.axis, N_SAMPLES + 1)
+            largest = max(abs(force.amplitude(time)) for time in times[::N_EACH])
+            speeds[KEYS[INFLOW]] = largest * self._pushes[INFLOW](places.T).T
+        wet = self._samples[self._samples[:, 1] <= self.level_at(self._values)]
+        speeds["initial"] = self._initial(wet)[:, :2]
+        for where, velocity in speeds.items():
+            yield where, float(np.linalg.norm(velocity, axis=1).max(initial=0.0))
+
+    def _through_wall(self) -> tuple[float, str]:
+        """Return the largest initial speed [m/s] normal to a wall, and its place in words."""
+        largest, where = 0.0, ""
+        at_rest = self.initial == InitialSection()
+        for name in () if at_rest or self.fluid is not None else self.domain.wall_names:
+            with suppress(ValueError):  # no fluid touches this wall
+                place = self._edge(name)
+                normal = self.domain.distance_and_normal(place)[1]
+                across = np.abs(np.sum(self._initial(place)[:, :2] * normal, axis=1))
+                x, y = place[np.argmax(across)]
+                if across.max() > largest:
+                    largest, where = float(across.max()), f"{name} at ({x:.4g}, {y:.4g}) m"
+        return largest, where
 
 
 @dataclass(frozen=True)
 class _Push:
-    """A body force or inflow: a field, with its amplitudes in time by their texts."""
+    """A force, an inflow or a moving wall: a field, with its amplitudes in time by their texts."""
 
+    key: str
+    """Its key in the scene."""
     fields: list[Expression]
     amplitudes: dict[str, Expression]
 
     def __call__(self, position: Array) -> Array:
         """Return the field (2, n_positions) at positions (2, n_positions) [m]."""
         return np.stack([field(x=position[0], y=position[1]) for field in self.fields])
+
+
+def _at_times(amplitude: Expression, times: Array) -> Array:
+    return amplitude(t=times)
 
 
 def _geometries(where: str, sections: Mapping[str, ShapeSection]) -> dict[str, BaseGeometry]:
@@ -657,9 +999,14 @@ def _geometries(where: str, sections: Mapping[str, ShapeSection]) -> dict[str, B
 
 
 def _require_finite(where: str, values: Array, position: Array) -> None:
-    """Raise ValueError if values (n_points, ...) at positions aren't finite."""
-    finite = np.isfinite(values)
+    """Raise ValueError if values (n_points, ...) at positions aren't finite, or too large."""
+    finite = np.abs(values) <= LARGEST
     bad = np.flatnonzero(~finite.all(axis=tuple(range(1, finite.ndim))))
     if bad.size:
         x, y = position[bad[0]]
-        raise ValueError(f"{where}: is not a finite number at ({x:g}, {y:g}) m")
+        what = (
+            f"above {LARGEST:g} in size"
+            if np.isfinite(values[bad[0]]).all()
+            else "not a finite number"
+        )
+        raise ValueError(f"{where}: is {what} at ({x:g}, {y:g}) m")

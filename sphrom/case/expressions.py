@@ -6,10 +6,12 @@ The text is parsed and may contain numbers, known names and functions only; nume
 from __future__ import annotations
 
 import ast
+import itertools
 import math
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping
-from functools import cached_property
+from functools import cached_property, reduce
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -25,8 +27,16 @@ FUNCTIONS = {
     "abs": 1, "arccos": 1, "arcsin": 1, "arctan": 1, "arctan2": 2, "cos": 1, "cosh": 1, "exp": 1,
     "log": 1, "log10": 1, "sin": 1, "sinh": 1, "sqrt": 1, "tan": 1, "tanh": 1, "where": 3,
 }  # fmt: skip
-"""Functions, with their numbers of arguments."""
+"""Functions that numexpr evaluates, with their numbers of arguments."""
+CALLED = ("interp", "max", "min")
+"""Functions that are evaluated before the others, because numexpr lacks them."""
+MOST_INPUTS = 30
+"""Most variables and calls of those functions that numexpr can take."""
 CONSTANTS = {"pi": math.pi}
+History = Callable[[Array], Array]
+"""Values at times [s]."""
+Given = Mapping[str, Array | float]
+"""Values of variables."""
 _OPERATORS = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.USub, ast.UAdd)
 _COMPARISONS = (ast.Lt, ast.LtE, ast.Gt, ast.GtE)
 
@@ -39,6 +49,7 @@ class Expression:
     text : the expression.
     variables : names whose values each evaluation passes.
     constants : values of further names.
+    histories : functions of the time t, by their names.
 
     Attributes
     ----------
@@ -48,15 +59,66 @@ class Expression:
     """
 
     def __init__(
-        self, text: str, variables: tuple[str, ...], constants: Mapping[str, float] | None = None
+        self,
+        text: str,
+        variables: tuple[str, ...],
+        constants: Mapping[str, float] | None = None,
+        histories: Mapping[str, History] = MappingProxyType({}),
     ) -> None:
         self.text = text
-        self._variables = variables
+        self._variables, self._histories = variables, histories
         self._constants = {**CONSTANTS, **(constants or {})}
         self._tree = _parsed(text)
-        _check(self._tree.body, (*variables, *self._constants))
+        _check(self._tree.body, (*variables, *self._constants), self._histories)
         used = {node.id for node in ast.walk(self._tree) if isinstance(node, ast.Name)}
         self.depends_on = frozenset(used.intersection(variables))
+        called = (*CALLED, *histories)
+        calls = {ast.unparse(node): node for node in _outermost(self._tree.body, called)}
+        self._calls = [self._call(node) for node in calls.values()]
+        self._plain = _Plain(self._constants, [*calls])
+
+    def _call(self, node: ast.Call) -> Callable[[Given], Array]:
+        """Return a function for the values of a call, given those of the variables."""
+        name, parts = _name(node), [self._like(ast.unparse(part)) for part in node.args]
+        _ = [part.compiled for part in parts]
+        if name in self._histories:
+            return lambda given: self._histories[name](parts[0]._of(given))
+        if name != "interp":
+            chosen = np.minimum if name == "min" else np.maximum
+            return lambda given: reduce(chosen, [part._of(given) for part in parts])
+        if any(place.depends_on for place in parts[1::2]):
+            raise ValueError(f"the places in '{_short(node)}' must be numbers or constants")
+        places = [float(place()) for place in parts[1::2]]
+        if not all(low < high for low, high in itertools.pairwise(places)):
+            raise ValueError(f"the places in '{_short(node)}' must increase")
+
+        def interpolated(given: Given) -> Array:
+            x, values = parts[0]._of(given), [value._of(given) for value in parts[2::2]]
+            out = np.where(np.isnan(x), x, values[0])
+            for n, low in enumerate(places[:-1]):
+                share = np.clip((x - low) / (places[n + 1] - low), 0.0, 1.0)
+                out = np.where(x > low, (1.0 - share) * values[n] + share * values[n + 1], out)
+            return out
+
+        return interpolated
+
+    def _of(self, given: Given) -> Array:
+        """Return the values in the shape of the variables that the expression depends on."""
+        return self(**{n: given[n] for n in self.depends_on}) if self.depends_on else self._fixed
+
+    @cached_property
+    def _fixed(self) -> Array:
+        return self()
+
+    def _like(self, text: str, variables: tuple[str, ...] | None = None) -> Expression:
+        """Return another expression of the same names, or of other variables."""
+        return Expression(text, variables or self._variables, self._constants, self._histories)
+
+    def read(self) -> Iterator[tuple[str, Expression]]:
+        """Yield the histories that the expression reads, each with its time."""
+        for call in ast.walk(self._tree):
+            if isinstance(call, ast.Call) and _name(call) in self._histories:
+                yield _name(call), self._like(ast.unparse(call.args[0]))
 
     @cached_property
     def compiled(self) -> Callable[..., Any]:
@@ -64,9 +126,11 @@ class Expression:
         import numexpr  # late, because few scenes need it
 
         numexpr.set_num_threads(1)
-        tree = _Plain(self._constants).visit(_parsed(self.text))
-        names = [(name, np.float64) for name in sorted(self.depends_on)]
+        tree = self._plain.visit(_parsed(self.text))
+        names = [(name, np.float64) for name in sorted(self._plain.names)]
         try:
+            if len(names) > MOST_INPUTS:
+                raise ValueError(f"it calls {', '.join(CALLED)} or histories too often")
             with np.errstate(all="ignore"):
                 compiled: Callable[..., Any] = numexpr.NumExpr(ast.unparse(tree), names)
         except (OverflowError, ZeroDivisionError, ValueError, TypeError) as error:
@@ -77,9 +141,12 @@ class Expression:
     def __call__(self, **variables: Array | float) -> Array:
         """Return the values, in the shape to which the variables broadcast."""
         shape = np.broadcast_shapes(*(np.shape(value) for value in variables.values()))
-        inputs = [np.atleast_1d(variables[name]).astype(float) for name in sorted(self.depends_on)]
+        given = dict(variables)
         with np.errstate(all="ignore"):
-            value = self.compiled(*inputs)
+            for n, call in enumerate(self._calls):
+                given[f"_{n}"] = call(variables)
+            compiled, names = self.compiled, sorted(self._plain.names)
+            value = compiled(*(np.atleast_1d(given[name]).astype(float) for name in names))
         values = np.asarray(value, dtype=np.float64)
         return np.broadcast_to(values, shape) if shape else values.reshape(())
 
@@ -109,8 +176,8 @@ class Expression:
             (alone if variable in used else without).append(f"1/{text}" if inverse else text)
         others = tuple(name for name in self._variables if name != variable)
         return (
-            Expression("*".join(without) or "1", others, self._constants),
-            Expression("*".join(alone) or "1", (variable,), self._constants),
+            self._like("*".join(without) or "1", others),
+            self._like("*".join(alone) or "1", (variable,)),
         )
 
 
@@ -126,6 +193,10 @@ def _degree(node: ast.AST, names: Collection[str]) -> float:
             return left + right
         if isinstance(node.op, ast.Div) and right == 0.0:
             return left
+    elif isinstance(node, ast.Call) and _name(node) == "interp":
+        _, place, *knots = parts
+        if not any((place, *knots[::2])):
+            return max(knots[1::2])
     elif isinstance(node, ast.UnaryOp):
         return parts[1]
     return math.inf if any(parts) else 0.0
@@ -143,15 +214,38 @@ def _factors(node: ast.expr, inverse: bool = False) -> Iterator[tuple[ast.expr, 
         yield node, inverse
 
 
-class _Plain(ast.NodeTransformer):
-    """Replaces constants by numbers, and all numbers by floats, so that `9**9**9` overflows."""
+def _outermost(node: ast.AST, names: Collection[str]) -> Iterator[ast.Call]:
+    """Yield the calls of some functions that are not within others of these calls."""
+    if isinstance(node, ast.Call) and _name(node) in names:
+        yield node
+    else:
+        for part in ast.iter_child_nodes(node):
+            yield from _outermost(part, names)
 
-    def __init__(self, constants: Mapping[str, float]) -> None:
-        self._constants = constants
+
+class _Plain(ast.NodeTransformer):
+    """Replaces some calls by names such as `_0`, and constants by numbers.
+
+    All numbers become floats, so that `9**9**9` overflows.
+    """
+
+    def __init__(self, constants: Mapping[str, float], calls: list[str]) -> None:
+        self._constants, self._calls = constants, calls
+        self.names: set[str] = set()
+        """The names that remain, apart from those of functions."""
+
+    def visit_Call(self, node: ast.Call) -> ast.expr:
+        if (text := ast.unparse(node)) not in self._calls:
+            node.args = [self.visit(part) for part in node.args]
+            return node
+        self.names.add(name := f"_{self._calls.index(text)}")
+        return ast.Name(name)
 
     def visit_Name(self, node: ast.Name) -> ast.expr:
-        value = self._constants.get(node.id)
-        return node if value is None else ast.Constant(float(value))
+        if node.id in self._constants:
+            return ast.Constant(float(self._constants[node.id]))
+        self.names.add(node.id)
+        return node
 
     def visit_Constant(self, node: ast.Constant) -> ast.expr:
         return ast.Constant(float(node.value))  # type: ignore[arg-type]
@@ -171,6 +265,10 @@ def _parsed(text: str) -> ast.Expression:
     return tree
 
 
+def _name(call: ast.Call) -> str:
+    return call.func.id if isinstance(call.func, ast.Name) else _short(call.func)
+
+
 def _quoted(text: str) -> str:
     return f"'{shortened(text, MOST_QUOTED)}'"
 
@@ -179,36 +277,50 @@ def _short(node: ast.expr) -> str:
     return shortened(ast.unparse(node), MOST_QUOTED)
 
 
-def _check(whole: ast.expr, known: tuple[str, ...]) -> None:
+def _check(whole: ast.expr, known: tuple[str, ...], histories: Collection[str]) -> None:
     """Raise ValueError unless an expression has only numbers, known names and functions."""
     parts = [whole]
     for node in parts:  # the list grows during the loop
         if isinstance(node, ast.Call) and not node.keywords:
-            parts += _arguments(node)
+            parts += _arguments(node, histories)
         elif isinstance(node, ast.BinOp) and isinstance(node.op, _OPERATORS):
             parts += [node.left, node.right]
         elif isinstance(node, ast.UnaryOp) and isinstance(node.op, _OPERATORS):
             parts.append(node.operand)
         elif isinstance(node, ast.Name):
+            if node.id in histories:
+                raise ValueError(f"{node.id} is a history; write {node.id}(t)")
             if node.id not in known:
                 raise ValueError(f"{_short(node)} is not a known name; use {', '.join(known)}")
         elif not (isinstance(node, ast.Constant) and type(node.value) in (int, float)):
             raise ValueError(
                 f"'{_short(node)}' is not allowed: use numbers, + - * / **, {', '.join(known)} and "
-                f"the functions {', '.join(FUNCTIONS)}"
+                f"the functions {', '.join((*FUNCTIONS, *CALLED, *histories))}"
             )
         elif not abs(node.value) <= sys.float_info.max:  # type: ignore[arg-type]
             raise ValueError(f"{_short(node)} is too large")
 
 
-def _arguments(node: ast.Call) -> list[ast.expr]:
+def _arguments(node: ast.Call, histories: Collection[str]) -> list[ast.expr]:
     """Return the arguments of a call; a condition is replaced by its two sides."""
-    name = node.func.id if isinstance(node.func, ast.Name) else _short(node.func)
+    name, number = _name(node), len(node.args)
+    if name in histories:
+        used = {part.id for part in ast.walk(node) if isinstance(part, ast.Name)}
+        if number != 1 or "t" not in used or used & {"x", "y"}:
+            raise ValueError(f"{name} is a history, which takes a time, such as {name}(t)")
+        return node.args
+    if name == "interp" and (number < 5 or number % 2 == 0):
+        reason = "a variable, then places and values in turn, such as interp(t, 0, 0, 2, 1)"
+        raise ValueError(f"interp takes {reason}; got {number} arguments")
+    if name in CALLED:
+        if number < 2:
+            raise ValueError(f"{name} takes two or more arguments; got {number}")
+        return node.args
     if name not in FUNCTIONS:
-        known = ", ".join(FUNCTIONS)
+        known = ", ".join((*FUNCTIONS, *CALLED, *histories))
         raise ValueError(f"{_short(node.func)} is not a known function; use {known}")
-    if len(node.args) != FUNCTIONS[name]:
-        raise ValueError(f"{name} takes {FUNCTIONS[name]} arguments; got {len(node.args)}")
+    if number != FUNCTIONS[name]:
+        raise ValueError(f"{name} takes {FUNCTIONS[name]} arguments; got {number}")
     if name != "where":
         return node.args
     condition, *others = node.args

@@ -240,7 +240,7 @@ def key_named(data: Mapping[str, Any], name: str) -> str:
 
 
 def parameter_point(case: Case, values: Mapping[str, Any]) -> ParameterPoint:
-    """Return the parameter point with values by name; missing ones are the scene's own.
+    """Return the parameter point with values by name; missing ones are `Plan.usual_values`.
 
     Raises CaseError for unknown names, values out of range, and a missing Reynolds number.
     """
@@ -249,8 +249,6 @@ def parameter_point(case: Case, values: Mapping[str, Any]) -> ParameterPoint:
         if name not in names:
             reason = "varies in neither parameters.train nor parameters.test"
             raise CaseError(f"{quoted(name)}: {reason}; {nearest(name, names)}")
-    if REYNOLDS not in values and (len(names) == 1 or len(case.parameters.train.reynolds) > 1):
-        raise CaseError(f"{REYNOLDS}: is missing; give its value, such as {REYNOLDS}=100")
     return case.plan.point({name: _checked(name, value) for name, value in values.items()})
 
 

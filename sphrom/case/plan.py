@@ -8,7 +8,7 @@ of a case can use those that do not depend on a wrong key.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from fractions import Fraction
 from functools import cached_property
@@ -17,10 +17,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import shapely
 
-from sphrom.arrays import Array
-from sphrom.case.points import REYNOLDS, GivenPoints, ParameterPoint, Values, nearest_point
+from sphrom.arrays import Array, Mask
+from sphrom.case.fields import LARGEST
+from sphrom.case.points import REYNOLDS, ParameterPoint, Values, nearest_point
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection, SubsetSection
 from sphrom.errors import CaseError
+from sphrom.metrics.measures import Oscillating, Oscillations, grid_points, midpoints, since
+from sphrom.metrics.series import settled_from
 from sphrom.reduction.stream_functions import StreamSpace
 from sphrom.scenes.flows import Scales, Scene
 from sphrom.sph import fluid
@@ -31,9 +34,16 @@ from sphrom.sph.time_loop import TimeSteps
 
 if TYPE_CHECKING:
     from sphrom.case.models import Case
+    from sphrom.case.scene_section import SceneSection
 
 MOST_COLUMNS, ROWS_OF_FLUID, LEAST_CELL = 16, 9, 2
 """Of a tank's splines: cells along it, along the depth, and the least size over the spacing."""
+COLUMNS_A_CELL = 4
+"""Columns where the surface is looked for, in each cell of the splines."""
+N_LINES = 201
+"""Lines tried where a solid covers the usual one."""
+N_INSTANTS, N_PLACES = 50, 50
+"""Times of a run, and places along each axis, at which the driving of the fluid is looked at."""
 HIGHEST_CREST = 1.6
 """The height of the splines' box over the depth."""
 MOST_TRIED = 12
@@ -52,12 +62,18 @@ MODES_WITHOUT_ROM = 10
 """Number of modes to keep without reduced models."""
 MOST_CHOSEN = 20
 """Number of modes to keep when a reduced model chooses its number."""
+STEPS_PER_PERIOD = 20
+"""Fewest steps in a period of the driving; fewer take an oscillation for a slower one."""
+N_DRIVING = 1000
+"""Number of times of a run at which the driving is sampled."""
 MAX_STEPS = 1e9
 """Number of steps of one run beyond which a case is taken for a typing error."""
 WHOLE_STEPS_TOLERANCE = 1e-6
 """Relative tolerance for a duration to be a whole number of steps."""
 LARGEST_DENOMINATOR = 1000
 """Largest denominator of spin-up over recorded time, so that one automatic step fits both."""
+LEAST_SNAPSHOTS = 3
+"""Fewest snapshots per training run for a calibration."""
 MOST_ESTIMATED_MODES = 30
 """Largest basis with error estimates by default; their work grows with its fourth power."""
 
@@ -68,12 +84,19 @@ class Plan:
     def __init__(self, case: Case) -> None:
         self._case = case
 
+    @cached_property
+    def scene(self) -> SceneSection:
+        """The scene with the strip and the checks that fit all points and the particles."""
+        end = self._case.time.final_time
+        return self._case.scene.over(self._settings, self.particle_spacing, end)
+
     # Lengths, speeds and particles
 
     @cached_property
     def particle_spacing(self) -> float:
-        """dx [m]."""
-        return self._case.scene.resolved_length / self._case.discretization.resolution
+        """dx [m], the square root of the area of a particle."""
+        wanted = self._case.scene.resolved_length / self._case.discretization.resolution
+        return self._case.scene.domain.lattice_spacing(wanted)
 
     @cached_property
     def smoothing_length(self) -> float:
@@ -145,14 +168,23 @@ class Plan:
     @cached_property
     def probe_line(self) -> float:
         """x of the vertical line on which runs are compared [m]."""
-        line = self._case.compare.line
-        return self._case.scene.probe_line if line is None else line
+        scene, line = self._case.scene, self._case.compare.line
+        if line is not None or scene.domain.sections(scene.probe_line):
+            return scene.probe_line if line is None else line
+        places = np.linspace(scene.domain.lower[0], scene.domain.upper[0], N_LINES)
+        nearest = sorted(places.tolist(), key=lambda x: abs(x - scene.probe_line))
+        return next((x for x in nearest if scene.domain.sections(x)), scene.probe_line)
 
     @cached_property
     def max_speed(self) -> float:
         """The largest speed at all points: the reference speed, or the speed of a varied wall."""
-        walls = (self._case.scene.largest_wall_speed(v) for v in self._settings if v)
-        return max(self._case.fluid.reference_speed, *walls, 0.0)
+        scene, end = self.scene, self._case.time.final_time
+        varied = (v for v in self._settings if v or scene.amplitudes)
+        walls = (scene.largest_wall_speed(v, end) for v in varied)
+        fastest = max(self._case.fluid.reference_speed, *walls, 0.0)
+        if not fastest <= LARGEST:
+            raise CaseError(f"scene: walls or the inflow have a speed of {fastest:g} m/s; lower it")
+        return fastest
 
     @cached_property
     def sound_speed(self) -> float:
@@ -162,15 +194,23 @@ class Plan:
         return max(self.max_speed / self._case.fluid.mach_number, least)
 
     @cached_property
-    def largest_head(self) -> float:
-        """Estimate of the largest head of all runs [m2/s2]: by forces, and in gaps and corners."""
+    def heads(self) -> dict[str, float]:
+        """Estimates of the largest heads of all runs [m2/s2], by their cause in words."""
         scene, end = self._case.scene, self._case.time.final_time
         domain, viscosity = scene.domain, max(map(self.kinematic_viscosity, self.points))
         gap = domain.narrowest_gap or math.inf  # a check refuses a gap of zero
         in_gaps = self.max_speed * (max(domain.lengths) / gap**2 + scene.porous_way)
         at_corners = CORNER_PRESSURE * self._largest_jump / self.particle_spacing
-        of_force = max(scene.largest_head(end, values) for values in self._settings)
-        return max(of_force, viscosity * in_gaps, viscosity * at_corners)
+        friction = "friction at walls" if domain.has_walls else "viscous friction in the fluid"
+        return {
+            "the body force": max(scene.largest_head(end, values) for values in self._settings),
+            friction: viscosity * max(in_gaps, at_corners),
+        }
+
+    @cached_property
+    def largest_head(self) -> float:
+        """The largest of the heads [m2/s2]."""
+        return max(self.heads.values())
 
     @cached_property
     def _largest_jump(self) -> float:
@@ -182,7 +222,8 @@ class Plan:
         points = {point.others: point for point in self.points}.values()
         velocities = (self.flow(point).wall_velocity(place) for point in points)
         jumps = (np.diff(np.where(of_walls, v.T, np.nan)) for v in velocities)
-        return max(float(np.nanmax(np.hypot(*jump), initial=0.0)) for jump in jumps)
+        largest = max(float(np.nanmax(np.hypot(*jump), initial=0.0)) for jump in jumps)
+        return largest * self._case.scene.largest_amplitude(self._case.time.final_time)
 
     @cached_property
     def mass(self) -> float:
@@ -262,6 +303,12 @@ class Plan:
             n_rows=n_rows,
         )
 
+    @cached_property
+    def surface_columns(self) -> Array:
+        """The midpoints (n_columns,) [m] of the columns where surfaces are looked for."""
+        space = self.stream_space
+        return midpoints(space.left, space.right, COLUMNS_A_CELL * space.n_columns)
+
     def weight_at(self, point: ParameterPoint, position: Array) -> Array | None:
         """Return the pressure at rest (n_positions,) [Pa] below a level; None without a surface."""
         scene = self._case.scene
@@ -271,24 +318,73 @@ class Plan:
         return self._case.fluid.reference_density * scene.gravity * (level - position[:, 1])
 
     def flow(self, point: ParameterPoint) -> Scene:
-        """Return the flow at a parameter point."""
+        """Return the flow at a parameter point. Raises CaseError if there is none."""
         fluid = self._case.fluid
         viscosity = self.kinematic_viscosity(point)
-        return self._case.scene.flow(
-            Scales(fluid.reference_speed, fluid.reference_density, viscosity, point.factors)
-        )
+        scales = Scales(fluid.reference_speed, fluid.reference_density, viscosity, point.factors)
+        try:
+            return self.scene.flow(scales)
+        except ValueError as error:
+            raise CaseError(f"scene: at {point.label}: {error}") from error
+
+    @cached_property
+    def rest_and_units(self) -> tuple[Scene, dict[str, Scene]]:
+        """The undriven flow, and one flow per driving parameter with that parameter set to one.
+
+        Raises CaseError if an expression has no value there.
+        """
+        point, names = self.train_points[0], self.driving
+
+        def at(one: str | None) -> Scene:
+            drives = {name: float(name == one) for name in names}
+            others = tuple((name, drives.get(name, value)) for name, value in point.others)
+            return self.flow(replace(point, others=others))
+
+        try:
+            return at(None), {name: at(name) for name in names}
+        except CaseError as error:
+            raise CaseError(f"parameters: operators need the flow at 0 and 1: {error}") from error
+
+    def is_driven(self, point: ParameterPoint) -> bool:
+        """Return whether anything sets the fluid in motion in a full run at a parameter point."""
+        scene, flow, domain = self._case.scene, self.flow(point), self._case.scene.domain
+        place = grid_points(domain.lower, domain.upper, (N_PLACES, N_PLACES))
+        fluid, level = place[domain.contains(place)], scene.level_at(point.factors)
+        if scene.has_surface and not math.isfinite(level):
+            return True  # a shape falls, or moves by its own pressure
+        if flow.initial_velocity(fluid).any():
+            return True
+        if not scene.has_surface and flow.initial_pressure(fluid).any():
+            return True
+        box = shapely.box(*domain.lower, *domain.upper).buffer(BEYOND * self.particle_spacing)
+        edge = shapely.segmentize(box.exterior, max(domain.lengths) / N_PLACES)
+        beside = np.concatenate((place, shapely.get_coordinates(edge)))
+        if domain.has_walls and flow.wall_velocity(beside).any():
+            return True
+        if (force := flow.body_force) is None:
+            return False
+        times = np.linspace(0.0, self._case.time.final_time, N_INSTANTS)
+        weight = np.array([[0.0], [scene.gravity]])
+        return any((force(fluid.T, float(time)) + weight).any() for time in times)
+
+    def problems_until(self, end: float) -> Iterator[tuple[str, str]]:
+        """Yield keys of the scene that don't allow runs until a time [s], with reasons."""
+        # Driving can't be evaluated at unknown times.
+        if problems := list(self.scene.unknown_times(end)):
+            yield from problems
+        else:
+            yield from self.scene.problems(end, self.fluid(self.points[0]))
 
     @cached_property
     def strip(self) -> Strip | None:
         """The strip of the inflow; None without an inflow."""
-        resistance = self.flow(self.points[0]).resistance
-        return None if resistance is None else resistance.strip
+        return self.scene.strip
 
     # Time steps, their limits, and snapshots
 
     def step_limits(self, point: ParameterPoint) -> StepLimits:
         """Return the largest stable time steps at a parameter point."""
-        scene, sharpness = self._case.scene, self._sharpest_corner
+        scene, sharpness = self.scene, self._sharpest_corner
         slowing = scene.largest_resistance(self.kinematic_viscosity(point))
         return fluid.step_limits(
             self.fluid(point), self.discretization, scene.domain.has_walls, sharpness, slowing
@@ -321,7 +417,17 @@ class Plan:
         if time.step != "auto":
             return time.step
         share = time.courant_number / fluid.COURANT_LIMIT
-        return share * self.limits.least
+        return min(share * self.limits.least, self.shortest_period / STEPS_PER_PERIOD)
+
+    @cached_property
+    def shortest_period(self) -> float:
+        """The shortest period of the driving at all points [s]; infinite if none oscillates."""
+        return self.scene.shortest_period(self._case.time.final_time, self._settings)
+
+    def longest_step(self, point: ParameterPoint) -> float:
+        """Return the longest step [s] that resolves the driving at a point, infinite if steady."""
+        end = self._case.time.final_time
+        return self.scene.shortest_period(end, [point.factors]) / STEPS_PER_PERIOD
 
     @cached_property
     def spin_up_ratio(self) -> Fraction:
@@ -346,6 +452,52 @@ class Plan:
         n_steps = unit * math.ceil(steps * (1.0 - WHOLE_STEPS_TOLERANCE) / unit)
         step = self.recorded_time / n_steps
         return TimeSteps(step, n_steps, every, int(ratio * n_steps) * step)
+
+    # Measurements
+
+    @cached_property
+    def settled_from(self) -> float:
+        """The time after the gradual start of the driving [s]; 0 without one."""
+        times = np.linspace(0.0, self._case.time.final_time, N_DRIVING)
+        with np.errstate(all="ignore"):  # a check refuses amplitudes that are not finite
+            found = [settled_from(times, self.flow(p).driving(times)) for p in self.points]
+        return max(self._case.scene.ramp, *found)
+
+    @cached_property
+    def means_from(self) -> dict[str, float]:
+        """The times from which statistics of recorded measurements count [s], by name."""
+        own = {name: each.from_time for name, each in self._case.scene.recorded.items()}
+        return {name: self.settled_from if t is None else t for name, t in own.items()}
+
+    @property
+    def times_in_words(self) -> str:
+        """The times from which measurements count, in words; empty if all count from the start."""
+        late = sorted({t for t in self.means_from.values() if t > 0.0})
+        names = {t: ", ".join(n for n, own in self.means_from.items() if own == t) for t in late}
+        times = " and ".join(f"from {t:.4g} s on ({names[t]})" for t in late)
+        return times and f"means and errors of measurements count {times}"
+
+    def counted(self, name: str, time: Array) -> Mask:
+        """Return whether times (n_snapshots,) [s] count for a measurement of a run."""
+        return since(time, self.means_from.get(name, self.settled_from))
+
+    @cached_property
+    def oscillations(self) -> Oscillations:
+        """The oscillating quantities, by the names of the measurements of their frequency."""
+        columns, found = self._case.scene.columns, Oscillations()
+        for name, measure in self._case.scene.measure.items():
+            if (section := measure.frequency) is not None:
+                column, begin = columns[section.of], section.from_time
+                begin = self.means_from[column.measure] if begin is None else begin
+                found[name] = Oscillating(**vars(column), from_time=begin)
+        return found
+
+    @cached_property
+    def coefficients(self) -> dict[str, float]:
+        """The ratios of coefficients to forces [m/N], by the names of the measurements."""
+        density, measures = self._case.fluid.reference_density, self._case.scene.measure
+        scales = ((name, each.coefficient) for name, each in measures.items())
+        return {n: 2.0 / (density * c.speed**2 * c.length) for n, c in scales if c is not None}
 
     def model_steps(self, model: ReducedModelSection) -> TimeSteps:
         """Return the steps of full runs that end when the runs of a reduced model end.
@@ -378,31 +530,45 @@ class Plan:
 
     @cached_property
     def own_values(self) -> dict[str, float]:
-        """The default values of parameters, for points that do not name them."""
-        return {
-            REYNOLDS: self._case.parameters.train.reynolds[0],
-            **self._case.scene.parameters(self._case.fluid.reference_speed),
-        }
+        """The scene's own values of parameters, with the Reynolds number if training has one."""
+        reynolds = self._case.parameters.train.own_reynolds
+        own = {} if reynolds is None else {REYNOLDS: reynolds}
+        return own | self._case.scene.parameters(self._case.fluid.reference_speed)
 
-    def point(self, values: Values) -> ParameterPoint:
-        """Return the point with values by name; missing ones are the scene's own."""
+    @cached_property
+    def usual_values(self) -> dict[str, float]:
+        """The values that all training runs have in common; of other parameters, the scene's own.
+
+        Points have these values of all parameters that they do not name.
+        """
+        rows = [point.as_dict() for point in self.train_points]
+        common = {n: v for n, v in rows[0].items() if all(row[n] == v for row in rows)}
+        return self.own_values | common
+
+    def point(self, values: Values, usual: Mapping[str, float] | None = None) -> ParameterPoint:
+        """Return the point with values by name; missing ones are the `usual_values`.
+
+        Raises CaseError when the Reynolds number is missing, and training runs have several.
+        """
         named = values if isinstance(values, dict) else {REYNOLDS: values}
-        own, names = self.own_values, self.parameter_names
-        reynolds, *others = [float(named.get(name, own.get(name, 0.0))) for name in names]
-        return ParameterPoint(reynolds, tuple(zip(names[1:], others, strict=True)))
-
-    def _points_of(self, section: GivenPoints) -> tuple[ParameterPoint, ...]:
-        return tuple(map(self.point, section.values(self._case.parameters.train.reynolds)))
+        known = {**(self.usual_values if usual is None else usual), **named}
+        if REYNOLDS not in known:
+            missing = f"{REYNOLDS}: is missing, and training runs have several"
+            raise CaseError(f"{missing}; give its value, such as {REYNOLDS}=100")
+        reynolds, *others = [float(known.get(name, 0.0)) for name in self.parameter_names]
+        names = self.parameter_names[1:]
+        return ParameterPoint(reynolds, tuple(zip(names, others, strict=True)))
 
     @cached_property
     def train_points(self) -> tuple[ParameterPoint, ...]:
-        """The points of training runs."""
-        return self._points_of(self._case.parameters.train)
+        """The points of training runs; they have the scene's own values of unnamed parameters."""
+        rows = self._case.parameters.train.values
+        return tuple(self.point(row, self.own_values) for row in rows)
 
     @cached_property
     def test_points(self) -> tuple[ParameterPoint, ...]:
         """The points of test runs, which only check predictions."""
-        return self._points_of(self._case.parameters.test)
+        return tuple(map(self.point, self._case.parameters.test.values))
 
     @cached_property
     def points(self) -> tuple[ParameterPoint, ...]:

@@ -128,7 +128,7 @@ Range = Annotated[Place, AfterValidator(rising), Field(description="a range [low
 """The least value, and a greater one."""
 
 PointValues = Annotated[dict[SafeName, Coordinate], AfterValidator(viscous)]
-"""The values of one point by name; parameters without a value have the scene's own."""
+"""The values of one point by name; `Plan.usual_values` are those of the other parameters."""
 Listed = Annotated[tuple[Positive | PointValues, ...], Field(min_length=1, max_length=MAX_RUNS)]
 """A list of points; a number is a Reynolds number."""
 
@@ -222,15 +222,16 @@ class GivenPoints(Section):
         """The names of all parameters, in order."""
         return tuple(dict.fromkeys(name for names in self.named for name in names))
 
-    def values(self, reynolds: tuple[float, ...]) -> list[dict[str, float]]:
-        """Return the values of all points; a grid without Reynolds numbers uses `reynolds`."""
+    @property
+    def values(self) -> list[dict[str, float]]:
+        """The values of all points by name."""
         if self.sample is not None:
             return self.sample.points
         if self.points:
             return list(self.points)
         lists = self.lists
         if len(lists) > 1 and not lists[REYNOLDS]:
-            lists[REYNOLDS] = reynolds
+            del lists[REYNOLDS]
         return [dict(zip(lists, row, strict=True)) for row in product(*lists.values())]
 
     @property
@@ -246,6 +247,14 @@ class TrainValues(GivenPoints):
     """The parameter values of training runs."""
 
     reynolds: ReynoldsValues = key((100.0,), REYNOLDS_WORDS, unit="-")
+
+    @property
+    def own_reynolds(self) -> float | None:
+        """The Reynolds number of all points that name one, or of the list; None if they differ."""
+        drawn = self.sample.entries if self.sample is not None else {}
+        named = drawn.get(REYNOLDS) or [each[REYNOLDS] for each in self.points if REYNOLDS in each]
+        found = set(named or self.reynolds)
+        return found.pop() if len(found) == 1 else None
 
 
 class TestValues(GivenPoints):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -12,13 +12,25 @@ import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 
 from sphrom.arrays import Array
-from sphrom.case.fields import Coordinate, Duration, Place, SafeName, Section, Whole, key, only_one
-from sphrom.metrics.measures import Column, Oscillating, Oscillations
+from sphrom.case.fields import (
+    Coordinate,
+    Duration,
+    Place,
+    Positive,
+    SafeName,
+    Section,
+    Whole,
+    key,
+    only_one,
+)
+from sphrom.metrics.measures import COEFFICIENT, Column
 from sphrom.scenes.flows import Channel, ReferenceProfile, Scales, Scene
 from sphrom.sph.domain import Domain
-from sphrom.sph.fluid import NONE
+from sphrom.sph.fluid import NONE, Fluid, Strip
 
 Defaults = Mapping[str, Any]
+Settings = Sequence[Mapping[str, float]]
+"""Values of the parameters except the Reynolds number, of all points."""
 OF_WALLS: Defaults = {
     "fluid": {"reference_density": 1.0},
     "discretization": {"smoothing_length_ratio": 2.0},
@@ -81,9 +93,18 @@ class SceneSection(Section):
     def check_at(self, values: Mapping[str, float]) -> None:
         """Raise ValueError if the scene is impossible with some values of its parameters."""
 
-    def largest_wall_speed(self, values: Mapping[str, float]) -> float:
-        """Return the largest speed of varied walls at values of the parameters [m/s]."""
+    def largest_wall_speed(self, values: Mapping[str, float], until: float = 0.0) -> float:
+        """Return the largest speed of varied walls until a time, at values of parameters [m/s]."""
         return 0.0
+
+    def largest_amplitude(self, until: float) -> float:
+        """Return the largest factor of the walls' velocities in runs until a time [s]."""
+        return 1.0
+
+    @property
+    def amplitudes(self) -> Mapping[str, str]:
+        """The amplitudes in time of walls and forces, by key; empty unless walls change."""
+        return {}
 
     def largest_head(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
         """Return a bound of the body force's head along the fluid until a time [m2/s2].
@@ -123,6 +144,21 @@ class SceneSection(Section):
         return self.domain.fill(particle_spacing)
 
     @property
+    def strip(self) -> Strip | None:
+        """The strip of the inflow; None without an inflow."""
+        return None
+
+    @property
+    def inflow_ramp(self) -> float:
+        """The time in which the inflow reaches its speed [s]; 0 without an inflow."""
+        return 0.0
+
+    @property
+    def porous_widths(self) -> Mapping[str, float]:
+        """The width of each porous body [m]."""
+        return {}
+
+    @property
     def porous_way(self) -> float:
         """The integral of 1/k along the path of the fluid through porous bodies [1/m]."""
         return 0.0
@@ -130,6 +166,11 @@ class SceneSection(Section):
     def stations(self, line: float) -> Array:
         """Return the points of histories (n_stations, 2) [m], for x of the compared line [m]."""
         return np.empty((0, 2))
+
+    @property
+    def ramp(self) -> float:
+        """The time in which an inflow or a lid reaches its speed [s]; 0 without a ramp."""
+        return 0.0
 
     @property
     def channel(self) -> Channel | None:
@@ -157,15 +198,6 @@ class SceneSection(Section):
         return {name: m for name, m in self.measure.items() if m.frequency is None}
 
     @property
-    def oscillations(self) -> Oscillations:
-        """The oscillating quantities, by the names of the measurements of their frequency."""
-        pairs = ((name, m.frequency) for name, m in self.measure.items() if m.frequency is not None)
-        columns = self.columns
-        return Oscillations(
-            {name: Oscillating(**vars(columns[f.of]), from_time=f.from_time) for name, f in pairs}
-        )
-
-    @property
     def columns(self) -> dict[str, Column]:
         """The recorded histories, by column name."""
         columns: dict[str, Column] = {}
@@ -183,8 +215,20 @@ class SceneSection(Section):
         """Return the profiles of independent solutions of the flow."""
         return ()
 
-    def problems(self, final_time: float) -> Iterator[tuple[str, str]]:
-        """Yield keys of the scene that don't fit the final time [s], with the reasons."""
+    def over(self, settings: Settings, particle_spacing: float, until: float) -> SceneSection:
+        """Return the scene for all parameters, a spacing [m] and an end of runs [s]."""
+        return self
+
+    def shortest_period(self, final_time: float, settings: Settings) -> float:
+        """Return the shortest period [s] of the driving at some values of the parameters."""
+        return math.inf
+
+    def unknown_times(self, final_time: float) -> Iterator[tuple[str, str]]:
+        """Yield keys whose histories don't contain all times of runs [s], with reasons."""
+        yield from ()
+
+    def problems(self, final_time: float, fluid: Fluid) -> Iterator[tuple[str, str]]:
+        """Yield keys of the scene that don't fit the final time [s] or the fluid, with reasons."""
         yield from ()
 
     def warnings(self) -> Iterator[tuple[str, str]]:
@@ -212,11 +256,24 @@ class FrequencySection(Section):
     """A history whose oscillation is measured."""
 
     of: SafeName = key(..., "oscillating history, named as in tables of a sweep: `lift_force_y`")
-    from_time: Duration = key(0.0, "time from which the history counts", unit="s")
+    from_time: Duration | None = key(
+        None, "time from which the history counts; null means that of its measurement", unit="s"
+    )
+
+
+class CoefficientSection(Section):
+    """The scales of the coefficient C of a force F = C rho U^2 L / 2 per metre of depth."""
+
+    speed: Positive = key(..., "reference speed U", unit="m/s")
+    length: Positive = key(..., "reference length L", unit="m")
+
+
+KINDS = "force_on", "flow_rate", "probe", "line", "elevation", "of_fluid", "frequency"
+"""The keys for the kind of a measurement; it has exactly one."""
 
 
 class MeasureSection(Section):
-    """One measurement at every snapshot: exactly one of its keys."""
+    """One measurement at every snapshot: exactly one kind, and the times that count."""
 
     force_on: SafeName | None = key(
         None, "wall: its force, and its torque about its centroid; for a side, the box's centre"
@@ -243,16 +300,30 @@ class MeasureSection(Section):
         None, "history of another measurement: frequency, amplitude and mean of its oscillation"
     )
 
+    from_time: Duration | None = key(
+        None,
+        "time from which means, errors and other statistics count; null means after the ramp of an "
+        "inflow or after a driving that grows from zero to a constant value, otherwise the start",
+        unit="s",
+    )
+    coefficient: CoefficientSection | None = key(
+        None, "scales of the force's coefficient, which is then measured beside the force"
+    )
+
     @model_validator(mode="after")
     def _one_kind(self) -> MeasureSection:
-        only_one(self, type(self).model_fields)
+        kind = only_one(self, KINDS)
+        if self.coefficient is not None and self.force_on is None:
+            raise ValueError(f"coefficient: is only for force_on, not for {kind}")
+        if self.from_time is not None and self.frequency is not None:
+            raise ValueError("from_time: of an oscillation is frequency.from_time")
         return self
 
     @property
     def quantities(self) -> tuple[str, ...]:
         """The quantities over time, keys of `sphrom.metrics.measures.UNITS`; none for a line."""
         if self.force_on is not None:
-            return ("force", "torque")
+            return ("force", "torque", *(() if self.coefficient is None else (COEFFICIENT,)))
         if self.flow_rate is not None:
             return ("flow_rate",)
         if self.elevation is not None:

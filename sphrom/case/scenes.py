@@ -16,7 +16,7 @@ from sphrom.case.fields import Duration, Number, Positive, Section, key
 from sphrom.case.scene_section import MEASURE, OF_WALLS, Defaults, Measures, SceneSection
 from sphrom.scenes import flows
 from sphrom.scenes.flows import OPEN_CAVITY_SPEED, ReferenceProfile, profiles_for
-from sphrom.sph.fluid import NONE
+from sphrom.sph.fluid import NONE, Fluid
 from sphrom.text import exact
 
 PROBE_SHARE = 0.625
@@ -73,6 +73,10 @@ class LidDrivenCavityScene(SceneSection):
         speed = scales.values.get("lid", scales.speed)
         return flows.LidDrivenCavity(self.length, speed, lid=self.lid, ramp=self.lid_ramp)
 
+    @property
+    def ramp(self) -> float:
+        return self.lid_ramp
+
     def parameters(self, reference_speed: float) -> dict[str, float]:
         """Return the lid's speed [m/s]."""
         return {"lid": reference_speed}
@@ -81,7 +85,7 @@ class LidDrivenCavityScene(SceneSection):
         """Return the lid, if its speed is a parameter."""
         return tuple(name for name in names if name == "lid")
 
-    def largest_wall_speed(self, values: Mapping[str, float]) -> float:
+    def largest_wall_speed(self, values: Mapping[str, float], until: float = 0.0) -> float:
         """Return the lid's largest speed [m/s]."""
         return abs(values.get("lid", 0.0))
 
@@ -92,7 +96,7 @@ class LidDrivenCavityScene(SceneSection):
         profiles = profiles_for(self.kind, self.lid, reynolds)
         return profiles if self.lid_ramp == 0.0 else tuple(p for p in profiles if p.time is None)
 
-    def problems(self, final_time: float) -> Iterator[tuple[str, str]]:
+    def problems(self, final_time: float, fluid: Fluid) -> Iterator[tuple[str, str]]:
         """Refuse a lid that does not reach its speed before the end."""
         if self.lid_ramp >= final_time:
             end, ramp = exact(final_time), exact(self.lid_ramp)

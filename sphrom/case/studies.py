@@ -92,15 +92,17 @@ def require_basis(case: Case, model: ReducedModelSection, point: ParameterPoint)
 
 
 def fit_ranges(case: Case, model: ReducedModelSection) -> Ranges:
-    """Return the ranges of the free parameters of a fit, by name."""
-    listed = case.fit.parameters
-    entries = {k: listed.get(k, trained) for k, trained in trained_ranges(case, model).items()}
+    """Return the ranges of the free parameters of a fit, by name; others do not vary."""
+    varied = {k: ends for k, ends in trained_ranges(case, model).items() if ends[0] < ends[1]}
+    entries = varied | case.fit.parameters
     return {k: (v[0], v[1]) for k, v in entries.items() if isinstance(v, tuple)}
 
 
-def fit_values(case: Case) -> dict[str, float]:
+def fit_values(case: Case, model: ReducedModelSection) -> dict[str, float]:
     """Return the values of the fixed parameters of a fit, by name."""
-    return {k: float(v) for k, v in case.fit.parameters.items() if not isinstance(v, tuple)}
+    fixed = {k: low for k, (low, high) in trained_ranges(case, model).items() if low == high}
+    entries = fixed | case.fit.parameters
+    return {k: float(v) for k, v in entries.items() if not isinstance(v, tuple)}
 
 
 def trained_ranges(case: Case, model: ReducedModelSection) -> Ranges:
@@ -206,8 +208,8 @@ class Region:
     def starts(self, existing: Sequence[ParameterPoint]) -> list[ParameterPoint]:
         """Return the first points of training: corners of the region, and existing points.
 
-        There are enough corners that no other point of the region changes the speed of sound or
-        the time steps of full runs.
+        There are enough corners that no other point of the region changes the speed of sound, the
+        strip of an inflow or the time steps of full runs.
         """
         number = len(self._box.ranges)
         corners = [self.point(place) for place in first_corners(number)]
@@ -215,9 +217,9 @@ class Region:
         if number > MOST_CORNERED:
             return points
 
-        def settings(points: Sequence[ParameterPoint]) -> tuple[object, float]:
+        def settings(points: Sequence[ParameterPoint]) -> tuple[object, ...]:
             plan = trained_at(self._case, points).plan
-            return plan.steps, plan.sound_speed
+            return plan.steps, plan.sound_speed, plan.strip
 
         every = [self.point(np.array(place)) for place in product((0.0, 1.0), repeat=number)]
         everywhere = settings([*points, *every])
@@ -231,9 +233,7 @@ class Region:
 def trained_at(case: Case, points: Sequence[ParameterPoint]) -> Case:
     """Return a case with other training points, unchecked."""
     if points[0].others:
-        # Test points without a Reynolds number use the first of these.
-        own = case.parameters.train.reynolds[:1]
-        train = TrainValues(points=tuple(point.as_dict() for point in points), reynolds=own)
+        train = TrainValues(points=tuple(point.as_dict() for point in points))
     else:
         train = TrainValues(reynolds=tuple(point.reynolds for point in points))
     parameters = case.parameters.model_copy(update={"train": train})

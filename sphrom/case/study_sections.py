@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from functools import cached_property
 from typing import Annotated, Literal
 
@@ -81,7 +81,7 @@ class FitSection(Section):
     parameters: Annotated[dict[SafeName, Coordinate | Range], AfterValidator(viscous)] = key(
         {},
         "parameters by name: a range [low, high] for a free parameter, or a fixed value; other "
-        "parameters of the case are free in their trained range",
+        "parameters that vary in training are free in their trained range",
         unit="as the parameter",
     )
     noise: Annotated[Number, Field(ge=LEAST_PERCENT, le=MOST_PERCENT)] | None = key(
@@ -406,11 +406,15 @@ class SweepSection(Section):
         }
 
     @property
+    def named(self) -> list[Collection[str]]:
+        """The names of parameters of each point; a sample or a grid is one entry."""
+        drawn = self.sample.entries if self.sample else {}
+        return [*self.points, *filter(None, (drawn, self.grid))]
+
+    @property
     def names(self) -> tuple[str, ...]:
         """The names of all parameters."""
-        drawn = self.sample.entries if self.sample else {}
-        listed = (name for point in self.points for name in point)
-        return tuple(dict.fromkeys((REYNOLDS, *self.parameters, *listed, *drawn)))
+        return tuple(dict.fromkeys(name for names in self.named for name in names))
 
     @property
     def levels(self) -> tuple[float, ...]:

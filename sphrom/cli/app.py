@@ -43,7 +43,7 @@ class Commands(TyperGroup):
                 return super().invoke(ctx)
         except SphromError as error:
             for line in str(error).split("\n"):
-                tell(f"error: {line}", error=True)
+                tell(f"error: {line}", error=True, style="red")
             raise typer.Exit(error.exit_code) from None
         except KeyboardInterrupt as interrupt:
             terminated = isinstance(interrupt, Terminated)

@@ -44,7 +44,8 @@ def fom(options: Options) -> None:
     """Run the full model at every parameter value: fom-<parameters>.h5.
 
     A stopped run leaves a checkpoint; --resume continues it, and the artifact is the same bit for
-    bit. The file spin-up-<parameters>.h5 stores the final state of a spin-up.
+    bit. With a later time.final_time, --resume continues finished runs too. The file
+    spin-up-<parameters>.h5 stores the final state of a spin-up.
 
     \b
     Example, one value, then the same run resumed after a stop:

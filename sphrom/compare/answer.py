@@ -1,24 +1,35 @@
 """The result of a case in a few sentences: the error, the speed and the break-even of its model.
 
-It comes from the tables of a comparison, and from the costs that artifacts record.
+It comes from the tables of a comparison, and from the costs that artifacts record. The model is the
+one that `trade` recommends for a tolerance of (1 + ALIKE) times the least error: the fastest within
+this tolerance. The error is the larger one of velocity and pressure, each a mean over the points
+between the training values; without such points, over those outside, else over training points.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from itertools import groupby
 
+import numpy as np
+
+from sphrom.case.models import Case
+from sphrom.case.sections import ReducedModelSection
 from sphrom.compare.comparison_tables import ErrorRow, Tables, best_name
 from sphrom.compare.costs import N_REPEATS, RunTiming, break_even, offline_seconds
-from sphrom.compare.measured import SURFACE, OscillationRow
+from sphrom.compare.measured import SURFACE, MeasureRow, OscillationRow
+from sphrom.metrics.measures import ONLY_NOISE
 from sphrom.online.stable_ranges import against
 from sphrom.plots.tables import format_figure
+from sphrom.store.stored_run import inflow_of
 from sphrom.store.trained_models import basis_used
 from sphrom.store.workspace import Workspace
 from sphrom.text import counted, duration
 
+ALIKE = 0.1
+"""Relative difference below which errors of models are equal."""
 DIGITS = 2
 """Significant digits of the figures in a sentence."""
 ROLES = {
@@ -29,13 +40,13 @@ ROLES = {
 """Phrases for the roles of parameter points."""
 Pair = tuple[float, float]
 """Errors of velocity and pressure [%]."""
-Force = tuple[str, float, float | None, float | None]
-"""Name of a measured force, its error over time, that of the nearest state and its estimate [%]."""
+LOADS = "force_x", "force_y", "torque"
+"""Components of a measured force, with its torque."""
 
 
 @dataclass(frozen=True)
 class Answer:
-    """Error and cost of a reduced model at a point, preferably one that it was not trained on.
+    """Error and cost of a reduced model at a point, preferably one between the training values.
 
     Of several such points, it is the one with the largest error of velocity.
     """
@@ -53,14 +64,24 @@ class Answer:
     offline_seconds: float | None
     training_seconds: float | None
     n_training: int
-    forces: tuple[Force, ...] = ()
+    loads: tuple[MeasureRow, ...] = ()
+    """Measured forces and torques, by component."""
+    nearest_loads: tuple[MeasureRow, ...] = ()
+    """The same of the nearest state."""
     oscillations: tuple[OscillationRow, ...] = ()
     surface: tuple[float, float | None] | None = None
     """Errors of the free surface's elevation and of the nearest state's [%], if there is one."""
     since: str = ""
     """A phrase for the time from which errors count, unless it is the first."""
+    times: str = ""
+    """The times from which measurements count, in words."""
     doubts: tuple[str, ...] = ()
     """Sentences with reasons to doubt that imported runs belong to the case."""
+    outside: tuple[int, str, Pair] | None = None
+    """Number of points outside of the trained values, the worst one and its errors, if the answer
+    is about others."""
+    unphysical: tuple[str, ...] = ()
+    """Sentences about unphysical full runs."""
 
     @property
     def pays_from(self) -> int | None:
@@ -72,6 +93,7 @@ class Answer:
 
     def sentences(self) -> Iterator[str]:
         """Yield the sentences of the answer."""
+        yield from self.unphysical
         one_of = "" if self.n_points == 1 else f", the worst of {self.n_points} such values"
         yield (
             f"At {self.row.parameters}, {ROLES[self.row.role]}{one_of}, {self.row.compared} "
@@ -82,6 +104,13 @@ class Answer:
             f"{'' if self.surface is None else ' and their part at rest'}."
         )
         yield from self._compared()
+        if self.outside is not None:
+            number, where, errors = self.outside
+            worst = "" if number == 1 else f", the worst of {number} such values"
+            yield (
+                f"At {where}, which lies outside of the trained values{worst}, it differs by "
+                f"{percent(errors[0])} in velocity and {percent(errors[1])} in pressure."
+            )
         yield from self._cost()
 
     def _compared(self) -> Iterator[str]:
@@ -100,12 +129,13 @@ class Answer:
                 f"The surface's elevation differs by {percent(error)}{nearest}, of the root mean "
                 "square of its change."
             )
-        for name, error, best, estimate in self.forces:
-            nearest = "" if best is None else f", that of the nearest state by {percent(best)}"
-            own = "" if estimate is None else f"; the model estimates {percent(estimate)}"
-            amount = f"{percent(error)} over time{nearest}{own}"
-            yield f"The measured force ({name}) differs by {amount}."
+        if self.times:
+            yield f"{self.times[0].upper()}{self.times[1:]}."
+        yield from self._loads()
         for each in self.oscillations:
+            if each.remark:
+                yield f"The oscillation ({each.measured}) has no figures: {each.remark}."
+                continue
             errors = each.frequency_error, each.amplitude_error, each.phase_error
             frequency, amplitude, phase = (format_figure(error, DIGITS) for error in errors)
             yield (
@@ -114,6 +144,28 @@ class Answer:
                 "over time include this phase."
             )
         yield from self.doubts
+
+    def _loads(self) -> Iterator[str]:
+        """Yield a sentence per measured force, with the errors of its components."""
+        best = {(row.measured, row.quantity): row for row in self.nearest_loads}
+        for name, of_name in groupby(self.loads, key=lambda row: row.measured):
+            rows, parts = list(of_name), list[str]()
+            for row in rows:
+                words, nearest = row.quantity.replace("_", " "), best.get((name, row.quantity))
+                beside = {"estimate": row.estimated}
+                if nearest is not None:
+                    beside = {"nearest state": nearest.relative_l2, **beside}
+                also = ", ".join(f"{what} {percent(e)}" for what, e in beside.items() if e)
+                part = f"{words} by {percent(row.relative_l2)}" if row.relative_l2 else ""
+                off = f"{format_figure(row.rms_error, DIGITS)} {row.unit}"
+                noise = f"{words}: {ONLY_NOISE} in the full run, the difference is {off}"
+                parts.append(f"{part} ({also})" if part and also else part or noise)
+            whole = rows[0].vector_relative_l2
+            vector = "" if whole is None else f", as a vector by {percent(whole)}"
+            yield (
+                f"The measured force ({name}) differs over time{vector}, and by component, "
+                f"relative to its own change: {'; '.join(parts)}."
+            )
 
     def _cost(self) -> Iterator[str]:
         timing = self.timing
@@ -158,19 +210,13 @@ def _both(errors: Pair) -> str:
 def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
     """Return the answer of a comparison, None if no model ran to its end."""
     plan = workspace.case.plan
-    for model in plan.models_by_speed:
+    for model in _by_preference(workspace.case, tables):
         points = {point.label: point for point in plan.rom_points(model)}
-        compared = [
-            (error, row)
-            for row in tables.errors
-            if (row.compared, row.against) == (model.name, "full")
-            and row.parameters in points
-            and (error := row.in_field) is not None
-        ]
-        if not compared:
-            continue
-        unseen = [pair for pair in compared if pair[1].role != "trained"] or compared
-        error, worst = max(unseen, key=lambda pair: pair[0][0])
+        compared = _compared(tables, model.name)
+        judged = _judged(compared)
+        error, worst = max(judged, key=lambda pair: pair[0][0])
+        far = [pair for pair in compared if pair[1].role == "extrapolated" != worst.role]
+        beyond = max(far, key=lambda pair: pair[0][0], default=None)
         point = points[worst.parameters]
         basis, n_modes = basis_used(workspace, model, point)
         best = best_name(basis, n_modes)
@@ -178,14 +224,14 @@ def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
         own = (model.name, point.label)
         estimates = [r.figures for r in tables.estimates if (r.compared, r.parameters) == own]
         timings = [r for r in tables.timings if (r.model, r.parameters) == own]
-        forces, expected = (
-            _force_errors(tables, point.label, which) for which in ("relative_l2", "estimated")
-        )
+        loads = [
+            r for r in tables.measures if (r.quantity in LOADS) and r.parameters == point.label
+        ]
         full_seconds = timings[0].full_seconds if timings else None
         offline, training = offline_seconds(workspace, model, [point], full_seconds)
         return Answer(
             row=worst,
-            n_points=len(unseen),
+            n_points=len(judged),
             error=error,
             best=nearest[0].in_field if nearest else None,
             estimate=(estimates[0]["velocity_estimate"], estimates[0]["pressure_estimate"])
@@ -201,36 +247,72 @@ def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
                 *_doubts(workspace),
                 *(f"This run is doubtful: {t}." for t in against(workspace, model, point)),
             ),
+            outside=beyond and (len(far), beyond[1].parameters, beyond[0]),
+            unphysical=tuple(_unphysical(workspace)),
             oscillations=tuple(r for r in tables.oscillations if (r.compared, r.parameters) == own),
-            forces=tuple(
-                (name, force, forces.get((best, name)), expected.get((run, name)))
-                for (run, name), force in forces.items()
-                if run == model.name
-            ),
+            times=plan.times_in_words,
+            loads=tuple(row for row in loads if row.compared == model.name),
+            nearest_loads=tuple(row for row in loads if row.compared == best),
         )
     return None
 
 
+def _compared(tables: Tables, model: str) -> list[tuple[Pair, ErrorRow]]:
+    """Return the errors of a model with their rows, where its runs are complete."""
+    rows = (row for row in tables.errors if (row.compared, row.against) == (model, "full"))
+    return [(error, row) for row in rows if (error := row.in_field) is not None]
+
+
+def _judged(compared: Sequence[tuple[Pair, ErrorRow]]) -> list[tuple[Pair, ErrorRow]]:
+    """Return those between the training values; if none are, those outside, else all."""
+    roles = ([pair for pair in compared if pair[1].role == role] for role in ROLES)
+    return next(filter(None, roles))
+
+
+def _by_preference(case: Case, tables: Tables) -> list[ReducedModelSection]:
+    """Return the models that ran to their end, the recommended one first."""
+    errors, least = dict[str, float](), dict[bool, float]()
+    failed = {row.compared for row in tables.errors if row.status != "complete"}
+    seconds = {row.model: row.reduced_seconds for row in tables.timings}
+    models = [model for model in case.rom if _compared(tables, model.name)]
+    for model in models:
+        pairs = _judged(_compared(tables, model.name))
+        errors[model.name] = error = float(np.mean([pair[0] for pair in pairs], axis=0).max())
+        if model.name not in failed:
+            kind = model.from_operators
+            least[kind] = min(error, least.get(kind, math.inf))
+
+    def key(model: ReducedModelSection) -> tuple[bool, bool, bool, float]:
+        kind, name = model.from_operators, model.name
+        off = errors[name] > (1.0 + ALIKE) * least.get(kind, math.inf)
+        return not kind, name in failed, off, seconds.get(name) or math.inf
+
+    return sorted(models, key=key)
+
+
+def _unphysical(workspace: Workspace) -> Iterator[str]:
+    """Yield a sentence for each unphysical full run of the case."""
+    for point in workspace.case.plan.points:
+        if found := workspace.unphysical(point):
+            yield (
+                f"The full run at {point.label} is unphysical, so errors against it do not judge a "
+                f"model: {'; '.join(found)}."
+            )
+
+
 def _doubts(workspace: Workspace) -> Iterator[str]:
-    """Yield a sentence with reasons to doubt that imported runs belong to the case, if any."""
+    """Yield sentences with reasons to doubt that full runs belong to the case, if any."""
     runs = {p.label: workspace.imported(workspace.full_run(p)) for p in workspace.case.plan.points}
+    for point in workspace.case.plan.points if workspace.case.plan.strip is not None else ():
+        with workspace.open(workspace.full_run(point)) as trajectory:
+            inflow = inflow_of(workspace.case, point, trajectory)
+        if inflow is not None and inflow.problem is not None:
+            yield f"Warning: {inflow.problem}."
     said = {at: of["imported/doubts"] for at, of in runs.items() if of.get("imported/doubts")}
     if said:
         (first, *more), doubts = said, next(iter(said.values())).replace("\n", "; ")
         also = f"; so may those at {', '.join(more)}" if more else ""
         yield f"The run at {first} was imported, and may be of another flow: {doubts}{also}."
-
-
-def _force_errors(
-    tables: Tables, point: str, which: Literal["relative_l2", "estimated"]
-) -> dict[tuple[str, str], float]:
-    errors: dict[tuple[str, str], float] = {}
-    for row in tables.measures:
-        error = getattr(row, which)
-        if row.parameters == point and row.quantity in ("force_x", "force_y") and error:
-            key = (row.compared, row.measured)
-            errors[key] = math.hypot(errors.get(key, 0.0), error)
-    return errors
 
 
 def _surface_errors(tables: Tables, row: ErrorRow, best: str) -> tuple[float, float | None] | None:
@@ -247,12 +329,17 @@ def tell_answer(workspace: Workspace, tables: Tables) -> None:
     """Report the answer and the folders of tables and pictures, at the end of a command."""
     report, out = workspace.context.report, workspace.out
     if tables == Tables():
+        for sentence in _unphysical(workspace):
+            report.prose(sentence)
         report.result(
             f"The full runs are in {out}. There is no reduced model to compare with them."
         )
+        for sentence in _doubts(workspace):
+            report.prose(sentence)
         return
     answer = find_answer(workspace, tables)
-    sentences = ["No reduced model was compared over a whole run.", *_doubts(workspace)]
+    nothing = "No reduced model was compared over a whole run."
+    sentences = [*_unphysical(workspace), nothing, *_doubts(workspace)]
     for sentence in sentences if answer is None else answer.sentences():
         report.prose(sentence)
     pictures = f", pictures in {out / 'plots'}" if (out / "plots").is_dir() else ""

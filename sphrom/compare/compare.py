@@ -226,15 +226,16 @@ class _PointComparison:
         n_modes: int | None = None,
         estimates: Measured | None = None,
     ) -> None:
-        late, about = self.full.time >= self.case.compare.from_time, self._described(name, basis)
+        since, plan = self.case.compare.from_time, self.case.plan
         rows = measure_rows(
             measured,
             self.measured,
-            late,
+            self.full.time,
+            lambda each: max(since, plan.means_from.get(each, plan.settled_from)),
             estimates or {},
             with_weight=self.case.scene.has_surface,
             n_modes=n_modes,
-            **about,
+            **self._described(name, basis),
         )
         runs = self.full.time, measured, self.measured
         self.tables.oscillations.extend(oscillation_rows(self.case, *runs, name, self.point.label))

@@ -212,7 +212,11 @@ def show(report: Reporter, tables: Tables) -> None:
         ("full runs and reference solutions, means over a time window", settled),
         ("flow of each run", tables.flow),
         ("decay of the full run's kinetic energy", tables.decay),
-        ("cost of the time steps, without writing", tables.timings),
+        (
+            "cost of the time steps of repeated runs, the least of several; a first run, or one at "
+            "another point, costs more",
+            tables.timings,
+        ),
     )
     for title, rows in whole:  # with all columns of their files
         if rows:
@@ -240,6 +244,13 @@ def _norm(name: str) -> Callable[[Cells], str]:
         return MISSING if pair == (None, None) else " / ".join(map(format_figure, pair))
 
     return cell
+
+
+def _component_error(r: Cells) -> str:
+    """Return the cell of a component's error, or the reason why it has none."""
+    if r["relative_l2"] is None and r["rms_error"] is not None:
+        return f"{r['remark']}, {format_figure(r['rms_error'])} {r['unit']} off"
+    return _norm("relative_l2")(r)
 
 
 def _effectivity(quantity: str) -> Callable[[Cells], str]:
@@ -279,16 +290,19 @@ ESTIMATES: tuple[str, tuple[Column, ...]] = (
     ),
 )
 MEASURES: tuple[str, tuple[Column, ...]] = (
-    "measurements over time and along lines: relative L2 errors in % of the full run, for a "
-    "component in % of the whole force or velocity, over all times / at the worst time",
+    "measurements over time and along lines: relative L2 errors in % of each component's change in "
+    "the full run, over all times / at the worst time; vectors also in % of the vector's change",
     (
         ("measured", "measured"),
         ("quantity", lambda r: f"{r['quantity'].replace('_', ' ')} [{r['unit']}]"),
         *RUN,
+        ("from [s]", "from_time"),
         ("mean", "mean"),
         ("least", "least"),
         ("greatest", "greatest"),
-        ("error", _norm("relative_l2")),
+        ("error", _component_error),
         ("estimated", "estimated"),
+        ("vector", "vector_relative_l2"),
+        ("estimated", "vector_estimated"),
     ),
 )

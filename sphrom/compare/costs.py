@@ -41,8 +41,10 @@ class RunTiming:
     """The times of a reduced run and of the full run at its largest stable step, without spin-up.
 
     Seconds are processor time on one thread for the steps only, the least of several repeats in
-    which all runs take turns. Only such times are divided. An imported run has at most the time
-    stated at its import, from unknown threads and an unknown machine, and therefore no speed-up.
+    which all runs take turns. A run of microseconds is repeated without a break, so its data stay
+    in the processor's caches; its steps are chosen before. Only such times are divided. An imported
+    run has at most the time stated at its import, from unknown threads and an unknown machine, and
+    therefore no speed-up.
     """
 
     model: str

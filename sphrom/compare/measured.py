@@ -6,13 +6,12 @@ Further figures, such as speeds and a frequency, describe the flow of each run.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, read_record
@@ -21,15 +20,23 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.measures import (
+    DRY,
+    ONLY_NOISE,
     UNITS,
     Probes,
     Quantities,
     Samples,
     components,
     errors_of,
-    variation,
+    mean_square,
+    mean_squares,
+    parts,
+    shares,
+    since,
+    variations,
+    with_coefficients,
 )
-from sphrom.metrics.series import dominant_frequency, kinetic_energy
+from sphrom.metrics.series import NO_OSCILLATION, dominant_frequency, kinetic_energy
 from sphrom.online.basis_model import quantities_of
 from sphrom.online.fast_model import FastModel
 from sphrom.reduction.trial_basis import mean_density_fluctuation, project
@@ -41,6 +48,10 @@ SURFACE = "surface"
 """Name of the elevation of the whole surface in tables."""
 Measured = Mapping[str, Quantities]
 """Quantities (n_snapshots, ...) of measurements, by the name of the measurement."""
+
+
+Pair = tuple[float | None, float | None]
+"""Errors over all times and at the worst time [%]."""
 
 
 @dataclass(frozen=True)
@@ -61,12 +72,21 @@ class MeasureRow:
     least: float
     greatest: float
     relative_l2: float | None = field(metadata={"unit": "%"})
-    """Root mean square error over time and places, over the root mean square of the full run's
-    quantity, with both components of a force or velocity."""
+    """Root mean square error over time and places, over the root mean square of the component's own
+    change in the full run; None for a component with only noise."""
     relative_l2_peak: float | None = field(metadata={"unit": "%"})
     """The same at the worst time."""
     estimated: float | None = field(metadata={"unit": "%"})
     """The model's own estimate of `relative_l2`."""
+    from_time: float = field(metadata={"unit": "s"})
+    """The time from which the figures count."""
+    vector_relative_l2: float | None = field(metadata={"unit": "%"})
+    """The same error of the whole vector, over the change of the vector; None for scalars."""
+    vector_estimated: float | None = field(metadata={"unit": "%"})
+    rms_error: float | None
+    """Root mean square error over time and places, in `unit`."""
+    remark: str
+    """Why there is no relative error."""
 
 
 def measured_of_map(case: Case, mapped: Artifact) -> Measured:
@@ -101,81 +121,102 @@ def measured_estimates(case: Case, run: Artifact) -> Measured:
     for name in case.scene.recorded:
         stored = vars(read_record(run, MeasuredOnce, f"error_estimate/measure/{name}"))
         estimates[name] = {q: np.atleast_1d(v) for q, v in stored.items() if v is not None}
-    return estimates
+    factors = {n: f for n, f in case.plan.coefficients.items() if estimates[n]}
+    return with_coefficients(estimates, factors)
 
 
 def measure_rows(
     own: Measured,
     full: Measured,
-    selected: NDArray[np.bool_],
+    time: Array,
+    from_time: Callable[[str], float],
     estimates: Mapping[str, Any],
     *,
     with_weight: bool,
     **described: Any,
 ) -> Iterator[MeasureRow]:
-    """Yield the rows of a run beside the full run, over the `selected` snapshots (n_snapshots,).
+    """Yield the rows of a run beside the full run at times (n_snapshots,) [s].
 
-    `described` are other fields of the rows. Estimated errors are root mean squares over time
-    (...), by measurement and quantity. With `with_weight`, errors of pressures are not relative to
-    their hydrostatic part.
+    `from_time` returns the first time that counts [s], by measurement. `described` are other fields
+    of the rows. Estimated errors are root mean squares over time (...), by measurement and
+    quantity. With `with_weight`, errors of pressures are not relative to their hydrostatic part.
     """
     for measured, quantities in own.items():
+        begin = from_time(measured)
+        counted = since(time, begin)
+        pressure = quantities.get("pressure", np.ones(1)) if with_weight else np.ones(1)
+        remark = DRY if (pressure == 0.0).any() else ""
         for quantity, values in quantities.items():
-            reference = full[measured][quantity][selected]
-            square = variation(quantity, reference, with_weight=with_weight)
-            others = components(quantity, reference)
-            for component, part in components(quantity, values[selected]).items():
-                estimated = None
-                if quantity in estimates.get(measured, {}) and square > 0.0:
-                    expected = components(quantity, estimates[measured][quantity])
-                    estimated = 100.0 * math.sqrt(np.mean(expected[component] ** 2) / square)
-                errors: tuple[float | None, float | None] = (None, None)
-                if own is not full:
-                    errors = errors_of(component, part, others[component], square)
+            reference, found = full[measured][quantity][counted], values[counted]
+            sizes = variations(quantity, reference, with_weight=with_weight)
+            expected = estimates.get(measured, {}).get(quantity)
+            estimated = {} if expected is None else shares(mean_squares(quantity, expected), sizes)
+            mine, others = parts(quantity, found), parts(quantity, reference)
+            errors: dict[str, Pair] = dict.fromkeys(sizes, (None, None))
+            if own is not full:
+                errors = {n: errors_of(n, mine[n], others[n], size) for n, size in sizes.items()}
+            for component, part in components(quantity, found).items():
+                other, vector = others[component], "" if component == quantity else quantity
+                off = None if own is full else math.sqrt(mean_square(component, part - other))
                 yield MeasureRow(
                     measured=measured,
                     quantity=component,
                     unit=UNITS[quantity],
                     **described,
+                    from_time=begin,
                     mean=float(part.mean()),
                     least=float(part.min()),
                     greatest=float(part.max()),
-                    relative_l2=errors[0],
-                    relative_l2_peak=errors[1],
-                    estimated=estimated,
+                    relative_l2=errors[component][0],
+                    relative_l2_peak=errors[component][1],
+                    estimated=estimated.get(component),
+                    vector_relative_l2=errors[vector][0] if vector else None,
+                    vector_estimated=estimated.get(vector),
+                    rms_error=off,
+                    remark=remark if sizes[component] > 0.0 else ONLY_NOISE,
                 )
 
 
 @dataclass(frozen=True, kw_only=True)
 class OscillationRow:
-    """The oscillation of a history in one run; figures are None without an oscillation."""
+    """The oscillation of a history in one run; most figures are None without an oscillation."""
 
     measured: str
     unit: str
     """Unit of amplitude and mean."""
     compared: str
     parameters: str
+    from_time: float = field(metadata={"unit": "s"})
+    """The time from which the history counts."""
     frequency: float | None = field(default=None, metadata={"unit": "Hz"})
     frequency_scatter: float | None = field(default=None, metadata={"unit": "Hz"})
     frequency_error: float | None = field(default=None, metadata={"unit": "%"})
-    amplitude: float
+    amplitude: float | None = None
     amplitude_scatter: float | None = None
     amplitude_error: float | None = field(default=None, metadata={"unit": "%"})
     phase_error: float | None = field(default=None, metadata={"unit": "deg"})
     """Phase error at the end, positive if the run is ahead."""
-    mean: float
+    mean: float | None = None
+    remark: str = ""
+    """Why there is no frequency and no amplitude."""
 
 
 def oscillation_rows(
     case: Case, time: Array, own: Measured, full: Measured, compared: str, parameters: str
 ) -> Iterator[OscillationRow]:
     """Yield the rows of a run beside the full run, which has no errors."""
-    for name, each in case.scene.oscillations.items():
+    for name, each in case.plan.oscillations.items():
         if each.measure in own:  # mapped snapshots have no forces
             reference = None if own is full else full[each.measure]
             figures: dict[str, Any] = each.of(time, own[each.measure], reference)
+            figures["remark"] = "" if "frequency" in figures else NO_OSCILLATION
             yield OscillationRow(
-                measured=name, unit=each.units, compared=compared, parameters=parameters, **figures
+                measured=name,
+                unit=each.units,
+                compared=compared,
+                parameters=parameters,
+                from_time=each.from_time,
+                **figures,
             )
 
 
@@ -226,21 +267,24 @@ def flow_row(
         fastest, energy = np.hypot(*velocity.T).max(), kinetic_energy(velocity, run.mass)
         figures.append((fastest, energy, pressure.mean(), pressure.std()))
     speed, energies, mean_pressure, deviations = np.stack(figures, axis=1)
+    counted = since(run.time, case.plan.settled_from)
+    if not counted.any():  # an unstable run ended before
+        counted[:] = True
     drift = float(np.abs(mean_pressure - mean_pressure[0]).max())
     deviation = float(deviations[len(deviations) // 2 :].mean())
     frequency = None
     if len(probes.stations):
         crosswise = samples.velocity[:, probes.at_stations][:, 0, 1]
         with suppress(ValueError):
-            frequency = dominant_frequency(samples.time, crosswise)
+            frequency = dominant_frequency(samples.time[counted], crosswise[counted])
     return FlowRow(
         run=name,
         parameters=point.label,
-        from_time=float(run.time[0]),
+        from_time=float(run.time[counted][0]),
         to_time=float(run.time[-1]),
-        largest_speed=float(speed.mean()),
-        kinetic_energy=float(energies.mean()),
-        bulk_velocity=_bulk_velocity(case, samples, probes),
+        largest_speed=float(speed[counted].mean()),
+        kinetic_energy=float(energies[counted].mean()),
+        bulk_velocity=_bulk_velocity(case, samples.at(np.flatnonzero(counted)), probes),
         mean_pressure_drift=drift,
         pressure_deviation=deviation,
         pressure_drift_ratio=drift / deviation if deviation > 0.0 else None,

@@ -319,21 +319,29 @@ def _write(
                 "field with --density or --pressure"
             )
         writer.finish(None, about.seconds)
-        doubts = list(_doubts(workspace, point, model, kept, begin))
+        # Interpolation is too inexact for a change over one interval.
+        used = all(len(choices[index][1]) == 1 for index in (begin, min(begin + 1, last)))
+        early = begin + 1 if used else last
+        doubts = list(_doubts(workspace, point, model, kept, begin, early))
         for doubt in doubts:
             workspace.context.report.warn(f"{point.label}: {doubt}")
         artifact.annotate("imported/doubts", "\n".join(doubts))
 
 
 def _doubts(
-    workspace: Workspace, point: ParameterPoint, model: Functional, kept: Kept, begin: int
+    workspace: Workspace,
+    point: ParameterPoint,
+    model: Functional,
+    kept: Kept,
+    begin: int,
+    early: int,
 ) -> Iterator[str]:
     """Yield reasons to doubt that an imported run belongs to the case, from some of its snapshots.
 
     The first snapshot is compared with the initial conditions of the scene. Then the case's own
     full model runs from snapshot `begin` to the last one. It reproduces its own runs exactly, and
-    runs of other schemes within their errors. Wrong walls are clearest in the change over the first
-    interval, a wrong viscosity in the difference at the end.
+    runs of other schemes within their errors. Wrong walls are clearest in the change until
+    snapshot `early`, a wrong viscosity in the difference at the end.
     """
     case, plan, report = workspace.case, workspace.case.plan, workspace.context.report
     first, (time, state), last, every = kept[0][1], kept[begin], max(kept), plan.steps.every
@@ -358,7 +366,7 @@ def _doubts(
     try:
         with report.progress(f"{name}, {point.label}", steps.n_steps) as advance:
             for step, full in march(model, begins, steps, density, Clock(), advance):
-                if (index := begin + step // every) in (begin + 1, last):
+                if (index := begin + step // every) in (early, last):
                     both = model.snapshot(full), kept[index][1]
                     own[index] = apart(
                         *(to(s.position.T, s.density_fluctuation, s.velocity.T)[1] for s in both)
@@ -367,7 +375,8 @@ def _doubts(
         yield f"from t = {time:.4g} s on, {name} can't follow the files: {error}"
         return
     most = max(MODEL_OFF, PER_SPACING * plan.particle_spacing / case.scene.length_scale)
-    departed, added = own[last][0], own[begin + 1][1] * crossing / plan.steps.snapshot_interval
+    departed, seconds = own[last][0], (early - begin) * plan.steps.snapshot_interval
+    added = own[early][1] * crossing / seconds
     walls = "scene.lid, " * hasattr(case.scene, "lid") or "walls, " * case.scene.domain.has_walls
     if max(departed, abs(added)) > most:
         yield (
@@ -425,6 +434,11 @@ def fitted_case(
         f"time.step={float(f'{apart / every:.12g}')!r}",
         f"snapshots.every={every}",
     ]
+    try:
+        load_case(source, [*overrides, *keys])
+    except CaseError as error:  # the user gave none of these keys
+        reason = re.sub(r"^because of --set [^:]*: ", "", str(error))
+        raise CaseError(f"fitted to {series(sources)}, the case is invalid: {reason}") from error
     text = dump_yaml(given_keys(source, [*overrides, *keys], into))
     return f"# {source.name}, fitted to {files[0].name} and others.\n{text}", keys
 

@@ -12,13 +12,23 @@ import typer
 from sphrom.errors import CaseError
 
 UNITS: Mapping[str, Mapping[str, float]] = {
-    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "km": 1e3},
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0},
-    "velocity": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3},
-    "density": {"kg/m3": 1.0, "g/cm3": 1e3, "kg/mm3": 1e9},
-    "pressure": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "mbar": 1e2, "bar": 1e5},
-}
-"""Values of units in SI units, by quantity."""
+    "length": {"m": 1.0, "dm": 0.1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "km": 1e3},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0},
+    "velocity": {
+        "m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "um/s": 1e-6, "km/h": 1.0 / 3.6, "km/s": 1e3,
+        "mm/ms": 1.0, "cm/ms": 10.0, "m/ms": 1e3, "mm/us": 1e3, "um/us": 1.0, "um/ms": 1e-3,
+    },
+    "density": {
+        "kg/m3": 1.0, "g/cm3": 1e3, "g/mm3": 1e6, "kg/mm3": 1e9, "t/m3": 1e3, "t/mm3": 1e12,
+        "kg/l": 1e3, "g/l": 1.0, "g/m3": 1e-3,
+    },
+    "pressure": {
+        "Pa": 1.0, "hPa": 1e2, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9, "mbar": 1e2, "bar": 1e5,
+    },
+}  # fmt: skip
+"""Values of units in SI units, by quantity; if two are equal, messages name the first."""
+LARGEST = 1e12
+"""Largest number of an option, and largest value of a unit in SI units, or of its inverse."""
 
 
 def _option(metavar: str | None, text: str) -> object:
@@ -65,8 +75,12 @@ class ImportOptions:
         if self.zero_mean_pressure and self.pressure is None:
             raise CaseError("--zero-mean-pressure: needs --pressure")
         for name, value in {"--time-step": self.time_step, "--seconds": self.seconds}.items():
-            if value is not None and not 0.0 < value < math.inf:
-                raise CaseError(f"{name}: must be a finite number above zero; got {value:g}")
+            if value is not None and not 0.0 < value <= LARGEST:
+                raise CaseError(
+                    f"{name}: must be a number above zero, up to {LARGEST:g}; got {value:g}"
+                )
+        if not abs(self.start) <= LARGEST:
+            raise CaseError(f"--start: must be a number up to {LARGEST:g}; got {self.start:g}")
 
     @property
     def words(self) -> list[str]:
@@ -86,9 +100,12 @@ class ImportOptions:
                 scales[quantity] = units[unit] if unit in units else float(unit)
             except (KeyError, ValueError):
                 scales[quantity] = math.nan
-            if not 0.0 < scales[quantity] < math.inf:
+            if not 1.0 / LARGEST <= scales[quantity] <= LARGEST:
                 allowed = "; ".join(f"{name}={', '.join(units)}" for name, units in UNITS.items())
-                raise CaseError(f"--units: must be a number, or one of {allowed}; got {part!r}")
+                raise CaseError(
+                    f"--units: must be a number from {1.0 / LARGEST:g} to {LARGEST:g}, or one "
+                    f"of {allowed}; got {part!r}"
+                )
         return scales
 
     def fitting(self, quantity: str, factor: float) -> str:
@@ -111,6 +128,10 @@ def place(option: str, text: str) -> tuple[float, float]:
     """Return the coordinates in an option. Raises CaseError unless they are two numbers."""
     try:
         x, y = map(float, text.split(","))
+        if not (abs(x) <= LARGEST and abs(y) <= LARGEST):  # also refuses NaN
+            raise ValueError("is no place")
     except ValueError as error:
-        raise CaseError(f"--{option}: must be like 0.5,0.5; got {text!r}") from error
+        raise CaseError(
+            f"--{option}: must be two numbers up to {LARGEST:g}, like 0.5,0.5; got {text!r}"
+        ) from error
     return x, y

@@ -6,12 +6,14 @@ import math
 import os
 import re
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from sphrom.arguments import checked
 from sphrom.arrays import Array
 from sphrom.artifacts import write_record
 from sphrom.artifacts.records import fit as records
@@ -40,13 +42,14 @@ from sphrom.metrics.estimation import (
     uncertainty,
     undetermined_shares,
 )
+from sphrom.metrics.series import NO_OSCILLATION
 from sphrom.online.fast_model import FastModel, fast_model
 from sphrom.online.surface_model import SurfaceModel
-from sphrom.plots.panels import Curve, Panel, draw_grid, save
+from sphrom.plots.panels import FORMATS, Curve, Panel, draw_grid, save
 from sphrom.plots.tables import format_figure, write_csv
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
-from sphrom.text import counted, exact, quoted
+from sphrom.text import counted, exact, nearest, quoted
 
 VISCOSITY = "kinematic_viscosity"
 UNITS = {VISCOSITY: "m2/s", "reynolds": "-"}
@@ -114,8 +117,12 @@ class Fit(records.Fit):
         return tuple(Estimate(*row) for row in rows)
 
     def __getitem__(self, parameter: str) -> Estimate:
-        """Return the estimate of a parameter."""
-        return {estimate.parameter: estimate for estimate in self.estimates}[parameter]
+        """Return the estimate of a parameter. Raises CaseError if there is none."""
+        known = {estimate.parameter: estimate for estimate in self.estimates}
+        if not isinstance(parameter, str) or parameter not in known:
+            hint = nearest(str(parameter), known)
+            raise CaseError(f"{quoted(parameter)}: is not estimated; {hint}")
+        return known[parameter]
 
     @property
     def histories(self) -> tuple[FittedHistory, ...]:
@@ -127,13 +134,16 @@ class Fit(records.Fit):
         """Warnings about the estimates and their intervals."""
         return tuple(self.warnings.splitlines())
 
+    @checked
     def draw(self, path: str | os.PathLike[str], place: int = 0) -> None:
         """Draw data, fit and interval of every history into a .png or .svg file.
 
         `place` is the index of the model in the case, which determines its colour.
 
-        Raises ArtifactError when the file can't be written.
+        Raises CaseError for another kind of file, ArtifactError when it can't be written.
         """
+        if Path(path).suffix.lower() not in FORMATS:
+            raise CaseError(f"path: must end in {' or '.join(FORMATS)}; got {quoted(str(path))}")
         panels = []
         for each in self.histories[:MOST_SHOWN]:
             ends = np.stack([each.curve - each.half_width, each.curve + each.half_width])
@@ -153,7 +163,7 @@ class Fit(records.Fit):
 
 def run(
     context: StageContext,
-    measurements: str | os.PathLike[str] | None = None,
+    measurements: str | os.PathLike[str] | Mapping[str, ArrayLike] | None = None,
     noise: str | float | None = None,
     name: str | None = None,
 ) -> None:
@@ -161,7 +171,7 @@ def run(
 
     Parameters
     ----------
-    measurements : a CSV file, see `sphrom.fit.measurements`.
+    measurements : a CSV file or its columns by name, see `sphrom.fit.measurements`.
     noise : standard deviation over each history's range, such as `1%`; by default the case's.
     name : name of the results; by default that of the measurements.
 
@@ -176,14 +186,15 @@ def run(
     if model is None:
         raise CaseError("fit.model: no reduced model has evaluation: operators; add one to rom")
     share = case.fit.noise if noise is None else studies.percent(noise, "--noise")
-    data = read_measurements(Path(measurements), case, case.plan.model_steps(model), share)
+    source = Path(measurements) if isinstance(measurements, str | os.PathLike) else measurements
+    data = read_measurements(source, case, case.plan.model_steps(model), share)
     name = name or Path(data.source).stem
     if not re.fullmatch(NAME_PATTERN, name):
         raise CaseError(f"{quoted(name)} is not a valid name for files; give one with --name")
     target = workspace.fit(name, data.digest, share)
     must_make = workspace.must_make(target)
     workspace.require(workspace.operators())
-    box = box_of(studies.fit_ranges(case, model), studies.fit_values(case))
+    box = box_of(studies.fit_ranges(case, model), studies.fit_values(case, model))
     fitted = fit(fast_model(workspace, model), box, data, {})
     if must_make:
         with workspace.create(target) as artifact:
@@ -265,7 +276,7 @@ def fit(
     weights = Weights(measurements.noise, np.zeros((0, len(values))))
     first = minima(model, values, weights, starts)
     if not first:
-        still = ", or does not oscillate," * bool(case.scene.oscillations)
+        still = f", or has {NO_OSCILLATION}," * bool(case.plan.oscillations)
         raise UnstableError(f"{fast.section.name} is unstable{still} at all starts of the search")
     start = first[0].place
     samples, refined = error_samples(model, start, known), first

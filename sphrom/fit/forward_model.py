@@ -57,7 +57,7 @@ def box_of(ranges: Ranges, values: Mapping[str, float]) -> Box:
             "so it has no range; give its value, or a range"
         )
     if not ranges:
-        raise CaseError("fit.parameters: fixes all parameters; leave at least one free")
+        raise CaseError("fit.parameters: fixes all parameters; give at least one a range")
     return Box(ranges, values)
 
 
@@ -151,7 +151,7 @@ class FittedModel:
         except UnstableError:
             return None
         measured = quantities_of(self._case, reduced, reduced.output_times.time, run.run)
-        oscillations, slopes = self._case.scene.oscillations, []
+        oscillations, slopes = self._case.plan.oscillations, []
         histories = self.stacked(measured | oscillations.of(run.time, measured))
         for k, name in enumerate(run.parameters):
             changes, step = items(run.measured, k), STEP * (abs(point.as_dict()[name]) or 1.0)
@@ -213,7 +213,7 @@ class FittedSurface(FittedModel):
         run = self.fast.run(self.point(place))
         if run.failure is not None:
             return None
-        measured = run.measured | self._case.scene.oscillations.of(run.time, run.measured)
+        measured = run.measured | self._case.plan.oscillations.of(run.time, run.measured)
         if self._places:
             samples = run.sampled(np.array(list(self._places)))
             measured[UNNAMED] = {"velocity": samples.velocity, "pressure": samples.pressure}
@@ -273,12 +273,11 @@ def _differences(model: FittedModel, name: str) -> tuple[Array, Array]:
     """
     workspace, trained = model.fast.workspace, model.fast.on_basis(name)
     points, compared = trained.points, compared_snapshots(workspace.case.plan.steps.n_snapshots)
-    differences, sizes, oscillations = [], [], workspace.case.scene.oscillations
+    differences, sizes, oscillations = [], [], workspace.case.plan.oscillations
     if (errors := trained.errors) is None or (known := errors.held_out) is None:
         return np.zeros(0), np.zeros(0)
-    whole = {name: each.quantities for name, each in errors.differences.items()}
     for row, (k, reduced, own) in enumerate(trained.held_out()):
-        change, time = items(whole, row), reduced.output_times.time
+        change, time = items(trained.differences, row), reduced.output_times.time
         predicted = quantities_of(workspace.case, reduced, time, own)
         full = oscillations.of(time, combined(predicted, change, 1.0))
         change = items(change | combined(full, oscillations.of(time, predicted), -1.0), compared)

@@ -8,7 +8,8 @@ Except for `time`, the name of a column consists of the measurement in the case,
 its component, if any. In a table with columns `x` and `y`, the columns velocity_x, velocity_y and
 pressure are values at that place and time, as in tables of `sphrom export --to csv`. Units, in
 brackets, are optional. Columns whose names end in `_noise` have standard deviations. Empty cells
-and NaN are missing values, lines that begin with # are comments, and other cells are numbers.
+and NaN are missing values, lines that begin with # are comments, and other cells are numbers. With
+semicolons or tabs between cells, numbers may have decimal commas (`sphrom.text.table_rows`).
 """
 
 from __future__ import annotations
@@ -20,7 +21,6 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +34,7 @@ from sphrom.case.plan import TimeSteps
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import PLACED, Column
 from sphrom.metrics.series import OSCILLATION
-from sphrom.text import nearest, quoted, repeated, shortened, visible
+from sphrom.text import nearest, quoted, repeated, shortened, table_rows, visible
 from sphrom.whole_files import read_whole
 
 Place = tuple[float, float]
@@ -138,7 +138,10 @@ def _text(source: Source) -> tuple[str, str]:
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or str(error)
             raise CaseError(f"{visible(str(source))}: can't be read: {reason}") from error
-    columns = {str(name): np.atleast_1d(values) for name, values in source.items()}
+    try:
+        columns = {str(name): np.atleast_1d(values) for name, values in source.items()}
+    except ValueError as error:
+        raise CaseError(f"measurements: columns must be lists of numbers; {error}") from error
     if len({values.shape for values in columns.values()}) > 1:
         raise CaseError("measurements: columns must have equal lengths")
     rows = io.StringIO()
@@ -155,23 +158,15 @@ Key = tuple[str, Column, Place | None]
 
 def _entries(text: str, case: Case) -> dict[Key, list[Entry]]:
     """Return the entries of each history of a table."""
-    lines = text.splitlines()
-    if len(lines) > MOST_LINES:
-        raise ValueError(f"has {len(lines)} lines; at most {MOST_LINES} are allowed")
-    (_, head), *rows = [
-        (k, row)
-        for k, line in enumerate(lines, 1)
-        if line.strip() and not line.lstrip().startswith("#")
-        for row in csv.reader([line])
-    ] or [(0, [])]
+    if (n_lines := len(text.splitlines())) > MOST_LINES:
+        raise ValueError(f"has {n_lines} lines; at most {MOST_LINES} are allowed")
+    (_, head), *rows = table_rows(text) or [(0, [])]
     names = list(_names(head, case))
     columns = {n: column_of(case, n) for n in names if n not in AXES and not n.endswith(NOISE)}
     entries: dict[Key, list[Entry]] = {}
     for line, row in rows:
-        if len(row) > len(names):
-            raise ValueError(f"line {line}: has {len(row)} cells for {len(names)} columns")
-        each = zip_longest(names, row, fillvalue="")
-        cells = {name: _number(cell.strip(), name, line) for name, cell in each}
+        each = zip(names, row, strict=True)
+        cells = {name: _number(cell, name, line) for name, cell in each}
         for name, column in columns.items():
             if math.isnan(value := cells[name]):
                 continue
@@ -218,7 +213,7 @@ def _name_and_unit(cell: str) -> tuple[str, str | None]:
 def column_of(case: Case, name: str) -> Column:
     """Return the column with a name. Raises ValueError if the case has no such measurement."""
     known = AT_PLACE | case.scene.columns
-    for measured, each in case.scene.oscillations.items():
+    for measured, each in case.plan.oscillations.items():
         known |= {
             f"{measured}_{f}": Column(measured, f, None, each.units_of(f)) for f in OSCILLATION[:3]
         }

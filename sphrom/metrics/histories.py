@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.arrays import Array
-from sphrom.metrics.measures import Probes, Samples
+from sphrom.metrics.measures import Probes, Samples, since
 from sphrom.metrics.series import hat, moving_average
 
 QUANTITIES = ("velocity", "pressure")
@@ -31,8 +31,6 @@ PLACES = ("velocity_field", "velocity_line", "pressure_field", "pressure_line")
 """Quantities with the points of their comparison."""
 EQ41 = ("eq41_by_line_range", "eq41_by_field_range")
 """Eq. 4.1 by its range."""
-TIME_TOLERANCE = 1e-9
-"""Times that differ by less than this are equal [s]."""
 RANGE_TOLERANCE = 8.0 * float(np.finfo(np.float64).eps)
 """A range below this share of the largest value is rounding and counts as zero."""
 
@@ -138,7 +136,7 @@ def compare(
     """
     common = slice(min(len(run.time), len(reference.time)))
     run, reference = run.at(common), reference.at(common)
-    meaningful = reference.time >= from_time - TIME_TOLERANCE
+    meaningful = since(reference.time, from_time)
     for values in (reference.speed, reference.pressure):
         meaningful &= _varies(values, probes)
     kept = np.flatnonzero(meaningful)
@@ -291,13 +289,13 @@ def effectivity(
     ]
     errors = np.stack([_rms(found - expected) for found, expected in fields], axis=1)
     sizes = np.stack([_rms(expected) for _, expected in fields], axis=1)
-    since, later = (reference.time >= t - TIME_TOLERANCE for t in (start, max(start, late)))
+    counted, later = (since(reference.time, t) for t in (start, max(start, late)))
     later &= (errors > 0.0).all(axis=1)
     if not later.any():
         return None
     figures: list[float] = []
     for each in zip(estimates.T, errors.T, sizes.T, strict=True):
-        estimate, error, size = (float(np.linalg.norm(values[since])) for values in each)
+        estimate, error, size = (float(np.linalg.norm(values[counted])) for values in each)
         ratio = each[0][later] / each[1][later]
         figures += 100.0 / size * estimate, 100.0 / size * error
         figures += float(ratio.mean()), float(ratio.min()), float(ratio.max())

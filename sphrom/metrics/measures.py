@@ -28,19 +28,24 @@ Quantities = Mapping[str, Array]
 UNITS = {
     "force": "N/m", "torque": "N", "flow_rate": "m2/s", "velocity": "m/s", "pressure": "Pa",
     "elevation": "m", "centre_of_mass": "m", "kinetic_energy": "J/m", "potential_energy": "J/m",
+    "coefficient": "1",
 }  # fmt: skip
-VECTORS = ("force", "velocity", "centre_of_mass")
+COEFFICIENT = "coefficient"
+"""The quantity that follows from a force and its scales, and is not recorded."""
+VECTORS = ("force", "velocity", "centre_of_mass", COEFFICIENT)
 """Quantities with an axis of components, the last."""
 TORQUE = 2
 """The row of the torque, after the components of the force."""
 AXES = ("x", "y")
 """Names of components."""
-WITH_WEIGHT = ("pressure", "force", "torque")
+WITH_WEIGHT = ("pressure", "force", "torque", COEFFICIENT)
 """Quantities that hold the weight of fluid with a free surface."""
 ABOUT_MEAN = ("elevation", "centre_of_mass")
 """Quantities whose errors are relative to how they vary over time."""
 PLACED = ("velocity", "pressure")
 """Quantities with an axis of places."""
+TIME_TOLERANCE = 1e-9
+"""Times that differ by less than this are equal [s]."""
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(3)
 """The Gauss rule on each piece of a section."""
 
@@ -120,7 +125,7 @@ class Oscillating(Column):
 
         Its errors are included if a full run is given.
         """
-        late, signals = time >= self.from_time, list[Array]()
+        late, signals = since(time, self.from_time), list[Array]()
         for values in (run[self.quantity] for run in (own, full) if run is not None):
             one = values if self.component is None else values[..., self.component]
             signals.append(one.reshape(len(time))[late])
@@ -139,6 +144,21 @@ class Oscillations(dict[str, Oscillating]):
         return figures
 
 
+def since(time: Array, from_time: float) -> Mask:
+    """Return whether times (n_snapshots,) [s] count from a time on."""
+    return time >= from_time - TIME_TOLERANCE
+
+
+def with_coefficients(
+    measured: Mapping[str, Quantities], factors: Mapping[str, float]
+) -> dict[str, Quantities]:
+    """Return measurements with coefficients of forces, by factors [m/N] of some measurements."""
+    return {
+        name: {**each, COEFFICIENT: factors[name] * each["force"]} if name in factors else each
+        for name, each in measured.items()
+    }
+
+
 def combined(
     measured: Mapping[str, Quantities], others: Mapping[str, Quantities], factor: float
 ) -> dict[str, Quantities]:
@@ -153,6 +173,11 @@ def components(quantity: str, values: Array) -> dict[str, Array]:
     """Return the components of values (n_snapshots, ...), by name."""
     each = np.moveaxis(values, -1, 0) if quantity in VECTORS else (values,)
     return dict(zip(component_names(quantity), each, strict=True))
+
+
+def parts(quantity: str, values: Array) -> dict[str, Array]:
+    """Return values (n_snapshots, ...) of a quantity and of its components, by name."""
+    return {quantity: values} | components(quantity, values)
 
 
 def items(measured: Mapping[str, Quantities], index: int | Indices) -> dict[str, Quantities]:
@@ -176,17 +201,29 @@ STATISTICS = ("last", "mean", "fluctuation", "least", "greatest")
 """Statistics of a time series; the fluctuation is the root mean square about the mean."""
 
 
-def statistics(quantities: Quantities) -> dict[str, Array]:
+def statistics(quantities: Quantities, counted: Mask) -> dict[str, Array]:
     """Return the statistics (n_runs,) of series (n_runs, n_snapshots[, 2]), such as `torque_mean`.
 
+    Only the `counted` snapshots (n_snapshots,) enter; without any, there is only the last value.
     Lines have no statistics.
     """
     named: dict[str, Array] = {}
     for quantity, values in quantities.items():
-        for name, series in components(quantity, values).items() if quantity in UNITS else ():
-            each = [series[:, -1], series.mean(1), series.std(1), series.min(1), series.max(1)]
-            named |= {f"{name}_{s}": v for s, v in zip(STATISTICS, each, strict=True)}
+        for name, whole in components(quantity, values).items() if quantity in UNITS else ():
+            named[f"{name}_last"], series = whole[:, -1], whole[:, counted]
+            if counted.any():
+                each = [series.mean(1), series.std(1), series.min(1), series.max(1)]
+                named |= {f"{name}_{s}": v for s, v in zip(STATISTICS[1:], each, strict=True)}
     return named
+
+
+SECOND_DIFFERENCE = 6.0
+"""Mean square of the second differences of uncorrelated noise, over that of the noise."""
+NOISY, NEGLIGIBLE = 0.25, 0.005
+"""Least share of noise in the mean square of a component with nothing but noise; largest share of
+a negligible component in the root mean square of its vector."""
+ONLY_NOISE, DRY = "only noise", "zero above the surface at times"
+"""Remarks on a component without relative errors, and on a probe that fluid leaves."""
 
 
 def mean_square(quantity: str, values: Array) -> float:
@@ -195,16 +232,38 @@ def mean_square(quantity: str, values: Array) -> float:
     return float(squares.mean())
 
 
-def variation(quantity: str, values: Array, *, with_weight: bool = False) -> float:
-    """Return the mean square of reference values (n_snapshots, ...), by which errors are divided.
+def mean_squares(quantity: str, values: Array) -> dict[str, float]:
+    """Return the mean squares of values (n_snapshots, ...) and of their components, by name."""
+    squares = {name: mean_square(name, each) for name, each in components(quantity, values).items()}
+    return {quantity: sum(squares.values())} | squares
 
-    The mean over time is first subtracted from elevations, centres of mass, and from pressures and
-    loads that hold the weight of fluid. Otherwise a distant origin or deep fluid would make
-    relative errors small.
+
+def variations(quantity: str, values: Array, *, with_weight: bool = False) -> dict[str, float]:
+    """Return the mean squares of reference values (n_snapshots, ...), by which errors are divided.
+
+    They are those of a vector, by the name of the quantity, and of each component. The mean over
+    time is first subtracted from elevations, centres of mass, and from pressures and loads that
+    hold the weight of fluid. Otherwise a distant origin or deep fluid would make relative errors
+    small. The mean square is zero if a component has only noise: a large part of it changes from
+    snapshot to snapshot, or it is negligible beside the vector. So is that of a vector of noise.
     """
     if quantity in ABOUT_MEAN or (with_weight and quantity in WITH_WEIGHT):
         values = values - values.mean(axis=0)
-    return mean_square(quantity, values)
+    sizes = mean_squares(quantity, values)
+    whole = sizes[quantity]
+    for name, each in components(quantity, values).items():
+        noise = mean_square(name, np.diff(each, 2, axis=0)) if len(each) > 2 else 0.0
+        noisy = noise >= SECOND_DIFFERENCE * NOISY * sizes[name]
+        if noisy or sizes[name] <= NEGLIGIBLE**2 * whole:
+            sizes[name] = 0.0
+    sizes[quantity] *= any(sizes[name] > 0.0 for name in component_names(quantity))
+    return sizes
+
+
+def shares(squares: Mapping[str, float], sizes: Mapping[str, float]) -> dict[str, float | None]:
+    """Return errors over sizes [%] from their mean squares by name; None where the size is zero."""
+    pairs = {name: (square, sizes[name]) for name, square in squares.items()}
+    return {n: 100.0 * math.sqrt(a / b) if b > 0.0 else None for n, (a, b) in pairs.items()}
 
 
 def errors_of(

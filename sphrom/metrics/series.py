@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from contextlib import suppress
+from itertools import product
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -22,6 +25,11 @@ PER_PERIOD = 64
 """Samples per period of a demodulated oscillation."""
 MOST_CORRECTIONS, CONVERGED = 30, 1e-13
 """Largest number of corrections of a frequency, and relative size of the last one."""
+NO_OSCILLATION = "fewer than three periods of an oscillation"
+"""Why a record has no frequency and no amplitude."""
+AT_REST, SETTLED, LEAST_SETTLED = 0.05, 1e-3, 0.1
+"""Of a driving that grows from zero: its first value and its deviation when it is settled, over the
+final value, and the least share of the time in which it is settled."""
 UNIFORM_TOLERANCE = 1e-3
 """Largest relative difference between the intervals of a record."""
 
@@ -102,7 +110,7 @@ def oscillation(time: Array, signal: Array) -> dict[str, float]:
     The frequency is the one at which the phase of the demodulated signal has no trend. The
     amplitude is half the peak to peak of the fundamental, and the mean is over whole periods.
     Scatters are standard deviations over the record, with frequencies of single periods. A signal
-    without three periods has only an amplitude of zero and a mean, one without samples no figures.
+    without three periods has only a mean, and one without samples has no figures.
     """
     with suppress(ValueError):
         most, frequency = 0.5 / _interval(time, signal), 0.0
@@ -121,7 +129,21 @@ def oscillation(time: Array, signal: Array) -> dict[str, float]:
         if len(rates):
             found = frequency, size.mean(), mean.mean(), rates.std(), size.std()
             return dict(zip(OSCILLATION, map(float, found), strict=True))
-    return {"amplitude": 0.0, "mean": float(signal.mean())} if len(signal) else {}
+    return {"mean": float(signal.mean())} if len(signal) else {}
+
+
+def settled_from(time: Array, driving: Array) -> float:
+    """Return the time at which a driving (n_components, n_times) reaches its final value [s].
+
+    It is zero unless the driving grows from zero and then keeps its value for long enough.
+    """
+    first, final = driving[:, 0], driving[:, -1]
+    size = float(np.linalg.norm(final))
+    near = np.linalg.norm(driving - final[:, None], axis=0) <= SETTLED * size
+    last = int(np.flatnonzero(~near).max(initial=0))
+    grows = float(np.linalg.norm(first)) <= AT_REST * size
+    settles = last < (1.0 - LEAST_SETTLED) * len(time)
+    return float(time[last + 1]) if size > 0.0 and grows and settles else 0.0
 
 
 def demodulated(
@@ -180,3 +202,100 @@ def _slope(abscissa: Array, ordinate: Array) -> float:
         raise ValueError("a slope needs two different points or more, and as many values")
     centred = abscissa - abscissa.mean()
     return float(centred @ (ordinate - ordinate.mean()) / (centred @ centred))
+
+
+N_RECORDS, N_IN_RECORD, N_SCALES = 64, 256, 36
+"""Records of a signal at each scale, their samples, and the scales, each half of the one before."""
+FEWEST_TURNS, MOST_TURNS = 8, 64
+"""Turns of a record that show an oscillation: four periods at least, and eight samples a period."""
+LEAST_CHANGE = 0.01
+"""Smallest change between samples that counts, over the largest absolute value of the signal."""
+STENCIL, N_HALVINGS = (-1.0, -0.5, 0.0, 0.5, 1.0), 40
+"""Places that the search for a peak compares, and the number of halvings of their distance."""
+POLE = 1e4
+"""Growth of a peak, from samples to the end of that search, that only a pole has."""
+N_PEAKS = 256
+"""Largest number of peaks that are searched."""
+
+
+def shortest_period(signal: Callable[[Array], Array], end: float) -> float:
+    """Return the shortest period [s] of a signal between zero and a time [s]; infinite without one.
+
+    Samples at one distance can't tell an oscillation from a slower one. Therefore short records
+    are compared at many distances between samples, down to 1e-13 of the whole time: an oscillation
+    turns many times in records of a few of its periods. A jump, a ramp or a pulse turns at most
+    once or twice. Periods above a quarter of the whole time are not found.
+
+    Parameters
+    ----------
+    signal : returns values (n_times,) or (n_components, n_times) at times [s].
+    """
+    apart = end / (N_IN_RECORD - 1) * 0.5 ** np.arange(N_SCALES)
+    # Random, because starts at equal distances could see bursts that repeat as nothing.
+    shares = (np.arange(N_RECORDS) + np.random.default_rng(0).random(N_RECORDS)) / N_RECORDS
+    shares[0] = 0.0  # where bursts are likely
+    starts = shares * (end - (N_IN_RECORD - 1) * apart[:, None])
+    times = starts[..., None] + apart[:, None, None] * np.arange(N_IN_RECORD)
+    values = np.atleast_2d(np.nan_to_num(signal(times.ravel()), posinf=0.0, neginf=0.0))
+    shortest = math.inf
+    for component in values:
+        changes = np.diff(component.reshape(-1, N_IN_RECORD))
+        row, column = np.nonzero(np.abs(changes) > LEAST_CHANGE * np.abs(component).max())
+        rising = changes[row, column] > 0.0
+        turns = np.flatnonzero((row[1:] == row[:-1]) & (rising[1:] != rising[:-1])) + 1
+        record, first, number = np.unique(row[turns], return_index=True, return_counts=True)
+        last = column[turns[first + number - 1]] - column[turns[first]]
+        found = (number >= FEWEST_TURNS) & (number <= MOST_TURNS)
+        periods = 2.0 * apart[record // N_RECORDS] * last / np.maximum(number - 1, 1)
+        shortest = min(shortest, float(periods[found].min(initial=math.inf)))
+    return shortest
+
+
+def sharpened(
+    function: Callable[[Array], Array], place: Array, width: Array
+) -> tuple[Array, Array]:
+    """Return the highest values (n_peaks,) of peaks beside places, and where these values are.
+
+    Parameters
+    ----------
+    function : returns values (n_places,) at places (n_dim, n_places).
+    place : (n_dim, n_peaks) samples with larger values than their neighbours.
+    width : (n_dim,) distances of these neighbours.
+    """
+    stencil = np.array(list(product(STENCIL, repeat=len(place)))).T
+    for halving in range(N_HALVINGS):
+        reach = (0.5**halving * width)[:, None] * stencil
+        around = place[:, :, None] + reach[:, None]
+        values = function(around.reshape(len(place), -1)).reshape(around.shape[1:])
+        values = np.where(np.isnan(values), np.inf, values)
+        best = values.argmax(axis=1)
+        place = around[:, np.arange(best.size), best]
+    return values.max(axis=1), place
+
+
+def pole_of(signal: Callable[[Array], Array], times: Array) -> float | None:
+    """Return a time [s] at which a signal isn't finite, between zero and the last; None if none.
+
+    Parameters
+    ----------
+    signal : returns values (..., n_times) at times [s]; their absolute values are added.
+    times : (n_times,) equal intervals of time [s] from zero.
+    """
+
+    def size(place: Array) -> Array:
+        within = np.clip(place[0], times[0], times[-1])
+        return np.abs(signal(within)).reshape(-1, within.size).sum(axis=0)
+
+    with np.errstate(all="ignore"):
+        values = size(times[None])
+    if not np.isfinite(values).all():
+        return float(times[np.argmin(np.isfinite(values))])
+    beside = np.pad(values, 1, constant_values=-np.inf)
+    peaks = np.flatnonzero((values >= beside[:-2]) & (values >= beside[2:]) & (values > 0.0))
+    if not peaks.size:
+        return None
+    peaks = peaks[np.argsort(-values[peaks], kind="stable")[:N_PEAKS]]
+    with np.errstate(all="ignore"):
+        found, where = sharpened(size, times[None, peaks], times[1:2])
+    poles = ~(found <= POLE * values[peaks])
+    return float(where[0, poles][0]) if poles.any() else None

@@ -17,7 +17,7 @@ from sphrom.setup.particles import MeasuredParticles
 from sphrom.sph.packing import MAX_ITERATIONS, pack
 from sphrom.sph.time_loop import Clock, TimeSteps, march
 from sphrom.store.checkpoints import Checkpoints, integrate, remove_checkpoints
-from sphrom.store.stored_run import described_inflow
+from sphrom.store.stored_run import inflow_of
 from sphrom.store.trained_models import scene_start, start
 from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Target, Workspace
@@ -46,20 +46,30 @@ def run(context: StageContext) -> None:
         with workspace.open(target) as trajectory:
             if trajectory.text("status") != "complete":
                 raise UnstableError(f"{point.label}: {trajectory.text('status_detail')}")
-            if (inflow := described_inflow(context.case, point, trajectory)) is not None:
-                context.report.info(inflow)
+            inflow = inflow_of(context.case, point, trajectory)
+        for finding in workspace.unphysical(point):
+            context.report.warn(f"{point.label}: the run is unphysical: {finding}")
+        if inflow is not None and (problem := inflow.problem) is not None:
+            if inflow.is_wrong and not workspace.imported(target):
+                raise UnstableError(problem)
+            context.report.warn(problem)
+        elif inflow is not None:
+            context.report.info(inflow.text)
 
 
 def ensure_run(workspace: Workspace, point: ParameterPoint) -> Target:
     """Run the full model at a parameter point unless its run is up to date.
 
-    Raises UnstableError if its spin-up is unstable.
+    With `resume`, a finished run that ends earlier is continued.
+
+    Raises UnstableError if its spin-up is unstable; ArtifactError if there is an earlier run that
+    must not be overwritten, or can't be continued.
     """
     _ensure_spun_up(workspace, point)
-    target = workspace.full_run(point)
-    if workspace.must_make(target):
+    target, shorter = workspace.full_run(point), workspace.shorter_run(point)
+    if shorter is not None or workspace.must_make(target):
         workspace.context.report.info(described_run(workspace.case, point))
-        _run_point(workspace, point)
+        _run_point(workspace, point, shorter)
     return target
 
 
@@ -150,15 +160,14 @@ def _spin_up(workspace: Workspace, point: ParameterPoint) -> None:
         artifact.annotate("timing/integration", clock.seconds)
 
 
-def _run_point(workspace: Workspace, point: ParameterPoint) -> None:
+def _run_point(workspace: Workspace, point: ParameterPoint, shorter: Target | None) -> None:
     case = workspace.case
     steps = case.plan.steps
     begin = start(workspace, point)
     target = workspace.full_run(point)
-    with workspace.create(
-        target, assembly.run_attributes(case, point, steps.time_step)
-    ) as artifact:
-        checkpoints = Checkpoints(workspace, target, artifact)
+    attributes = assembly.run_attributes(case, point, steps.time_step)
+    with workspace.create(target, attributes, over=shorter is not None) as artifact:
+        checkpoints = Checkpoints(workspace, target, artifact, shorter)
         with checkpoints.progress(f"full run, {point.label}", steps.n_steps) as advance:
             functional = particles.functional(case, point)
             integrate(
@@ -174,6 +183,7 @@ def _run_point(workspace: Workspace, point: ParameterPoint) -> None:
                     walls=particles.walls(case, case.plan.flow(point)),
                     forces=particles.wall_forces(case, point, functional),
                     fields=MeasuredParticles.of(case, point),
+                    watch=particles.watch(case, point),
                 ),
                 advance,
                 checkpoints,

@@ -22,9 +22,8 @@ from sphrom.artifacts.records.reduced_models import (
     TrainedMeasure,
     WallForce,
 )
-from sphrom.case.plan import MAX_STEPS
+from sphrom.case.plan import LEAST_SNAPSHOTS, MAX_STEPS
 from sphrom.case.sections import AUTO
-from sphrom.errors import CaseError
 from sphrom.machine import computing_seconds
 from sphrom.metrics.series import smoothed
 from sphrom.offline import surfaces
@@ -76,8 +75,6 @@ N_AT_ONCE = 10
 """Number of snapshots read at once."""
 UNBALANCED = 0.05
 """Largest relative difference of a force from the balance of momentum without a warning."""
-LEAST_SNAPSHOTS = 3
-"""Fewest snapshots per training run for a calibration."""
 
 
 def run(context: StageContext) -> None:
@@ -321,15 +318,8 @@ class _Projection:
 
         `runs` are projected (n_runs, n_snapshots, n_modes), if they are stored. None without data
         for their errors, or if they are too short for a calibration.
-
-        Raises CaseError if a model needs the numbers nevertheless.
         """
         if runs is None or estimate is None or runs.shape[1] < LEAST_SNAPSHOTS:
-            if self.name in self.case.plan.sized_bases:
-                raise CaseError(
-                    f"rom.n_modes: auto needs training runs of {LEAST_SNAPSHOTS} snapshots or "
-                    "more; see snapshots.every"
-                )
             return None
         places = scaled_parameters(self.case, self.trained)
         sizes = held_out.TrainedSizes(places, runs, products=estimate, compared=self.compared)
@@ -355,6 +345,7 @@ class _Projection:
                 start=own[0],
                 output_times=output_times_of(case, case.plan.steps, states, point),
                 amplitude=amplitude_of(case, point),
+                longest_step=case.plan.longest_step(point),
             )
             model = model.around(states)
             if model.output_times.duration > MAX_STEPS * model.step_limit:

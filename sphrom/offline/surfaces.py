@@ -16,11 +16,11 @@ from sphrom.artifacts import write_record
 from sphrom.artifacts.records.runs import StoredSurfaceBasis, SurfaceModels
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ALL, AUTO
-from sphrom.errors import SphromError, UnstableError
+from sphrom.errors import CaseError, SphromError, UnstableError
 from sphrom.metrics.histories import energy
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.surface_basis import TrainedGraph, chosen_size, make_basis
-from sphrom.setup.assembly import medium, surface_columns, uniform_force
+from sphrom.setup.assembly import medium, uniform_force
 from sphrom.store.surfaces import elevation_of, read_surface_basis
 from sphrom.store.trajectory import require_complete, snapshot_fields
 from sphrom.store.workspace import Workspace
@@ -39,7 +39,7 @@ def map_point(workspace: Workspace, point: ParameterPoint) -> None:
     Raises UnstableError where a column has no fluid or more than one surface.
     """
     case, space = workspace.case, workspace.case.plan.stream_space
-    columns = surface_columns(case)
+    columns = case.plan.surface_columns
     find = elevation_of(case, space, columns)
     with workspace.open(workspace.full_run(point)) as trajectory:
         require_complete(trajectory)
@@ -93,10 +93,19 @@ def decompose(workspace: Workspace) -> None:
                 speeds.append(mapped.read("speed"))
                 lost.append(mapped.read("residual") * speeds[-1])
         started = time.perf_counter()
+        if not np.any(speeds):
+            raise CaseError(
+                "parameters.train: all runs are at rest, so there are no modes; drive them"
+            )
         runs, noise = np.stack(coefficients), np.linalg.norm(lost) / np.linalg.norm(speeds)
         most = min(MOST_KEPT, runs.shape[2], runs.shape[0] * runs.shape[1])
         whole = make_basis(case.plan.stream_space, runs, np.stack(elevations), float(noise), most)
         artifact.annotate("timing/decomposition", time.perf_counter() - started)
+        if not whole.modes_above_noise:
+            raise CaseError(
+                "parameters.train: no mode of the velocity is above the noise of the particles; "
+                "drive the fluid more, or raise discretization.resolution"
+            )
         kept = whole.reduced(case.plan.basis_size(ALL), len(whole.surface_modes))
         values = np.sqrt(np.clip(whole.energies, 0.0, None))
         stored = StoredSurfaceBasis(**vars(kept), singular_values={"velocity": values})
@@ -146,6 +155,7 @@ def _training_runs(workspace: Workspace) -> Iterator[TrainingRun]:
                 gravity=case.scene.gravity,
                 viscosity=case.plan.kinematic_viscosity(point),
                 force=uniform_force(case, point),
+                longest_step=case.plan.longest_step(point),
             )
 
 

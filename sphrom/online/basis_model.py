@@ -18,7 +18,7 @@ from sphrom.case.plan import MAX_STEPS
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError
-from sphrom.metrics.measures import Quantities, Samples
+from sphrom.metrics.measures import Quantities, Samples, with_coefficients
 from sphrom.reduction import reference_model
 from sphrom.reduction.calibration import CycleClosure
 from sphrom.reduction.error_calibration import (
@@ -187,6 +187,7 @@ class BasisModel:
             output_times=output_times_of(case, steps, rates.states, point),
             mean_density_fluctuation=mean,
             amplitude=amplitude_of(case, point),
+            longest_step=case.plan.longest_step(point),
             measures=self.trained.measures if modes == ALL_MODES else {},
         )
         length = None
@@ -276,6 +277,14 @@ class BasisModel:
         return found
 
     @cached_property
+    def differences(self) -> dict[str, Quantities]:
+        """The errors of measurements in held-out training runs (n_held_out, n_snapshots, ...)."""
+        if self.errors is None:
+            return {}
+        stored = {name: each.quantities for name, each in self.errors.differences.items()}
+        return with_coefficients(stored, self.workspace.case.plan.coefficients)
+
+    @cached_property
     def output_errors(self) -> dict[str, dict[str, OutputErrors]]:
         """The errors of any run by measurement and quantity, from held-out training runs."""
         if self.errors is None or (known := self.errors.held_out) is None:
@@ -283,8 +292,8 @@ class BasisModel:
         averages = sound_averages(self.workspace.case)
         places = self.places[known.run]
         return {
-            name: {q: output_errors(e, places, averages) for q, e in each.quantities.items()}
-            for name, each in self.errors.differences.items()
+            name: {q: output_errors(e, places, averages) for q, e in each.items()}
+            for name, each in self.differences.items()
         }
 
     def fitted_errors(self, point: ParameterPoint) -> LocalErrorCalibration | None:
@@ -360,4 +369,5 @@ def quantities_of(
     forces = forces_of(reduced, time, coordinates, mean)
     measured = {name: totals(loads) for name, loads in forces.items()}
     measured |= reduced.measured(coordinates, mean)
-    return {name: measured[name] for name in (*case.scene.recorded, *measured)}
+    ordered = {name: measured[name] for name in (*case.scene.recorded, *measured)}
+    return with_coefficients(ordered, case.plan.coefficients)

@@ -7,7 +7,6 @@ runs, independently of the number of points, and the fit is the same for all par
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -20,12 +19,23 @@ from sphrom.artifacts import ArtifactWriter, write_record
 from sphrom.artifacts.records.runs import ErrorEstimate as StoredEstimate
 from sphrom.artifacts.records.runs import MeasuredOnce
 from sphrom.metrics.histories import QUANTITIES
-from sphrom.metrics.measures import Quantities, mean_square
+from sphrom.metrics.measures import (
+    COEFFICIENT,
+    ONLY_NOISE,
+    Quantities,
+    mean_squares,
+    shares,
+    variations,
+)
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.correction import interpolation_variance
 
 if TYPE_CHECKING:
     from sphrom.online.fast_model import FastRun
+
+
+Pair = tuple[float, float]
+"""Mean squares of an error and of the quantity's change."""
 
 
 @dataclass(frozen=True)
@@ -92,16 +102,20 @@ def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
         velocity_factor=factors[0],
         pressure_factor=factors[1],
         measure={
-            name: measured_once({q: np.sqrt(np.mean(e**2, axis=0))[None] for q, e in each.items()})
+            name: measured_once(
+                {q: np.sqrt(np.mean(e[counted] ** 2, axis=0))[None] for q, e in each.items()}
+            )
             for name, each in errors.items()
+            if (counted := run.model.workspace.case.plan.counted(name, run.time)).any()
         },
     )
     write_record(artifact, stored, "error_estimate")
     artifact.annotate("timing/error_estimate", time.perf_counter() - started)
     report.info(_described(run, estimated, factors))
-    if shares := measured_shares(run, errors):
-        listed = ", ".join(f"{name} {format_figure(share)} %" for name, share in shares.items())
-        report.info(f"{run.name}: estimated errors of measurements: {listed}")
+    if known := measured_shares(run, errors):
+        words = {n: ONLY_NOISE if v is None else f"{format_figure(v)} %" for n, v in known.items()}
+        listed = ", ".join(f"{name} {share}" for name, share in words.items())
+        report.info(f"{run.name}: estimated errors of measurements, over their changes: {listed}")
 
 
 def estimate(run: FastRun) -> ErrorEstimate | None:
@@ -124,23 +138,33 @@ def estimate(run: FastRun) -> ErrorEstimate | None:
     return ErrorEstimate(velocity, pressure, *percent, beyond, residual, errors, sizes)
 
 
-def measured_shares(run: FastRun, errors: Mapping[str, Quantities]) -> dict[str, float]:
-    """Return errors (n_snapshots, ...) of forces, flow rates and velocities, by measurement [%].
+def measured_sizes(run: FastRun, errors: Mapping[str, Quantities]) -> dict[str, Pair]:
+    """Return mean squares of errors (n_snapshots, ...) and of the change in the run, by column.
 
-    Each is the root mean square of the error over that of the run's own measurement.
+    Columns are such as `drag_force_x`, and for vectors `drag_force`. Only the times that count
+    enter. The second is zero for components with only noise.
     """
-    shares, measured = {}, run.measured
+    found, plan = dict[str, Pair](), run.model.workspace.case.plan
     for name, each in errors.items():
-        quantity = next(iter(each))
-        size = mean_square(quantity, measured[name][quantity])
-        if size > 0.0:
-            shares[name] = 100.0 * math.sqrt(mean_square(quantity, each[quantity]) / size)
-    return shares
+        counted = plan.counted(name, run.time)
+        for quantity, error in each.items() if counted.any() else ():
+            sizes = variations(quantity, run.measured[name][quantity][counted])
+            squares = mean_squares(quantity, error[counted])
+            found |= {f"{name}_{part}": (square, sizes[part]) for part, square in squares.items()}
+    return found
+
+
+def measured_shares(run: FastRun, errors: Mapping[str, Quantities]) -> dict[str, float | None]:
+    """Return errors (n_snapshots, ...) over the change in the run [%], by `measured_sizes`."""
+    pairs = measured_sizes(run, errors).items()
+    return shares({n: square for n, (square, _) in pairs}, {n: size for n, (_, size) in pairs})
 
 
 def measured_once(quantities: Quantities) -> MeasuredOnce:
     """Return measurements at one instant (1, ...) in the form of artifacts."""
-    values: dict[str, Any] = {q: v[0] if v.ndim > 1 else float(v[0]) for q, v in quantities.items()}
+    values: dict[str, Any] = {
+        q: v[0] if v.ndim > 1 else float(v[0]) for q, v in quantities.items() if q != COEFFICIENT
+    }
     return MeasuredOnce(**values)
 
 

@@ -176,9 +176,8 @@ class FastModel:
         for basis in bases:
             if (errors := basis.errors) is None:
                 return []
-            differences = {name: each.quantities for name, each in errors.differences.items()}
             for row, k in enumerate(() if errors.held_out is None else errors.held_out.run):
-                found.append((basis.places[k], items(differences, row)))
+                found.append((basis.places[k], items(basis.differences, row)))
         return found
 
     def velocities(self, run: FastRun) -> ModeVelocities:

@@ -25,7 +25,7 @@ import numpy as np
 from sphrom.arrays import Array
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
-from sphrom.metrics.measures import Quantities
+from sphrom.metrics.measures import Quantities, with_coefficients
 from sphrom.online.basis_model import forces_of
 from sphrom.online.fast_model import FastModel
 from sphrom.reduction import reference_model
@@ -129,6 +129,7 @@ def tangents(
     measured |= _fields(reduced, run, changes, means)
     energy = np.asarray(case.plan.mass * np.einsum("sm,psm->ps", gradient, changes))
     ordered = {name: measured[name] for name in (*case.scene.recorded, *measured)}
+    ordered = with_coefficients(ordered, case.plan.coefficients)
     times = reduced.output_times.time
     return Tangents(tuple(names), times, run, changes, means, energy, ordered)
 

@@ -20,9 +20,9 @@ from sphrom.case.scene_section import MeasureSection
 from sphrom.case.sections import ALL, ReducedModelSection
 from sphrom.errors import UnstableError
 from sphrom.machine import seconds_of
-from sphrom.metrics.measures import Quantities, Samples, grid_points
+from sphrom.metrics.measures import Quantities, Samples, grid_points, with_coefficients
 from sphrom.reduction.graph_model import GraphRun
-from sphrom.setup.assembly import field_measures, run_attributes, surface_columns
+from sphrom.setup.assembly import field_measures, run_attributes
 from sphrom.sph.fluid import ROUNDING
 from sphrom.store.surfaces import SurfaceModelAt, TrainedSurface
 from sphrom.store.trajectory import field_datasets, force_datasets, write_positions
@@ -134,7 +134,8 @@ class SurfaceRun:
     def measured(self) -> dict[str, Quantities]:
         """All that the case measures, by name and quantity (n_snapshots, ...)."""
         case = self.model.workspace.case
-        return {name: self._measure(name, each) for name, each in case.scene.recorded.items()}
+        measured = {name: self._measure(name, each) for name, each in case.scene.recorded.items()}
+        return with_coefficients(measured, case.plan.coefficients)
 
     def _measure(self, name: str, section: MeasureSection) -> Quantities:
         graph, state, density = self.reduced.graph, self.coordinates, self._density
@@ -158,7 +159,7 @@ class SurfaceRun:
     @property
     def elevation(self) -> Array:
         """The height y of the surface (n_snapshots, n_columns) [m], as mapped snapshots have it."""
-        columns = surface_columns(self.model.workspace.case)
+        columns = self.model.workspace.case.plan.surface_columns
         return self.reduced.graph.elevation(self.coordinates, columns)
 
     def sampled(self, points: Array) -> Samples:

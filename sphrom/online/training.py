@@ -19,7 +19,7 @@ from sphrom.artifacts.records.reduced_models import TrainedModel
 from sphrom.artifacts.records.runs import TrainedSurfaceModel
 from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.errors import CaseError
-from sphrom.metrics.measures import Quantities
+from sphrom.metrics.measures import COEFFICIENT, Quantities
 from sphrom.metrics.series import smoothed
 from sphrom.offline import operators
 from sphrom.online.basis_model import BasisModel, Start, forces_of, quantities_of
@@ -391,6 +391,7 @@ class _Training:
             quantities: Quantities = {
                 q: each[complete] - np.stack([one[name][q] for one in own])
                 for q, each in full.items()
+                if q != COEFFICIENT
             }
             found[name] = Differences(**quantities)
         return found

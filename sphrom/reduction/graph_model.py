@@ -41,6 +41,8 @@ SLOPE_BEYOND_TRAINING, LEAST_DEPTH = 1.5, 0.05
 """The largest slope of a run over the largest trained, and the least depth over the mean depth."""
 N_BELOW = 16
 """Of the points of integration of the pressure's slope, from the bottom to the surface."""
+BLOCK = 8192
+"""Number of pressures that are computed at a time, to limit memory."""
 REASONS = {
     kernels.STEEP: "the surface is steeper than in training",
     kernels.ABOVE: "a crest is above the splines' box",
@@ -79,14 +81,20 @@ class GraphModel:
     """Calibrated; it multiplies gravity in the rates, but neither in pressure nor in energies."""
     gravity_growth: float = 0.0
     """Of that factor, relative, with the square of the waves' amplitude [1/m2]."""
+    longest_step: float = math.inf
+    """The longest step that resolves the force [s]."""
 
     @property
     def time_step(self) -> float:
-        """The largest time step [s]: a share of the period of the shortest elevation mode."""
+        """The largest time step [s]: a share of the period of the shortest elevation mode.
+
+        It also resolves the force.
+        """
         amplitudes = self.basis.surface_modes**2
         wave_numbers = np.arange(1, amplitudes.shape[1] + 1) * math.pi / self.basis.space.width
         squares = self.gravity * wave_numbers * np.tanh(wave_numbers * self.depth)
-        return 2 * math.pi / math.sqrt(float((amplitudes @ squares).max())) / STEPS_A_PERIOD
+        period = 2 * math.pi / math.sqrt(float((amplitudes @ squares).max()))
+        return min(period / STEPS_A_PERIOD, self.longest_step)
 
     @property
     def given(self) -> tuple[float, float, float, float]:
@@ -136,15 +144,16 @@ class GraphModel:
         degrees = np.arange(N_BELOW)
         to_series = legvander(2.0 * nodes - 1.0, N_BELOW - 1) * weights[:, None] * (2 * degrees + 1)
         out, bottom = np.empty((len(times), len(points))), self.basis.space.bottom
-        for x in np.unique(points[:, 0]):
-            (here,) = np.nonzero(points[:, 0] == x)
-            height = self.elevation(coordinates, np.array([x])) - bottom
-            slope = self._slope(times, coordinates, rates, x, bottom + height * nodes)
+        for here in np.array_split(np.argsort(points[:, 0]), 1 + out.size // BLOCK):
+            x, which = np.unique(points[here, 0], return_inverse=True)
+            height = self.elevation(coordinates, x) - bottom
+            y = bottom + height[..., None] * nodes
             # The slope is a Legendre series over the fluid's height, and its integral another one.
-            integral = legint(slope @ to_series, axis=1)
+            integral = legint(self._slope(times, coordinates, rates, x, y) @ to_series, axis=-1)
+            height = height[:, which]
             places = np.minimum(2.0 * (points[here, 1] - bottom) / height - 1.0, 1.0)
-            below = np.einsum("tpk,tk->tp", legvander(places, N_BELOW), integral)
-            out[:, here] = 0.5 * height * (integral.sum(axis=1)[:, None] - below)
+            below = np.einsum("tpk,tpk->tp", legvander(places, N_BELOW), integral[:, which])
+            out[:, here] = 0.5 * height * (integral.sum(axis=-1)[:, which] - below)
         return out
 
     def wall_force(
@@ -170,23 +179,25 @@ class GraphModel:
             return forces, -pressure @ (widths * (columns - centre[0]))
         x, sign = (space.left, -1.0) if wall == "left" else (space.right, 1.0)
         nodes, weights = gauss_points(N_BELOW)
-        height = self.elevation(coordinates, np.array([x])) - space.bottom
-        y = height * nodes
+        columns = np.array([x])
         rates = self.rates(times, coordinates)
+        height = self.elevation(coordinates, columns) - space.bottom
+        y = height * nodes
+        slope = self._slope(times, coordinates, rates, columns, space.bottom + y[:, None])[:, 0]
         # Integrals over the pressure are integrals over its slope, by parts.
-        slope = height * weights * self._slope(times, coordinates, rates, x, space.bottom + y)
+        slope = height * weights * slope
         forces[:, 0] = sign * np.sum(slope * y, axis=-1)
         arm = y / 2 + space.bottom - centre[1]
         return forces, -sign * np.sum(slope * y * arm, axis=-1)
 
-    def _slope(self, times: Array, coordinates: Array, rates: Array, x: float, y: Array) -> Array:
-        """Return -p_y (n_times, n_heights) [m/s2] at heights y of x, both [m]."""
+    def _slope(self, times: Array, coordinates: Array, rates: Array, x: Array, y: Array) -> Array:
+        """Return -p_y (n_times, n_places, n_heights) [m/s2] at heights y over x, both [m]."""
         n_modes, modes = len(self.basis.stream_modes), self.basis.stream_modes
         along = self.basis.space.along
         orders = (0, 1), (1, 0), (2, 0), (1, 1), (3, 0), (1, 2)
-        p_y, p_x, p_xx, p_xy, p_xxx, p_xyy = along(coordinates[:, :n_modes] @ modes, x, y, *orders)
-        (rate,) = along(rates[:, :n_modes] @ modes, x, y, (1, 0))
-        weight = (self.gravity - self.force(times)[1])[:, None]
+        p_y, p_x, p_xx, p_xy, p_xxx, p_xyy = along(modes, coordinates[:, :n_modes], x, y, *orders)
+        (rate,) = along(modes, rates[:, :n_modes], x, y, (1, 0))
+        weight = (self.gravity - self.force(times)[1])[:, None, None]
         viscous = self.viscosity * (p_xxx + p_xyy)
         return np.asarray(weight - rate - p_y * p_xx + p_x * p_xy + viscous)
 
@@ -194,14 +205,11 @@ class GraphModel:
         """Return the kinetic energy (n_times,) over the density [m4/s2]."""
         space, (nodes, weights) = self.basis.space, gauss_points(N_HEIGHTS)
         columns, widths = integration_columns(space)
-        stream = coordinates[:, : len(self.basis.stream_modes)] @ self.basis.stream_modes
+        modes = self.basis.stream_modes
         heights = self.elevation(coordinates, columns) - space.bottom
-        out = np.zeros(len(coordinates))
-        for x, width, own in zip(columns, widths, heights.T, strict=True):
-            y = space.bottom + np.outer(own, nodes)
-            p_x, p_y = space.along(stream, x, y, (1, 0), (0, 1))
-            out += 0.5 * width * own * ((p_x**2 + p_y**2) @ weights)
-        return out
+        y = space.bottom + heights[..., None] * nodes
+        p_x, p_y = space.along(modes, coordinates[:, : len(modes)], columns, y, (1, 0), (0, 1))
+        return np.asarray(0.5 * ((p_x**2 + p_y**2) @ weights * heights) @ widths)
 
     def potential_energy(self, coordinates: Array) -> Array:
         """Return the potential energy (n_times,) over the density [m4/s2]; zero at rest."""

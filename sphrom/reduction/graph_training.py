@@ -25,6 +25,7 @@ for the velocity, too many elevation modes have no restoring force and drift.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -66,6 +67,8 @@ class TrainingRun:
     """Kinematic [m2/s]."""
     force: Callable[[Array], Array]
     """The body force (2, n_times) [m/s2] at times [s]."""
+    longest_step: float = math.inf
+    """The longest step that resolves the force [s]."""
 
 
 def train(
@@ -123,6 +126,7 @@ class _Projected:
         cosines = cosine_coordinates(run.elevation, basis.surface_modes.shape[1])
         coordinates = np.concatenate([velocities, cosines @ basis.surface_modes.T], axis=1)
         model = GraphModel(basis, run.depth + rise, run.gravity, run.viscosity, run.force)
+        model = replace(model, longest_step=run.longest_step)
         level = run.elevation.mean(axis=1) - basis.space.bottom - model.depth
         return cls(run, model, coordinates, own, cosines, level)
 
@@ -198,9 +202,11 @@ class _Fit:
         self.n_modes = projected[0].products[1].shape[1]
         a, b = coordinates[:, : self.n_modes], coordinates[:, self.n_modes :]
         parts = np.sqrt([np.mean(a**2), np.mean(b**2)])
+        parts[parts == 0.0] = 1.0  # at rest
         self.scale = np.repeat(parts, [a.shape[1], b.shape[1]])
         norm = projected[0].run.gravity * projected[0].model.basis.space.width / 2
-        self.amplitude = float(np.mean(np.sum(b**2, axis=1) + np.sum(a**2, axis=1) / norm))
+        squares = np.sum(b**2, axis=1) + np.sum(a**2, axis=1) / norm
+        self.amplitude = float(np.mean(squares)) or 1.0
         free = np.ones((len(self.scale),) * 2, dtype=bool)
         free[self.n_modes :, self.n_modes :] = False
         self.entries = np.nonzero(free)
@@ -239,7 +245,10 @@ class _Fit:
             weights = np.full(n_free, penalty)
             weights[0] = 0.0
             right_side = slopes @ differences[0] + weights * numbers[:n_free]
-            step = np.linalg.solve(slopes @ slopes.T + np.diag(weights), right_side)
+            try:
+                step = np.linalg.solve(slopes @ slopes.T + np.diag(weights), right_side)
+            except np.linalg.LinAlgError:  # runs at rest, which no number changes
+                break
             trial = numbers.copy()
             trial[:n_free] -= step
             if np.sum(self._differences(trial[None]) ** 2) < cost and self._is_stable(trial):
@@ -254,7 +263,7 @@ class _Fit:
         for one in self.projected:
             sizes = np.ones(len(self.scale))
             for part in (slice(self.n_modes), slice(self.n_modes, None)):
-                sizes[part] = np.linalg.norm(one.coordinates[:, part])
+                sizes[part] = np.linalg.norm(one.coordinates[:, part]) or 1.0
             missing = np.zeros((len(given), *one.coordinates.shape))
             for own, run in zip(missing, one.runs(changes), strict=True):
                 own[: len(run.coordinates)] = run.coordinates

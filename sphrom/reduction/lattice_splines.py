@@ -110,9 +110,9 @@ def _cells(domain: Domain, shape: tuple[int, ...]) -> bspline.Lattice:
 
 def _lattice_order(position: Array, domain: Domain) -> tuple[tuple[int, int], Indices]:
     """Return the lattice's shape, and the indices of its points in `position`, row by row."""
-    width, height = domain.lengths
-    n_columns = max(1, round(math.sqrt(len(position) * width / height)))
-    n_rows = len(position) // n_columns
+    near_first = LATTICE_TOLERANCE * math.sqrt(math.prod(domain.lengths) / len(position))
+    n_rows = int(np.count_nonzero(np.abs(position[:, 0] - position[0, 0]) < near_first))
+    n_columns = len(position) // n_rows
     shape = np.array((n_columns, n_rows))
     place = (position - domain.lower) / domain.lengths * shape - 0.5
     nearest = np.rint(place).astype(np.int64)

@@ -52,6 +52,8 @@ class ReferenceModel:
     """(n_states, n_modes) training states; steps must be stable around them and the start."""
     linear: LinearPart | None = None
     """Of exponential steps, a Jacobian at training states; without it, steps are Runge-Kutta's."""
+    longest_step: float = math.inf
+    """The longest step that resolves the amplitude [s]."""
     first_step: float | None = None
     """First trial length [s] of automatic steps, if training runs determined it."""
     correction: Array | None = None
@@ -79,6 +81,14 @@ class ReferenceModel:
         return polynomial_model.step_limit(
             self.polynomial, np.vstack((self.start, self.states)), self.strongest
         )
+
+    @property
+    def n_resolving(self) -> int:
+        """The number of steps that resolve the amplitude, at least one.
+
+        The error of two runs would not show too few: both may take it for a slower oscillation.
+        """
+        return max(1, math.ceil(round(self.output_times.duration / self.longest_step, 6)))
 
     @property
     def n_stable(self) -> int:
@@ -305,11 +315,13 @@ def automatic_whole(model: ReferenceModel) -> Steps:
     The first trial has at most one step per snapshot: enough unless sound makes rates stiff.
     """
     if model.linear is None:
-        return accurate(runge_kutta(model, model.n_stable), step_tolerance(model.basis))
+        n_first = max(model.n_stable, model.n_resolving)
+        return accurate(runge_kutta(model, n_first), step_tolerance(model.basis))
     times, step = model.output_times, model.first_step
     n_first = 0 if step is None else math.ceil(round(times.duration / step, 6))
     n_first = n_first or min(math.ceil(model.n_stable / LONGER), times.n_snapshots - 1)
-    first = Steps(model, ExponentialModel(model.polynomial, model.linear), max(1, n_first))
+    n_first = max(n_first, model.n_resolving)
+    first = Steps(model, ExponentialModel(model.polynomial, model.linear), n_first)
     steps = accurate(first, step_tolerance(model.basis))
     if step is None or model.states is None or steps.n_steps < FINEST * first.n_steps:
         return steps

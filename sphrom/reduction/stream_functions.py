@@ -15,6 +15,7 @@ import math
 from functools import lru_cache
 
 import numpy as np
+from numpy.polynomial.polynomial import polyder, polyval
 
 from sphrom.arrays import Array
 from sphrom.declaration import Record, attribute
@@ -60,27 +61,31 @@ class StreamSpace(Record):
         return np.stack([coefficients @ d_y.T, -(coefficients @ d_x.T)], axis=-1)
 
     def along(
-        self, coefficients: Array, x: float, y: Array, *orders: tuple[int, int]
+        self, modes: Array, factors: Array, x: Array, y: Array, *orders: tuple[int, int]
     ) -> list[Array]:
-        """Return derivatives (n, n_heights) of n stream functions at heights y of x, both [m].
+        """Return derivatives (n, n_places, n_heights) of n sums of modes along vertical lines.
 
         Parameters
         ----------
-        coefficients : (n, n_coefficients).
-        y : (n, n_heights), own heights of each stream function.
+        modes : (n_modes, n_coefficients) stream functions.
+        factors : (n, n_modes), which multiply the modes.
+        x : (n_places,) [m], of the lines.
+        y : (n, n_places, n_heights) [m], own heights of each sum and line.
         """
-        shape = len(coefficients), self.n_columns + DEGREE - 2, -1
-        of_x = {k for k, _ in orders}
-        rows = {
-            k: np.einsum(
-                "i,nij->nj", self._along_x(np.array([x]), k)[0], coefficients.reshape(shape)
-            )
-            for k in of_x
-        }
-        of_y = {
-            k: self._along_y(y.ravel(), k).reshape(*y.shape, -1) for k in {k for _, k in orders}
-        }
-        return [np.einsum("nhj,nj->nh", of_y[j], rows[i]) for i, j in orders]
+        middles, along_y = _rows(self)
+        along = (y - self.bottom) * (self.n_rows / (self.top - self.bottom))
+        row = np.clip(along, 0, self.n_rows - 1).astype(np.intp)
+        lines = np.arange(row[..., 0].size).reshape(*row.shape[:2], 1)
+        places = lines * self.n_rows + row
+        grid = modes.reshape(len(modes), self.n_columns + DEGREE - 2, -1)
+        found = []
+        for i, j in orders:
+            of_modes = self._along_x(x, i) @ (grid @ polyder(along_y, j))
+            of_rows = factors @ of_modes.reshape(*of_modes.shape[:2], -1)
+            taken = np.take(of_rows.reshape(len(of_rows), -1), places, axis=1)
+            values = polyval(y - middles[row], taken, tensor=False)
+            found.append(np.asarray(values, dtype=np.float64))
+        return found
 
     def fit(self, position: Array, velocity: Array) -> tuple[Array, float]:
         """Return coefficients of a snapshot (n_particles, 2), and the residual's relative norm.
@@ -101,6 +106,16 @@ class StreamSpace(Record):
 
     def _along_y(self, y: Array, order: int) -> Array:
         return _splines(y, _breaks(self.bottom, self.top, self.n_rows), order)[:, 1:]
+
+
+@lru_cache(maxsize=8)
+def _rows(space: StreamSpace) -> tuple[Array, Array]:
+    """Return the middles (n_rows,) of rows, and splines as polynomials of y about them."""
+    breaks = _breaks(space.bottom, space.top, space.n_rows)
+    middles = 0.5 * (breaks[:-1] + breaks[1:])
+    derivatives = [space._along_y(middles, k).T[None] for k in range(DEGREE + 1)]
+    along_y = [each / math.factorial(k) for k, each in enumerate(derivatives)]
+    return middles, np.stack(along_y)
 
 
 @lru_cache(maxsize=8)

@@ -73,6 +73,11 @@ class BodyForce:
         """Return the acceleration (2, n_particles) [m/s2]."""
         return self.amplitude(time) * self.field(position)
 
+    def over(self, times: Array) -> Array:
+        """Return the amplitude (n_components, n_times) at times [s]."""
+        series = self.series or np.vectorize(self.amplitude, [np.float64])
+        return np.broadcast_to(series(times), (1, len(times)))
+
 
 @dataclass(frozen=True)
 class Channel:
@@ -114,10 +119,21 @@ class Scene(ABC):
         """The time-dependent factor of `wall_velocity`, or None if walls move steadily."""
         return None
 
+    def wall_speed(self, position: Array) -> Callable[[float], float | Array] | None:
+        """Return the factor of `wall_velocity` at times, for all ghosts or for each (n_ghosts,)."""
+        return self.wall_amplitude
+
     @property
     def amplitude(self) -> Amplitude | None:
         """The time-dependent factor of the driving force or walls, or None if it never changes."""
         return self.wall_amplitude if self.body_force is None else self.body_force.amplitude
+
+    def driving(self, times: Array) -> Array:
+        """Return the amplitude of the driving (n_components, n_times) at times [s]."""
+        if self.body_force is not None:
+            return self.body_force.over(times)
+        amplitude = self.amplitude or (lambda _: 1.0)
+        return np.array([[amplitude(time) for time in times.tolist()]])
 
     @property
     def exact(self) -> TaylorGreen | None:
@@ -137,10 +153,23 @@ class CustomFlow(Scene):
     """Velocity [m/s] and pressure [Pa] (n_points, 3) at positions (n_points, 2) [m]."""
     body_force: BodyForce | None = None
     resistance: Resistance | None = None
+    wall_amplitudes: Mapping[str, Amplitude] = field(default_factory=dict)
+    """Factors of the velocities of walls that change with time, by the walls' names."""
 
     @property
     def domain(self) -> Domain:
         return self.where
+
+    @property
+    def wall_amplitude(self) -> Amplitude | None:
+        return next(iter(self.wall_amplitudes.values()), None)
+
+    def wall_speed(self, position: Array) -> Callable[[float], float | Array] | None:
+        if not self.wall_amplitudes:
+            return None
+        nearest, names = self.where.nearest_wall(position), self.where.wall_names
+        factors = [self.wall_amplitudes.get(name, lambda time: 1.0) for name in names]
+        return lambda time: np.array([factor(time) for factor in factors])[nearest]
 
     def initial_velocity(self, position: Array) -> Array:
         return self.start(position)[:, :2]

@@ -16,7 +16,7 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.scene_section import MeasureSection
 from sphrom.case.sections import ReducedModelSection
-from sphrom.metrics.measures import FieldMeasure, midpoints
+from sphrom.metrics.measures import FieldMeasure
 from sphrom.metrics.series import hat
 from sphrom.reduction.correction import interpolation_weights
 from sphrom.reduction.polynomial_model import Amplitude, OutputTimes
@@ -27,9 +27,6 @@ from sphrom.sph.time_loop import TimeSteps
 MOST_GROWTH = 3.0
 """Largest growth of a model's coordinates over training. Flows that start from rest grow 1.7 times
 at up to ten times the trained Reynolds numbers, and 5.4 times in five times the trained time."""
-
-COLUMNS_A_CELL = 4
-"""Columns where the surface is looked for, in each cell of the splines."""
 
 
 def inner_product(case: Case) -> InnerProduct:
@@ -98,13 +95,6 @@ def memory_length_of(
     if model.memory_length == "auto":
         return memory_length(jacobian(), case.plan.smoothing_length, case.plan.sound_speed)
     return model.memory_length
-
-
-def surface_columns(case: Case) -> Array:
-    """Return the midpoints (n_columns,) [m] of the columns where surfaces are looked for."""
-    domain = case.scene.domain
-    cells = case.plan.stream_space.n_columns
-    return midpoints(domain.lower[0], domain.upper[0], COLUMNS_A_CELL * cells)
 
 
 def uniform_force(case: Case, point: ParameterPoint) -> Callable[[Array], Array]:

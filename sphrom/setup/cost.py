@@ -195,9 +195,10 @@ def run(context: StageContext) -> None:
     _describe_shape(case, context.report)
     if (own := case.plan.max_speed / case.fluid.mach_number) < case.plan.sound_speed:
         change = case.plan.largest_head / case.plan.sound_speed**2
+        cause = max(case.plan.heads, key=lambda name: case.plan.heads[name])
         context.report.info(
-            f"c0 is {case.plan.sound_speed:.4g} m/s, not U_max / Ma = {own:.4g}: the body force "
-            f"and friction at walls then change the density by about {change:.0%} at most"
+            f"c0 is {case.plan.sound_speed:.4g} m/s, not U_max / Ma = {own:.4g}: {cause} "
+            f"then changes the density by about {change:.0%} at most"
         )
     for warning in () if case.training.ranges else few_snapshots(case):  # train makes more runs
         context.report.warn(warning)
@@ -239,7 +240,9 @@ def _describe_shape(case: Case, report: Reporter) -> None:
     ]
     filled = case.plan.n_particles * case.plan.particle_spacing**2
     area = filled if case.scene.has_surface else domain.area
-    report.info("; ".join((f"the fluid's area is {area:.4g} m2", *described)))
+    x, y = domain.pitches(case.plan.particle_spacing)
+    uneven = [f"particles {x:.4g} m apart along x and {y:.4g} m along y fit its sides"] * (x != y)
+    report.info("; ".join((f"the fluid's area is {area:.4g} m2", *uneven, *described)))
 
 
 def describe_cost(case: Case, report: Reporter) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import shapely
 
 from sphrom.arrays import Array
 from sphrom.case.models import Case
@@ -37,6 +38,7 @@ NAME: Any = {
     "zorder": 7,
 }
 """The style of names in the picture."""
+CENTRED: Any = {"ha": "center", "va": "center", **NAME}
 
 
 def run(context: StageContext, output: Path | None = None, folder: Path | None = None) -> None:
@@ -58,7 +60,7 @@ def run(context: StageContext, output: Path | None = None, folder: Path | None =
 
 
 def draw(case: Case) -> Figure:
-    """Return the picture of a case: particles, ghosts, walls by name, and measurements.
+    """Return the picture of a case: particles, ghosts, walls by name, inflow, measurements.
 
     Particles are shown at their start, before packing. Raises CaseError if there are too many.
     """
@@ -85,6 +87,7 @@ def draw(case: Case) -> Figure:
             inside = np.all((ghosts >= lower) & (ghosts <= upper), axis=1)
             _draw_points(axes, ghosts[inside], dot, GHOST, "ghosts")
             _draw_walls(axes, case, walls, solids_within(domain, frame), arrow)
+        _draw_in_fluid(axes, case, 0.6 * arrow)
         _draw_compared(axes, case)
         _draw_measured(axes, case, 0.6 * arrow)
         axes.set(xlim=frame[:2], ylim=frame[2:], xlabel="x [m]", ylabel="y [m]", aspect="equal")
@@ -133,7 +136,7 @@ def _draw_walls(axes: Axes, case: Case, walls: Walls, solids: panels.Solids, arr
         own = float(speed[first].max(initial=0.0))
         text, colour = (f"{name}, {own:.3g} m/s", MOVING) if own else (name, panels.INK)
         (x, y), turned = middle, 90.0 if name in SIDES[0] else 0.0
-        axes.text(x, y, text, color=colour, rotation=turned, ha="center", va="center", **NAME)
+        axes.text(x, y, text, color=colour, rotation=turned, **CENTRED)
         if own:
             some = first[:: -(-len(first) // MOST_ARROWS)]
             place, way = domain.on_wall(walls.position[some]), walls.velocity[some]
@@ -147,6 +150,36 @@ def _draw_arrows(axes: Axes, place: Array, way: Array, colour: str, label: str =
     axes.quiver(*place.T, *way.T, **in_metres, width=0.0035, color=colour, zorder=5)
     if label:
         axes.plot([], [], color=colour, label=label)
+
+
+def _draw_in_fluid(axes: Axes, case: Case, arrow: float) -> None:
+    """Draw porous bodies, the strip of an inflow with an arrow [m] along it, and a level."""
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path as Outline
+
+    domain, strip, level = case.scene.domain, case.plan.strip, case.scene.level_at()
+    look: Any = {"alpha": 0.35, "lw": 0.0, "zorder": 3}
+    for name, section in getattr(case.scene, "porous", {}).items():
+        # Holes turn the other way than what surrounds them.
+        shape = shapely.normalize(section.geometry())
+        rings = shapely.get_rings(shapely.get_parts(shape))
+        path = Outline.make_compound_path(*(Outline(ring.coords) for ring in rings))
+        axes.add_patch(PathPatch(path, color=panels.COLOURS[4], label="porous bodies", **look))
+        point = shape.representative_point()
+        axes.text(point.x, point.y, name, **CENTRED)
+    if strip is not None:
+        low, high = np.array(domain.lower), np.array(domain.upper)
+        low[strip.axis], high[strip.axis] = strip.start, strip.end
+        corners = shapely.get_coordinates(shapely.box(*low, *high)).T
+        axes.fill(*corners, color=panels.COLOURS[2], label="strip of the inflow", **look)
+        middle = 0.5 * (low + high)
+        way = np.where(np.arange(2) == strip.axis, np.copysign(arrow, strip.speed), 0.0)
+        _draw_arrows(axes, (middle - 0.5 * way)[None], way[None], panels.COLOURS[2])
+        beside: Any = {"xytext": (0.0, 12.0), "textcoords": "offset points", **CENTRED}
+        axes.annotate(f"inflow, at most {abs(strip.speed):.3g} m/s", middle, **beside)
+    if np.isfinite(level):
+        ends, label = (domain.lower[0], domain.upper[0]), f"level, y = {level:.4g} m"
+        axes.plot(ends, (level, level), color=panels.INK, ls="--", lw=1.2, label=label)
 
 
 def _draw_compared(axes: Axes, case: Case) -> None:

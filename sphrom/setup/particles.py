@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.case.plan import BEYOND
 from sphrom.case.points import ParameterPoint
-from sphrom.errors import CaseError, UnstableError
+from sphrom.errors import UnstableError
 from sphrom.kernels import SUPPORT_RATIO
 from sphrom.metrics.elevation import Filled, Filling, columns_of, lowest_surface
 from sphrom.metrics.measures import VECTORS, FieldMeasure, Quantities
@@ -27,9 +26,12 @@ from sphrom.sph.domain import Walls
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.sph.fluid import UnitForcing, pressure_of, volume_of
 from sphrom.sph.functional import Functional, MeasuredWall, WallForces, measured_wall
+from sphrom.sph.time_loop import Watch
 
 SAMPLING_RATIO = 2.0
 """Smoothing length of the moving least squares that sample particles, over the spacing."""
+LOOK_EVERY = 8
+"""Least number of steps between looks at a full run, which then take 0.3 % of its time."""
 HEIGHTS = 2
 """Number of heights per particle spacing at which the elevation is searched."""
 
@@ -37,13 +39,14 @@ HEIGHTS = 2
 def functional(case: Case, point: ParameterPoint) -> Functional:
     """Return the full-order functional at a parameter point."""
     flow = case.plan.flow(point)
+    ghosts = walls(case, flow)
     return Functional(
         case.plan.fluid(point),
         case.plan.discretization,
         flow.domain,
-        walls=walls(case, flow),
+        walls=ghosts,
         body_force=flow.body_force,
-        wall_speed=flow.wall_amplitude,
+        wall_speed=None if ghosts is None else flow.wall_speed(ghosts.position),
         resistance=flow.resistance,
     )
 
@@ -73,6 +76,30 @@ def wall_forces(case: Case, point: ParameterPoint, of: Functional) -> WallForces
     return WallForces(of, measured) if measured else None
 
 
+def watch(case: Case, point: ParameterPoint) -> Watch:
+    """Return a watch over the snapshots of a full run."""
+    plan, flow = case.plan, case.plan.flow(point)
+    domain, ghosts = flow.domain, walls(case, flow)
+    speeds = [] if ghosts is None else np.linalg.norm(ghosts.velocity, axis=1)
+    drive = float(np.max(speeds, initial=0.0))
+    force = flow.body_force
+    if (strip := plan.strip) is not None:  # the same flow passes through the narrowest gap
+        wide = domain.lengths[1 - strip.axis] / min(domain.narrowest_gap, *domain.lengths)
+        head = case.scene.largest_head(case.time.final_time, point.factors)
+        drive, force = math.hypot(drive, wide * strip.speed, math.sqrt(2.0 * head)), None
+    return Watch(
+        case.fluid.reference_density,
+        plan.sound_speed,
+        plan.max_speed,
+        drive,
+        case.scene.gravity,
+        force,
+        is_driven=plan.is_driven(point),
+        has_surface=case.scene.has_surface,
+        look_every=max(1, round(LOOK_EVERY / case.snapshots.every)),
+    )
+
+
 def map_onto(case: Case, points: Array) -> ReferenceMap:
     """Return the case's map of particle fields onto points (n_points, 2)."""
     return ReferenceMap(
@@ -89,7 +116,7 @@ def driven_measured_walls(case: Case) -> dict[str, tuple[MeasuredWall, dict[str,
 
     Each comes with the circulation [m2/s] per unit of each driving parameter.
     """
-    at_rest, per_unit = _rest_and_units(case)
+    at_rest, per_unit = case.plan.rest_and_units
     moved = {name: measured_walls(case, flow) for name, flow in per_unit.items()}
     return {
         name: (wall, {p: walls[name].circulation - wall.circulation for p, walls in moved.items()})
@@ -97,27 +124,9 @@ def driven_measured_walls(case: Case) -> dict[str, tuple[MeasuredWall, dict[str,
     }
 
 
-def _rest_and_units(case: Case) -> tuple[Scene, dict[str, Scene]]:
-    """Return the undriven flow, then one flow per driving parameter with that parameter set to one.
-
-    Raises CaseError if an expression has no value there.
-    """
-    point, names = case.plan.train_points[0], case.plan.driving
-
-    def at(one: str | None) -> Scene:
-        drives = {name: float(name == one) for name in names}
-        others = tuple((name, drives.get(name, value)) for name, value in point.others)
-        return case.plan.flow(replace(point, others=others))
-
-    try:
-        return at(None), {name: at(name) for name in names}
-    except ValueError as error:
-        raise CaseError(f"parameters: operators need the flow at 0 and 1: {error}") from error
-
-
 def drives(case: Case, position: Array) -> dict[str, UnitForcing[Array]]:
     """Return the forcing of walls' ghosts and points (n_points, 2) per unit of each parameter."""
-    at_rest, per_unit = _rest_and_units(case)
+    at_rest, per_unit = case.plan.rest_and_units
     ghosts, forcings = walls(case, at_rest), {}
     for name, flow in per_unit.items():
         velocity = force = None
@@ -138,7 +147,7 @@ def fixed_points(case: Case, position: Array) -> FixedPoints:
     Each driving parameter has a separate part in them.
     """
     point = case.plan.train_points[0]
-    flow, _ = _rest_and_units(case)
+    flow, _ = case.plan.rest_and_units
     force = None if flow.body_force is None else flow.body_force.field(position.T)
     return FixedPoints(
         position,
@@ -192,7 +201,7 @@ class MeasuredFields:
         self.measures, self._sound_speed = measures, case.plan.sound_speed
         places = np.concatenate([measure.position for measure in measures.values()])
         distance, normal = case.scene.domain.distance_and_normal(places)
-        spacing, (at_rest, per_unit) = case.plan.particle_spacing, _rest_and_units(case)
+        spacing, (at_rest, per_unit) = case.plan.particle_spacing, case.plan.rest_and_units
         integrals = [np.full(len(m.position), m.normal is not None) for m in measures.values()]
         near = self._near = np.flatnonzero((distance < spacing) & ~np.concatenate(integrals))
         on_walls = places[near] - distance[near, None] * normal[near]

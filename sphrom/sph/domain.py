@@ -22,6 +22,8 @@ from sphrom.sph.polygons import ROUNDING, least_widths
 
 FINEST = 5e-5
 """Size of the finest features that count in the measurement of widths, over that of the box."""
+WHOLE_TOLERANCE = 1e-6
+"""Largest distance of a wall from the lattice, over the particle spacing."""
 SIDES = (("left", "right"), ("bottom", "top"))
 """Names of the walls at the lower and upper ends of each axis."""
 
@@ -102,6 +104,11 @@ class Domain(ABC):
     def separate_areas(self) -> list[float]:
         """The areas [m2] of disconnected parts of the fluid, the largest first."""
         return [self.area]
+
+    @property
+    def polygons(self) -> Sequence[tuple[str, BaseGeometry]]:
+        """The solids of any shape [m], with their names; none if all follow the axes."""
+        return ()
 
     @property
     @abstractmethod
@@ -232,6 +239,23 @@ class Domain(ABC):
         """Whether particles of a spacing [m] fill the domain exactly, as packed ones do."""
         return True
 
+    def lattice_spacing(self, particle_spacing: float) -> float:
+        """Return the spacing [m] of the lattice nearest to a wanted one."""
+        return particle_spacing
+
+    def pitches(self, particle_spacing: float) -> tuple[float, float]:
+        """Return the distances of lattice points along x and y [m]."""
+        return particle_spacing, particle_spacing
+
+    def row_end(self, level: float, pitch: float) -> float:
+        """Return the height [m] nearest to a level at which a row ends, or the level if one does.
+
+        Rows begin at the floor, `pitch` apart [m].
+        """
+        rows = (level - self.lower[1]) / pitch
+        whole = max(1, round(rows))
+        return level if abs(rows - whole) <= WHOLE_TOLERANCE else self.lower[1] + whole * pitch
+
     @abstractmethod
     def fill(self, particle_spacing: float) -> Array:
         """Return the points (n_particles, 2) [m] of a lattice that are in the fluid."""
@@ -239,6 +263,10 @@ class Domain(ABC):
     def n_particles(self, particle_spacing: float) -> int:
         """Return the number of particles with the area of the fluid."""
         return round(self.area / particle_spacing**2)
+
+    def below(self, level: float) -> Domain:
+        """Return the part whose particles fill it up to a height [m], by default the domain."""
+        return self
 
     @abstractmethod
     def ghosts(self, particle_spacing: float, n_layers: int) -> Walls:

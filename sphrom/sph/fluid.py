@@ -45,6 +45,8 @@ class UnitForcing(Generic[T]):
     force: T | None = None
 
 
+OVERFLOWING = 1e150
+"""Numbers whose square may be too large."""
 ROUNDING = 1e-9
 """Relative tolerance for equality up to rounding."""
 COURANT_LIMIT = 1.5
@@ -165,7 +167,8 @@ def step_limits(
     half = 0.5 * discretization.acoustic_damping * LARGEST_WAVE_NUMBER
     half += 0.5 * resistance * length / (fluid.sound_speed * LARGEST_WAVE_NUMBER)
     if half > 1.0:
-        rate = LARGEST_WAVE_NUMBER * (half + math.sqrt(half**2 - 1.0))
+        root = math.sqrt(half**2 - 1.0) if half < OVERFLOWING else half
+        rate = LARGEST_WAVE_NUMBER * (half + root)
         courant = min(courant, REAL_AXIS_LIMIT / rate)
     diffusion = VISCOUS_LIMIT * length**2
     if has_walls:

@@ -30,7 +30,7 @@ from sphrom.sph.walls import GhostParticles, WallTerms
 
 BodyForce = Callable[[Array, float], Array]
 """The acceleration (2, n_particles) [m/s2] at positions (2, n_particles) [m] and a time [s]."""
-WallSpeed = Callable[[float], float]
+WallSpeed = Callable[[float], float | Array]
 """The factor of the walls' velocity at a time [s]."""
 
 LARGEST_MACH_NUMBER = 0.3
@@ -341,5 +341,7 @@ class WallForces:
         loads = {}
         for name, wall in self.walls.items():
             loads[name] = np.stack([wall.loads(part) for part in forces])
-            loads[name][1, TORQUE] -= viscosity * speed * wall.circulation
+            # Factors of all ghosts of one wall are equal.
+            factor = np.broadcast_to(speed, wall.weights.shape[2])[wall.weights[0, 0] > 0.0]
+            loads[name][1, TORQUE] -= viscosity * factor[:1].sum() * wall.circulation
         return loads

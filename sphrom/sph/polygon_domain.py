@@ -16,8 +16,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -201,6 +201,11 @@ class PolygonDomain(Domain):
         wall[least > math.sqrt(ROUNDING) * max(self.lengths)] = -1
         return wall
 
+    @property
+    def polygons(self) -> Sequence[tuple[str, BaseGeometry]]:
+        """The solids with their names."""
+        return self.solids
+
     def contains(self, position: Array) -> Mask:
         """Return whether positions (n_points, 2) [m] are in the fluid or on its edge."""
         return self.distance_and_normal(position)[0] >= -ROUNDING * max(self.lengths)
@@ -255,6 +260,14 @@ class PolygonDomain(Domain):
         depth = np.rint(distance / (math.sqrt(ROUNDING) * particle_spacing))
         deepest = np.argsort(-depth, kind="stable")[:number]
         return off_walls(points[np.sort(deepest)], self, NEAREST * particle_spacing)
+
+    def below(self, level: float) -> PolygonDomain:
+        """Return the part of the domain under a ceiling at a height [m]."""
+        lower, upper = self.lower, (self.upper[0], level)
+        box, least = shapely.box(*lower, *upper), LEAST * max(self.lengths)
+        inside = {name: shapely.intersection(self._with_images(s), box) for name, s in self.solids}
+        kept = {name for name, part in inside.items() if part.area > least**2}
+        return replace(self, upper=upper, solids=tuple(s for s in self.solids if s[0] in kept))
 
     def ghosts(self, particle_spacing: float, n_layers: int) -> Walls:
         """Return points (n_ghosts, 2) [m] in rows behind walls."""

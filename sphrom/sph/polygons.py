@@ -149,6 +149,17 @@ def joined_areas(shape: BaseGeometry, lengths: Lengths, periodic: Periodic) -> A
     return np.bincount(part_of, shapely.area(parts), minlength=number).astype(np.float64)
 
 
+def connects_images(fluid: BaseGeometry, lengths: Lengths, axis: int) -> bool:
+    """Return whether fluid that leaves a periodic box along an axis can come back at its start.
+
+    `fluid` contains the images on either side [m]. A part of it that overlaps with itself one
+    period further contains a path from a place to the image of this place.
+    """
+    shift = [length if i == axis else 0.0 for i, length in enumerate(lengths)]
+    shared = (part.intersection(translate(part, *shift)) for part in shapely.get_parts(fluid))
+    return any(both.area > ROUNDING * lengths[0] * lengths[1] for both in shared)
+
+
 def _joined_across(axis: int, parts: NDArray[np.object_], lengths: Lengths) -> Indices:
     """Return the pairs of parts (2, n_pairs) that continue in each other past a periodic edge."""
     shift = [length if i == axis else 0.0 for i, length in enumerate(lengths)]

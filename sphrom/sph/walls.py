@@ -130,7 +130,7 @@ class GhostParticles:
         source: Array,
         reach: float,
         body_force: Array | None,
-        wall_speed: float = 1.0,
+        wall_speed: float | Array = 1.0,
     ) -> WallTerms:
         """Return the ghosts beside some fluid, with fields derived from it (Eq. 2.15-2.16).
 
@@ -139,7 +139,7 @@ class GhostParticles:
         sources, source : of the fluid, with fields laid out as in `sphrom.kernels.sweeps`.
         reach : search radius for the fluid [m].
         body_force : (2, n_particles) [m/s2], or None.
-        wall_speed : factor of the walls' velocity.
+        wall_speed : factor of the walls' velocity, or one for each ghost (n_ghosts,).
         """
         search = (sources.grid, sources.cell_start, reach, self._inverse_length)
         means = np.empty((5, self._position.shape[1]))
@@ -174,7 +174,7 @@ class GhostParticles:
             fields[wall_sweeps.NORMAL_X : wall_sweeps.NORMAL_Y + 1] = normal
         return WallTerms(self, sources, source, fields, weights, search)
 
-    def _velocity(self, mean: Array, wall_speed: float) -> Array:
+    def _velocity(self, mean: Array, wall_speed: float | Array) -> Array:
         """Return the ghosts' velocity (2, n_ghosts), given the fluid's interpolated one [m/s]."""
         wall = wall_speed * self.walls.velocity.T
         if self.discretization.no_slip == "linear":

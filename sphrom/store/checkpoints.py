@@ -4,13 +4,17 @@ Beside the unfinished artifact, `NAME.part-1`, `NAME.part-2`, ... hold the finis
 file those since the one before. `NAME.checkpoint` holds the state and the number of parts that
 belong to it. Parts never change once they are written, and are written before the state that refers
 to them, which replaces the previous state as a whole: a killed process leaves both complete.
+
+A finished run can be continued beyond its final time. Its last snapshot is the state, because the
+neighbour list is reset there. The finished file stays until the longer one replaces it; until then
+parts hold only the snapshots after its end.
 """
 
 from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -25,7 +29,7 @@ from sphrom.artifacts.records.runs import Checkpoint
 from sphrom.errors import ArtifactError, UnstableError
 from sphrom.setup.cost import MOST_PENDING
 from sphrom.sph.time_loop import Clock, Item, Model, RunState, TimeSteps, march
-from sphrom.store.trajectory import TrajectoryWriter
+from sphrom.store.trajectory import TrajectoryWriter, snapshot_fields
 from sphrom.store.workspace import Target, Workspace
 from sphrom.version import __version__
 
@@ -67,8 +71,16 @@ class Checkpoints:
     seconds : time that this process has spent on writing them [s].
     """
 
-    def __init__(self, workspace: Workspace, target: Target, artifact: ArtifactWriter) -> None:
+    def __init__(
+        self,
+        workspace: Workspace,
+        target: Target,
+        artifact: ArtifactWriter,
+        shorter: Target | None = None,
+    ) -> None:
         """Look for files of a stopped run; continue from them, discard them, or raise an error.
+
+        Without such files, continue from the end of a `shorter` finished run, if there is one.
 
         Raises ArtifactError if there is a checkpoint but neither `resume` nor `force` is set, or if
         it cannot be continued.
@@ -76,11 +88,20 @@ class Checkpoints:
         self._workspace, self._target, self._artifact = workspace, target, artifact
         self._context, self._name = workspace.context, target.path.name
         self._state = self._aside("checkpoint", "sphrom/checkpoint")
+        self._shorter, self._continued = shorter, None
+        if shorter is not None:
+            with workspace.open_intermediate(shorter) as run:
+                self._continued = run.content_sha256
         kept, self._book = self._found(), _Book()
         self.begin: RunState | None = None
         if kept is None:
             _remove(target)
+            if shorter is not None:
+                self.begin = self._end_of(shorter)
+                self._book = _Book(self.begin.step)
         else:
+            if kept.continued is None:
+                self._shorter = self._continued = None
             state = kept.state if len(kept.state) > 1 else kept.state[0]
             self.begin = RunState(kept.step, state, kept.neighbours_at, kept.seconds)
             self._book = _Book(kept.step, kept.n_parts)
@@ -100,12 +121,13 @@ class Checkpoints:
             n_steps -= self.begin.step
         return self._context.report.progress(description, n_steps)
 
-    def snapshots(self) -> Iterator[Item]:
-        """Read the snapshots of the stopped run."""
-        for number in range(1, 1 + self._book.n_parts):
-            with self._workspace.open_intermediate(self._part(number)) as part:
+    def snapshots(self, names: Collection[str]) -> Iterator[Item]:
+        """Read the snapshots of the stopped run, and of a finished run that it continues."""
+        parts = [self._part(number) for number in range(1, 1 + self._book.n_parts)]
+        for target in parts if self._shorter is None else (self._shorter, *parts):
+            with self._workspace.open_intermediate(target) as part:
                 for i in range(part.length("step")):
-                    yield {name: part.dataset(name)[i] for name in part.datasets}
+                    yield {name: part.dataset(name)[i] for name in names}
 
     def add(self, item: Item) -> None:
         """Add a snapshot to the next checkpoint."""
@@ -146,11 +168,29 @@ class Checkpoints:
                 )
             raise
 
+    def _end_of(self, run: Target) -> RunState:
+        """Return the state at the last snapshot of a finished run."""
+        with self._workspace.open_intermediate(run) as artifact:
+            last = artifact.length("step") - 1
+            position, density, velocity = snapshot_fields(artifact, last)
+            step, time = (artifact.dataset(name)[last] for name in ("step", "time"))
+            self._artifact.add_time(artifact.number("wall_seconds"))
+            self._context.report.note(
+                f"{self._name}: goes on from its end at step {step}, t = {time:.6g} s"
+            )
+            state = np.vstack((position.T, density, velocity.T))
+            return RunState(int(step), state, None, artifact.number("timing/integration"))
+
     def _latest(self) -> Checkpoint:
         """Return the stored checkpoint. Raises ArtifactError unless it has all its parts."""
         with self._workspace.open_intermediate(self._state) as artifact:
             artifact.verify_content()
             kept = read_record(artifact, Checkpoint)
+        if kept.continued not in (None, self._continued):
+            path = self._target.path
+            raise ArtifactError(
+                f"{path} is no longer the run that was continued; `--force` starts anew"
+            )
         for number in range(1, kept.n_parts + 1):
             target = self._part(number)
             if not target.path.exists():
@@ -241,6 +281,7 @@ class Checkpoints:
             computed_with="\n".join(map(": ".join, computes_with().items())),
             seconds=run_state.seconds,
             wall_seconds=self._artifact.age,
+            continued=self._continued,
         )
         with self._workspace.create_intermediate(self._state) as artifact:
             write_record(artifact, kept)
@@ -263,7 +304,7 @@ def integrate(
     """
     clock = Clock()
     failure: UnstableError | None = None
-    for item in checkpoints.snapshots():
+    for item in checkpoints.snapshots(trajectory.names):
         trajectory.write(item)
     begin, reached = checkpoints.begin, checkpoints.reached
     with checkpoints.kept_if_stopped():

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -21,7 +21,15 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import ArtifactError, CaseError
-from sphrom.metrics.measures import Probes, Quantities, Samples, grid_points, midpoints, spread
+from sphrom.metrics.measures import (
+    Probes,
+    Quantities,
+    Samples,
+    grid_points,
+    midpoints,
+    spread,
+    with_coefficients,
+)
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.trial_basis import (
@@ -31,7 +39,6 @@ from sphrom.reduction.trial_basis import (
     reconstruct,
     truncate,
 )
-from sphrom.setup.assembly import surface_columns
 from sphrom.setup.particles import sampler
 from sphrom.sph.fluid import fluctuation_of, pressure_of
 from sphrom.store.surfaces import SurfaceModelAt, TrainedSurface
@@ -76,7 +83,8 @@ class StoredRun:
 
     def measured(self, name: str) -> Quantities:
         """Return a measurement of the case over time, by quantity (n_snapshots, ...)."""
-        return read_quantities(self._run, name)
+        measured = {name: read_quantities(self._run, name)}
+        return with_coefficients(measured, self._workspace.case.plan.coefficients)[name]
 
     @cached_property
     def _used(self) -> tuple[str, int]:
@@ -100,7 +108,9 @@ class StoredRun:
     @property
     def elevation(self) -> Array:
         """The height y of a reduced model's free surface (n_snapshots, n_columns) [m]."""
-        return self._graph.graph.elevation(self._coordinates, surface_columns(self._workspace.case))
+        return self._graph.graph.elevation(
+            self._coordinates, self._workspace.case.plan.surface_columns
+        )
 
     def position(self, snapshot: int) -> Array:
         """Return the run's own points (n, 2) [m]."""
@@ -156,6 +166,8 @@ ON_WALL = 1e-6
 """Points closer to a wall than this share of the spacing are on it."""
 N_INFLOWS = 10
 """Number of instants at which the inflow of a run is sampled."""
+MISSED_INFLOW, WRONG_INFLOW = 0.02, 0.2
+"""Differences from the target inflow, relative, that are told, and that make a run fail."""
 LEAST_SHARE = 1e-10
 """Relative size of a combination of modes that contains nothing of a field."""
 
@@ -214,32 +226,69 @@ def sample_run(
     return Samples(times[chosen], velocities, pressures)
 
 
-def described_inflow(case: Case, point: ParameterPoint, trajectory: Artifact) -> str | None:
-    """Return the target inflow and that of a run's later half, in words; None without a strip."""
+@dataclass(frozen=True)
+class Inflow:
+    """The inflow of a full run, and the one that the case asks for."""
+
+    text: str
+    miss: float
+    """The difference of the flow rates, over the root mean square of the target."""
+
+    @property
+    def is_wrong(self) -> bool:
+        """Whether the flow is not the one of the case."""
+        return self.miss > WRONG_INFLOW
+
+    @property
+    def problem(self) -> str | None:
+        """A sentence for a run that misses its inflow; None for others."""
+        if not self.miss > MISSED_INFLOW:
+            return None
+        return (
+            f"{self.text}. The flow is not the one of the case: raise scene.inflow.strength, take "
+            "a wider strip, or let inflow.ramp and time.final_time be longer"
+        )
+
+
+def inflow_of(case: Case, point: ParameterPoint, trajectory: Artifact) -> Inflow | None:
+    """Return the target inflow and that of a run's later half; None without a strip.
+
+    Times before the inflow has its speed do not count if there are others.
+    """
     strip, force = case.plan.strip, case.plan.flow(point).body_force
     if strip is None or force is None:
         return None
     domain, across = case.scene.domain, 1 - strip.axis
     n_places = max(2, round(domain.lengths[across] / case.plan.particle_spacing))
     points = np.empty((n_places, 2))
-    points[:, strip.axis] = strip.end if strip.speed > 0.0 else strip.start
     points[:, across] = midpoints(domain.lower[across], domain.upper[across], n_places)
+    points[:, strip.axis] = 0.5 * (strip.start + strip.end)
     points = points[domain.contains(points)]
+    profile = (force.field(points.T) / strip.rates(points.T)).T
+    points[:, strip.axis] = strip.end if strip.speed > 0.0 else strip.start
     width = domain.lengths[across] * len(points) / n_places  # solids may cross the strip
     times = trajectory.read("time")
-    chosen = np.unique(np.linspace(len(times) // 2, len(times) - 1, N_INFLOWS).astype(int))
+    later = np.arange(len(times) // 2, len(times))
+    later = later[times[later] >= case.plan.scene.inflow_ramp]
+    later = later if later.size else np.array([len(times) - 1])
+    # At equal distances the instants could all be at one phase of an oscillation.
+    shares = (np.arange(N_INFLOWS) + np.random.default_rng(0).random(N_INFLOWS)) / N_INFLOWS
+    spread_out = shares if force.changes else np.linspace(0.0, 1.0, N_INFLOWS)
+    chosen = np.unique(later[(spread_out * (later.size - 1)).astype(int)])
     sampled = sample_run(case, trajectory, points, snapshots=chosen.tolist())
-    inside = points.copy()
-    inside[:, strip.axis] = 0.5 * (strip.start + strip.end)
-    profile = (force.field(inside.T) / strip.rates(inside.T)).T
     wanted = np.array([force.amplitude(t) for t in sampled.time])[:, None, None] * profile
-    flows = [width * v[..., strip.axis].mean() for v in (wanted, sampled.velocity)]
+    rates = [width * v[..., strip.axis].mean(axis=1) for v in (wanted, sampled.velocity)]
+    flows = [float(rate.mean()) for rate in rates]
+    size = math.sqrt(float(np.mean(rates[0] ** 2)))
     off = np.linalg.norm(sampled.velocity.mean(axis=0) - wanted.mean(axis=0), axis=1)
-    return (
+    fastest = float(np.linalg.norm(wanted, axis=2).max())
+    miss = (flows[1] - flows[0]) / size
+    text = (
         f"{point.label}: target inflow {flows[0]:.4g} m2/s, actual inflow {flows[1]:.4g} m2/s "
-        f"({100.0 * (flows[1] / flows[0] - 1.0):+.2f} %); the profile differs by "
-        f"{100.0 * math.sqrt(np.mean(off**2)) / abs(strip.speed):.2g} % of its largest speed"
+        f"({100.0 * math.copysign(miss, miss * flows[0]):+.2f} %); the profile differs by "
+        f"{100.0 * math.sqrt(np.mean(off**2)) / fastest:.2g} % of its largest speed"
     )
+    return Inflow(text, abs(miss))
 
 
 def sample_mapped(case: Case, mapped: Artifact, sample: ReferenceMap) -> Samples:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,7 +20,7 @@ from sphrom.metrics.measures import Samples
 from sphrom.reduction.polynomial_model import OutputTimes
 from sphrom.reduction.stream_functions import StreamSpace
 from sphrom.reduction.surface_basis import SurfaceBasis, TrainedGraph, chosen_size
-from sphrom.setup.assembly import surface_columns, uniform_force
+from sphrom.setup.assembly import uniform_force
 from sphrom.sph.fluid import volume_of
 from sphrom.store.trained_models import start
 from sphrom.store.workspace import Workspace
@@ -91,6 +91,7 @@ class TrainedSurface:
             uniform_force(case, point),
             calibrated=self.section.is_calibrated,
         )
+        graph = replace(graph, longest_step=case.plan.longest_step(point))
         steps, density = case.plan.model_steps(self.section), case.fluid.reference_density
         times = OutputTimes(steps.snapshot_interval, steps.n_snapshots, steps.start_time)
         return SurfaceModelAt(graph, density, self._start(point), times)
@@ -102,7 +103,7 @@ class TrainedSurface:
         own = ((n, v) for n, v in begin.factors.items() if case.scene.starts_by(n))
         key = begin if spun_up else tuple(own)
         if key not in self._starts:
-            state, columns = start(self.workspace, begin), surface_columns(case)
+            state, columns = start(self.workspace, begin), case.plan.surface_columns
             level = case.scene.level_at(begin.factors)
             elevation = np.full_like(columns, level)
             if spun_up or not math.isfinite(level):

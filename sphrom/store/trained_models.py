@@ -21,7 +21,7 @@ from sphrom.artifacts.records.runs import Start
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import AUTO, ReducedModelSection
-from sphrom.metrics.measures import Quantities
+from sphrom.metrics.measures import Quantities, with_coefficients
 from sphrom.reduction.calibration import (
     Calibration,
     CycleClosure,
@@ -200,7 +200,7 @@ def read_recorded(case: Case, artifact: Artifact, basis: str) -> dict[str, Quant
             recorded[name] = totals(artifact.read(f"{group}/wall_force/{name}/training_loads"))
         else:
             recorded[name] = read_by_quantity(artifact, f"{group}/measure/{name}/training_")
-    return recorded
+    return with_coefficients(recorded, case.plan.coefficients)
 
 
 def memory_timing(basis: str, n_modes: int) -> str:

@@ -11,14 +11,14 @@ from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, ArtifactWriter
 from sphrom.case.models import Case
 from sphrom.errors import ArtifactError, UnstableError
-from sphrom.metrics.measures import TORQUE, UNITS, FieldMeasure, Quantities
+from sphrom.metrics.measures import TORQUE, UNITS, FieldMeasure, Quantities, with_coefficients
 from sphrom.sph.fluid import pressure_of
 
 if TYPE_CHECKING:  # it imports kernels, which take long and which reduced runs do not need
     from sphrom.setup.particles import MeasuredParticles
     from sphrom.sph.domain import Walls
     from sphrom.sph.functional import WallForces
-    from sphrom.sph.time_loop import Item, Snapshot
+    from sphrom.sph.time_loop import Item, Snapshot, Watch
 
 
 PARTS = ("pressure", "viscous")
@@ -75,7 +75,8 @@ def totals(loads: Array) -> Quantities:
 
 def measured_of(case: Case, artifact: Artifact) -> dict[str, Quantities]:
     """Return all measurements of a run by name."""
-    return {name: read_quantities(artifact, name) for name in case.scene.recorded}
+    measured = {name: read_quantities(artifact, name) for name in case.scene.recorded}
+    return with_coefficients(measured, case.plan.coefficients)
 
 
 class TrajectoryWriter:
@@ -93,8 +94,10 @@ class TrajectoryWriter:
         walls: Walls | None = None,
         forces: WallForces | None = None,
         fields: MeasuredParticles | None = None,
+        watch: Watch | None = None,
     ) -> None:
         self._artifact = artifact
+        self._watch = watch
         self._forces = forces
         self._fields = fields
         self._sound_speed = sound_speed
@@ -153,10 +156,18 @@ class TrajectoryWriter:
         self.write(item)
         return item
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the datasets with one entry per snapshot."""
+        return tuple(self._streams)
+
     def write(self, item: Item) -> None:
         """Write one snapshot that `append` returned before."""
         for name, stream in self._streams.items():
             stream.append(item[name])
+        if self._watch is not None:
+            fields = (item[name] for name in ("position", "velocity", "density_fluctuation"))
+            self._watch.see(float(item["time"]), *fields)
 
     def finish(
         self, failure: UnstableError | None, seconds: float | None, checkpoint_seconds: float = 0.0
@@ -168,6 +179,8 @@ class TrajectoryWriter:
         self._artifact.annotate("status", "complete" if failure is None else "unstable")
         if failure is not None:
             self._artifact.annotate("status_detail", str(failure))
+        if self._watch is not None and (found := list(self._watch.findings())):
+            self._artifact.annotate("unphysical", "\n".join(found))
         if seconds is not None:
             self._artifact.annotate("timing/integration", seconds)
         self._artifact.annotate("timing/checkpoints", checkpoint_seconds)

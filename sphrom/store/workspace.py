@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sphrom.artifacts import (
@@ -29,7 +29,8 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import fast_section, sweep_model, sweep_name
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.kernels import ask_for_threads
-from sphrom.setup.context import StageContext
+from sphrom.setup.context import KnownArtifacts, StageContext
+from sphrom.version import __version__
 
 FULL_RUN = ("scene", "fluid", "discretization", "time", "snapshots")
 """The sections that a full run depends on."""
@@ -96,8 +97,11 @@ class Workspace:
         self.context = context
         self.case, self.out = context.case, context.out
         ask_for_threads(context.threads)
-        # Requested figures change no artifact, and measured frequencies change no run.
-        scene = self.case.scene.model_copy(update={"measure": self.case.scene.recorded})
+        # Requested figures change no artifact, and figures of measurements change no run.
+        bare = {"from_time": None, "coefficient": None}
+        recorded = self.case.scene.recorded.items()
+        measure = {name: each.model_copy(update=bare) for name, each in recorded}
+        scene = self.case.scene.model_copy(update={"measure": measure})
         compare = self.case.compare.model_copy(update={"figures": ()})
         self._without_figures = self.case.model_copy(update={"compare": compare, "scene": scene})
         self._inputs: dict[str, dict[str, object]] = {}
@@ -161,12 +165,60 @@ class Workspace:
                 remedy = f"no simulation replaces what was imported: import again with `{command}`"
             raise ArtifactError(f"{target.path} {reason}; {remedy}")
 
+    def shorter_run(self, point: ParameterPoint) -> Target | None:
+        """Return the finished run that a full run continues beyond its final time, or None.
+
+        Raises ArtifactError without `force` if there is one, but `resume` is not set, or the longer
+        case has other steps or another speed of sound.
+        """
+        target, case, context, before = self.full_run(point), self.case, self.context, None
+        if not target.path.exists() or self.imported(target) or not self.reason_to_make(target):
+            return None
+        with (
+            suppress(ArtifactError, CaseError),
+            open_artifact(target.path, target.schema, made_by=target.made_by) as run,
+        ):
+            version = run.text("softwareVersion")
+            if run.text("status") == "complete":
+                before = case.model_copy(update={"time": case_of_text(run.case_text).time})
+        if before is None or before.time.spin_up != case.time.spin_up:
+            return None
+        shorter = Workspace(replace(context, case=before, known=KnownArtifacts()))
+        found, old, new = shorter.full_run(point), before.plan, case.plan
+        if shorter.reason_to_make(found) or old.steps.end_time >= new.steps.end_time:
+            return None
+        step, ends = old.steps.time_step, f"{target.path} ends at {old.steps.end_time:g} s"
+        changes = {
+            "speed of sound": (old.sound_speed, new.sound_speed, ""),
+            "step": (step, new.steps.time_step, f"`--set time.step={step!r}` keeps it, "),
+            "version of sphrom": (version, __version__, ""),
+        }
+        different = (name for name, (there, here, _) in changes.items() if there != here)
+        if (name := next(different, None)) is not None:
+            there, here, remedy = changes[name]
+            if context.resume and not context.force:
+                change = (
+                    f"the {name} is {there} there, {here} here; {remedy}`--force` makes it anew"
+                )
+                raise ArtifactError(f"{ends}, and can't be continued: {change}")
+            return None
+        if not context.resume and not context.force:
+            raise ArtifactError(f"{ends}: `--resume` continues it, `--force` makes it anew")
+        return found if context.resume else None
+
     def imported(self, target: Target) -> dict[str, str]:
         """Return the import attributes of an artifact; empty if it was made here or is damaged."""
+        attributes = self._attributes(target).items()
+        return {name: str(value) for name, value in attributes if name.startswith("imported/")}
+
+    def _attributes(self, target: Target) -> Mapping[str, object]:
         with suppress(Fault), open_file(target.path) as file:
-            attributes = inspect(file).attributes.items()
-            return {name: str(value) for name, value in attributes if name.startswith("imported/")}
+            return inspect(file).attributes
         return {}
+
+    def unphysical(self, point: ParameterPoint) -> list[str]:
+        """Return the unphysical effects in the full run at a point."""
+        return str(self._attributes(self.full_run(point)).get("unphysical", "")).splitlines()
 
     def _import_command(self, target: Target) -> str | None:
         """Return the command that imports a full run again; None if a stage makes the artifact."""
@@ -196,13 +248,14 @@ class Workspace:
 
     @contextmanager
     def create(
-        self, target: Target, attributes: Mapping[str, object] | None = None
+        self, target: Target, attributes: Mapping[str, object] | None = None, *, over: bool = False
     ) -> Iterator[ArtifactWriter]:
-        """Write an artifact that is made from the current state of its parents."""
+        """Write an artifact made from its parents' state; with `over` or `force`, over another."""
         for parent in target.parents.values():
             self.require(parent)
         make_folder(target.path.parent)
-        with self.create_intermediate(target, attributes, force=self.context.force) as artifact:
+        force = self.context.force or over
+        with self.create_intermediate(target, attributes, force=force) as artifact:
             yield artifact
         self.context.known.forget(target.path)
         self.context.report.info(f"wrote {target.path}")
@@ -403,14 +456,22 @@ class Workspace:
     ) -> Target:
         """Return a target; `about` contains the dependencies beyond the whole sections."""
         kind = KINDS[name]
-        if name in ("compare", "sweep", "fit") and (of := self.case.scene.oscillations):
-            about = {**about, "oscillations": {key: vars(each) for key, each in of.items()}}
+        if name in ("compare", "sweep", "fit", "rom"):
+            plan = self.case.plan
+            figures: dict[str, Mapping[str, object]] = {}
+            figures["means from"] = {n: t for n, t in plan.means_from.items() if t > 0.0}
+            if name != "rom":
+                figures["oscillations"] = {n: vars(each) for n, each in plan.oscillations.items()}
+                figures["coefficients"] = plan.coefficients
+            about = {**about, **{key: each for key, each in figures.items() if each}}
         if name not in self._inputs:
             self._inputs[name] = section_inputs(self._without_figures, kind.sections)
         if "fluid" in kind.sections:
             about = {**about, "largest speed": self.case.plan.max_speed}
             if self.case.plan.sound_speed > self.case.plan.max_speed / self.case.fluid.mach_number:
                 about["sound speed"] = self.case.plan.sound_speed
+            if (strip := self.case.plan.strip) is not None and strip != self.case.scene.strip:
+                about["strip speed"] = strip.speed
         inputs = {
             "sections": self._inputs[name],
             "about": stated(about),

@@ -27,6 +27,7 @@ from sphrom.metrics.measures import PLACED, Quantities, components, of_a_run
 from sphrom.metrics.series import kinetic_energy
 from sphrom.offline import fom
 from sphrom.online import rom
+from sphrom.online.error_estimates import measured_errors, measured_sizes
 from sphrom.online.fast_model import FastRun, fast_model
 from sphrom.online.sensitivities import tangents
 from sphrom.online.surface_model import SurfaceRun
@@ -42,6 +43,7 @@ PLACE = "place"
 """Key of a run's scaled parameters."""
 ERROR = "error_estimate/"
 """Prefix of the datasets of error estimates, which some runs lack."""
+MEASURED_ERRORS = f"{ERROR}measured", f"{ERROR}change"
 
 
 @dataclass(frozen=True)
@@ -156,6 +158,11 @@ class SweptModel:
                 f"{ERROR}velocity_over_time": estimate.velocity,
                 f"{ERROR}pressure_over_time": estimate.pressure,
             }
+            columns = self.workspace.case.scene.columns
+            if columns and isinstance(run, FastRun):
+                found = measured_sizes(run, measured_errors(run))
+                pairs = [found.get(column, (0.0, 0.0)) for column in columns]
+                values |= zip(MEASURED_ERRORS, np.sqrt(pairs).T, strict=True)
         values |= _kept(run.measured)
         derivatives: dict[str, float] = {}
         if isinstance(run, FastRun) and self.workspace.case.sweep.sensitivities:

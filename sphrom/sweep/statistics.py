@@ -9,7 +9,7 @@ velocity, e_u that of its error, and M the mass.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +20,7 @@ from sphrom.arrays import Array
 from sphrom.artifacts.records.sweep import OutputIndices, OutputStatistics, Statistics
 from sphrom.case.models import Case
 from sphrom.case.points import outside
-from sphrom.case.studies import sweep_model, sweep_points
+from sphrom.case.studies import sweep_model
 from sphrom.console import Reporter
 from sphrom.metrics.draws import Along, fewest_runs, sobol_indices, spread
 from sphrom.metrics.measures import PLACED, UNITS, Oscillating, components
@@ -74,18 +74,20 @@ class Output:
 def outputs_of(case: Case, runs: Values, trained: Values = ()) -> Iterator[Output]:
     """Yield the outputs of complete runs: kinetic energy, and the measurements of the case.
 
-    They are followed by means over time, and by figures of oscillations that all runs have.
-    `trained` are the differences from `SweptModel.in_training`.
+    They are followed by means over the times that count, and by figures of oscillations, which are
+    NaN for runs without one. `trained` are the differences from `SweptModel.in_training`.
     """
     whole, differences = _stacked(runs), _stacked(trained)
     yield from _outputs(case, TIME, whole, differences)
-    yield from _outputs(case, MEAN, _averaged(whole), _averaged(differences))
-    for name, measure in case.scene.oscillations.items():
+    if len(runs) and case.plan.counted("", runs[0]["time"]).any():
+        time = runs[0]["time"]
+        means = _averaged(case, whole, time), _averaged(case, differences, time)
+        yield from _outputs(case, MEAN, *means)
+    for name, measure in case.plan.oscillations.items():
         oscillations = [oscillation_of(measure, values) for values in runs]
         for figure in OSCILLATION[:3]:
-            if all(figure in each for each in oscillations):
-                values = np.array([[each[figure]] for each in oscillations])
-                yield Output(f"{name}_{figure}", measure.units_of(figure), MEAN, values, None)
+            values = np.array([[each.get(figure, np.nan)] for each in oscillations])
+            yield Output(f"{name}_{figure}", measure.units_of(figure), MEAN, values, None)
 
 
 def oscillation_of(each: Oscillating, values: Mapping[str, Any]) -> dict[str, float]:
@@ -109,15 +111,20 @@ def _stacked(runs: Values) -> dict[str, Array]:
     return arrays
 
 
-def _averaged(whole: Mapping[str, Array]) -> dict[str, Array]:
-    """Return means over time (n_runs, 1, ...), and root mean squares of errors over the fluid."""
-    return {
-        name: np.sqrt(np.mean(values**2, axis=1, keepdims=True))
-        if name == ERROR
-        else (values if name == PLACE else values.mean(axis=1, keepdims=True))
-        for name, values in whole.items()
-        if not name.rpartition("/")[2].startswith(FINAL)
-    }
+def _averaged(case: Case, whole: Mapping[str, Array], time: Array) -> dict[str, Array]:
+    """Return means over time (n_runs, 1, ...), and root mean squares of errors over the fluid.
+
+    Training runs may be shorter than other runs, or longer.
+    """
+    means = {PLACE: whole[PLACE]} if PLACE in whole else {}
+    for path in whole.keys() - means:
+        _, name, quantity = path.split("/") if path.startswith("measure/") else ("", "", path)
+        common = whole[path][:, : len(time)]
+        late = common[:, case.plan.counted(name, time[: common.shape[1]])]
+        if late.size and not quantity.startswith(FINAL):
+            power = 2.0 if path == ERROR else 1.0
+            means[path] = np.mean(late**power, axis=1, keepdims=True) ** (1.0 / power)
+    return means
 
 
 def _outputs(
@@ -165,19 +172,27 @@ def statistics_of(workspace: Workspace, records: Sequence[RunRecord]) -> Statist
     places = scaled_parameters(case, [record.point for record in complete])
     runs = [{**r.values, PLACE: each} for r, each in zip(complete, places, strict=True)]
     trained = SweptModel(workspace).in_training([r.point for r in records if r.values])
-    model, points = sweep_model(case), sweep_points(case)[:drawn]
-    beyond = 0 if model is None else sum(bool(outside(p, case.plan.train_points)) for p in points)
+    points = [record.point for record in complete] if sweep_model(case) is not None else []
+    beyond = sum(bool(outside(point, case.plan.train_points)) for point in points)
     return Statistics(
         levels=np.array(section.levels),
         outputs={
             each.name: spread(each.values, each.errors, section.levels, each.unit, each.along)
-            for each in outputs_of(case, runs, trained)
+            for each in map(existing, outputs_of(case, runs, trained))
+            if len(each.values) >= fewest_runs(section.levels)
         },
         indices=_indices(case, records) if sample.method == SALTELLI else {},
         n_runs=len(runs),
         n_extrapolated=beyond,
         method=sample.method,
     )
+
+
+def existing(output: Output) -> Output:
+    """Return an output of those runs that have it."""
+    has = np.isfinite(output.values).all(axis=1)
+    errors = None if output.errors is None else output.errors[has]
+    return replace(output, values=output.values[has], errors=errors)
 
 
 def _indices(case: Case, records: Sequence[RunRecord]) -> dict[str, OutputIndices]:
@@ -196,6 +211,7 @@ def _indices(case: Case, records: Sequence[RunRecord]) -> dict[str, OutputIndice
     return {
         output.name: sobol_indices(output.values, len(drawn)).mapped(of_all)
         for output in outputs_of(case, runs)
+        if np.isfinite(output.values).all()
     }
 
 

@@ -25,8 +25,8 @@ from sphrom.console import Reporter
 from sphrom.errors import ArtifactError, CaseError, UnstableError
 from sphrom.metrics import measures
 from sphrom.metrics.draws import fewest_runs
-from sphrom.metrics.measures import STATISTICS
-from sphrom.metrics.series import OSCILLATION
+from sphrom.metrics.measures import DRY, STATISTICS
+from sphrom.metrics.series import NO_OSCILLATION, OSCILLATION
 from sphrom.offline.fom import ensure_packed
 from sphrom.plots.tables import format_figure, rows_of_columns, write_csv
 from sphrom.setup.context import StageContext
@@ -36,6 +36,7 @@ from sphrom.sweep import statistics
 from sphrom.sweep.batches import (
     COMPLETE,
     FAILED,
+    MEASURED_ERRORS,
     NOT_RUN,
     STATES,
     UNSTABLE,
@@ -93,7 +94,9 @@ def run(
     if one became unstable; the table shows which.
     """
     check_options(workers, scheduler)
-    if context.force + (shard is not None) + collect > 1 or (collect and scheduler is not None):
+    if context.force + (shard is not None) + bool(collect) > 1 or (
+        collect and scheduler is not None
+    ):
         raise CaseError(
             "--force, --shard, --collect: can't be combined, nor --collect and --scheduler; to "
             f"restart shards, first remove sweep-{sweep_name(context.case)}.h5 and the folder "
@@ -169,15 +172,21 @@ def columns_of(case: Case, records: Sequence[RunRecord]) -> dict[str, str | None
 
     `error_estimate_extrapolated` is `yes` for values outside of the trained range, else `no`, and
     empty without an estimate. `reason` is the reason of a failure. Measurements over time have
-    columns for their statistics; measurements along lines have none.
+    columns for their statistics, from the time on that counts, and for estimated errors, which are
+    empty for components with only noise; measurements along lines have none. Oscillations have a
+    column for the reason why there is no frequency.
     """
     derivatives = next((record.derivative_names for record in records if record.values), ())
     names = {**dict.fromkeys(case.plan.parameter_names), "status": None}
-    names |= FIGURES | dict.fromkeys((*derivatives, "error_estimate_extrapolated", "reason"))
+    names |= FIGURES
+    if any(MEASURED_ERRORS[0] in record.values for record in records):
+        names |= {f"error_estimate_{name}": "%" for name in case.scene.columns}
+    names |= dict.fromkeys((*derivatives, "error_estimate_extrapolated", "reason"))
     for name, column in case.scene.columns.items():
         names |= {f"{name}_{statistic}": column.units for statistic in STATISTICS}
-    for name, each in case.scene.oscillations.items():
+    for name, each in case.plan.oscillations.items():
         names |= {f"{name}_{figure}": each.units_of(figure) for figure in OSCILLATION}
+        names[f"{name}_reason"] = None
     return names
 
 
@@ -236,9 +245,15 @@ class Results:
             list(_summary(records, rows, names)),
         )
         show_lost(report, [record for record in records if record.status != COMPLETE])
+        if times := case.plan.times_in_words:
+            report.info(times)
+        for problem in _missing(case, rows, records):
+            report.warn(problem)
         report.info(f"all runs are in {path} and {path.stem}.csv")
         if summary is not None:
             statistics.show(report, summary)
+            if lost := len(records) - counts[STATES[COMPLETE]]:
+                report.warn(f"statistics leave out {lost} of {len(records)} runs without a result")
         elif case.sweep.levels:
             report.warn("statistics: none, because too few runs have a result")
         elif case.sweep.sample is not None:
@@ -311,19 +326,43 @@ def _rows(case: Case, records: Sequence[RunRecord], names: Iterable[str]) -> lis
         row |= {name: float(values[name]) for name in FIGURES if name in values}
         derivatives = values.get("derivatives", np.zeros(0)).tolist()
         row |= zip(record.derivative_names, derivatives, strict=True)
+        if MEASURED_ERRORS[0] in record.values:
+            pairs = zip(*(record.values[path].tolist() for path in MEASURED_ERRORS), strict=True)
+            shares = [100.0 * error / change if change > 0.0 else None for error, change in pairs]
+            names_of = (f"error_estimate_{name}" for name in case.scene.columns)
+            row |= zip(names_of, shares, strict=True)
         rows.append(row)
     complete = [k for k, record in enumerate(records) if record.values]
     for path in records[complete[0]].values if complete else ():
         if path.startswith("measure/"):
             _, name, quantity = path.split("/")
             series = np.stack([records[k].values[path] for k in complete])
-            for figure, column in measures.statistics({quantity: series}).items():
+            counted = case.plan.counted(name, records[complete[0]].values["time"])
+            for figure, column in measures.statistics({quantity: series}, counted).items():
                 for k, value in zip(complete, column.tolist(), strict=True):
                     rows[k][f"{name}_{figure}"] = value
-    for k, (name, each) in product(complete, case.scene.oscillations.items()):
+    for k, (name, each) in product(complete, case.plan.oscillations.items()):
         figures = statistics.oscillation_of(each, records[k].values)
         rows[k] |= {f"{name}_{figure}": value for figure, value in figures.items()}
+        rows[k][f"{name}_reason"] = "" if "frequency" in figures else NO_OSCILLATION
     return rows
+
+
+def _missing(case: Case, rows: Sequence[Cells], records: Sequence[RunRecord]) -> Iterator[str]:
+    """Yield warnings about figures that complete runs do not have."""
+    complete = [row for row in rows if row["status"] == STATES[COMPLETE]]
+    for name in case.plan.oscillations:
+        if without := sum(bool(row[f"{name}_reason"]) for row in complete):
+            yield (
+                f"{name}: {without} of {len(complete)} runs have no frequency and no amplitude, "
+                f"and statistics leave them out: {NO_OSCILLATION}"
+            )
+    for name in case.scene.measured_fields if case.scene.has_surface else ():
+        path = f"measure/{name}/pressure"
+        if dry := sum(bool((r.values.get(path, np.ones(1)) == 0.0).any()) for r in records):
+            yield f"{name}: {DRY} in {dry} of {len(complete)} runs; zeros count in its statistics"
+    if none := [n for n in case.scene.columns if complete and complete[0][f"{n}_mean"] is None]:
+        yield f"runs end before the times from which statistics of {', '.join(none)} count"
 
 
 def _summary(
@@ -331,17 +370,20 @@ def _summary(
 ) -> Iterator[tuple[str, ...]]:
     """Yield a row per figure: its extremes with their points, and its mean."""
     points = [record.point for record in records]
+    n_complete = sum(record.status == COMPLETE for record in records)
     for name, unit in names.items():
-        if name == "time_step" or not (name in FIGURES or name.endswith(SHOWN)):
+        shown = name in FIGURES or name.endswith(SHOWN) or name.startswith("error_estimate_")
+        if name == "time_step" or not shown:
             continue
         cells = zip([row[name] for row in rows], points, strict=True)
         if pairs := [(value, point) for value, point in cells if isinstance(value, float)]:
+            some = f" of {len(pairs)} runs" if len(pairs) < n_complete else ""
             mean = sum(value for value, _ in pairs) / len(pairs)
             least, most = (
                 (format_figure(value), ", ".join(f"{n} {v:.6g}" for n, v in at.as_dict().items()))
                 for value, at in (min(pairs), max(pairs))
             )
-            yield (f"{name.replace('_', ' ')} [{unit}]", *least, format_figure(mean), *most)
+            yield (f"{name.replace('_', ' ')} [{unit}]{some}", *least, format_figure(mean), *most)
 
 
 def show_lost(report: Reporter, runs: Sequence[RunRecord | Failure]) -> None:

@@ -19,8 +19,9 @@ from sphrom.case.study_sections import FULL
 from sphrom.compare import costs
 from sphrom.errors import CaseError
 from sphrom.metrics.histories import EXACT, Errors, compare, errors_of
-from sphrom.metrics.measures import Samples, variation, without_weight
+from sphrom.metrics.measures import Samples, parts, since, variations, without_weight
 from sphrom.metrics.measures import errors_of as relative_errors
+from sphrom.metrics.series import NO_OSCILLATION
 from sphrom.online.error_estimates import measured_errors, measured_shares
 from sphrom.online.fast_model import FastModel, fast_model
 from sphrom.online.stable_ranges import TIME, StableRange, stable_ranges
@@ -85,7 +86,7 @@ class _Trade:
         self.models = candidates(self.case, points, first_model(self.case).basis)
         self.wider = weighed_models.prepared(context, self.models)
         self.probes, self.measured = probes_of(self.case), self.case.trade.measure
-        self.oscillating = self.case.scene.oscillations.get(self.measured or "")
+        self.oscillating = self.case.plan.oscillations.get(self.measured or "")
         if self.oscillating is not None:
             self.measured = self.oscillating.measure
         self.full: dict[ParameterPoint, Samples] = {}
@@ -190,7 +191,8 @@ class _Trade:
             return row
         if isinstance(run, SurfaceRun):  # it has no estimates
             return row
-        estimate = measured_shares(run, measured_errors(run)).get(measure)
+        first = f"{measure}_{next(iter(run.measured[measure]))}"
+        estimate = measured_shares(run, measured_errors(run)).get(first)
         return replace(row, errors={**row.errors, weighing.ESTIMATE: estimate})
 
     def _row(
@@ -225,13 +227,16 @@ class _Trade:
                 f"measured_{name}_relative_l2": f"{name}_error" for name in weighing.OSCILLATION
             }
             return errors | {name: figures.get(error) for name, error in names.items()}
-        compared = full.time >= self.case.compare.from_time
+        compared = since(full.time, self.case.compare.from_time)
+        compared &= self.case.plan.counted(self.measured or "", full.time)
         for quantity, reference in full.measured.items():
             values, exact = samples.measured[quantity][compared], reference[compared]
-            size = variation(quantity, exact, with_weight=self.case.scene.has_surface)
-            both = relative_errors(quantity, values, exact, size)
-            name = f"measured_{quantity}_relative_l2"
-            errors |= zip((name, f"{name}_peak"), both, strict=True)
+            sizes = variations(quantity, exact, with_weight=self.case.scene.has_surface)
+            found, expected = (parts(quantity, each) for each in (values, exact))
+            for part, size in sizes.items():
+                both = relative_errors(part, found[part], expected[part], size)
+                name = f"measured_{part}_relative_l2"
+                errors |= zip((name, f"{name}_peak"), both, strict=True)
         return errors
 
 
@@ -262,13 +267,22 @@ def publish(workspace: Workspace, results: Results, tolerance: weighing.Toleranc
         f"without its mean{'; in brackets the estimated error' if measure.measured else ''}; "
         f"{ON_FRONT} marks the Pareto front of seconds and this error; `no better than` names an "
         f"alternative that is as fast and as accurate; dt is the case's time step; {seconds}",
-        ("model", "step [s]", *(q.replace("_", " ") for q in measure.quantities), *HEADINGS),
+        (
+            "model",
+            "step [s]",
+            *(q.replace("_", " ") for q in (*measure.quantities, *measure.parts)),
+            *HEADINGS,
+        ),
         [
             _cells(rows[0], measure),
             *((e.name, "", *_errors(e.errors, measure), *("" for _ in HEADINGS)) for e in without),
             *(_cells(row, measure) for row in rows[1:]),
         ],
     )
+    errors = [row.errors for row in rows] + [each.errors for each in without]
+    oscillates = measure.quantities == weighing.OSCILLATION
+    if oscillates and None in [measure.of(each, "frequency") for each in errors]:
+        report.info(f"there are no errors where a run is unstable or has {NO_OSCILLATION}")
     report.prose(words)
     report.info(f"tables, trade.json and trade.png are in {folder}")
 
@@ -315,9 +329,10 @@ def _errors(
 ) -> list[str]:
     """Return the compared errors, overall / at the worst time, with a mark on the Pareto front."""
     cells = []
-    for quantity in measure.quantities:
+    for quantity in (*measure.quantities, *measure.parts):
         both = (measure.of(errors, quantity, peak=peak) for peak in (False, True))
-        mark = ON_FRONT if row is not None and row.fronts[weighing.FRONTS[quantity]] else " "
+        fronts = {} if row is None or quantity in measure.parts else row.fronts
+        mark = ON_FRONT if fronts.get(weighing.FRONTS.get(quantity, "")) else " "
         cells.append(" / ".join(map(format_figure, both)) + mark)
     if (estimate := errors[weighing.ESTIMATE]) is not None:
         cells[0] += f" ({format_figure(estimate)})"

@@ -21,7 +21,7 @@ from sphrom.case.studies import percent
 from sphrom.compare.costs import break_even
 from sphrom.errors import CaseError
 from sphrom.metrics.histories import ERRORS, NO_ERRORS, QUANTITIES, Errors, mean_errors
-from sphrom.metrics.measures import UNITS, Samples
+from sphrom.metrics.measures import COEFFICIENT, UNITS, VECTORS, Samples, component_names
 from sphrom.plots.tables import columns, format_figure
 from sphrom.reduction.correction import spline_weights
 from sphrom.setup.assembly import scaled_parameters
@@ -33,11 +33,16 @@ SECONDS = {"unit": "s"}
 ESTIMATE = "measured_estimate"
 OSCILLATION = ("frequency", "amplitude")
 """The quantities that rank models when the trade's measurement is an oscillation."""
+PARTS = tuple(part for quantity in VECTORS for part in component_names(quantity))
 MEASURED = (
-    *(f"measured_{q}_relative_l2{p}" for q in (*UNITS, *OSCILLATION) for p in ("", "_peak")),
+    *(
+        f"measured_{q}_relative_l2{p}"
+        for q in (*UNITS, *PARTS, *OSCILLATION)
+        for p in ("", "_peak")
+    ),
     ESTIMATE,
 )
-"""Errors of the trade's measurement by quantity, and a model's own estimate."""
+"""Errors of the trade's measurement by quantity and component, and a model's own estimate."""
 ERROR_COLUMNS = columns((*ERRORS, *MEASURED), "%")
 NO_MEASURED: Errors = dict.fromkeys(MEASURED)
 UNSTABLE: Errors = {**NO_ERRORS, **NO_MEASURED}
@@ -141,11 +146,19 @@ class Measure:
         trade = case.trade
         if trade.measure is None:
             return cls(trade.probes)
-        if trade.measure in case.scene.oscillations:
+        if trade.measure in case.plan.oscillations:
             return cls(trade.probes, trade.measure, OSCILLATION)
-        # A torque may be zero except for noise.
-        compared = (q for q in case.scene.measure[trade.measure].quantities if q != "torque")
+        # A torque may be zero except for noise, and a coefficient has the errors of its force.
+        left_out = ("torque", COEFFICIENT)
+        compared = (q for q in case.scene.measure[trade.measure].quantities if q not in left_out)
         return cls(trade.probes, trade.measure, tuple(compared))
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """The components of measured vectors, which a tolerance includes, too."""
+        if self.measured is None:
+            return ()
+        return tuple(p for q in self.quantities if q in VECTORS for p in component_names(q))
 
     def of(self, errors: Errors, quantity: str, *, peak: bool = False) -> float | None:
         """Return the error of a quantity [%], overall or at the worst time."""
@@ -290,8 +303,14 @@ class Tolerance:
         return self.pressure if quantity == "pressure" else self.velocity
 
     def used(self, errors: Errors, measure: Measure) -> float:
-        """Return the largest ratio of an error to its tolerance; infinite if one is unknown."""
+        """Return the largest ratio of an error to its tolerance; infinite if one is unknown.
+
+        Components with only noise have no errors, and do not count.
+        """
         pairs = [(measure.of(errors, q), self.of(q)) for q in measure.quantities]
+        pairs += [
+            (e, self.of(q)) for q in measure.parts if (e := measure.of(errors, q)) is not None
+        ]
         return max(math.inf if error is None else error / allowed for error, allowed in pairs)
 
 
@@ -356,7 +375,9 @@ def _best(rows: Sequence[ModelRow], quantity: str, measure: Measure) -> str:
 
 def _described(chosen: ModelRow, advice: Mapping[str, Any], measure: Measure) -> str:
     errors = ", ".join(
-        f"{q} {format_figure(measure.of(chosen.errors, q))} %" for q in measure.quantities
+        f"{q} {format_figure(error)} %"
+        for q in (*measure.quantities, *measure.parts)
+        if (error := measure.of(chosen.errors, q)) is not None
     )
     pace = chosen.speed_up and f"{format_figure(chosen.speed_up)} times faster than the full run"
     text = f"{chosen.model}: {errors}, {format_figure(chosen.online_seconds)} s a run, "

@@ -28,7 +28,8 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import Region, fast_section, percent, trained_at
 from sphrom.case.study_sections import percentage
 from sphrom.errors import CaseError, UnstableError
-from sphrom.metrics.histories import QUANTITIES, TIME_TOLERANCE
+from sphrom.metrics.histories import QUANTITIES
+from sphrom.metrics.measures import since
 from sphrom.offline import fit_psi, fom, operators, pod
 from sphrom.offline import map as map_stage
 from sphrom.online.fast_model import FastModel, FastRun
@@ -577,7 +578,7 @@ class StageModel:
 
     def _counted(self, time: Array) -> NDArray[np.bool_]:
         """Return the mask of the compared times."""
-        return time >= self.workspace.case.compare.from_time - TIME_TOLERANCE
+        return since(time, self.workspace.case.compare.from_time)
 
 
 def _fields(basis: TrialBasis, density: Array, velocity: Array) -> tuple[Array, Array]:

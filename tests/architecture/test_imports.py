@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("importlinter", reason="import-linter is not installed")
 
 ROOT = Path(__file__).parents[2]
-HEAVY = ("numba", "scipy", "h5py", "matplotlib", "numpy", "xarray")
+HEAVY = ("numba", "scipy", "h5py", "matplotlib", "numpy", "xarray", "rich")
 
 
 def test_the_contracts_of_the_project_hold() -> None:
@@ -37,6 +37,6 @@ def test_a_case_is_checked_without_kernels_and_files(tmp_path: Path, printed) ->
         "from sphrom.__main__ import main\n"
         "try: main()\n"
         "except SystemExit: pass\n"
-        "print(*[m for m in ('numba', 'scipy', 'h5py', 'matplotlib') if m in sys.modules])"
+        "print(*[m for m in ('numba', 'scipy', 'h5py', 'matplotlib', 'rich') if m in sys.modules])"
     )
     assert printed(code) == "\n"

@@ -95,6 +95,15 @@ def test_values_that_another_program_changed_are_refused_however_they_are_read(
         path.unlink()
 
 
+def named_in_latin_1(group: h5py.Group) -> None:
+    h5py.h5g.create(group.id, "höhe".encode("latin-1"))
+
+
+def attribute_in_latin_1(item: h5py.HLObject) -> None:
+    scalar = h5py.h5s.create(h5py.h5s.SCALAR)
+    h5py.h5a.create(item.id, "höhe".encode("latin-1"), h5py.h5t.NATIVE_DOUBLE, scalar)
+
+
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
@@ -102,6 +111,7 @@ def test_values_that_another_program_changed_are_refused_however_they_are_read(
         (lambda file: file.attrs.__delitem__("uuid"), "attribute uuid is missing"),
         (lambda file: file.__delitem__("pressure"), "its digest does not match"),
         (lambda file: file["case"].__setitem__((), b"name: other"), "the stored case is not"),
+        (lambda file: attribute_in_latin_1(file), "its digest does not match"),
         # Two names for one thing.
         (lambda file: file.__setitem__("parameters/again", file["/"]), "its digest"),
     ],
@@ -126,7 +136,7 @@ def dataset(**given: object):
 @pytest.mark.parametrize(
     ("replace", "reason"),
     [
-        (dataset(data=["a", "b"]), "which no artifact holds"),
+        (dataset(data=["a", "b"]), "not plain numbers"),
         (dataset(shape=(10**6, 10**6), dtype="f8", chunks=(1, 1000)), "is not what was written"),
         (dataset(data=np.zeros((3, 5)), compression="gzip"), "changed by a filter"),
         (dataset(shape=(3, 5), dtype="f8", external=[("o.h5", 0, 120)]), "in another file"),
@@ -146,3 +156,51 @@ def test_data_of_another_program_are_refused(
         del file["pressure"]
         replace(file)
     assert reason in refusal(path)
+
+
+def test_file_that_is_open_for_writing_is_not_called_damaged(write_trajectory) -> None:
+    """HDF5 marks a file while a program has it open; a killed program leaves the mark."""
+    path = write_trajectory()
+    with h5py.File(path, "r+", libver="latest") as file:
+        file.flush()
+        marked = path.read_bytes()
+    assert probe(path, "sphrom/trajectory") is None
+    path.write_bytes(marked)
+    says = f"{path} is marked as open for writing: .*killed; .* `h5clear -s {path}` removes"
+    with pytest.raises(ArtifactError, match=says):
+        probe(path, "sphrom/trajectory")
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (named_in_latin_1, "the name /h\\xf6he is not UTF-8"),
+        (lambda file: named_in_latin_1(file["parameters"]), "the name /parameters/h\\xf6he is"),
+        (lambda file: file.create_group("/".join(3000 * "g")), "more than 32 deep"),
+        (lambda file: file.__setitem__("soft", h5py.SoftLink("/time")), "/soft is a link"),
+        (lambda file: file.__setitem__("soft", h5py.SoftLink("/nowhere")), "/soft is a link"),
+        (lambda file: file.__setitem__("empty", h5py.Empty("f8")), "empty is empty, or of"),
+        (lambda file: file.__setitem__("opaque", np.zeros(2, "V8")), "of type |V8"),
+        (lambda file: file.__setitem__("pair", np.zeros(2, "f8,i4")), "not plain numbers"),
+    ],
+)
+def test_structure_that_no_artifact_has_is_refused(
+    write_trajectory, refusal, change, reason: str
+) -> None:
+    path = write_trajectory()
+    with h5py.File(path, "r+") as file:
+        change(file)
+    refused = refusal(path)
+    assert refused.startswith("is refused: ")
+    assert reason in refused
+
+
+def test_additions_that_are_never_read_do_no_harm(write_trajectory) -> None:
+    """An attribute's name in another encoding, a type with a name, a group within itself."""
+    path = write_trajectory()
+    with h5py.File(path, "r+") as file:
+        attribute_in_latin_1(file["time"])
+        file["type"] = np.dtype("f8")
+        deepest = file.create_group("/".join(31 * "g"))
+        deepest["again"] = file["g"]
+    assert probe(path, "sphrom/trajectory") is None

@@ -12,6 +12,7 @@ import pytest
 import shapely
 import yaml
 
+from sphrom.case.custom_sections import ramp_share
 from sphrom.case.hints import case_warnings
 from sphrom.case.loader import case_of_text, load_case
 from sphrom.case.models import Case, resolved_yaml
@@ -29,9 +30,10 @@ SCENE: dict[str, Any] = {
 def load(tmp_path: Path):
     """Load a case with some keys of its scene changed."""
 
-    def case(compare: Any = None, **scene: Any) -> Case:
+    def case(compare: Any = None, speed: float = 1.0, **scene: Any) -> Case:
         path = tmp_path / "case.yaml"
         given = {"discretization": {"resolution": 60}, "scene": {**SCENE, **scene}}
+        given["fluid"] = {"reference_speed": speed}
         given["compare"] = compare or {}
         path.write_text(yaml.safe_dump({"name": "x", **given}, sort_keys=False))
         return load_case(path)
@@ -171,7 +173,9 @@ def test_a_thin_solid_and_a_narrow_gap_are_refused(load) -> None:
 
 
 def test_walls_move_as_they_are_told(flow) -> None:
-    turning = flow(walls={"cylinder": {"rotation": 2.0}, "top": {"velocity": ["x*(6 - x)", 0]}})
+    turning = flow(
+        speed=9.0, walls={"cylinder": {"rotation": 2.0}, "top": {"velocity": ["x*(6 - x)", 0]}}
+    )
     ghosts = np.array([[3.0, 2.9], [2.2, 2.0], [2.0, 4.05], [5.0, -0.05]])
     velocity = turning.wall_velocity(ghosts)
     np.testing.assert_allclose(
@@ -179,8 +183,30 @@ def test_walls_move_as_they_are_told(flow) -> None:
     )
 
 
+def test_a_rotation_of_zero_is_none_and_a_resistance_of_one_slows(flow) -> None:
+    still = flow(walls={"cylinder": {"rotation": 0}}, resistance=1)
+    assert not still.wall_velocity(np.array([[3.0, 2.9], [2.2, 2.0]])).any()
+    places = np.array([[0.5, 5.0], [0.5, 3.0]])
+    np.testing.assert_array_equal(still.resistance.own(places), [1.0, 1.0])
+
+
+def test_fluid_starts_with_the_pressure_of_its_weight(flow) -> None:
+    tank = flow(solids={}, box={"upper": [6, 4]}, fluid={"level": 3.0, "gravity": 2.0}, slip="free")
+    pressure = tank.initial_pressure(np.array([[1.0, 0.5], [2.0, 3.0]]))
+    np.testing.assert_allclose(pressure, [1.0 * 2.0 * 2.5, 0.0], atol=1e-9)
+    disc = {"circle": {"centre": [3, 2], "radius": 1}}
+    with pytest.raises(CaseError, match=r"scene\.fluid: .*level.* circle"):
+        flow(solids={}, box={"upper": [6, 4]}, fluid={"level": 3.0, **disc}, slip="free")
+
+
+def test_an_inflow_begins_with_half_a_cosine() -> None:
+    assert ramp_share(2.0, np.array([0.0, 1.0, 2.0, 5.0])) == pytest.approx([0.0, 0.5, 1.0, 1.0])
+    assert ramp_share(0.0, 0.0) == 1.0
+
+
 def test_forces_and_starts_are_expressions(flow) -> None:
     case = flow(
+        speed=9.0,
         constants={"strength": 0.5},
         body_force=["strength*sin(pi*y)*cos(t)", 0],
         initial={"u": "y*(4 - y)", "p": 2},

@@ -31,7 +31,8 @@ def load(tmp_path: Path):
             "initial": {"file": "start.csv"},
             **given,
         }
-        keys = {"name": "x", "scene": scene, "snapshots": {"every": 1}}
+        fluid = {"reference_speed": 10.0}
+        keys = {"name": "x", "scene": scene, "fluid": fluid, "snapshots": {"every": 1}}
         (tmp_path / "case.yaml").write_text(yaml.safe_dump(keys))
         return load_case(tmp_path / "case.yaml")
 
@@ -55,6 +56,19 @@ def test_columns_may_stand_in_any_order_beside_others_and_pressure_may_lack(load
     velocity, pressure = start(load(text), (0.25, 0.25))
     np.testing.assert_allclose(velocity, [[1.5, 1.0]])
     np.testing.assert_array_equal(pressure, [0.0])
+
+
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_semicolons_and_tabs_allow_decimal_commas(load, separator) -> None:
+    """A row with too many cells, by decimal commas between commas, must not be read as another."""
+    rows = SQUARE.replace("2,1,5", "2.5,1,5").replace(",", separator).replace(".", ",")
+    expected = start(load(SQUARE.replace("2,1,5", "2.5,1,5")), (0.25, 0.5))
+    found = start(load("# ours\n" + rows), (0.25, 0.5))
+    np.testing.assert_array_equal(found[0], expected[0])
+    np.testing.assert_array_equal(found[1], expected[1])
+    for mixed in ("x,y,u,v\n0,5,0,0,0\n", rows + separator.join(["3,0", "3.0", "1", "1", "1"])):
+        with pytest.raises(CaseError, match=r"semicolons between|commas, and line \d"):
+            load(mixed)
 
 
 def test_what_the_file_holds_is_part_of_what_is_made_from_it(load) -> None:
@@ -85,12 +99,12 @@ def test_a_case_written_elsewhere_names_the_same_files(load, tmp_path: Path) -> 
     [
         (None, "No such file"),
         ("x,y,u\n0,0,0\n", "must name the columns"),
-        (SQUARE.replace("2,1", "one,1"), "could not convert string 'one'"),
+        (SQUARE.replace("2,1", "one,1"), "could not convert string to float: 'one'"),
         (SQUARE.replace("2,1", "nan,1"), "must be numbers"),
         ("x,y,u,v\n0,0,0,0\n1,0,0,0\n", "got 2"),
         ("x,y,u,v\n0,0,0,0\n1,1,0,0\n2,2,0,0\n", "on one line"),
         (SQUARE + "1,0,0,0,0\n", "twice"),
-        (b"x,y,u,v\n\xff", "utf-8"),
+        (b"x,y,u,v\n\xff", "UTF-8"),
         (b" " * (17 * 1024 * 1024), "16 MiB"),
     ],
 )

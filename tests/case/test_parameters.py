@@ -11,6 +11,7 @@ import pytest
 from sphrom.case.hints import case_warnings
 from sphrom.case.loader import load_case, parameter_point
 from sphrom.case.models import Case
+from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import sweep_points
 from sphrom.console import SilentReporter
 from sphrom.errors import CaseError
@@ -38,6 +39,43 @@ def case(parameters: Any, scene: Any = LID, **sections: Any) -> Case:
 
 def labels(points: Any) -> list[str]:
     return [point.label for point in points]
+
+
+@pytest.mark.parametrize(
+    ("train", "unnamed"),
+    [
+        # All training runs have the same values, whatever the scene's own are.
+        ({"points": [{"reynolds": 250, "lid": 0.6}]}, "reynolds=250, lid=0.6"),
+        ({"reynolds": [250], "lid": [0.6]}, "reynolds=250, lid=0.6"),
+        # They differ, so the scene's own value counts.
+        ({"points": [{"reynolds": 250, "lid": 0.5}, {"lid": 0.6}]}, "reynolds=250, lid=1"),
+        ({"sample": {"count": 2, "lid": [0.5, 0.9]}, "reynolds": [7]}, "reynolds=7, lid=1"),
+        # Reynolds numbers differ, and the scene has none.
+        ({"points": [{"reynolds": 250, "lid": 0.5}, {"reynolds": 9}]}, None),
+        ({"reynolds": [250, 9], "lid": [0.5]}, None),
+        ({"sample": {"count": 2, "reynolds": [20, 90]}}, None),
+    ],
+)
+def test_what_a_point_does_not_name_is_the_same_everywhere(train, unnamed):
+    """The values are those of all training runs, or the scene's own, for every kind of points."""
+    listed = [{"lid": 0.75}]
+    sections = {
+        "parameters": {"train": train, "test": {"points": listed}},
+        "rom": [{"name": "fast", "n_modes": 2, "parameters": listed}],
+        "sweep": {"parameters": {"lid": [0.75]}},
+    }
+    if unnamed is None:
+        with pytest.raises(CaseError) as refused:
+            case(**sections)
+        for key in ("parameters.test", "rom.0.parameters", "sweep"):
+            assert f"{key}.reynolds: is missing, and training runs have several" in str(
+                refused.value
+            )
+        return
+    found = case(**sections)
+    points = (*found.plan.test_points, *found.plan.rom_points(found.rom[0]), *sweep_points(found))
+    assert {*labels(points)} == {unnamed.partition("lid")[0] + "lid=0.75"}
+    assert parameter_point(found, {}).label == unnamed
 
 
 def test_a_grid_is_every_combination():
@@ -83,7 +121,7 @@ def test_the_speed_of_sound_is_that_of_the_fastest_wall_at_any_point():
 
 @pytest.mark.parametrize("name", ["U", "g", "omega", "top", "disc", "body_force"])
 def test_what_operators_are_affine_in_may_vary(name):
-    found = case({"train": {name: [0.5, 0.7]}}, CUSTOM)
+    found = case({"train": {name: [0.5, 0.7]}}, CUSTOM, fluid={"reference_speed": 5.0})
     assert found.plan.parameter_names == ("reynolds", name)
     assert [point.factors[name] for point in found.plan.points] == [0.5, 0.7]
 
@@ -122,9 +160,8 @@ def test_boxes_are_local_bases():
     train = {"reynolds": [50, 200], "lid": [0.5, 0.75, 1.0]}
     found = case({"train": train}, basis={"subsets": box})
     assert [len(found.plan.bases[name]) for name in ("all", "a", "b")] == [6, 4, 4]
-    local = [
-        found.plan.local_bases(found.plan.point({"lid": lid})) for lid in (0.5, 0.75, 0.9, 1.0, 1.1)
-    ]
+    points = [ParameterPoint(60.0, (("lid", lid),)) for lid in (0.5, 0.75, 0.9, 1.0, 1.1)]
+    local = [found.plan.local_bases(point) for point in points]
     assert local == [["a"], ["b"], ["b"], ["b"], []]
 
 

@@ -277,3 +277,47 @@ def test_the_nearest_resolution_that_fits_may_be_coarser_or_finer(
         discretization=type("Section", (), {"resolution": resolution}),
     )
     assert nearest_fitting_resolution(case) == nearest
+
+
+TANK = """
+name: tank
+scene: {kind: custom, slip: free, reference_length: 0.5, fluid: {level: 0.5, gravity: 1.0}}
+rom: []
+"""
+
+
+@pytest.mark.parametrize(
+    ("base", "resolution", "ratio", "says"),
+    [
+        (TANK, 20, 1.2, "particles below a free surface are noisy"),
+        (TANK, 20, 2.0, ""),
+        (TANK, 20, 2.5, ""),
+        (TANK, 20, 4.0, "h is 0.2 of the flow's length, too wide"),
+        (None, 20, 3.0, "discretization.resolution: 24"),
+        (None, 20, 2.5, ""),
+        (None, 20, 1.2, ""),
+        (None, 50, 4.0, ""),
+        (None, 300, 4.0, ""),
+    ],
+)
+def test_kernels_that_are_too_narrow_or_too_wide_are_warned_of(load, base, resolution, ratio, says):
+    """The vortex has h = 4 dx in the paper; what counts is h over the flow's length."""
+    size = f"discretization: {{resolution: {resolution}, smoothing_length_ratio: {ratio}}}\n"
+    case = load(size) if base is None else load(size, base=base)
+    told = [text for text in case_warnings(case) if "smoothing_length_ratio" in text]
+    assert [says in text for text in told] == [True] * bool(says)
+
+
+def test_the_cause_of_a_raised_speed_of_sound_is_named(load):
+    """Without walls there is no friction at them."""
+    own = "parameters: {train: {reynolds: [1.0e-3]}}\n"
+    assert load(own).plan.heads.keys() == {"the body force", "viscous friction in the fluid"}
+    lid = "name: x\nscene: {kind: lid-driven-cavity}\n"
+    assert "friction at walls" in load(own, base=lid).plan.heads
+
+
+def test_the_compared_line_avoids_solids(load):
+    wall = "solids: {wall: {rectangle: {lower: [0.4, 0], upper: [0.6, 1]}}}"
+    scene = f"name: x\nscene:\n  kind: custom\n  {wall}\n"
+    case = load("discretization: {resolution: 40}\n", base=scene)
+    assert 0.3 < case.plan.probe_line < 0.4 or 0.6 < case.plan.probe_line < 0.7

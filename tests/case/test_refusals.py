@@ -73,6 +73,16 @@ scene:
   solids: {wall: {rectangle: {lower: [0.6, 0], upper: [0.8, 1]}}}
 rom: []
 """,
+    "sloshing": """
+name: x
+discretization: {resolution: 10}
+scene:
+  kind: custom
+  slip: free
+  body_force: ["0.01*sin(t)", 0]
+  fluid: {level: 0.5, gravity: 1.0}
+rom: [{name: fast, evaluation: operators, n_modes: 3}]
+""",
 }
 """The cases of the groups of `refusals.txt`."""
 

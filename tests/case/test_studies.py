@@ -37,7 +37,7 @@ def test_what_varies_is_looked_for_where_it_was_trained():
     assert model is not None
     assert model.name == "fast"
     assert fit_ranges(case, model) == {"reynolds": (50.0, 200.0), "lid": (0.5, 1.0)}
-    assert fit_values(case) == {}
+    assert fit_values(case, model) == {}
 
 
 def test_ranges_and_values():
@@ -47,7 +47,11 @@ def test_ranges_and_values():
     assert model is not None
     assert model.name == "other"
     assert fit_ranges(case, model) == {"reynolds": (60.0, 90.0)}
-    assert fit_values(case) == {"lid": 0.8}
+    assert fit_values(case, model) == {"lid": 0.8}
+    # A parameter with one trained value is fixed, unless the case gives a range.
+    case = load_case({**CASE, "parameters": {"train": {"reynolds": [50, 200], "lid": [0.6]}}})
+    assert fit_ranges(case, model) == {"reynolds": (50.0, 200.0)}
+    assert fit_values(case, model) == {"lid": 0.6}
 
 
 def test_percentages():

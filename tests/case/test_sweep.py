@@ -66,7 +66,7 @@ def test_distributions_that_reach_impossible_values_are_refused(refusal, load):
     cut = "{distribution: truncnorm, a: -1.98, b: 1.98, loc: 100, scale: 50}"
     assert load(sweep(f"{{count: 99, reynolds: {cut}}}"), base=LID)
     # Another parameter may have any sign.
-    assert load(sweep(f"{{count: 99, lid: {WIDE}}}"), base=LID)
+    assert load(sweep(f"{{count: 99, reynolds: [50, 60], lid: {WIDE}}}"), base=LID)
 
 
 def test_draws_keep_all_digits_and_ranges_six(load):

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
-from sphrom.compare.answer import Answer
-from sphrom.compare.comparison_tables import ErrorRow
+from sphrom.compare.answer import Answer, _by_preference
+from sphrom.compare.comparison_tables import ErrorRow, Tables
 from sphrom.compare.costs import RunTiming, taking_turns
+from sphrom.compare.measured import MeasureRow
 from sphrom.metrics.histories import NO_ERRORS
 
 TIMING = RunTiming("fast", "reynolds=150", 5, 0.01, 0.01, None, 0.1, 1e-5, 1e4, 1.0, 1.0)
@@ -54,7 +56,56 @@ def test_runs_are_timed_in_turns() -> None:
 
 
 def test_it_says_how_far_off_measured_forces_are() -> None:
-    text = told(replace(ANSWER, forces=(("drag", 9.7, 0.87, 8.0), ("lift", 2.0, None, None))))
-    assert "(drag) differs by 9.7 % over time, that of the nearest state by 0.87 %; " in text
-    assert "the model estimates 8.0 %." in text
-    assert "(lift) differs by 2.0 % over time." in text
+    parts = {
+        "unit": "N/m", "compared": "fast", "parameters": "", "n_modes": 5, "role": "", "mean": 0.0,
+        "from_time": 2.0, "least": 0.0, "greatest": 0.0, "vector_relative_l2": 9.7, "remark": "",
+        "relative_l2_peak": None, "vector_estimated": None, "rms_error": 49.0,
+    }  # fmt: skip
+    along = MeasureRow("drag", "force_x", relative_l2=1.5, estimated=8.0, **parts)
+    parts["remark"] = "only noise"
+    across = MeasureRow("drag", "force_y", relative_l2=None, estimated=None, **parts)
+    best = (replace(along, relative_l2=0.87),)
+    text = told(replace(ANSWER, loads=(along, across), nearest_loads=best, times="late: drag"))
+    assert "Late: drag. The measured force (drag) differs over time, as a vector by 9.7 %, " in text
+    assert "force x by 1.5 % (nearest state 0.87 %, estimate 8.0 %); force y: only noise " in text
+    assert "in the full run, the difference is 49 N/m." in text
+
+
+def test_it_is_about_values_between_training_then_about_the_worst_outside() -> None:
+    text = told(replace(ANSWER, outside=(2, "reynolds=400", (12.0, 34.0))))
+    between = text.index("At reynolds=150, which was not simulated for training, fast")
+    outside = text.index(
+        "At reynolds=400, which lies outside of the trained values, the worst of 2 such values, it "
+        "differs by 12 % in velocity and 34 % in pressure."
+    )
+    assert between < outside
+
+
+def test_an_unphysical_full_run_is_told_first() -> None:
+    assert told(replace(ANSWER, unphysical=("The run is unphysical.",))).startswith("The run is un")
+
+
+def errors_of(velocity: float, pressure: float) -> dict[str, float | None]:
+    own = {"velocity_field_relative_l2": velocity, "pressure_field_relative_l2": pressure}
+    return {**NO_ERRORS, **own}
+
+
+def test_the_recommended_model_is_the_fastest_of_the_most_accurate() -> None:
+    """Between the training values; errors outside don't count, and within a tenth are alike."""
+    figures = {
+        "coarse": ("predicted", 0.5, 9.0, 1e-6, True),
+        "slow": ("predicted", 0.1, 3.0, 1e-4, True),
+        "quick": ("predicted", 0.2, 3.2, 1e-5, True),
+        "particles": ("predicted", 0.01, 1.0, 1e-1, False),
+    }
+    tables, rom = Tables(), []
+    for name, (role, velocity, pressure, seconds, fast) in figures.items():
+        row = replace(ANSWER.row, compared=name, role=role, errors=errors_of(velocity, pressure))
+        far = replace(row, role="extrapolated", errors=errors_of(50.0 / pressure, 99.0))
+        tables.errors.extend([row, far])
+        tables.timings.append(replace(TIMING, model=name, reduced_seconds=seconds))
+        rom.append(SimpleNamespace(name=name, from_operators=fast))
+    names = [model.name for model in _by_preference(SimpleNamespace(rom=rom), tables)]
+    assert names == ["quick", "slow", "coarse", "particles"]
+    tables.errors.append(replace(tables.errors[4], status="unstable", errors=NO_ERRORS))
+    assert _by_preference(SimpleNamespace(rom=rom), tables)[0].name == "slow"

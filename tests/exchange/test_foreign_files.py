@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from pathlib import Path
 from typing import Any
 
@@ -193,3 +194,42 @@ def test_archive_is_judged_by_its_size_before_it_is_unpacked(
     np.savez(tmp_path / "many.npz", **{f"x{i}": 0 for i in range(1001)})
     with pytest.raises(ArtifactError, match="has 1001 arrays; a snapshot has at most 1000"):
         read_foreign(Source(tmp_path / "many.npz"))
+
+
+X = np.linspace(0.0, 1.0, N)
+
+
+def write_pysph(path: Path) -> h5py.File:
+    """Write a snapshot as PySPH does, and return the open file."""
+    file = h5py.File(path, "w", libver="latest")
+    file.create_group("solver_data").attrs["t"] = 0.25
+    file["particles/fluid/arrays/x"] = X
+    return file
+
+
+def test_file_of_a_killed_program_is_read_when_its_mark_is_removed(tmp_path, monkeypatch) -> None:
+    """The page has a way without HDF5's own tools."""
+    path = tmp_path / "their run.hdf5"
+    with write_pysph(path) as file:
+        file.flush()
+        marked = path.read_bytes()
+    path.write_bytes(marked)
+    with pytest.raises(ArtifactError, match="is marked as open for writing: another ") as e:
+        read_foreign(Source(path))
+    assert f"`h5clear -s '{path}'`" in str(e.value)
+    page = (Path(__file__).parents[2] / "docs/other-programs.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(import ctypes.*?)```", page, re.DOTALL)
+    monkeypatch.setattr("sys.argv", ["clear.py", str(path)])
+    exec(code, {})
+    read = read_foreign(Source(path))
+    assert read.time == 0.25
+    np.testing.assert_array_equal(read.fields["x"], X)
+
+
+@pytest.mark.parametrize("where", ["/", "/particles", "/particles/fluid/arrays"])
+def test_name_that_is_not_utf_8_is_refused(tmp_path: Path, where: str) -> None:
+    path = tmp_path / "a.hdf5"
+    with write_pysph(path) as file:
+        h5py.h5g.create(file[where].id, b"\xff")
+    with pytest.raises(ArtifactError, match=rf"the name {where}\S*\\x\S* is not UTF-8"):
+        read_foreign(Source(path))

@@ -84,6 +84,11 @@ def test_the_nearest_snapshots_are_taken_or_four_around_an_instant() -> None:
     times, nodes = zip(*choose(uneven, steps, ImportOptions()), strict=True)
     assert times == pytest.approx((0.0, 0.2, 0.4))
     assert nodes == ([uneven[0]], uneven[1:5], uneven[2:6])
+    # Where others are interpolated, only the same time to rounding is taken as it is.
+    for late, n_nodes in ((5e-13, 1), (5e-12, 4)):
+        files = [Source(Path(), time) for time in (0.0, 0.0004, 0.001 + late, 0.0017, 0.002)]
+        choices = choose(files, TimeSteps(5e-4, n_steps=4, every=1), ImportOptions())
+        assert len(choices[2][1]) == n_nodes
     for too_few in (sources[:4], [sources[0], sources[4]]):
         with pytest.raises(CaseError, match="--write-case"):
             choose(too_few, TimeSteps(0.1, n_steps=4, every=1), ImportOptions())

@@ -72,6 +72,13 @@ def test_rows_may_have_places(tmp_path):
     assert found[1].noise == pytest.approx(np.full(2, 0.005))
 
 
+def test_a_table_with_semicolons_and_decimal_commas(tmp_path):
+    text = "time [s];wake_pressure [Pa];wake_pressure_noise\n0,1;2,5;1e-1\n0,2;-1,25e1;0,5\n"
+    (found,) = read(tmp_path, text).histories
+    assert (found.time.tolist(), found.value.tolist()) == ([0.1, 0.2], [2.5, -12.5])
+    assert found.noise.tolist() == [0.1, 0.5]
+
+
 def test_columns_from_python_are_those_of_a_file():
     value = np.array([1.0, np.nan])
     columns = {"time": [0.1, 0.2], "drag_torque": value, "drag_torque_noise": [0.1, 0.2]}
@@ -97,6 +104,8 @@ def test_columns_from_python_are_those_of_a_file():
         ("time,wake_pressure\n0.1,1\n0.2,fast\n", "line 3: wake_pressure must be a number"),
         ("time,x,y,pressure\n0.1,0.5,,1\n", "line 2: has a value but no time, or no place"),
         ("time,wake_pressure\n0,1,2\n", "line 2: has 3 cells for 2 columns"),
+        ("time,wake_pressure\n0,1,2,5\n", "decimal commas need semicolons between cells"),
+        ("time;wake_pressure\n0,1;2,5\n0.2;1\n", "line 2 has decimal commas, and line 3 points"),
         ("time,wake_pressure\n0.1,1\n0.7,2\n", "at 0.7 s is outside of the model's times"),
         ("time,wake_pressure\n0.1,1\n0.2,1\n", "give a column wake_pressure_noise"),
         ("time,x,y,pressure\n0.1,0.5,1.5,1\n", "(0.5, 1.5) m is outside of the box"),

@@ -15,6 +15,9 @@ from sphrom.metrics.series import (
     moving_average,
     oscillation,
     oscillation_beside,
+    pole_of,
+    settled_from,
+    shortest_period,
 )
 
 
@@ -127,10 +130,25 @@ def test_an_oscillation_that_grows_or_is_noisy() -> None:
 
 @pytest.mark.parametrize("signal", [np.full(100, 3.3), TIME, np.exp(-TIME), np.sin(15.0 * TIME)])
 def test_a_record_without_three_periods_has_a_mean_alone(signal) -> None:
-    assert oscillation(TIME, signal) == {"amplitude": 0.0, "mean": signal.mean()}
-    found = oscillation_beside(TIME, signal, np.sin(40.0 * TIME))
-    assert found["amplitude_error"] == 100.0
-    assert "phase_error" not in found
+    assert oscillation(TIME, signal) == {"mean": signal.mean()}
+    assert oscillation_beside(TIME, signal, np.sin(40.0 * TIME)) == {"mean": signal.mean()}
+
+
+@pytest.mark.parametrize(
+    ("driving", "end"),
+    [
+        (np.minimum(TIME, 0.5), 0.5),
+        (1.0 - np.exp(-20.0 * TIME), np.log(1000.0) / 20.0),
+        (np.minimum(TIME, 0.5) * [[1.0], [2.0]], 0.5),
+        (np.ones(100), 0.0),  # starts at once
+        (0.0 * TIME, 0.0),
+        (TIME, 0.0),  # never keeps its value
+        (1.0 + np.sin(40.0 * TIME), 0.0),
+        (np.exp(-20.0 * TIME), 0.0),  # falls
+    ],
+)
+def test_the_end_of_a_gradual_start(driving, end) -> None:
+    assert settled_from(TIME, np.atleast_2d(driving)) == pytest.approx(end, abs=0.011)
 
 
 @pytest.mark.parametrize("mean", [TIME**2, np.exp(-3.0 * TIME), np.tanh(2.0 * TIME)])
@@ -147,3 +165,42 @@ def test_errors_of_an_oscillation_and_its_phase_at_the_end() -> None:
     assert errors == pytest.approx([2.0, 10.0], rel=1e-3)
     # A period before the end it is 2 % of 49 periods behind.
     assert found["phase_error"] == pytest.approx(-360.0 * 0.02 * 49.0, abs=0.5)
+
+
+@pytest.mark.parametrize("rate", [20.0, 659.7, 3e4, 1e6])
+def test_the_shortest_period_of_oscillations(rate: float) -> None:
+    period = 2.0 * np.pi / rate
+    for signal, shortest in (
+        (lambda t: 0.1 * np.cos(rate * t), period),
+        (lambda t: np.cos(rate * t) ** 2, 0.5 * period),
+        (lambda t: np.where(np.sin(rate * t) > 0.0, 1.0, -1.0), period),
+        (lambda t: np.sin(t) + 0.2 * np.sin(rate * t), period),
+        (lambda t: np.stack((0.0 * t, np.sin(rate * t))), period),
+    ):
+        assert shortest_period(signal, 4.0) == pytest.approx(shortest, rel=0.02)
+    # A burst at the start, and one somewhere that is not too short.
+    assert shortest_period(lambda t: np.where(t < 5.0 * period, np.cos(rate * t), 0.0), 4.0) < (
+        1.1 * period
+    )
+
+
+def test_what_is_no_oscillation() -> None:
+    for signal in (
+        np.zeros_like,
+        np.exp,
+        lambda t: np.where(t < 1.0, 0.0, 1.0),
+        lambda t: np.where(np.abs(t - 1.0) < 0.01, 1.0, 0.0),
+        lambda t: np.minimum(t, 1.0),
+        lambda t: 1.0 + 1e-4 * np.sin(1e4 * t),
+    ):
+        assert shortest_period(signal, 4.0) == np.inf
+
+
+def test_poles_between_samples() -> None:
+    times = np.linspace(0.0, 4.0, 4097)
+    for pole in (1.0, np.pi, 1.23456789, 4.0):
+        assert pole_of(lambda t, at=pole: 1.0 / (t - at), times) == pytest.approx(pole)
+        assert pole_of(lambda t, at=pole: (t - at) ** -2.0, times) == pytest.approx(pole)
+    assert pole_of(lambda t: np.log(t - 1.0), times) == 0.0
+    for signal in (np.zeros_like, np.cos, lambda t: 1.0 / ((t - 1.234) ** 2 + 1e-5)):
+        assert pole_of(signal, times) is None

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from sphrom.case.models import Case
 from sphrom.console import Reporter
+from sphrom.errors import ArtifactError
 from sphrom.offline import fit_psi, fom, map, pod
 from sphrom.reduction.mode_splines import basis_columns
 from sphrom.reduction.trial_basis import mean_density_fluctuation, project, weighted_mean
@@ -59,6 +62,24 @@ def test_the_map_reports_a_round_trip(closed: Made) -> None:
         for field in ("velocity", "pressure"):
             assert 0.0 < mapped.number(f"round_trip_error/{field}") < 100.0
     assert any("and back the last snapshot loses" in line for line in notes)
+
+
+class Unstable:
+    """A full run that ended early."""
+
+    path = "fom.h5"
+    text = {"status": "unstable", "status_detail": "at t = 1 s"}.__getitem__
+
+
+@pytest.mark.parametrize("points", ["lattice", "relaxed"])
+def test_an_unstable_run_is_not_mapped(closed: Made, monkeypatch, case_of, points: str) -> None:
+    workspace, _ = closed
+    case = case_of("lid-driven-cavity", 16, **SECTIONS, reference={"points": points})
+    monkeypatch.setattr(Workspace, "open", lambda *_: nullcontext(Unstable()))
+    monkeypatch.setattr(Workspace, "must_make", lambda *_: True)
+    monkeypatch.setattr(Workspace, "require", lambda *_: None)
+    with pytest.raises(ArtifactError, match=r"became unstable \(at t = 1 s\)"):
+        map.run(replace(workspace.context, case=case))
 
 
 def test_reference_points_lie_in_the_fluid(channel: Made) -> None:

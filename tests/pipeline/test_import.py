@@ -14,6 +14,7 @@ import pytest
 import yaml
 
 from sphrom.artifacts import open_artifact
+from sphrom.exchange.import_options import ImportOptions
 from sphrom.scenes.flows import TaylorGreen
 
 PYSPH = sorted((Path(__file__).parent / "data" / "pysph").glob("*.hdf5"))
@@ -174,6 +175,19 @@ def test_units_are_those_of_the_options(case, sphrom) -> None:
     np.testing.assert_allclose(run["pressure"][1], 100.0 * (si["rho"] - 1.0), atol=1e-12)
 
 
+def test_the_table_of_units() -> None:
+    units = "pressure=GPa,velocity=km/h,time=h,density=t/mm3,length=um"
+    values = {
+        "pressure": 1e9,
+        "velocity": 1.0 / 3.6,
+        "time": 3600.0,
+        "density": 1e12,
+        "length": 1e-6,
+    }
+    assert ImportOptions(units=units).scales == values
+    assert ImportOptions(units="velocity=mm/ms,pressure=bar").scales["velocity"] == 1.0
+
+
 def test_one_array_of_several_is_taken(case, sphrom, refused) -> None:
     times = (0.1, 0.0, 0.05)  # files are sorted by their times
     names = [f"their_{time:g}.hdf5" for time in times]
@@ -313,6 +327,15 @@ def test_case_is_fitted_to_the_particles_of_the_files_and_has_no_spin_up(case, s
     assert len(imported()["time"]) == 3
 
 
+def test_more_modes_than_imported_snapshots_are_not_blamed_on_keys_that_nobody_gave(case, sphrom):
+    many = ("--set", "rom=[{name: x, n_modes: 4}]", "--set", "time.final_time=0.3")
+    short = (*many, "--write-case", "fitting.yaml")
+    result = sphrom("import", case, *write_npz(), *short, code=2)
+    assert "fitted to 3 snapshots, at t = 0, 0.05, 0.1 s, the case is invalid: " in result.stderr
+    assert "rom.0.n_modes: must be at most the number of snapshots of basis all, 3" in result.stderr
+    assert "because of" not in result.stderr
+
+
 def test_advice_on_the_start_works_when_it_is_followed(case, sphrom) -> None:
     names = []
     for time in (0.0, 0.05, 0.1):
@@ -355,6 +378,13 @@ def test_particles_that_come_and_go_are_refused(case, sphrom) -> None:
         ({}, ("--velocity", "a,b,c"), 2, "--velocity: must be two"),
         ({}, ("--density", "rho", "--pressure", "p"), 2, "--density, --pressure"),
         ({}, ("--units", "length=furlong"), 2, "got 'length=furlong'"),
+        ({}, ("--units", "length=1e308"), 2, "must be a number from 1e-12 to 1e+12, or one of"),
+        ({}, ("--units", "time=1e-308"), 2, "got 'time=1e-308'"),
+        ({}, ("--origin=nan,nan",), 2, "must be two numbers up to 1e+12, like 0.5,0.5"),
+        ({}, ("--origin=0,-inf",), 2, "--origin: must be two numbers"),
+        ({}, ("--time-step", "1e308"), 2, "--time-step: must be a number above zero, up to 1e+12"),
+        ({}, ("--seconds", "1e308"), 2, "--seconds: must be a number above zero"),
+        ({}, ("--start=-inf",), 2, "--start: must be a number up to 1e+12; got -inf"),
         ({}, ("--units", "density=kg/mm3"), 2, "check the density or pressure of --units"),
         ({}, ("--units", "time=ms"), 2, "--write-case FILE; time=s of --units would"),
         ({"u": HIGH, "v": HIGH}, ("--units", "velocity=6"), 2, "speed); velocity=m/s of --units"),
@@ -465,6 +495,15 @@ def test_force_replaces_no_imported_run(case, sphrom) -> None:
         refused = sphrom(words[0], case, *words[1:], *other, code=3)
         assert all(part in refused.stderr for part in again), refused.stderr
         assert RUN.read_bytes() == theirs
+    # Nor where it can't be seen that it was imported.
+    with h5py.File(RUN, "r+") as file:
+        file.flush()
+        marked = RUN.read_bytes()
+    RUN.write_bytes(marked)
+    for words in (("fom", case, "--force"), ("import", case, *names, "--force"), ("run", case)):
+        assert f"`h5clear -s {RUN}`" in sphrom(*words, code=3).stderr
+    assert RUN.read_bytes() == marked
+    RUN.write_bytes(theirs)
     words = shlex.split(refused.stderr.split("`")[1])
     sphrom(*words[1:3], *other, *names, *words[6:], code=0)
     assert theirs != RUN.read_bytes()

@@ -84,33 +84,42 @@ def test_comparison_tells_frequency_amplitude_and_phase(made: Path) -> None:
 
 
 def test_a_sweep_and_python_tell_where_nothing_oscillates(made: Path, sphrom) -> None:
-    sphrom("sweep", made / "case.yaml", "--out", made / "runs", "--workers", 1, code=0)
+    said = sphrom("sweep", made / "case.yaml", "--out", made / "runs", "--workers", 1, code=0)
     still, half, whole = rows(made / "runs/sweep-fast.csv")
-    assert (still["beat_frequency [Hz]"], still["beat_amplitude [m2/s]"]) == ("", "0.0")
+    assert (still["beat_frequency [Hz]"], still["beat_amplitude [m2/s]"]) == ("", "")
+    assert still["beat_reason"] == "fewer than three periods of an oscillation"
+    assert half["beat_reason"] == ""
+    words = "beat: 1 of 3 runs have no frequency and no amplitude, and statistics leave them out"
+    assert words in " ".join(said.output.split())
     sizes = [float(row["beat_amplitude [m2/s]"]) for row in (half, whole)]
     assert sizes[1] == pytest.approx(2.0 * sizes[0], rel=0.02)
     study = package.Study(made / "case.yaml", out=made / "runs", quiet=True)
     model = study.model("fast", reynolds=14.0, swing=1.0)
     several = model.run_many({"reynolds": 14.0, "swing": [0.0, 1.0]})
     assert several.beat_amplitude.dims == ("run",)
-    assert several.beat_amplitude.values.tolist() == [0.0, pytest.approx(sizes[1])]
+    expected = [pytest.approx(np.nan, nan_ok=True), pytest.approx(sizes[1])]
+    assert several.beat_amplitude.values.tolist() == expected
+    assert several.beat_amplitude.missing == still["beat_reason"]
     assert np.isnan(several.beat_frequency.values).tolist() == [True, False]
     one = model.run().measures
     assert (one.beat_frequency.dims, one.shake_mean.units) == ((), "N/m")
     assert np.isnan(model.run(final_time=6.0 / 34.0).measures.beat_mean)  # it ends before from_time
     swept = batches.SweptModel(Workspace(study._context))
-    points = [study.case.plan.point({"reynolds": 14.0, "swing": swing}) for swing in (0.6, 0.9)]
+    points = [study.case.plan.point({"reynolds": 14.0, "swing": swing}) for swing in (0.0, 0.9)]
     records = [swept.run(point).values for point in points]
     outputs = {each.name: each for each in statistics.outputs_of(study.case, records)}
-    assert outputs["beat_frequency"].values.shape == (2, 1)
+    assert np.isnan(outputs["beat_frequency"].values).tolist() == [[True], [False]]
+    kept = statistics.existing(outputs["beat_amplitude"])
+    assert kept.values.tolist() == [[pytest.approx(0.9 * sizes[1], rel=0.02)]]
 
 
 def test_a_trade_judges_by_frequency_and_amplitude(made: Path, sphrom) -> None:
     said = sphrom("trade", made / "case.yaml", "--out", made / "runs", "--tolerance", "5%", code=0)
+    assert "no errors where a run is unstable or has fewer than" in " ".join(said.output.split())
     assert "within 5 % of frequency and 5 % of amplitude" in " ".join(said.output.split())
     still = rows(made / "runs/trade/doing_nothing.csv")[-1]
     heads = "measured_frequency_relative_l2 [%]", "measured_amplitude_relative_l2 [%]"
-    assert [still[head] for head in heads] == ["", "100.0"]
+    assert [still[head] for head in heads] == ["", ""]
 
 
 def test_an_amplitude_is_fitted_with_exact_derivatives(made: Path) -> None:

@@ -294,6 +294,64 @@ def test_a_folder_where_a_checkpoint_has_to_be(place, again, ending, options) ->
     assert (folder / "kept").read_text() == "of somebody"
 
 
+@pytest.fixture
+def longer(place, sphrom, digests, case_text) -> tuple[list[str], dict[str, str]]:
+    """Options that double the time of the full run with its steps, and the bits of such a run."""
+    step = load_case(place.parents[1] / "tiny.yaml").plan.steps.time_step
+    options = ["--set", f"time.step={step!r}", "--set", "time.final_time=0.16"]
+    sphrom(*KINDS["full"][0], *TINY, *options, "--out", place.parent / "anew", code=0)
+    return options, digests(place.parent / "anew")
+
+
+@pytest.mark.parametrize("stops", [(), (13, 18)])
+def test_a_finished_run_goes_on_to_the_bits_of_a_longer_one(
+    place, again, digests, stop_at, killed, longer, stops
+) -> None:
+    """Also if the longer run is killed, once or twice: the finished one stays until the end."""
+    options, anew = longer
+    before = digests(place)
+    at_end = load_case(place.parents[1] / "tiny.yaml").plan.steps.n_steps
+    for step in stops:
+        stop_at(step)
+        again("full", *options, "--resume", "--checkpoint-every", 0, code=130)
+        assert digests(place) == before
+    unasked = again("full", *options, code=3).stderr
+    assert "ends at 0.08 s: `--resume` continues it, `--force` makes it anew" in unasked
+    result = again("full", *options, "--resume", code=0).stdout
+    if not stops:
+        assert f"{FULL}: goes on from its end at step {at_end}, t = 0.08 s" in result
+    assert digests(place)[FULL] == anew[FULL]
+    assert leftovers(place) == []
+
+
+def test_only_the_same_run_is_continued(place, again, digests, longer, monkeypatch) -> None:
+    """Neither with other steps, nor another flow, nor a run of another version or of damage."""
+    options, before = longer[0], digests(place)
+    steps = again("full", "--set", "time.final_time=0.161", "--resume", code=3).stderr
+    assert "ends at 0.08 s, and can't be continued: the step is " in steps
+    assert f"`--set {options[1]}` keeps it" in steps
+    other = ("--set", "fluid.mach_number=0.09", "--resume")
+    flow = again("full", *options, *other, code=3).stderr
+    assert "fluid.mach_number is 0.1 there, 0.09 here" in flow
+    with monkeypatch.context() as elsewhere:
+        elsewhere.setattr("sphrom.store.workspace.__version__", "0.0.0")
+        version = again("full", *options, "--resume", code=3).stderr
+        assert "the version of sphrom is " in version
+    shorter = again("full", "--set", "time.final_time=0.04", "--resume", code=3).stderr
+    assert "time.final_time is 0.08 there, 0.04 here" in shorter
+    assert digests(place) == before
+
+
+def test_a_checkpoint_needs_the_run_that_it_continues(place, again, stop_at, longer) -> None:
+    options = longer[0]
+    stop_at(15)
+    again("full", *options, "--resume", code=130)
+    (place / FULL).unlink()
+    gone = again("full", *options, "--resume", code=3).stderr
+    assert f"{FULL} is no longer the run that was continued; `--force` starts anew" in gone
+    again("full", *options, "--resume", "--force", code=0)
+
+
 CHANNEL = {
     "name": "channel",
     "scene": {"kind": "open-cavity"},

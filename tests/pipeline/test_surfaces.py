@@ -192,3 +192,22 @@ def test_what_does_not_apply_is_refused_by_name(
         case[name] = {**case.get(name, {}), **value} if isinstance(value, dict) else value
     written(case)
     assert message in sphrom("case", "check", "tank.yaml", code=2).stderr.replace("\n", " ")
+
+
+def test_a_full_run_that_moves_without_a_cause_is_told_first(
+    written: Callable[[dict[str, Any]], Path], sphrom: Callable[..., Result]
+) -> None:
+    """A kernel of h = 1.2 dx makes water at rest move; with 2.5 its speed stays below 0.2 %."""
+    scene = {"kind": "custom", "fluid": {"level": 0.5, "gravity": 1.0}, "slip": "free"}
+    scene["reference_length"] = 0.5
+    case = {**TANK, "scene": scene, "rom": [], "time": {"final_time": 1.5}}
+    case["parameters"] = {"train": {"reynolds": [1e6]}, "test": {"reynolds": []}}
+    case["discretization"] = {"resolution": 12, "smoothing_length_ratio": 1.2}
+    written(case)
+    says = "unphysical: nothing drives the fluid, but its root mean square speed is"
+    for _ in range(2):  # a run that is kept, too
+        result = sphrom("run", "tank.yaml", "--quiet", "--threads", 1, code=0)
+        assert f"warning: reynolds=1e+06: the run is {says}" in result.stderr
+        assert " ".join(result.stdout.split()).startswith(
+            "The full run at reynolds=1e+06 is unphys"
+        )

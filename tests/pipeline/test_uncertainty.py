@@ -143,7 +143,7 @@ def test_training_runs_tell_the_errors_of_what_is_measured(folder):
         for name, quantities in given.items():
             for quantity, values in quantities.items():
                 expected = recorded[name][quantity] - values
-                found = basis.measured_differences[name][quantity][k]
+                found = basis.differences[name][quantity][k]
                 np.testing.assert_array_equal(found, expected)
     run = fast.run(study.case.plan.point({"reynolds": 120.0, "lid": 0.7}))
     errors = measured_errors(run)
@@ -251,6 +251,7 @@ def test_noise_has_its_share_of_the_variance_and_means_are_free_of_it():
             f"{ERROR}velocity": 0.1,
             PLACE: np.array([place]),
             **errors,
+            "time": np.arange(200.0),
             "kinetic_energy_over_time": np.ones(200),
             "measure/there/velocity": velocity,
             "measure/there/pressure": velocity[:, 0],
@@ -270,7 +271,7 @@ def test_the_error_of_an_energy_is_that_of_its_velocity():
     """A velocity that is off by as much as it says, everywhere: the bound is reached."""
     case = load_case({**CASE, "scene": {"kind": "lid-driven-cavity"}, "sweep": {}})
     mass, speeds, error = 1.0, np.array([0.5, 0.7, 0.9]), 0.1
-    values = {"kinetic_energy_over_time": 0.5 * mass * speeds**2}
+    values = {"time": np.arange(3.0), "kinetic_energy_over_time": 0.5 * mass * speeds**2}
     values |= {f"{ERROR}{name}_over_time": np.full(3, error) for name in ("velocity", "pressure")}
     values[f"{ERROR}velocity"] = np.array(1.0)
     output, _ = outputs_of(case, [values, values])

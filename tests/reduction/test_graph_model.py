@@ -12,7 +12,7 @@ from sphrom.arrays import Array
 from sphrom.errors import SphromError
 from sphrom.metrics.elevation import find_elevation
 from sphrom.reduction.graph_model import GraphModel, run_many
-from sphrom.reduction.graph_training import TrainingRun, train
+from sphrom.reduction.graph_training import TrainingRun, _Fit, _Projected, train
 from sphrom.reduction.stream_functions import StreamSpace
 from sphrom.reduction.surface_basis import SurfaceBasis, chosen_size, make_basis
 
@@ -97,6 +97,22 @@ def test_walls_are_stream_lines() -> None:
     assert normal == pytest.approx([0, 0, 0], abs=1e-12)
 
 
+def test_derivatives_along_lines_are_those_of_a_polynomial() -> None:
+    """A quartic that is zero at the walls is a spline; above and below the box it goes on."""
+
+    points = np.random.default_rng(0).uniform((1, -1), (3, 0.5), (600, 2))
+    s, t = points[:, 0] - SPACE.left, points[:, 1] - SPACE.bottom
+    (values,) = SPACE.derivatives(points, (0, 0))
+    stream = np.linalg.lstsq(values, s**2 * (2 - s) ** 2 * (t**3 - t**4))[0]
+    x, y = np.array([1.0, 1.3, 2.9]), np.linspace(-1.1, 0.6, 24).reshape(2, 3, 4)
+    factors = np.array([[1.0], [-2.0]])
+    found = SPACE.along(stream[None], factors, x, y, (1, 2), (3, 0))
+    s, t = x[:, None] - SPACE.left, y - SPACE.bottom
+    exact = (8 * s - 12 * s**2 + 4 * s**3) * (6 * t - 12 * t**2), 24 * (s - 1) * (t**3 - t**4)
+    for values, right in zip(found, exact, strict=True):
+        assert values == pytest.approx(factors[:, :, None] * right, abs=1e-8)
+
+
 def test_energy_is_constant_without_viscosity_and_force(basis: SurfaceBasis) -> None:
     own = model(basis)
     run = own.run(np.linspace(0, 20, 101), first_wave(basis, 0.15))
@@ -132,6 +148,18 @@ def test_a_run_ends_where_the_surface_is_too_steep(basis: SurfaceBasis) -> None:
     assert 1 < run.end_place < 3
     assert len(run.times) == len(run.coordinates) < 51
     assert np.isfinite(run.coordinates).all()
+
+
+def test_the_steepest_surface_is_one_and_a_half_times_that_of_training(basis) -> None:
+    """Training has waves of 0.1 m. A wave at rest only falls at first, so its start decides."""
+    x = SPACE.width * (np.arange(24) + 0.5) / 24
+    trained = max(0.1 * k * np.abs(np.sin(k * x)).max() for k in map(wave_number, (1, 2, 3)))
+    assert basis.largest_slope == pytest.approx(trained, rel=1e-3)
+    steep = 1.5 * trained / (wave_number(1) * np.abs(np.sin(wave_number(1) * x)).max())
+    whole, times = basis.reduced(3, 3), np.linspace(0.0, 0.02, 3)
+    state = np.concatenate([np.zeros(3), whole.surface_modes.T[0]])
+    for share, ended in ((0.99, None), (1.01, "the surface is steeper than in training")):
+        assert model(whole).run(times, share * steep * state).ended == ended
 
 
 def test_a_run_that_diverges_within_a_step_ends(basis: SurfaceBasis) -> None:
@@ -219,6 +247,16 @@ def test_gravity_may_change_with_the_amplitude(basis: SurfaceBasis) -> None:
     assert differences[1] < 0.1 * differences[2]
 
 
+def test_elevation_has_the_modes_that_its_variance_requires(basis: SurfaceBasis) -> None:
+    """A share of 1e-8 of the variance is left out, of 1e-4 not."""
+    for share, n_surface in ((1e-4, 1), (1e-2, 2)):
+        waves = [
+            size * np.cos(wave_number(n) * COLUMNS) for n, size in ((1, 0.1), (2, 0.1 * share))
+        ]
+        found = make_basis(SPACE, basis.stream_modes[None, :2], np.array([waves]), 1e-3, 2)
+        assert len(found.surface_modes) == n_surface
+
+
 def test_modes_below_the_noise_are_cut_off(basis: SurfaceBasis) -> None:
     runs = [training_run(basis, GRAVITY, 1.3)]
     noisy = SurfaceBasis(**vars(basis) | {"energies": np.array([1.0, 0.1, 1e-8])})
@@ -241,3 +279,17 @@ def test_elevation_of_particles_and_columns_without_one_surface() -> None:
     half = fluid[:, 0] < 0.5
     with pytest.raises(SphromError, match=r"x = 0\.9 m has no fluid"):
         find_elevation(fluid[half], area[half], columns, 4 * spacing, walls)
+
+
+def test_training_runs_at_rest_give_finite_numbers(basis: SurfaceBasis) -> None:
+    run = training_run(basis, 1.0, 1.0)
+    still = replace(
+        run,
+        force=lambda times: np.zeros((2, len(times))),
+        coefficients=np.zeros_like(run.coefficients),
+        elevation=np.full_like(run.elevation, run.elevation.mean()),
+    )
+    products = basis.products(still.coefficients, still.elevation)
+    fit = _Fit([_Projected.of(basis, still, products, 0.0)]).improved(2, 2)
+    assert np.isfinite(fit.numbers).all()
+    assert np.isfinite(fit.change(fit.numbers)["closure"]).all()

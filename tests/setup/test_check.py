@@ -70,7 +70,7 @@ def test_fluid_with_a_surface_has_its_own_area_and_change_of_density(tmp_path: P
     case = Case.model_validate({"name": "x", **sections})
     told = checked(case, tmp_path)
     assert "the fluid's area is 0.5 m2" in told
-    assert "change the density by about 1% at most" in told
+    assert "changes the density by about 1% at most" in told
 
 
 def test_shapes_are_measured_in_supports_and_runs_in_seconds(tmp_path: Path) -> None:

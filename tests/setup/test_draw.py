@@ -41,6 +41,30 @@ def test_walls_have_their_names_within_the_solid_and_their_velocities() -> None:
     )
 
 
+def test_the_strip_of_an_inflow_porous_bodies_and_a_level_are_shown() -> None:
+    """A strip with its arrow and speed, a body with its hole, and the line of the surface."""
+    ring = (
+        {"circle": {"centre": [3, 2], "radius": 1}},
+        {"circle": {"centre": [3, 2], "radius": 0.5}},
+    )
+    axes = draw(make({
+        "kind": "custom",
+        "box": {"upper": [6, 4], "periodic": ["x"]},
+        "porous": {"ring": {"permeability": 1e-3, "difference": ring}},
+        "inflow": {"velocity": ["-y*(4-y)", 0], "strip": {"from": 4, "to": 5}},
+    })).axes[0]  # fmt: skip
+    assert {"ring", "inflow, at most 4 m/s"} <= {text.get_text() for text in axes.texts}
+    body, strip = axes.patches
+    assert (body.get_label(), strip.get_label()) == ("porous bodies", "strip of the inflow")
+    assert list(body.get_path().codes).count(1) == 2  # outlines, one of them of the hole
+    assert strip.get_path().get_extents().extents == pytest.approx((4.0, 0.0, 5.0, 4.0))
+    (arrow,) = (found for found in axes.collections if isinstance(found, Quiver))
+    assert arrow.U[0] < 0.0 == arrow.V[0]
+    tank = {"kind": "custom", "box": {"upper": [2, 2]}, "fluid": {"level": 0.5}}
+    lines = {line.get_label(): line.get_xydata() for line in draw(make(tank)).axes[0].lines}
+    np.testing.assert_array_equal(lines["level, y = 0.5 m"], [(0.0, 0.5), (2.0, 0.5)])
+
+
 @pytest.mark.parametrize("kind", DEFAULTS)
 def test_every_scene_can_be_drawn(kind: str) -> None:
     case = make({"kind": kind})

@@ -159,14 +159,15 @@ def test_a_section_is_summed_up_within_its_ends() -> None:
 def test_statistics_over_time() -> None:
     series = np.array([[[1.0, 0.0]], [[3.0, 0.0]], [[2.0, 6.0]]])
     of_one = of_a_run({"velocity": series, "pressure": series[..., 0]})
-    found = statistics({name: values[None] for name, values in of_one.items()})
+    every = np.ones(len(next(iter(of_one.values()))), dtype=bool)
+    found = statistics({name: values[None] for name, values in of_one.items()}, every)
     assert found["velocity_x_last"] == 2.0
     assert found["velocity_x_mean"] == 2.0
     assert found["velocity_y_fluctuation"] == pytest.approx(np.sqrt(8.0))
     assert (found["pressure_least"], found["pressure_greatest"]) == (1.0, 3.0)
     line = of_a_run({"velocity": np.ones((3, 5, 2)), "pressure": np.ones((3, 5))})
     assert line["final_velocity"].shape == (5, 2)
-    assert statistics(line) == {}
+    assert statistics(line, every) == {}
 
 
 def test_errors_are_over_the_size_of_the_whole_quantity() -> None:

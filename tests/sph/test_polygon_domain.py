@@ -12,7 +12,7 @@ from shapely.affinity import rotate, translate
 from sphrom.scenes.flows import OpenCavity
 from sphrom.sph.fluid import Discretization
 from sphrom.sph.packing import pack
-from sphrom.sph.polygon_domain import PolygonDomain
+from sphrom.sph.polygon_domain import PolygonDomain, ghost_rows
 from sphrom.sph.polygons import disc, jutting_corners
 
 FIN = shapely.Polygon([(0.9, 0.0), (1.1, 0.0), (1.0, 0.5)])
@@ -248,6 +248,15 @@ def test_rounding_leaves_no_corners_in_straight_walls() -> None:
         beside = np.sort(np.mod(length[rows == row], 2.0 * period))
         assert np.diff(beside).min() > 0.9 * 0.05
         assert np.diff(beside).max() < 1.2 * 0.05
+
+
+def test_rows_behind_a_half_disc_are_even_from_corner_to_corner() -> None:
+    """Behind the straight side, at a depth of half a spacing, corners are a metre apart."""
+    half = shapely.intersection(disc((0.0, 0.0), 0.45), shapely.box(-1.0, 0.0, 1.0, 1.0))
+    place = ghost_rows(half, shapely.box(-2.0, -2.0, 2.0, 2.0), 0.1, 1)
+    below = place[place[:, 1] < -0.0499]
+    assert below[:, 1] == pytest.approx(np.full(11, -0.05), abs=1e-9)
+    assert np.sort(below[:, 0]) == pytest.approx(np.linspace(-0.5, 0.5, 11), abs=1e-3)
 
 
 JAGGED = [(1.0 + 0.01 * ((k + 1) // 2), 1.0 + 0.01 * (k // 2)) for k in range(100)]

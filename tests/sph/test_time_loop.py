@@ -13,6 +13,7 @@ from sphrom.sph.time_loop import (
     Clock,
     Snapshot,
     TimeSteps,
+    Watch,
     check_position,
     check_snapshot,
     march,
@@ -170,3 +171,86 @@ def test_order_where_time_decides() -> None:
 
     order = fitted_order(functional, np.array([1.0]), np.array([3.0 * np.cos(1.0)]), 1.0)
     assert order == pytest.approx(4.0, abs=0.15)
+
+
+N_WATCHED = 100
+PLACES = np.random.default_rng(1).random((N_WATCHED, 2))
+AT = np.linspace(0.0, 1.0, 21)
+
+
+def found(watch: Watch, move, fluctuation=lambda time: np.zeros(N_WATCHED), times=AT) -> str:
+    """Return the findings for fluid that moves as one, by its offset and velocity at times."""
+    for time in times:
+        offset, velocity = (np.array(each) for each in move(time))
+        moved = np.tile(velocity, (N_WATCHED, 1))
+        watch.see(time, PLACES + offset, moved, fluctuation(time))
+    return "; ".join(watch.findings())
+
+
+def falling(time: float, share: float = 1.0):
+    return (0.0, -share * 5.0 * time**2), (0.0, -share * 10.0 * time)
+
+
+def swung(time: float, rate: float, factor: float = 1.0):
+    """The motion by a force cos(rate t) along x."""
+    return (0.0, 0.0), (factor * np.sin(rate * time) / rate, 0.0)
+
+
+def test_energy_is_that_of_work() -> None:
+    def force(position, time):
+        return np.outer([np.cos(3.0 * time), 0.0], np.ones(position.shape[1]))
+
+    def weight(position, time):
+        return np.outer([0.0, -10.0], np.ones(position.shape[1]))
+
+    def watch(own=None, **about):
+        return Watch(1.0, 100.0, 1.0, force=own, **about)
+
+    assert found(watch(force), lambda t: swung(t, 3.0)) == ""
+    assert "than all work done on it" in found(watch(force), lambda t: swung(t, 3.0, 2.5))
+    assert found(watch(weight, gravity=10.0), falling) == ""
+    assert "more energy" in found(watch(weight, gravity=10.0), lambda t: falling(t, 1.2))
+    # A lid at 1 m/s may move fluid, but not all of it at twice its speed.
+    assert found(watch(drive_speed=1.0), lambda t: ((0, 0), (0.9, 0))) == ""
+    assert "more energy" in found(watch(drive_speed=1.0), lambda t: ((0, 0), (2.0 * t, 0)))
+
+
+def test_forcing_between_snapshots_raises_no_doubt() -> None:
+    """Snapshots that don't resolve a force can't tell its work."""
+
+    def fast(position, time):
+        return np.outer([100.0 * np.cos(300.0 * time), 0.0], np.ones(position.shape[1]))
+
+    watch = Watch(1.0, 100.0, 1.0, force=fast)
+    assert found(watch, lambda t: ((0, 0), (100.0 * np.sin(300.0 * t) / 300.0, 0.0))) == ""
+
+
+def test_fluid_that_nothing_drives_stays_at_rest() -> None:
+    still = found(Watch(1.0, 10.0, 1.0, is_driven=False), lambda t: ((0, 0), (0.005 * t, 0)))
+    assert still == ""
+    moving = found(Watch(1.0, 10.0, 1.0, is_driven=False), lambda t: ((0, 0), (0.02 * t, 0)))
+    assert moving == (
+        "nothing drives the fluid, but its root mean square speed is 0.02 m/s at t = 1 s"
+    )
+
+
+@pytest.mark.parametrize(
+    ("share", "drift", "has_surface", "says"),
+    [
+        (0.009, 0.0, False, ""),
+        (0.02, 0.0, False, "the density fluctuates by 2.00% (root mean square)"),
+        (0.0, 4e-4, False, ""),
+        (0.0, -6e-4, False, "the mean density changes by -0.06% until t = 1 s"),
+        (0.0, 4e-3, True, ""),
+        (0.0, 6e-3, True, "the mean density changes by +0.60%"),
+    ],
+)
+def test_density_that_leaves_the_range_of_weak_compression(share, drift, has_surface, says) -> None:
+    sign = np.where(np.arange(N_WATCHED) % 2, 1.0, -1.0)
+    watch = Watch(2.0, 10.0, 1.0, has_surface=has_surface, look_every=2)
+    # Energy of compression is at the limit of a speed of 10 m/s.
+    text = found(
+        watch, lambda t: ((0, 0), (0, 0)), lambda t: 2.0 * (share * sign + drift * t) * (t > 0)
+    )
+    assert says in text
+    assert bool(says) == ("density" in text)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from sphrom.errors import CaseError
+from sphrom.metrics.measures import Samples
+from sphrom.reduction.trial_basis import InnerProduct, TrialBasis, reconstruct
 from sphrom.sph.box_domain import BoxDomain, Rectangle
-from sphrom.store.stored_run import probes_of, sample_run
+from sphrom.store.stored_run import probes_of, sample_best, sample_run
 
 
 def test_probes_of_a_periodic_box(case_of):
@@ -61,6 +65,36 @@ def test_line_that_the_case_chooses(case_of):
     for kind, x in (("open-cavity", 0.5), ("lid-driven-cavity", 1.0)):
         with pytest.raises(CaseError, match=r"compare\.line: there is no fluid at x = "):
             probes_of(case_of(kind, compare={"line": x}))
+
+
+def test_best_approximations_are_of_states_and_of_each_field() -> None:
+    """Three modes on two points hold each of the fields."""
+    inner, random = InnerProduct.acoustic(1000.0, 10.0), np.random.default_rng(3)
+    states = np.linalg.qr(random.standard_normal((6, 3)))[0].T.reshape(3, 2, 3)
+    basis = TrialBasis(
+        density_modes=states[..., 0],
+        velocity_modes=states[..., 1:],
+        singular_values={},
+        weights=np.ones(2),
+        gram_error=0.0,
+        inner_product=inner,
+    )
+    splines = SimpleNamespace(values=lambda points: np.moveaxis(states, 0, 1))
+    case = SimpleNamespace(plan=SimpleNamespace(sound_speed=10.0))
+    probes = SimpleNamespace(all=np.zeros((2, 2)))
+
+    def best_of(density: np.ndarray, velocity: np.ndarray) -> tuple[Samples, Samples]:
+        data = {"density_fluctuation": density[None], "velocity": velocity[None]}
+        mapped = SimpleNamespace(dataset=data.get, read=lambda _: np.zeros(1))
+        return sample_best(case, mapped, basis, splines, probes)
+
+    one, other = (reconstruct(basis, np.array(c), 0.0) for c in ((1.0, 2.0, 3.0), (-2.0, 0.5, 1.0)))
+    for state in best_of(*one):
+        np.testing.assert_allclose(state.pressure[0], 100.0 * one[0], rtol=1e-9)
+        np.testing.assert_allclose(state.velocity[0], one[1], rtol=1e-9)
+    _, alone = best_of(one[0], other[1])
+    np.testing.assert_allclose(alone.pressure[0], 100.0 * one[0], rtol=1e-9)
+    np.testing.assert_allclose(alone.velocity[0], other[1], rtol=1e-9)
 
 
 @pytest.mark.parametrize("kind", ["lid-driven-cavity", "open-cavity"])

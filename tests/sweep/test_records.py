@@ -87,6 +87,6 @@ def test_a_figure_has_its_extremes_where_they_are_and_its_mean() -> None:
     ((words, least, at_least, mean, greatest, at_greatest),) = _summary(
         records, rows, {"kinetic_energy": "J/m"}
     )
-    assert words == "kinetic energy [J/m]"
+    assert words == "kinetic energy [J/m] of 3 runs"
     assert (least, mean, greatest) == ("2.00", "4.00", "7.00")
     assert (at_least, at_greatest) == ("reynolds 100", "reynolds 200")

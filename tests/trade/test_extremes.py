@@ -10,7 +10,7 @@ from sphrom.case.checks import case_problems
 from sphrom.case.models import Case
 from sphrom.case.points import REYNOLDS
 from sphrom.case.sections import ReducedModelSection
-from sphrom.online.stable_ranges import STEP, TIME, StableRange
+from sphrom.online.stable_ranges import MEMORY, STEP, TIME, StableRange
 from sphrom.plots.panels import save
 from sphrom.reduction.polynomial_model import OutputTimes
 from sphrom.reduction.reduced_operators import Polynomial
@@ -22,7 +22,9 @@ from sphrom.trade.extremes import varied_models
 from sphrom.trade.stability import (
     ExtremeRun,
     draw_maps,
+    growth,
     judge,
+    kind_of,
     limiting_step,
     longest_memory,
     ranges_in,
@@ -138,6 +140,39 @@ def model(linear: list[list[float]]) -> ReferenceModel:
 def test_an_eigenvector_limits_runge_kutta_steps(linear, name, limit):
     found, step = limiting_step(model(linear))
     assert (found, step) == (name, pytest.approx(limit, rel=1e-4))
+
+
+def test_an_oscillation_of_the_velocity_is_convection():
+    basis = model([[0.0, 0.0], [0.0, 0.0]]).basis
+    assert kind_of(basis, -1.0 + 50.0j, np.array([0.1, 1.0])) == "convection"
+
+
+def test_growth_in_the_last_modes_is_due_to_noise():
+    for rates, name in (([3.0, 1.0], "aliasing"), ([1.0, 2.0], "noise modes")):
+        found = growth(model(np.diag(rates)), np.ones((1, 2)))
+        assert found == (pytest.approx(max(rates)), name)
+
+
+def test_errors_have_the_name_of_their_cause():
+    full = {"kind": "full", "projection": "", "n_modes": None}
+    best, wrong = {"velocity_best": 0.5, "pressure_best": 5.0}, (9.0, 99.0)
+    named = {
+        "": fast(STEP, 1.0, (1.0, 10.0), **best),
+        "none": fast(STEP, 1.0, (3.0, 40.0), **full, steps=", half as fine"),
+        "compressibility": fast("Mach number", 0.3, wrong, **full),
+        "smoothing": fast("h/dx", 4.0, wrong, **full),
+        "viscosity": fast(STEP, 2.0, wrong, **full, mechanism="viscosity"),
+        "modes": fast(TIME, 2.0, wrong, velocity_best=9.0, pressure_best=5.0),
+        "rates": fast(TIME, 3.0, wrong, **best),
+        "extrapolated rates": fast(TIME, 4.0, wrong, **best, extrapolated=True),
+        "own": fast(MEMORY, 1.0, (1.0, 10.0), **best),
+        "closure": fast(MEMORY, 4.0, wrong, **best),
+        "convection": fast(STEP, 4.0, wrong, **best, steps="runge-kutta"),
+        "sound": fast(STEP, 3.0, (1.0, 99.0), **best, steps="runge-kutta"),
+    }
+    judge(list(named.values()), ("galerkin", 5), OWN)
+    stable = {name: run.mechanism for name, run in named.items() if run.state == "stable"}
+    assert stable == {name: name for name in named.keys() - {"", "none", "own"}}
 
 
 def test_the_longest_memory_is_where_something_grows():

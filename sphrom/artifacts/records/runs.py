@@ -144,6 +144,9 @@ class Trajectory(Snapshots, Settings, kind="sphrom/trajectory"):
     )
     status: Status = attribute("", "how the run ended")
     status_detail: str | None = attribute("", "reason, place and time of a failure", default=None)
+    unphysical: str | None = attribute(
+        "", "effects without a cause in a full run, one per line", default=None
+    )
     memory_length: float | None = attribute("s", "tau of Eq. 3.22, of a reduced run", default=None)
     imported_files: str | None = attribute(
         "", "source files of another program, and options", at="imported/files", default=None
@@ -193,6 +196,10 @@ class Checkpoint(Record, kind="sphrom/checkpoint"):
     computed_with: str = attribute("", "versions and processor on which its last bits depend")
     seconds: float = attribute("s", "time spent on the steps", at="timing/integration")
     wall_seconds: float = attribute("s", "time spent on the artifact", at="timing/wall")
+    continued: str | None = attribute(
+        "", "digest of the finished run whose snapshots come first; absent without one",
+        default=None,
+    )
 
 
 class TrajectoryPart(Snapshots, kind="sphrom/trajectory-part"):
@@ -301,6 +308,9 @@ class Coordinates(Settings, kind="sphrom/coordinates"):
     pressure: Array | None = dataset("snapshot particle", *PRESSURE, default=None)
     status: Status = attribute("", "how the run ended")
     status_detail: str | None = attribute("", "reason and time of a failure", default=None)
+    unphysical: str | None = attribute(
+        "", "effects without a cause in a full run, one per line", default=None
+    )
     memory_length: float | None = attribute("s", "tau of Eq. 3.22", default=None)
     mean_density_fluctuation: float = attribute("kg/m3", "separate mean, constant")
     integrator: Literal["runge-kutta", "exponential"] | None = attribute(

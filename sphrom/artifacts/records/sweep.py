@@ -28,6 +28,14 @@ class Estimates(Record):
         "estimated_run", "1",
         "one if a run is outside the training of its model, else zero",
     )
+    measured: Array | None = dataset(
+        "estimated_run column", "of the columns",
+        "estimated errors of measurements, in the order of the table's columns", default=None,
+    )
+    change: Array | None = dataset(
+        "estimated_run column", "of the columns",
+        "root mean squares of the changes over time, zero for only noise", default=None,
+    )
     velocity_over_time: Array | None = dataset(
         "estimated_run snapshot", *VELOCITY_ERROR, default=None
     )
@@ -44,6 +52,9 @@ class Measured(Record):
     )
     torque: Array | None = dataset(
         "complete_run snapshot", "N", "torque on a wall, anticlockwise", default=None
+    )
+    coefficient: Array | None = dataset(
+        "complete_run snapshot component", "1", "coefficient of the force", "C", default=None
     )
     flow_rate: Array | None = dataset("complete_run snapshot", *FLOW_RATE, default=None)
     velocity: Array | None = dataset(

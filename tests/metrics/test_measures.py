@@ -1,0 +1,56 @@
+"""Sizes of measured quantities and of their components, and statistics over time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sphrom.metrics.measures import shares, statistics, variations, with_coefficients
+
+TIME = np.linspace(0.0, 10.0, 200)
+NOISE = np.random.default_rng(4).normal(size=(200, 2))
+
+
+def test_each_component_has_the_size_of_its_own_change() -> None:
+    force = np.stack((3.0 + 0.0 * TIME, -0.1 + 0.01 * np.sin(TIME)), axis=1)
+    sizes = variations("force", force)
+    squares = dict.fromkeys(sizes, 0.0004)
+    assert shares(squares, sizes)["force_x"] == pytest.approx(100.0 * 0.02 / 3.0)
+    assert shares(squares, sizes)["force_y"] == pytest.approx(20.0, rel=0.02)
+    assert sizes["force"] == pytest.approx(sizes["force_x"] + sizes["force_y"])
+    # Where fluid has weight, loads change about their mean.
+    weighed = variations("force", force + np.array([1000.0, 0.0]), with_weight=True)
+    assert weighed["force_y"] == pytest.approx(np.var(force[:, 1]))
+
+
+@pytest.mark.parametrize(
+    ("lift", "known"),
+    [(0.1 * NOISE[:, 1], False), (0.1 * np.sin(TIME) + 0.01 * NOISE[:, 1], True),
+     (-0.03 + 0.0 * TIME, True), (1e-4 + 0.0 * TIME, False), (0.0 * TIME, False)],
+    ids=["noise", "oscillates", "constant", "negligible", "zero"],
+)  # fmt: skip
+def test_a_component_with_only_noise_has_no_size(lift, known) -> None:
+    sizes = variations("force", np.stack((np.ones(200), lift), axis=1))
+    assert (sizes["force_y"] > 0.0, sizes["force_x"] > 0.0) == (known, True)
+    assert (shares({"force_y": 1.0}, sizes)["force_y"] is None) is not known
+
+
+def test_a_vector_of_noise_has_no_size() -> None:
+    assert set(variations("force", NOISE).values()) == {0.0}
+
+
+def test_statistics_count_some_snapshots() -> None:
+    series = {"torque": np.array([[5.0, 1.0, 3.0]])}
+    found = statistics(series, np.array([False, True, True]))
+    assert {name: each.item() for name, each in found.items()} == {
+        "torque_last": 3.0, "torque_mean": 2.0, "torque_fluctuation": 1.0, "torque_least": 1.0,
+        "torque_greatest": 3.0,
+    }  # fmt: skip
+    assert [*statistics(series, np.zeros(3, dtype=bool))] == ["torque_last"]
+
+
+def test_a_coefficient_is_a_factor_of_the_force() -> None:
+    measured = {"drag": {"force": np.array([[2.0, 0.5]])}, "wake": {"pressure": np.ones(1)}}
+    found = with_coefficients(measured, {"drag": 20.0})
+    assert found["drag"]["coefficient"].tolist() == [[40.0, 10.0]]
+    assert "coefficient" not in found["wake"]

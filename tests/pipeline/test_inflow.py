@@ -1,0 +1,46 @@
+"""A full run whose flow leaves the strip with another flow rate than the case asks for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import sphrom
+from sphrom.errors import UnstableError
+
+CASE = {
+    "name": "weak",
+    "scene": {
+        "kind": "custom",
+        "box": {"upper": [3, 1], "periodic": ["x"]},
+        "inflow": {
+            "strip": {"from": 0, "to": 2},
+            "velocity": ["4*y*(1 - y)", 0],
+            "strength": 15.0,
+            "ramp": 0.4,
+        },
+        "reference_length": 1.0,
+    },
+    "discretization": {"resolution": 8},
+    "time": {"final_time": 0.8},
+    "parameters": {"train": {"reynolds": [20]}},
+    "snapshots": {"every": 2},
+    "compare": {"line": 2.5, "plots": False},
+    "rom": [],
+}
+
+
+def test_a_run_that_misses_its_inflow(tmp_path: Path, capsys) -> None:
+    """By 6 % it is told, and again in the answer; by 100 % it fails."""
+    study = sphrom.Study(CASE, out=tmp_path / "near", threads=1, quiet=True)
+    study.run_stage("fom")
+    told = capsys.readouterr().err
+    assert "warning: reynolds=20: target inflow 0.6719 m2/s, actual inflow" in told
+    assert "The flow is not the one of the case: raise scene.inflow.strength" in told
+    study.run_stage("compare")
+    assert "Warning: reynolds=20: target inflow" in " ".join(capsys.readouterr().out.split())
+    weak = {"scene.inflow.strength": 1e-6}
+    study = sphrom.Study(CASE, set=weak, out=tmp_path / "far", threads=1, quiet=True)
+    with pytest.raises(UnstableError, match=r"\(-100\.00 %\).* raise scene\.inflow\.strength"):
+        study.run_stage("fom")
