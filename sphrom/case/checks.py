@@ -527,7 +527,7 @@ def _check_surface(case: Case) -> Found:
 def _start_problem(case: Case, point: ParameterPoint) -> str | None:
     """Return the reason why the fluid's shape at the start of a run is no graph, or None."""
     plan, scene = case.plan, case.scene
-    if math.isfinite(scene.level_at(point.factors)):
+    if math.isfinite(scene.level_at(point.factors)) or not plan.n_particles:
         return None
     position, space = scene.fill(plan.particle_spacing, point.factors), plan.stream_space
     volume, radius = np.full(len(position), plan.particle_spacing**2), 2.0 * plan.smoothing_length
