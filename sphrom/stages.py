@@ -35,7 +35,7 @@ STAGES = {
     "map": "offline.map",
     "pod": "offline.pod",
     "fit-psi": "offline.fit_psi",
-    "operators": "offline.operators",
+    "operators": "online.training",
     "rom": "online.rom",
     "compare": "compare.compare",
     "figures": "compare.figures",
