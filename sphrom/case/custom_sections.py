@@ -28,6 +28,7 @@ from sphrom.case.fields import (
     key,
     only_one,
 )
+from sphrom.case.places import grid
 from sphrom.case.shapes import CircleSection, RectangleSection, ShapeSection
 from sphrom.errors import CaseError
 from sphrom.scenes.flows import BodyForce
@@ -97,7 +98,7 @@ class InflowSection(Section):
         unit="s",
     )
 
-    def samples(self, domain: Domain, axis: int, number: int) -> Array:
+    def samples(self, domain: Domain, axis: int) -> Array:
         """Return points (n_points, 2) [m] of the fluid in the strip, on its edges too.
 
         Points on a solid that only touches the strip, such as one that ends at the edge of the box,
@@ -106,8 +107,7 @@ class InflowSection(Section):
         lower, upper = np.array(domain.lower), np.array(domain.upper)
         lower[axis] = self.strip.start
         upper[axis] = self.strip.end
-        axes = [np.linspace(low, high, number) for low, high in zip(lower, upper, strict=True)]
-        points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+        points = grid(lower, upper)
         if domain.fills_box:
             return points
         parts = shapely.get_parts(shapely.intersection(domain.fluid, shapely.box(*lower, *upper)))
@@ -115,14 +115,11 @@ class InflowSection(Section):
         shapely.prepare(fluid)
         return points[shapely.intersects_xy(fluid, *points.T)]
 
-    def strip_in(
-        self, domain: Domain, number: int, velocities: Sequence[Callable[[Array], Array]]
-    ) -> Strip:
+    def strip_in(self, domain: Domain, velocities: Sequence[Callable[[Array], Array]]) -> Strip:
         """Return the strip in a domain, with the largest speed of all velocities.
 
         Parameters
         ----------
-        number : number of samples along each edge of the strip.
         velocities : of all runs, each (2, n_samples) [m/s] at positions (2, n_samples) [m].
 
         Raises ValueError unless the strip is part of the box and fluid flows through it.
@@ -132,7 +129,7 @@ class InflowSection(Section):
             within = domain.lower[axis] <= start < end <= domain.upper[axis]
             if not within or end - start >= domain.lengths[axis]:
                 continue
-            places = self.samples(domain, axis, number)
+            places = self.samples(domain, axis)
             if len(places):
                 fields = [velocity(places.T) for velocity in velocities]
                 inflows[axis] = max(fields, key=lambda field: np.linalg.norm(field, axis=0).max())

@@ -422,12 +422,11 @@ class Plan:
     @cached_property
     def shortest_period(self) -> float:
         """The shortest period of the driving at all points [s]; infinite if none oscillates."""
-        return self.scene.shortest_period(self._case.time.final_time, self._settings)
+        return self.scene.shortest_period(self._settings)
 
     def longest_step(self, point: ParameterPoint) -> float:
         """Return the longest step [s] that resolves the driving at a point, infinite if steady."""
-        end = self._case.time.final_time
-        return self.scene.shortest_period(end, [point.factors]) / STEPS_PER_PERIOD
+        return self.scene.shortest_period([point.factors]) / STEPS_PER_PERIOD
 
     @cached_property
     def spin_up_ratio(self) -> Fraction:

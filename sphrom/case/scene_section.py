@@ -219,7 +219,7 @@ class SceneSection(Section):
         """Return the scene for all parameters, a spacing [m] and an end of runs [s]."""
         return self
 
-    def shortest_period(self, final_time: float, settings: Settings) -> float:
+    def shortest_period(self, settings: Settings) -> float:
         """Return the shortest period [s] of the driving at some values of the parameters."""
         return math.inf
 
