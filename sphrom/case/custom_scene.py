@@ -11,17 +11,16 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from itertools import combinations
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 import shapely
-from pydantic import PrivateAttr, ValidationInfo, model_validator
+from pydantic import PrivateAttr, model_validator
 from shapely.geometry.base import BaseGeometry
 
 from sphrom.arrays import Array
 from sphrom.case import custom_checks
 from sphrom.case.custom_sections import (
-    HistorySection,
     InflowSection,
     PorousSection,
     Rate,
@@ -29,8 +28,6 @@ from sphrom.case.custom_sections import (
     Value,
     Vector,
     inverse_permeability,
-    read_start,
-    with_digest,
 )
 from sphrom.case.driving import INFLOW, Driving
 from sphrom.case.expressions import CALLED, CONSTANTS, FUNCTIONS
@@ -38,6 +35,7 @@ from sphrom.case.fields import Coordinate, Place, Positive, SafeName, Section, k
 from sphrom.case.places import N_SAMPLES, Places, require_finite
 from sphrom.case.scene_section import MEASURE, OF_WALLS, Defaults, Measures, SceneSection, Settings
 from sphrom.case.shapes import ShapeSection
+from sphrom.case.tables import HistorySection, InitialSection
 from sphrom.metrics.measures import midpoints
 from sphrom.scenes.flows import CustomFlow, Scales, Scene
 from sphrom.sph.box_domain import BoxDomain
@@ -70,32 +68,6 @@ class MovingWallSection(Section):
         "rate of rotation about its centroid, anticlockwise, a number or an expression in t",
         unit="rad/s",
     )
-
-
-class InitialSection(Section):
-    """The initial fields of runs: numbers or expressions in x, y, or a file of points."""
-
-    u: Value = key(0.0, "velocity along x", unit="m/s")
-    v: Value = key(0.0, "velocity along y", unit="m/s")
-    p: Value = key(0.0, "pressure", unit="Pa")
-    file: str | None = key(
-        None,
-        "a CSV file with columns x, y, u, v and optionally p, instead of expressions; fields are "
-        "linear between its points, and beyond them those of the nearest point",
-    )
-    sha256: str | None = key(None, "digest of that file; computed if it is missing")
-
-    @model_validator(mode="before")
-    @classmethod
-    def _with_digest(cls, values: Any, info: ValidationInfo) -> Any:
-        """Add the digest of the file, so that the case identifies its content."""
-        return with_digest(values, info, read_start)
-
-    @model_validator(mode="after")
-    def _file_alone(self) -> InitialSection:
-        if self.file is not None and any(value != 0.0 for value in (self.u, self.v, self.p)):
-            raise ValueError("file can't be combined with u, v and p; give one or the other")
-        return self
 
 
 @dataclass(frozen=True, eq=False)
