@@ -122,8 +122,8 @@ def problems(
     Also speeds near that of sound, and an initial velocity through a wall. Of several values of
     the parameters, the first with a problem is refused.
     """
-    if scene.inflow_ramp >= final_time:
-        yield "inflow.ramp", f"takes {scene.inflow_ramp:g} s, until time.final_time or longer"
+    if scene.ramp >= final_time:
+        yield "inflow.ramp", f"takes {scene.ramp:g} s, until time.final_time or longer"
     for driving in drivings:
         if found := list(_problems_at(driving, final_time, fluid)):
             yield found[0]

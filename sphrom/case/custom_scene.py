@@ -27,7 +27,6 @@ from sphrom.case.custom_sections import (
     SurfaceFluidSection,
     Value,
     Vector,
-    inverse_permeability,
 )
 from sphrom.case.driving import INFLOW, Driving
 from sphrom.case.expressions import CALLED, CONSTANTS, FUNCTIONS
@@ -236,7 +235,7 @@ class CustomScene(SceneSection):
         Expressions are also checked at the places of particles with a spacing [m], and between.
         """
         other = self.model_copy()
-        for built in ("places", "strip", "strip_samples", "inflow_ramp", "_resistance", "_known"):
+        for built in ("places", "strip", "strip_samples", "ramp", "_resistance", "_known"):
             other.__dict__.pop(built, None)
         other._runs = Runs(settings, until)
         given = (*self.body_force, self.resistance)
@@ -348,17 +347,12 @@ class CustomScene(SceneSection):
         return self.inflow.samples(self.domain, self.strip.axis)
 
     @cached_property
-    def inflow_ramp(self) -> float:
-        """The time in which the inflow reaches its speed [s]; 0 without an inflow."""
+    def ramp(self) -> float:
         if self.inflow is None or (strip := self.strip) is None:
             return 0.0
         from_rest = self.initial == InitialSection()
         usual = self.domain.lengths[strip.axis] / abs(strip.speed) if from_rest else 0.0
         return usual if self.inflow.ramp is None else self.inflow.ramp
-
-    @property
-    def ramp(self) -> float:
-        return self.inflow_ramp
 
     # The resistance, which does not depend on parameters
 
@@ -389,10 +383,15 @@ class CustomScene(SceneSection):
             if min(rate.min(), -least) < 0.0:
                 raise ValueError(f"resistance: is negative at ({x:g}, {y:g}) m")
 
-        inverse = inverse_permeability((self.porous[name], shape) for name, shape in shapes.items())
-        if own is None and inverse is None and self.strip is None:
+        if own is None and not shapes and self.strip is None:
             return None
-        return Resistance(own, inverse, self.strip, self.places.wrapped)
+        shapely.prepare(list(shapes.values()))
+        bodies = [(1.0 / self.porous[name].permeability, shape) for name, shape in shapes.items()]
+
+        def inverse(position: Array) -> Array:
+            return sum(factor * shapely.contains_xy(shape, *position) for factor, shape in bodies)
+
+        return Resistance(own, inverse if bodies else None, self.strip, self.places.wrapped)
 
     def largest_resistance(self, viscosity: float) -> float:
         resistance = self._resistance

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -29,7 +29,7 @@ from sphrom.case.places import grid
 from sphrom.case.shapes import CircleSection, RectangleSection, ShapeSection
 from sphrom.scenes.flows import BodyForce
 from sphrom.sph.domain import Domain
-from sphrom.sph.fluid import Rates, Strip
+from sphrom.sph.fluid import Strip
 
 Value = Coordinate | Annotated[str, Field(max_length=1000)]
 """A number, or an expression."""
@@ -151,20 +151,6 @@ def ramp_share(ramp: float, time: Array | float) -> Array | float:
     return 0.5 - 0.5 * np.cos(math.pi * np.clip(np.divide(time, ramp), 0.0, 1.0))
 
 
-def inverse_permeability(bodies: Iterable[tuple[PorousSection, BaseGeometry]]) -> Rates | None:
-    """Return a function for 1/k [1/m2] at positions (2, n_positions) [m]; None without bodies.
-
-    It is zero outside of porous bodies.
-    """
-    inverses = [(shape, 1.0 / body.permeability) for body, shape in bodies]
-    shapely.prepare([shape for shape, _ in inverses])
-
-    def at(position: Array) -> Array:
-        return sum(inverse * shapely.contains_xy(shape, *position) for shape, inverse in inverses)
-
-    return at if inverses else None
-
-
 def surface_defaults(slip_along_axes: bool) -> dict[str, Any]:
     """Return defaults of other sections for scenes with a free surface.
 
@@ -255,9 +241,6 @@ class SurfaceForce(BodyForce):
         return force
 
     def over(self, times: Array) -> Array:
-        return self.uniform(times)
-
-    def uniform(self, times: Array) -> Array:
         """Return a uniform body force at times (2, n_times) [m/s2], without gravity."""
         values = [part(x=0.0, y=0.0, t=times) for part in self.parts]
         return np.stack([np.broadcast_to(one, times.shape) for one in values])
@@ -268,22 +251,3 @@ class SurfaceForce(BodyForce):
             row[:] = part(x=position[0], y=position[1], t=time)
         out[1] -= self.gravity
         return out
-
-
-def hydrostatic(
-    start: Callable[[Array], Array], level: float, weight: float
-) -> Callable[[Array], Array]:
-    """Return initial conditions with the hydrostatic pressure below a level [m] added.
-
-    Parameters
-    ----------
-    start : returns velocity and pressure (n_points, 3) at positions (n_points, 2) [m].
-    weight : density times gravity [N/m3].
-    """
-
-    def at(position: Array) -> Array:
-        fields = start(position)
-        fields[:, 2] += weight * (level - position[:, 1])
-        return fields
-
-    return at

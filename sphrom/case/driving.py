@@ -15,7 +15,7 @@ import numpy as np
 import shapely
 
 from sphrom.arrays import Array
-from sphrom.case.custom_sections import SurfaceForce, hydrostatic, ramp_share
+from sphrom.case.custom_sections import SurfaceForce, ramp_share
 from sphrom.case.expressions import Expression
 from sphrom.case.places import N_SAMPLES, require_finite
 from sphrom.metrics.series import shortest_period
@@ -111,19 +111,21 @@ class Driving:
         return at
 
     def begin(self, density: float) -> Callable[[Array], Array]:
-        """Return the initial fields of runs, for a density of the fluid [kg/m3]."""
+        """Return the initial fields of runs, hydrostatic below a level, for a density [kg/m3]."""
 
         # They are evaluated when a run starts; they may be any function of constants.
-        def late(position: Array) -> Array:
-            return self.initial(position)
+        def at(position: Array) -> Array:
+            fields = self.initial(position)
+            if math.isfinite(self.level):
+                fields[:, 2] += density * self.scene.gravity * (self.level - position[:, 1])
+            return fields
 
-        if math.isinf(self.level):
-            return late
-        return hydrostatic(late, self.level, density * self.scene.gravity)
+        return at
 
     # Fields and amplitudes
 
     def _drive(self, key: str, values: Iterable[float | str], *variables: str) -> Drive:
+        """Return the field and the amplitude of the components of a vector, or of a rate."""
         fields, moving = [], {}
         for value in values:
             product = self.expression(key, value, *variables)
@@ -224,12 +226,12 @@ class Driving:
             return np.sum(fields, axis=0) if len(fields) > 1 else fields[0]
 
         for name, push in pushes.items():
-            at = scene.strip_samples if name == INFLOW else places.all
-            require_finite(push.key, push(at.T).T, at)
+            checked = scene.strip_samples if name == INFLOW else places.all
+            require_finite(push.key, push(checked.T).T, checked)
         if BODY_FORCE in pushes and not self.values:  # for all values the same peaks
             places.peak("body_force", lambda at: np.abs(pushes[BODY_FORCE](at)).sum(axis=0))
         factor = next((self.values.get(name, 1.0) for name in self.factors), 1.0)
-        share = partial(ramp_share, scene.inflow_ramp)
+        share = partial(ramp_share, scene.ramp)
 
         def series(times: Array) -> Array:
             return factor * (share(times) * amplitude(t=times))

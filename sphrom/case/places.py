@@ -91,22 +91,18 @@ class Places:
 
         Raises ValueError if it is infinite or not a number.
         """
-        low, high = self._ends[..., None]
+        lengths = np.array(self._domain.lengths)
 
         def inside(place: Array) -> Array:
-            within = np.clip(place, low, high)
             # Walls themselves are samples; beside them a place may be in the solid by rounding.
-            far = TOUCHING * max(self._domain.lengths)
-            fluid = self._domain.wall_distance(within.T) > far
-            return np.where(fluid, size(within), -np.inf)
+            fluid = self._domain.wall_distance(place.T) > TOUCHING * lengths.max()
+            return np.where(fluid, size(place), -np.inf)
 
         highest = self.all[np.argsort(-size(self.all.T), kind="stable")[:N_PEAKS]]
-        widths = np.array(self._domain.lengths) / N_SAMPLES
-        found, place = sharpened(inside, highest.T, widths)
+        found, places = sharpened(inside, highest.T, lengths / N_SAMPLES, self._ends)
         best = int(np.argmax(found))
-        place = np.clip(place, low, high)[:, best]
-        require_finite(key, found[[best]], place[None])
-        return float(found[best]), place
+        require_finite(key, found[[best]], places.T[[best]])
+        return float(found[best]), places[:, best]
 
 
 def grid(lower: Array, upper: Array) -> Array:

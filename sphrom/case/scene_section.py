@@ -149,11 +149,6 @@ class SceneSection(Section):
         return None
 
     @property
-    def inflow_ramp(self) -> float:
-        """The time in which the inflow reaches its speed [s]; 0 without an inflow."""
-        return 0.0
-
-    @property
     def porous_widths(self) -> Mapping[str, float]:
         """The width of each porous body [m]."""
         return {}
