@@ -71,7 +71,7 @@ class MovingWallSection(Section):
 
 @dataclass(frozen=True, eq=False)
 class Runs:
-    """What is known of the runs of a case."""
+    """The parameters and the time of all runs of a case, where they are known."""
 
     settings: Settings = ({},)
     """The values of the parameters at all points."""
@@ -235,7 +235,15 @@ class CustomScene(SceneSection):
         Expressions are also checked at the places of particles with a spacing [m], and between.
         """
         other = self.model_copy()
-        for built in ("places", "strip", "strip_samples", "ramp", "_resistance", "_known"):
+        for built in (
+            "places",
+            "strip",
+            "strip_samples",
+            "ramp",
+            "_resistance",
+            "_slowest",
+            "_known",
+        ):
             other.__dict__.pop(built, None)
         other._runs = Runs(settings, until)
         given = (*self.body_force, self.resistance)

@@ -60,7 +60,7 @@ class Drive:
 
 
 class Driving:
-    """What drives the fluid of a scene, and how it starts, at values of the parameters."""
+    """The driving of a scene and its initial fields, at values of the parameters."""
 
     def __init__(self, scene: CustomScene, values: Mapping[str, float]) -> None:
         self.scene, self.values = scene, values
@@ -250,7 +250,7 @@ class Driving:
             yield from ((BODY_FORCE, part) for part in self.force.parts)
 
     def signals(self) -> dict[str, Callable[[Array], Array]]:
-        """Return what drives the flow (..., n_times) at times (n_times,) [s], by key."""
+        """Return functions for the driving (..., n_times) at times (n_times,) [s], by key."""
         force, signals = self.force, dict[str, Callable[[Array], Array]]()
         for name, drive in self.walls.items():
             for amplitude in drive.amplitudes.values():

@@ -28,7 +28,7 @@ COLUMNS = ("x", "y", "u", "v", "p")
 MOST_POINTS = 200_000
 """Largest number of points, whose triangulation takes seconds."""
 _TABLES: dict[tuple[str | None, ...], Any] = {}
-"""What tables hold, by digests and chosen columns, because copies of a case have no folder."""
+"""Contents of tables by digests and chosen columns, because copies of a case have no folder."""
 
 
 class TableSection(Section):
@@ -45,7 +45,7 @@ class TableSection(Section):
 
     @classmethod
     def parsed(cls, text: str, *chosen: str | None) -> Any:
-        """Return what the text of a file holds. Raises ValueError."""
+        """Return the content of a table from its text. Raises ValueError."""
         raise NotImplementedError
 
     @model_validator(mode="before")
@@ -65,7 +65,7 @@ class TableSection(Section):
 
     @classmethod
     def _read(cls, path: Path, chosen: Sequence[str | None]) -> str:
-        """Read a file, cache what it holds, and return its SHA-256. Raises ValueError."""
+        """Read a file, cache its content, and return its SHA-256. Raises ValueError."""
         name = visible(path.name)
         try:
             content = read_whole(path, MOST_BYTES)
@@ -81,7 +81,7 @@ class TableSection(Section):
 
     @property
     def table(self) -> Any:
-        """What the file holds. Raises CaseError when it is missing or has changed."""
+        """The content of the file. Raises CaseError when it is missing or has changed."""
         chosen = [getattr(self, key) for key in self.chosen]
         try:
             known = (self.sha256, *chosen) in _TABLES
