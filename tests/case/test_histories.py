@@ -149,10 +149,10 @@ def walls(case: Case, *times: float) -> np.ndarray:
 
 
 def test_walls_follow_expressions_in_t(load) -> None:
-    moving = {"top": {"velocity": ["3*sway(t)", 0]}, "bottom": {"velocity": ["-1", 0]}}
+    moving = {"top": {"velocity": ["3*sway(t)", 0]}, "bottom": {"velocity": ["-4", 0]}}
     case = load(walls=moving)
-    np.testing.assert_allclose(walls(case, 0.25, 0.5), [[-1.0, 3.0], [-1.0, 6.0]])
-    assert case.plan.max_speed == 6.0  # raises the speed of sound
+    np.testing.assert_allclose(walls(case, 0.25, 0.5), [[-4.0, 3.0], [-4.0, 6.0]])
+    assert case.plan.max_speed == 6.0  # raises the speed of sound, by each wall's own amplitude
     disc = {"disc": {"circle": {"centre": [1, 0.5], "radius": 0.25}}}
     turning = {"disc": {"rotation": "2*sway(t)"}}
     flow = load(solids=disc, walls=turning, reference_length=0.5).plan
