@@ -120,8 +120,12 @@ def problems(
     """Refuse a driving that isn't finite at all times, and an inflow that ramps too long.
 
     Also speeds near that of sound, and an initial velocity through a wall. Of several values of
-    the parameters, the first with a problem is refused.
+    the parameters, the first with a problem is refused. Driving can't be evaluated at times that
+    a history does not contain.
     """
+    if found := list(unknown_times(scene.at(), final_time)):
+        yield from found
+        return
     if scene.ramp >= final_time:
         yield "inflow.ramp", f"takes {scene.ramp:g} s, until time.final_time or longer"
     for driving in drivings:

@@ -369,11 +369,7 @@ class Plan:
 
     def problems_until(self, end: float) -> Iterator[tuple[str, str]]:
         """Yield keys of the scene that don't allow runs until a time [s], with reasons."""
-        # Driving can't be evaluated at unknown times.
-        if problems := list(self.scene.unknown_times(end)):
-            yield from problems
-        else:
-            yield from self.scene.problems(end, self.fluid(self.points[0]))
+        return self.scene.problems(end, self.fluid(self.points[0]))
 
     @cached_property
     def strip(self) -> Strip | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 
@@ -28,38 +29,32 @@ MOST_DRIFT, MOST_DRIFT_BELOW_SURFACE = 5e-4, 5e-3
 surfaces 6e-4, or 2e-3 where a dam breaks, and 7e-5 with an inflow."""
 
 
+@dataclass
 class Watch:
     """Looks for effects without a cause in the snapshots of a full run.
 
     Energy is kinetic, potential, and that of compression. It may grow by the work of the body
     force, which is integrated over the snapshots by Simpson's rule. Work of walls and inflow is
     not; their speed bounds the kinetic energy.
-
-    Parameters
-    ----------
-    max_speed, drive_speed : the largest expected speed, and that of walls and inflow [m/s].
-    gravity : along -y [m/s2]; `force` contains it.
-    look_every : number of snapshots of which one is looked at.
     """
 
-    def __init__(
-        self,
-        reference_density: float,
-        sound_speed: float,
-        max_speed: float,
-        drive_speed: float = 0.0,
-        gravity: float = 0.0,
-        force: Callable[[Array, float], Array] | None = None,
-        *,
-        is_driven: bool = True,
-        has_surface: bool = False,
-        look_every: int = 1,
-    ) -> None:
-        self._density, self._sound_speed = reference_density, sound_speed
-        self._max_speed, self._drive_speed = max_speed, drive_speed
-        self._gravity, self._force, self._is_driven = gravity, force, is_driven
-        self._most_drift = MOST_DRIFT_BELOW_SURFACE if has_surface else MOST_DRIFT
-        self._look_every, self._n_seen = look_every, 0
+    reference_density: float
+    sound_speed: float
+    max_speed: float
+    """The largest expected speed [m/s]."""
+    drive_speed: float = 0.0
+    """The largest speed of walls and inflow [m/s]."""
+    gravity: float = 0.0
+    """Along -y [m/s2]; `force` contains it."""
+    force: Callable[[Array, float], Array] | None = None
+    _: KW_ONLY
+    is_driven: bool = True
+    has_surface: bool = False
+    look_every: int = 1
+    """Number of snapshots of which one is looked at."""
+
+    def __post_init__(self) -> None:
+        self._n_seen = 0
         self._before: tuple[float, float, Array, Array] | None = None
         self._work = self._moved = self._unknown = 0.0
         self._rows: list[tuple[float, ...]] = []
@@ -67,29 +62,29 @@ class Watch:
     def see(self, time: float, position: Array, velocity: Array, fluctuation: Array) -> None:
         """Add a snapshot; positions and velocities are (n_particles, 2)."""
         self._n_seen += 1
-        if (self._n_seen - 1) % self._look_every:
+        if (self._n_seen - 1) % self.look_every:
             return
-        compression = fluctuation / self._density
+        compression = fluctuation / self.reference_density
         mean = float(compression.mean())
         variance = float(np.mean((compression - mean) ** 2))
         self._add_work(time, position.T, velocity.T)
         energies = (
             0.5 * float(np.mean(np.sum(velocity**2, axis=1))),
-            self._gravity * float(position[:, 1].mean()),
-            0.5 * self._sound_speed**2 * variance,
+            self.gravity * float(position[:, 1].mean()),
+            0.5 * self.sound_speed**2 * variance,
         )
         work = self._work, self._moved, self._unknown
         self._rows.append((time, *energies, *work, math.sqrt(variance), mean))
 
     def _add_work(self, time: float, position: Array, velocity: Array) -> None:
         """Add the work of the body force since the snapshot before, per mass [m2/s2]."""
-        force = self._force
+        force = self.force
         if force is None:
             return
 
         def power(at: float, position: Array, velocity: Array) -> float:
             done = float(np.sum(force(position, at) * velocity)) / position.shape[1]
-            return done + self._gravity * float(velocity[1].mean())
+            return done + self.gravity * float(velocity[1].mean())
 
         now = power(time, position, velocity)
         if self._before is not None:
@@ -110,12 +105,12 @@ class Watch:
         time, kinetic, potential, internal, work, moved, unknown, fluctuation, mean = rows
         gain = kinetic + potential + internal
         gain = gain - gain[0] - work
-        expected = 0.5 * self._max_speed**2
+        expected = 0.5 * self.max_speed**2
         allowed = MOST_UNEXPLAINED * (moved + np.maximum.accumulate(kinetic)) + unknown
-        allowed += NO_ENERGY * expected + MOST_OF_DRIVE * 0.5 * self._drive_speed**2
+        allowed += NO_ENERGY * expected + MOST_OF_DRIVE * 0.5 * self.drive_speed**2
         worst = int(np.argmax(kinetic))
         speed = math.sqrt(2.0 * kinetic[worst])
-        if not self._is_driven and speed > MOST_AT_REST * self._max_speed:
+        if not self.is_driven and speed > MOST_AT_REST * self.max_speed:
             yield (
                 f"nothing drives the fluid, but its root mean square speed is {speed:.3g} m/s at "
                 f"t = {time[worst]:.4g} s"
@@ -127,16 +122,17 @@ class Watch:
                 f"at t = {time[worst]:.4g} s the fluid has more energy than all work done on it "
                 f"explains: it is that of a speed of {speed:.3g} m/s of all fluid"
             )
-        mach = self._max_speed / self._sound_speed
+        mach = self.max_speed / self.sound_speed
         most, worst = max(MOST_FLUCTUATION, PER_MACH_SQUARED * mach**2), int(fluctuation.argmax())
         if fluctuation[worst] > most:
             yield (
                 f"the density fluctuates by {fluctuation[worst]:.2%} (root mean square) at t = "
                 f"{time[worst]:.4g} s; a weakly compressible flow stays below {most:.2%}"
             )
-        worst = int(np.abs(mean - mean[0]).argmax())
-        if abs(mean[worst] - mean[0]) > self._most_drift:
+        drift = mean - mean[0]
+        worst = int(np.abs(drift).argmax())
+        if abs(drift[worst]) > (MOST_DRIFT_BELOW_SURFACE if self.has_surface else MOST_DRIFT):
             yield (
-                f"the mean density changes by {mean[worst] - mean[0]:+.2%} until t = "
+                f"the mean density changes by {drift[worst]:+.2%} until t = "
                 f"{time[worst]:.4g} s, although no fluid enters or leaves"
             )
