@@ -234,7 +234,8 @@ class Driving:
         share = partial(ramp_share, scene.ramp)
 
         def series(times: Array) -> Array:
-            return factor * (share(times) * amplitude(t=times))
+            with np.errstate(invalid="ignore"):  # a check refuses amplitudes that are not finite
+                return factor * (share(times) * amplitude(t=times))
 
         # Cached, because all runs of a case use the same times.
         one = lru_cache(MOST_TIMES)(lambda t: factor * float(share(t)) * float(amplitude(t=t)))
