@@ -9,11 +9,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 import shapely
 
-from sphrom.case.driving import BODY_FORCE, INFLOW, N_CHECKED, Driving, largest_norm
+from sphrom.case.driving import (
+    BODY_FORCE,
+    INFLOW,
+    N_CHECKED,
+    Driving,
+    finite_peak,
+    largest_norm,
+    require_finite,
+)
 from sphrom.case.expressions import MOST_QUOTED
-from sphrom.case.places import N_SAMPLES, TOUCHING, require_finite
 from sphrom.metrics.series import pole_of
 from sphrom.sph.fluid import Fluid
+from sphrom.sph.places import N_SAMPLES, TOUCHING
 from sphrom.text import shortened
 
 if TYPE_CHECKING:
@@ -70,7 +78,7 @@ def check_surface(driving: Driving) -> None:
     places = scene.places
     require_finite("body_force", force(places.all.T, 0.0).T, places.all)
     if not driving.values:  # for all values the same peaks
-        places.peak("body_force", lambda at: np.abs(force(at, 0.0)).sum(axis=0))
+        finite_peak("body_force", places, lambda at: np.abs(force(at, 0.0)).sum(axis=0))
 
 
 def parameter_problems(driving: Driving, names: Collection[str]) -> Found:

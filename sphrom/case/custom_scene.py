@@ -28,10 +28,9 @@ from sphrom.case.custom_sections import (
     Value,
     Vector,
 )
-from sphrom.case.driving import INFLOW, Driving
+from sphrom.case.driving import INFLOW, Driving, finite_peak, require_finite
 from sphrom.case.expressions import CALLED, CONSTANTS, FUNCTIONS
 from sphrom.case.fields import Coordinate, Place, Positive, SafeName, Section, key
-from sphrom.case.places import N_SAMPLES, Places, require_finite
 from sphrom.case.scene_section import MEASURE, OF_WALLS, Defaults, Measures, SceneSection, Settings
 from sphrom.case.shapes import ShapeSection
 from sphrom.case.tables import HistorySection, InitialSection
@@ -40,6 +39,7 @@ from sphrom.scenes.flows import CustomFlow, Scales, Scene
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import NONE, Fluid, Resistance, Strip
+from sphrom.sph.places import N_SAMPLES, Places
 from sphrom.sph.polygons import connects_images
 
 MOST_PLACES = 200_000
@@ -384,8 +384,8 @@ class CustomScene(SceneSection):
             places = self.places.all
             rate = own(places.T)
             require_finite("resistance", rate, places)
-            self.places.peak("resistance", own)
-            least, (x, y) = self.places.peak("resistance", lambda at: -own(at))
+            finite_peak("resistance", self.places, own)
+            least, (x, y) = finite_peak("resistance", self.places, lambda at: -own(at))
             if rate.min() < 0.0:
                 x, y = places[np.argmin(rate)]
             if min(rate.min(), -least) < 0.0:
@@ -412,7 +412,7 @@ class CustomScene(SceneSection):
         """Places (n_places, 2) [m] that include those with the largest resistance."""
         places = [self.places.all]
         if self._resistance is not None and self._resistance.own is not None:
-            places.append(self.places.peak("resistance", self._resistance.own)[1][None])
+            places.append(self.places.peak(self._resistance.own)[1][None])
         # Samples miss thin bodies.
         parts = list(self._porous_parts.values())
         shared = (one.intersection(other) for one, other in combinations(parts, 2))

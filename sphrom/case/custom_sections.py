@@ -25,11 +25,11 @@ from sphrom.case.fields import (
     key,
     only_one,
 )
-from sphrom.case.places import grid
 from sphrom.case.shapes import CircleSection, RectangleSection, ShapeSection
 from sphrom.scenes.flows import BodyForce
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Strip
+from sphrom.sph.places import grid
 
 Value = Coordinate | Annotated[str, Field(max_length=1000)]
 """A number, or an expression."""

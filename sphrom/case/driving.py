@@ -17,9 +17,10 @@ import shapely
 from sphrom.arrays import Array
 from sphrom.case.custom_sections import SurfaceForce, ramp_share
 from sphrom.case.expressions import Expression
-from sphrom.case.places import N_SAMPLES, require_finite
+from sphrom.case.fields import LARGEST
 from sphrom.metrics.series import shortest_period
 from sphrom.scenes.flows import Amplitude, BodyForce
+from sphrom.sph.places import N_SAMPLES, Places
 
 if TYPE_CHECKING:
     from sphrom.case.custom_scene import CustomScene
@@ -228,8 +229,9 @@ class Driving:
         for name, push in pushes.items():
             checked = scene.strip_samples if name == INFLOW else places.all
             require_finite(push.key, push(checked.T).T, checked)
-        if BODY_FORCE in pushes and not self.values:  # for all values the same peaks
-            places.peak("body_force", lambda at: np.abs(pushes[BODY_FORCE](at)).sum(axis=0))
+        force = pushes.get(BODY_FORCE)
+        if force is not None and not self.values:  # for all values the same peaks
+            finite_peak(KEYS[BODY_FORCE], places, lambda at: np.abs(force(at)).sum(axis=0))
         factor = next((self.values.get(name, 1.0) for name in self.factors), 1.0)
         share = partial(ramp_share, scene.ramp)
 
@@ -332,6 +334,22 @@ class Driving:
         # One-way means along lines: forces to a centre press from both sides.
         ways = np.maximum((force, -force), 0.0).reshape(2, 2, N_SAMPLES + 1, -1)
         return np.array([ways[:, axis].mean(axis=-1 - axis).max() for axis in range(2)])
+
+
+def require_finite(key: str, values: Array, place: Array) -> None:
+    """Raise ValueError if values (n_places, ...) at places aren't finite, or too large."""
+    good = (np.abs(values) <= LARGEST).reshape(len(values), -1).all(axis=1)
+    for value, (x, y) in zip(values[~good][:1], place[~good], strict=False):
+        finite = np.isfinite(value).all()
+        problem = f"above {LARGEST:g} in size" if finite else "not a finite number"
+        raise ValueError(f"{key}: is {problem} at ({x:g}, {y:g}) m")
+
+
+def finite_peak(key: str, places: Places, size: Callable[[Array], Array]) -> tuple[float, Array]:
+    """Return a field's largest value and its place (2,) [m]. Raises ValueError if not finite."""
+    value, place = places.peak(size)
+    require_finite(key, np.array([value]), place[None])
+    return value, place
 
 
 def largest_norm(velocity: Array) -> float:

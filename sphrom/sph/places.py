@@ -1,4 +1,4 @@
-"""Places in a domain at which the expressions of a scene are evaluated and checked."""
+"""Places in a domain at which fields of a scene are evaluated and checked."""
 
 from __future__ import annotations
 
@@ -10,14 +10,13 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from sphrom.arrays import Array
-from sphrom.case.fields import LARGEST
 from sphrom.metrics.series import sharpened
 from sphrom.sph.domain import SIDES, Domain
 
 N_SAMPLES = 200
 """Intervals along each edge of the box, or along a wall, between places of checks."""
 N_PEAKS = 16
-"""Samples with the largest values, from which peaks of an expression are searched."""
+"""Samples with the largest values, from which peaks of a field are searched."""
 TOUCHING = 1e-6
 """Tolerated distance of a wall from the edge of the fluid, over its length."""
 
@@ -40,7 +39,7 @@ class Places:
     @cached_property
     def samples(self) -> Array:
         """Points (n_points, 2) of the fluid all over the box [m]."""
-        # Points on the edge of the box are included, where expressions like 1/x aren't finite.
+        # Points on the edge of the box are included, where fields like 1/x aren't finite.
         points = grid(*self._ends)
         return points[self._domain.contains(points)]
 
@@ -84,12 +83,10 @@ class Places:
             raise ValueError(f"walls.{name}: no fluid touches it")
         return place[touched]
 
-    def peak(self, key: str, size: Callable[[Array], Array]) -> tuple[float, Array]:
-        """Return the largest value of an expression in the fluid, and its place (2,) [m].
+    def peak(self, size: Callable[[Array], Array]) -> tuple[float, Array]:
+        """Return the largest value of a field in the fluid, and its place (2,) [m].
 
         Peaks narrower than the distance between samples are found from their feet.
-
-        Raises ValueError if it is infinite or not a number.
         """
         lengths = np.array(self._domain.lengths)
 
@@ -101,7 +98,6 @@ class Places:
         highest = self.all[np.argsort(-size(self.all.T), kind="stable")[:N_PEAKS]]
         found, places = sharpened(inside, highest.T, lengths / N_SAMPLES, self._ends)
         best = int(np.argmax(found))
-        require_finite(key, found[[best]], places.T[[best]])
         return float(found[best]), places[:, best]
 
 
@@ -109,12 +105,3 @@ def grid(lower: Array, upper: Array) -> Array:
     """Return evenly spaced points (n_points, 2) [m] of a box, with its edges."""
     axes = [np.linspace(low, high, N_SAMPLES + 1) for low, high in zip(lower, upper, strict=True)]
     return np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
-
-
-def require_finite(key: str, values: Array, place: Array) -> None:
-    """Raise ValueError if values (n_places, ...) at places aren't finite, or too large."""
-    good = (np.abs(values) <= LARGEST).reshape(len(values), -1).all(axis=1)
-    for value, (x, y) in zip(values[~good][:1], place[~good], strict=False):
-        finite = np.isfinite(value).all()
-        problem = f"above {LARGEST:g} in size" if finite else "not a finite number"
-        raise ValueError(f"{key}: is {problem} at ({x:g}, {y:g}) m")
