@@ -41,7 +41,7 @@ from sphrom.case.fields import LARGEST, Coordinate, Place, Positive, SafeName, S
 from sphrom.case.scene_section import MEASURE, OF_WALLS, Defaults, Measures, SceneSection, Settings
 from sphrom.case.shapes import ShapeSection
 from sphrom.metrics.measures import midpoints
-from sphrom.metrics.series import pole_of, sharpened, shortest_period
+from sphrom.metrics.series import N_HALVINGS, pole_of, sharpened, shortest_period
 from sphrom.scenes.flows import Amplitude, BodyForce, CustomFlow, Scales, Scene
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import SIDES, Domain
@@ -70,6 +70,9 @@ LARGEST_CHANGE = 0.1
 THROUGH_WALL = 0.07
 """Largest initial speed through a wall over that of sound. Sound that a flat wall reflects changes
 the density by this share, and more in corners; at 0.08 a box of 20 x 20 particles is unstable."""
+MISSED = 0.7
+"""Share of a field that particles miss, from which it changes within a spacing. It is 0.4 for waves
+of four spacings, 0.75 for waves of two, and 0.5 for a band of two with its edges at particles."""
 ALONG = 0.02
 """Largest normal speed of a wall over its speed; it is not zero because circles are polygons."""
 TOUCHING = 1e-6
@@ -80,6 +83,9 @@ BODY_FORCE, INFLOW = "body_force", "inflow"
 """The names of their factors as parameters."""
 KEYS = {BODY_FORCE: "body_force", INFLOW: "inflow.velocity"}
 """The keys of the parameters."""
+SHOCK = 0.05
+"""Largest change of an inflow while sound crosses the box, over the speed of sound. At 0.067, sound
+that a cylinder reflects changes the density by 10 %, which ends a run."""
 OTHER_UNIT = 100.0
 """Ratio of the widths of a solid and the box, or its inverse, that suggests another unit."""
 MOST_AREAS = 4
@@ -356,7 +362,7 @@ class CustomScene(SceneSection):
         """Return a copy that does not share some cached parts."""
         other = self.model_copy()
         timed = "_force", "_pushes", "_motions", "_wall_amplitudes"
-        for built in (*without, *timed, "_start", "_initial", "_known"):
+        for built in (*without, *timed, "_start", "_initial", "_known", "_cells"):
             other.__dict__.pop(built, None)
         return other
 
@@ -477,8 +483,65 @@ class CustomScene(SceneSection):
 
     @property
     def _places(self) -> Array:
-        """The samples, and places of particles."""
-        return np.concatenate([self._samples, self._extra])
+        """The samples, places of particles, and places between jumps."""
+        between = [self._cells[0]] if any("where" in str(value) for value in self._fields) else []
+        return np.concatenate([self._samples, self._extra, *between])
+
+    @property
+    def _fields(self) -> tuple[float | str, ...]:
+        """The expressions of forces, the resistance and an inflow."""
+        return *self.body_force, self.resistance, *(self.inflow.velocity if self.inflow else ())
+
+    @cached_property
+    def _cells(self) -> tuple[Array, Array]:
+        """Places (n_cells, 2) [m] and areas (n_cells,) [m2] of cells of fluid between all jumps.
+
+        Expressions jump where conditions on x or y change. Even a narrow spot has its own cells.
+        """
+        constants, switches = {**self.constants, **self._values}, []
+        for value in map(str, self._fields):
+            with suppress(ValueError):  # other checks refuse it
+                expression = Expression(value, ("x", "y", "t"), constants, self.histories)
+                switches += expression.switches()
+        lines = []
+        for name, low, high in zip("xy", self.domain.lower, self.domain.upper, strict=True):
+            # Random, because equal distances could fit the waves of an expression.
+            shares = np.sort(np.random.default_rng(0).random(N_SAMPLES))
+            line = np.array([low, *(low + (high - low) * shares), high])
+            for switch in (switch for switch in switches if switch.depends_on == {name}):
+                on = switch(**{name: line}) > 0.0
+                turns = np.flatnonzero(on[1:] != on[:-1])
+                ends = np.array([line[turns], line[turns + 1]])
+                for _ in range(N_HALVINGS):
+                    middle = ends.mean(axis=0)
+                    same = (switch(**{name: middle}) > 0.0) == on[turns]
+                    ends = np.where([same, ~same], middle, ends)
+                line = np.unique([*line, *ends.ravel()])
+            lines.append(line)
+        places = np.meshgrid(*(0.5 * (line[1:] + line[:-1]) for line in lines))
+        place = np.stack(places, axis=-1).reshape(-1, 2)
+        area = np.prod(np.meshgrid(*map(np.diff, lines)), axis=0).ravel()
+        inside = self.domain.contains(place)
+        return place[inside], area[inside]
+
+    def unresolved(self, particle_spacing: float) -> Iterator[str]:
+        """Yield the keys of expressions that change within a spacing [m], so particles miss it."""
+        place, area = self._cells
+        low, level = np.array(self.domain.lower), self.level_at()
+        centre = low + (np.floor((place - low) / particle_spacing) + 0.5) * particle_spacing
+        fields: dict[str, Callable[[Array], Array]] = {KEYS[n]: p for n, p in self._pushes.items()}
+        if isinstance(force := self._force, SurfaceForce):
+            fields[BODY_FORCE] = lambda at: force(at, self._until) + [[0.0], [force.gravity]]
+        if self._resistance is not None and self._resistance.own is not None:
+            fields["resistance"] = self._resistance.own
+        for name, field in fields.items():
+            counted = area * (place[:, 1] <= level)
+            if name == KEYS[INFLOW] and (strip := self.strip) is not None:
+                along = place[:, strip.axis]
+                counted[(along < strip.start) | (along > strip.end)] = 0.0
+            exact, seen = field(place.T), field(centre.T)
+            if (counted * np.abs(exact - seen)).sum() > MISSED * (counted * np.abs(exact)).sum():
+                yield name
 
     def _peak(self, where: str, size: Callable[[Array], Array]) -> tuple[float, Array]:
         """Return the largest value of an expression in the fluid, and its place (2,) [m].
@@ -688,7 +751,10 @@ class CustomScene(SceneSection):
         for name, push in pushes.items():
             places = self._places
             if strip is not None and self.inflow is not None and name == INFLOW:
-                places = self.inflow.samples(self.domain, strip.axis, N_SAMPLES + 1)
+                along = places[:, strip.axis]
+                places = places[(along >= strip.start) & (along <= strip.end)]
+                samples = self.inflow.samples(self.domain, strip.axis, N_SAMPLES + 1)
+                places = np.concatenate([samples, places])
             _require_finite(KEYS[name], push(places.T).T, places)
         if BODY_FORCE in pushes and not self._values:  # for all values the same peaks
             self._peak("body_force", lambda at: np.abs(pushes[BODY_FORCE](at)).sum(axis=0))
@@ -880,6 +946,14 @@ class CustomScene(SceneSection):
                 if (pole := pole_of(signal, times)) is not None:
                     yield where, f"is not finite at t = {pole:.4g} s"
                     return
+            if (change := here._change_of_inflow(times, sound_speed)) > SHOCK * sound_speed:
+                yield (
+                    KEYS[INFLOW],
+                    f"changes by {change:.3g} m/s while sound crosses the box, which makes a shock "
+                    "of sound; raise inflow.ramp, or let it change more slowly, or lower "
+                    "fluid.mach_number",
+                )
+                return
             for where, speed in here._speeds(times):
                 if speed > FASTEST * sound_speed:
                     yield (
@@ -953,6 +1027,19 @@ class CustomScene(SceneSection):
         speeds["initial"] = self._initial(wet)[:, :2]
         for where, velocity in speeds.items():
             yield where, float(np.linalg.norm(velocity, axis=1).max(initial=0.0))
+
+    def _change_of_inflow(self, times: Array, sound_speed: float) -> float:
+        """Return the largest change of the mean inflow [m/s] while sound crosses the box."""
+        strip, force = self.strip, self._force
+        if strip is None or self.inflow is None or force is None or force.series is None:
+            return 0.0
+        places = self.inflow.samples(self.domain, strip.axis, N_SAMPLES + 1)
+        mean = self._pushes[INFLOW](places.T)[strip.axis].mean()
+        before = times - self.domain.lengths[strip.axis] / sound_speed
+        share = force.series(np.maximum(before, 0.0))
+        if self.initial == InitialSection():
+            share = np.where(before >= 0.0, share, 0.0)
+        return float(abs(mean) * np.abs(force.series(times) - share).max())
 
     def _through_wall(self) -> tuple[float, str]:
         """Return the largest initial speed [m/s] normal to a wall, and its place in words."""

@@ -120,6 +120,12 @@ class Expression:
             if isinstance(call, ast.Call) and _name(call) in self._histories:
                 yield _name(call), self._like(ast.unparse(call.args[0]))
 
+    def switches(self) -> list[Expression]:
+        """Return expressions that change their sign where a condition of `where` changes."""
+        nodes = [node for node in ast.walk(self._tree) if isinstance(node, ast.Compare)]
+        sides = [(ast.unparse(node.left), ast.unparse(node.comparators[0])) for node in nodes]
+        return [self._like(f"({left})-({right})") for left, right in sides]
+
     @cached_property
     def compiled(self) -> Callable[..., Any]:
         """The compiled expression. Raises ValueError where it can't be evaluated."""

@@ -44,6 +44,7 @@ def case_warnings(case: Case) -> list[str]:
         *_of_strip(case),
         *_of_kernel(case),
         *_of_porous(case),
+        *_of_fields(case),
         *_of_driving(case),
         *_of_histories(case),
         *_of_filling(case),
@@ -92,6 +93,16 @@ def _of_porous(case: Case) -> Iterator[str]:
                 "and raise its permeability in proportion, or set discretization.resolution: "
                 f"{resolution} or more"
             )
+
+
+def _of_fields(case: Case) -> Iterator[str]:
+    spacing = case.plan.particle_spacing
+    for key in case.plan.scene.unresolved(spacing):
+        yield (
+            f"scene.{key}: changes within a particle spacing of {spacing:.3g} m, so particles miss "
+            "its peaks or take waves for longer ones; make it smoother, or raise "
+            "discretization.resolution"
+        )
 
 
 def _of_driving(case: Case) -> Iterator[str]:
