@@ -80,9 +80,12 @@ def _path(key: str) -> tuple[str | int, ...]:
 
 
 def _check_size(case: Case) -> Found:
-    """Refuse lattices of absurd sizes before they are made."""
+    """Refuse lattices of absurd sizes, and levels without a row, before lattices are made."""
     length, resolution = case.scene.resolved_length, case.discretization.resolution
     spacing, sides = length / resolution, case.scene.domain.lengths
+    if (depth := case.scene.level_at() - case.scene.domain.lower[1]) < 0.5 * spacing:
+        reason = f"is {depth:.3g} m above the floor, less than a row of particles, {spacing:.3g} m"
+        yield "scene.fluid.level", f"{reason}; raise it, or discretization.resolution"
     most = MOST_COUNTED if case.scene.has_surface else MOST_POINTS
     if (number := math.prod(side / spacing for side in sides)) > most:
         reason = f"a lattice {spacing:.3g} m apart has {number:.3g} points in the box; {most:.0e}"

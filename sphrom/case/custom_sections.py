@@ -478,7 +478,7 @@ def _read_table(path: Path, parsed: Callable[[str], Table]) -> tuple[str, Table]
 
 def _table(text: str) -> tuple[list[str], list[list[str]]]:
     """Return the names of the columns of a table, and the cells of its rows."""
-    (_, names), *rows = table_rows(text) or [(0, [])]
+    (_, names), *rows = table_rows(text) or [(0, [""])]
     return names, [cells for _, cells in rows]
 
 

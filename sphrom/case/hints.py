@@ -12,6 +12,7 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint, outside
 from sphrom.case.sections import AUTO
 from sphrom.case.studies import Region, sweep_model, sweep_points
+from sphrom.metrics.series import shortest_period
 from sphrom.sph.fluid import ROUNDING
 
 SNAPSHOTS_PER_MODE = 2
@@ -24,6 +25,9 @@ THICKENED = 4
 """Spacings across a porous body that is thin enough to be one, and resolved."""
 MOST_MISSED = 0.02
 """Largest difference of the areas of particles and their shape without a warning, over the area."""
+SHOCK = 0.05
+"""Largest change of an inflow while sound crosses the box, over the speed of sound. At 0.067, sound
+that a cylinder reflects changes the density by 10 %, which ends a run."""
 LEAST_STRIP = 20.0
 """Least width of a strip, over the spacing; its rate then falls within two spacings."""
 
@@ -61,6 +65,14 @@ def _of_strip(case: Case) -> Iterator[str]:
         yield (
             f"scene.inflow.strip: is {width:.3g} m wide, so its forcing is too steep for the "
             f"particles; use {least:.3g} m, or discretization.resolution: {resolution}"
+        )
+    sound_speed = case.plan.sound_speed
+    change = case.plan.scene.change_of_inflow(case.time.final_time, sound_speed)
+    if change > SHOCK * sound_speed:
+        yield (
+            f"scene.inflow.velocity: changes by {change:.3g} m/s while sound crosses the box; this "
+            "shock of sound may end the run; raise inflow.ramp, let the velocity change more "
+            "slowly, or lower fluid.mach_number"
         )
 
 
@@ -118,9 +130,13 @@ def _of_driving(case: Case) -> Iterator[str]:
 def _of_histories(case: Case) -> Iterator[str]:
     plan, histories = case.plan, getattr(case.scene, "histories", {})
     for name, history in histories.items():
-        interval = float(np.median(np.diff(history.rows[0])))
+        times = history.rows[0, 1:-1]
+        interval = float(np.median(np.diff(times)))
+        first, last = times[[0, -1]]
+        # The driving may oscillate by other expressions.
+        own = shortest_period(lambda t: np.interp(first + t, *history.rows), last - first)  # noqa: B023
         rows = f"scene.histories.{name}: has a row every {interval:.3g} s"
-        if ROWS_PER_PERIOD * interval > plan.shortest_period:
+        if ROWS_PER_PERIOD * interval > max(own, plan.shortest_period):
             yield (
                 f"{rows}, and changes from row to row like noise, which steps of "
                 f"{plan.steps.time_step:.3g} s resolve; filter or average it for longer steps"

@@ -162,6 +162,13 @@ class SceneSection(Section):
         """Yield the keys of expressions that change within a spacing [m], so particles miss it."""
         yield from ()
 
+    def change_of_inflow(self, final_time: float, sound_speed: float) -> float:
+        """Return the largest change of the mean inflow [m/s] while sound crosses the box.
+
+        It is zero without an inflow, and for one that oscillates faster.
+        """
+        return 0.0
+
     @property
     def porous_way(self) -> float:
         """The integral of 1/k along the path of the fluid through porous bodies [1/m]."""

@@ -204,3 +204,49 @@ def test_places_of_particles_are_checked() -> None:
     ):
         case({**PLAIN, "resistance": narrow}, resolution=24)
     assert np.isfinite(case({**PLAIN, "resistance": "1"}).plan.limits.least)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "told"),
+    [
+        ("body_force", ["sin(1e4*x)", 0], True),
+        ("body_force", ["where(y > 0.4999, where(y < 0.5001, 1e3, 0), 0)", 0], True),
+        ("body_force", ["sin(20*x)*cos(t)", 0], False),
+        ("body_force", ["where(t < 2, t/2, 1)", 0], False),
+        ("body_force", ["0.02*where(x > 0.51, 1, -1)", 0], False),
+        ("resistance", "1 + sin(1e4*x)", True),
+        ("resistance", "where(x > 1.5011, where(x < 1.5012, 50, 0), 0)", True),
+        ("resistance", "where(x > 1.5, where(x < 1.6, 5, 0), 0)", False),
+        ("resistance", "100*(x - 1)**8", False),
+        ("inflow.velocity", ["1 + 0.9*sin(1e4*y)", 0], True),
+        ("inflow.velocity", ["interp(y, 0, 0, 0.1, 1, 0.9, 1, 1, 0)", 0], False),
+    ],
+)
+def test_fields_that_change_within_a_spacing_are_warned_of(key: str, value, told: bool) -> None:
+    scene = PLAIN | ({key: value} if key != "inflow.velocity" else {})
+    if key == "inflow.velocity":
+        scene["inflow"] = {"strip": {"from": 0, "to": 0.9}, "velocity": value}
+    found = [w for w in case_warnings(case(scene)) if "changes within a particle spacing" in w]
+    assert [w.partition(": ")[0] for w in found] == [f"scene.{key}"] * told
+
+
+def test_a_surface_force_that_is_narrow_is_warned_of() -> None:
+    (told,) = case_warnings(case({**TANK, "body_force": ["x**1000", 0]}, fluid={}))
+    assert told.startswith("scene.body_force: changes within a particle spacing of 0.03")
+
+
+@pytest.mark.parametrize(
+    ("velocity", "ramp", "change"),
+    [
+        ("4*y*(1 - y)", None, None),
+        ("4*y*(1 - y)", 0.05, "0.663 m/s"),
+        ("where(t < 5, 0, 1)", None, "1 m/s"),
+        ("1 + 0.1*sin(3*t)", 2.0, None),
+        ("1 + 0.3*cos(100*t)", 2.0, None),
+    ],
+)
+def test_shocks_of_an_inflow_are_warned_of(velocity: str, ramp, change: str | None) -> None:
+    given = {"strip": {"from": 0, "to": 0.9}, "velocity": [velocity, 0], "ramp": ramp}
+    found = [w for w in case_warnings(case({**PLAIN, "inflow": given})) if "shock" in w]
+    assert len(found) == (change is not None)
+    assert all(f"changes by {change} while sound crosses" in told for told in found)
