@@ -86,6 +86,10 @@ def _check_size(case: Case) -> Found:
     if (depth := case.scene.level_at() - case.scene.domain.lower[1]) < 0.5 * spacing:
         reason = f"is {depth:.3g} m above the floor, less than a row of particles, {spacing:.3g} m"
         yield "scene.fluid.level", f"{reason}; raise it, or discretization.resolution"
+    strip = case.scene.strip
+    if strip is not None and (width := strip.end - strip.start) < spacing:
+        reason = f"is {width:.3g} m wide, less than the particle spacing of {spacing:.3g} m"
+        yield "scene.inflow.strip", f"{reason}; make it 20 spacings wide"
     most = MOST_COUNTED if case.scene.has_surface else MOST_POINTS
     if (number := math.prod(side / spacing for side in sides)) > most:
         reason = f"a lattice {spacing:.3g} m apart has {number:.3g} points in the box; {most:.0e}"
