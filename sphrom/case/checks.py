@@ -60,13 +60,15 @@ MOST_REFINED = 4
 """Largest factor of the resolution that is a remedy for a narrow place."""
 COARSEST = 8
 """The lowest resolution."""
+MOST_POINTS, MOST_COUNTED = 2e10, 2e7
+"""Most points of a lattice over the box, and over one whose particles are counted one by one."""
 
 
 def case_problems(case: Case, *, force: bool = False) -> list[Problem]:
     """Return the problems of a case; `force` accepts an unstable time step."""
     limits = () if force else (_check_limits,)
-    # Later checks need valid names, and then valid steps and points.
-    first = (_check_names, _check_histories)
+    # Later checks need valid names and sizes, and then valid steps and points.
+    first = (_check_size, _check_names, _check_histories)
     for checks in (first, (_check_points,), (*_CHECKS, *limits), _SNAPSHOT_CHECKS):
         if problems := [problem for check in checks for problem in check(case)]:
             return [Problem(_path(key), reason) for key, reason in problems]
@@ -75,6 +77,24 @@ def case_problems(case: Case, *, force: bool = False) -> list[Problem]:
 
 def _path(key: str) -> tuple[str | int, ...]:
     return tuple(int(part) if part.isdecimal() else part for part in key.split("."))
+
+
+def _check_size(case: Case) -> Found:
+    """Refuse lattices of absurd sizes, and levels without a row, before lattices are made."""
+    length, resolution = case.scene.resolved_length, case.discretization.resolution
+    spacing, sides = length / resolution, case.scene.domain.lengths
+    if (depth := case.scene.level_at() - case.scene.domain.lower[1]) < 0.5 * spacing:
+        reason = f"is {depth:.3g} m above the floor, less than a row of particles, {spacing:.3g} m"
+        yield "scene.fluid.level", f"{reason}; raise it, or discretization.resolution"
+    strip = case.scene.strip
+    if strip is not None and (width := strip.end - strip.start) < spacing:
+        reason = f"is {width:.3g} m wide, less than the particle spacing of {spacing:.3g} m"
+        yield "scene.inflow.strip", f"{reason}; make it 20 spacings wide"
+    most = MOST_COUNTED if case.scene.has_surface else MOST_POINTS
+    if (number := math.prod(side / spacing for side in sides)) > most:
+        reason = f"a lattice {spacing:.3g} m apart has {number:.3g} points in the box; {most:.0e}"
+        remedy = f"lower it, or check the length of {length:g} m and the box"
+        yield "discretization.resolution", f"{reason} are allowed at most: {remedy}"
 
 
 def _check_names(case: Case) -> Found:

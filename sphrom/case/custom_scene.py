@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from itertools import combinations
 from typing import ClassVar, Literal
 
@@ -28,9 +28,17 @@ from sphrom.case.custom_sections import (
     Value,
     Vector,
 )
-from sphrom.case.driving import INFLOW, Driving, finite_peak, require_finite
+from sphrom.case.driving import (
+    BODY_FORCE,
+    INFLOW,
+    Driving,
+    at_places,
+    finite_peak,
+    require_finite,
+)
 from sphrom.case.expressions import CALLED, CONSTANTS, FUNCTIONS
 from sphrom.case.fields import Coordinate, Place, Positive, SafeName, Section, key
+from sphrom.case.points import REYNOLDS
 from sphrom.case.scene_section import MEASURE, OF_WALLS, Defaults, Measures, SceneSection, Settings
 from sphrom.case.shapes import ShapeSection
 from sphrom.case.tables import HistorySection, InitialSection
@@ -127,7 +135,7 @@ class CustomScene(SceneSection):
         """Refuse inconsistent keys, and scenes that can't be built."""
         for name in (*self.constants, *self.histories):
             kind = "constants" if name in self.constants else "histories"
-            if name in ("x", "y", "t", *CONSTANTS, *FUNCTIONS, *CALLED):
+            if name in ("x", "y", "t", REYNOLDS, *CONSTANTS, *FUNCTIONS, *CALLED):
                 raise ValueError(f"{kind}.{name}: the name is reserved; choose another")
             if name in self.histories and (name in self.constants or not name.isidentifier()):
                 reason = "must be a name of letters, digits and _ that no constant has"
@@ -245,13 +253,27 @@ class CustomScene(SceneSection):
             "_known",
         ):
             other.__dict__.pop(built, None)
-        other._runs = Runs(settings, until)
         given = (*self.body_force, self.resistance)
         varied = bool(self.porous) or any(isinstance(value, str) for value in given)
+        found = [np.empty((0, 2)), *self._beside_jumps()]
         if varied and MOST_PLACES * particle_spacing**2 > math.prod(self.domain.lengths):
-            fills = (self.domain.fill(part * particle_spacing) for part in (1.0, 0.5))
-            other._runs = Runs(settings, until, np.concatenate([*fills]))
+            found += [self.domain.fill(part * particle_spacing) for part in (1.0, 0.5)]
+        other._runs = Runs(settings, until, np.concatenate(found))
         return other
+
+    def _beside_jumps(self) -> Iterator[Array]:
+        """Yield places (n_places, 2) [m] beside jumps of the resistance, force and inflow."""
+        here = self.at()
+        parts = [here.expression("resistance", self.resistance, "x", "y")]
+        vectors = (*self.body_force, *(self.inflow.velocity if self.inflow else ()))
+        parts += [here.expression(BODY_FORCE, part, "x", "y", "t") for part in vectors]
+        for difference in (each for part in parts for each in part.compared()):
+            if difference.depends_on and "t" not in difference.depends_on:
+                yield self.places.beside(partial(at_places, difference))
+
+    def unresolved(self, particle_spacing: float) -> Iterator[str]:
+        own = None if self._resistance is None else self._resistance.own
+        return custom_checks.unresolved(self.at(), own, particle_spacing)
 
     def flow(self, scales: Scales) -> Scene:
         here = self.at(scales.values)

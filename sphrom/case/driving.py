@@ -227,7 +227,10 @@ class Driving:
             return np.sum(fields, axis=0) if len(fields) > 1 else fields[0]
 
         for name, push in pushes.items():
-            checked = scene.strip_samples if name == INFLOW else places.all
+            checked = places.all
+            if name == INFLOW and strip is not None:
+                inside = places.particles[strip.contains(places.particles.T)]
+                checked = np.concatenate([scene.strip_samples, inside])
             require_finite(push.key, push(checked.T).T, checked)
         force = pushes.get(BODY_FORCE)
         if force is not None and not self.values:  # for all values the same peaks
@@ -355,6 +358,11 @@ def finite_peak(key: str, places: Places, size: Callable[[Array], Array]) -> tup
 def largest_norm(velocity: Array) -> float:
     """Return the largest size of vectors (n_points, 2)."""
     return float(np.linalg.norm(velocity, axis=1).max(initial=0.0))
+
+
+def at_places(field: Expression, position: Array) -> Array:
+    """Return a field (n_positions,) at positions (2, n_positions) [m]."""
+    return field(x=position[0], y=position[1])
 
 
 def _at_times(amplitude: Expression, times: Array) -> Array:

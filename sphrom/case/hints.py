@@ -12,6 +12,7 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint, outside
 from sphrom.case.sections import AUTO
 from sphrom.case.studies import Region, sweep_model, sweep_points
+from sphrom.metrics.series import shortest_period
 from sphrom.sph.fluid import ROUNDING
 
 SNAPSHOTS_PER_MODE = 2
@@ -44,6 +45,7 @@ def case_warnings(case: Case) -> list[str]:
         *_of_strip(case),
         *_of_kernel(case),
         *_of_porous(case),
+        *_of_fields(case),
         *_of_driving(case),
         *_of_histories(case),
         *_of_filling(case),
@@ -94,6 +96,16 @@ def _of_porous(case: Case) -> Iterator[str]:
             )
 
 
+def _of_fields(case: Case) -> Iterator[str]:
+    spacing = case.plan.particle_spacing
+    for key in case.plan.scene.unresolved(spacing):
+        yield (
+            f"scene.{key}: changes within a particle spacing of {spacing:.3g} m, so particles miss "
+            "its peaks or take waves for longer ones; make it smoother, or raise "
+            "discretization.resolution"
+        )
+
+
 def _of_driving(case: Case) -> Iterator[str]:
     period, interval = case.plan.shortest_period, case.plan.steps.snapshot_interval
     if interval > period / SNAPSHOTS_PER_PERIOD * (1.0 + ROUNDING):
@@ -107,9 +119,13 @@ def _of_driving(case: Case) -> Iterator[str]:
 def _of_histories(case: Case) -> Iterator[str]:
     plan, histories = case.plan, getattr(case.scene, "histories", {})
     for name, history in histories.items():
-        interval = float(np.median(np.diff(history.rows[0])))
+        times = history.rows[0, 1:-1]
+        interval = float(np.median(np.diff(times)))
+        first, last = times[[0, -1]]
+        # The driving may oscillate by other expressions.
+        own = shortest_period(lambda t: np.interp(first + t, *history.rows), last - first)  # noqa: B023
         rows = f"scene.histories.{name}: has a row every {interval:.3g} s"
-        if ROWS_PER_PERIOD * interval > plan.shortest_period:
+        if ROWS_PER_PERIOD * interval > max(own, plan.shortest_period):
             yield (
                 f"{rows}, and changes from row to row like noise, which steps of "
                 f"{plan.steps.time_step:.3g} s resolve; filter or average it for longer steps"

@@ -153,6 +153,10 @@ class SceneSection(Section):
         """The width of each porous body [m]."""
         return {}
 
+    def unresolved(self, particle_spacing: float) -> Iterator[str]:
+        """Yield the keys of expressions that change within a spacing [m], so particles miss it."""
+        yield from ()
+
     @property
     def porous_way(self) -> float:
         """The integral of 1/k along the path of the fluid through porous bodies [1/m]."""

@@ -15,6 +15,8 @@ from sphrom.sph.domain import SIDES, Domain
 
 N_SAMPLES = 200
 """Intervals along each edge of the box, or along a wall, between places of checks."""
+BESIDE, N_NEAREST = 1e-6, 4 * N_SAMPLES
+"""Distance of places beside a jump from it, over that of samples, and samples that lead to it."""
 N_PEAKS = 16
 """Samples with the largest values, from which peaks of a field are searched."""
 TOUCHING = 1e-6
@@ -33,7 +35,7 @@ class Places:
     def __init__(
         self, domain: Domain, solids: Mapping[str, BaseGeometry], particles: Array
     ) -> None:
-        self._domain, self._solids, self._particles = domain, solids, particles
+        self._domain, self._solids, self.particles = domain, solids, particles
         self._ends = np.array([domain.lower, domain.upper])
 
     @cached_property
@@ -46,7 +48,7 @@ class Places:
     @cached_property
     def all(self) -> Array:
         """The samples and the places of particles (n_places, 2) [m]."""
-        return np.concatenate([self.samples, self._particles])
+        return np.concatenate([self.samples, self.particles])
 
     def wrapped(self, position: Array) -> Array:
         """Return positions (2, n_positions) [m], wrapped into the box along periodic axes."""
@@ -82,6 +84,29 @@ class Places:
         if not touched.any():
             raise ValueError(f"walls.{name}: no fluid touches it")
         return place[touched]
+
+    @cached_property
+    def scattered(self) -> Array:
+        """Places (n_places, 2) [m] of the fluid, one at random in each cell of a grid."""
+        # Equal distances could fit the waves of a field.
+        shares = np.random.default_rng(0).random((N_SAMPLES, N_SAMPLES, 2))
+        cells = np.stack(np.meshgrid(*(np.arange(N_SAMPLES),) * 2), axis=-1)
+        place = self._ends[0] + np.array(self._domain.lengths) * (cells + shares) / N_SAMPLES
+        place = place.reshape(-1, 2)
+        return place[self._domain.contains(place)]
+
+    def beside(self, difference: Callable[[Array], Array]) -> Array:
+        """Return places (n_places, 2) [m] on both sides of lines where a difference vanishes."""
+
+        def nearness(place: Array) -> Array:
+            return -np.abs(difference(place))
+
+        width = np.array(self._domain.lengths) / N_SAMPLES
+        order = np.argsort(-nearness(self.samples.T), kind="stable")
+        _, edge = sharpened(nearness, self.samples[order[:N_NEAREST]].T, width, self._ends)
+        offsets = BESIDE * np.concatenate([np.diag(width), -np.diag(width)])
+        found = np.clip(np.concatenate([edge.T + offset for offset in offsets]), *self._ends)
+        return found[self._domain.contains(found)]
 
     def peak(self, size: Callable[[Array], Array]) -> tuple[float, Array]:
         """Return the largest value of a field in the fluid, and its place (2,) [m].

@@ -279,7 +279,8 @@ def inflow_of(case: Case, point: ParameterPoint, trajectory: Artifact) -> Inflow
     wanted = np.array([force.amplitude(t) for t in sampled.time])[:, None, None] * profile
     rates = [width * v[..., strip.axis].mean(axis=1) for v in (wanted, sampled.velocity)]
     flows = [float(rate.mean()) for rate in rates]
-    size = math.sqrt(float(np.mean(rates[0] ** 2)))
+    if not (size := math.sqrt(float(np.mean(rates[0] ** 2)))) > 0.0:
+        return None  # a constant of zero stops the inflow
     off = np.linalg.norm(sampled.velocity.mean(axis=0) - wanted.mean(axis=0), axis=1)
     fastest = float(np.linalg.norm(wanted, axis=2).max())
     miss = (flows[1] - flows[0]) / size

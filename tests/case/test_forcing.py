@@ -199,8 +199,35 @@ def test_a_channel_that_is_blocked_or_winds() -> None:
 def test_places_of_particles_are_checked() -> None:
     """A row of particles lies at y = 0.5 + dx/2; no sample does."""
     narrow = "where(abs(y - 0.5208333333333334) < 1e-4, -1, 1)"
-    with pytest.raises(
-        CaseError, match=r"scene\.resistance: is negative at \(.*, 0\.520[78]\d+\) m"
-    ):
+    with pytest.raises(CaseError, match=r"scene\.resistance: is negative at \(.*, 0\.520\d+\) m"):
         case({**PLAIN, "resistance": narrow}, resolution=24)
     assert np.isfinite(case({**PLAIN, "resistance": "1"}).plan.limits.least)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "told"),
+    [
+        ("body_force", ["sin(1e4*x)", 0], True),
+        ("body_force", ["where(y > 0.4999, where(y < 0.5001, 1e3, 0), 0)", 0], True),
+        ("body_force", ["sin(20*x)*cos(t)", 0], False),
+        ("body_force", ["where(t < 2, t/2, 1)", 0], False),
+        ("body_force", ["0.02*where(x > 0.51, 1, -1)", 0], False),
+        ("resistance", "1 + sin(1e4*x)", True),
+        ("resistance", "where(x > 1.5011, where(x < 1.5012, 50, 0), 0)", True),
+        ("resistance", "where(x > 1.5, where(x < 1.6, 5, 0), 0)", False),
+        ("resistance", "100*(x - 1)**8", False),
+        ("inflow.velocity", ["1 + 0.9*sin(1e4*y)", 0], True),
+        ("inflow.velocity", ["interp(y, 0, 0, 0.1, 1, 0.9, 1, 1, 0)", 0], False),
+    ],
+)
+def test_fields_that_change_within_a_spacing_are_warned_of(key: str, value, told: bool) -> None:
+    scene = PLAIN | ({key: value} if key != "inflow.velocity" else {})
+    if key == "inflow.velocity":
+        scene["inflow"] = {"strip": {"from": 0, "to": 0.9}, "velocity": value}
+    found = [w for w in case_warnings(case(scene)) if "changes within a particle spacing" in w]
+    assert [w.partition(": ")[0] for w in found] == [f"scene.{key}"] * told
+
+
+def test_a_surface_force_that_is_narrow_is_warned_of() -> None:
+    (told,) = case_warnings(case({**TANK, "body_force": ["x**1000", 0]}, fluid={}))
+    assert told.startswith("scene.body_force: changes within a particle spacing of 0.03")

@@ -44,3 +44,11 @@ def test_a_run_that_misses_its_inflow(tmp_path: Path, capsys) -> None:
     study = sphrom.Study(CASE, set=weak, out=tmp_path / "far", threads=1, quiet=True)
     with pytest.raises(UnstableError, match=r"\(-100\.00 %\).* raise scene\.inflow\.strength"):
         study.run_stage("fom")
+
+
+def test_a_run_whose_inflow_is_zero_has_no_target(tmp_path: Path) -> None:
+    scene = {**CASE["scene"], "constants": {"U": 1.0}}  # type: ignore[dict-item]
+    scene["inflow"] = {**scene["inflow"], "velocity": ["4*U*y*(1 - y)", 0]}
+    train = {"parameters": {"train": {"reynolds": [20], "U": [0.0, 1.0]}}}
+    study = sphrom.Study({**CASE, **train, "scene": scene}, out=tmp_path, threads=1, quiet=True)
+    study.run_stage("fom", only=["reynolds=20,U=0"])
