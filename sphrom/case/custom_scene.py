@@ -41,7 +41,7 @@ from sphrom.case.fields import LARGEST, Coordinate, Place, Positive, SafeName, S
 from sphrom.case.scene_section import MEASURE, OF_WALLS, Defaults, Measures, SceneSection, Settings
 from sphrom.case.shapes import ShapeSection
 from sphrom.metrics.measures import midpoints
-from sphrom.metrics.series import pole_of, sharpened, shortest_period
+from sphrom.metrics.series import pole_of, sharpened, shortest_period, sign_changes
 from sphrom.scenes.flows import Amplitude, BodyForce, CustomFlow, Scales, Scene
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import SIDES, Domain
@@ -477,8 +477,24 @@ class CustomScene(SceneSection):
 
     @property
     def _places(self) -> Array:
-        """The samples, and places of particles."""
-        return np.concatenate([self._samples, self._extra])
+        """The samples, places of particles, and places beside jumps."""
+        return np.concatenate([self._samples, self._jumps, self._extra])
+
+    @cached_property
+    def _jumps(self) -> Array:
+        """Places (n_places, 2) [m] beside jumps of the resistance and the body force."""
+        parts = [self._expression("resistance", self.resistance, "x", "y")]
+        parts += [self._expression(BODY_FORCE, part, "x", "y", "t") for part in self.body_force]
+        width, found = np.array(self.domain.lengths) / N_SAMPLES, [self._samples[:0]]
+        for difference in (each for part in parts for each in part.compared()):
+            if difference.depends_on and "t" not in difference.depends_on:
+
+                def at(place: Array, compared: Expression = difference) -> Array:
+                    return compared(x=place[0], y=place[1], t=0.0)
+
+                found.append(sign_changes(at, self._samples.T, width).T)
+        places = np.concatenate(found)
+        return places[self.domain.contains(places)]
 
     def _peak(self, where: str, size: Callable[[Array], Array]) -> tuple[float, Array]:
         """Return the largest value of an expression in the fluid, and its place (2,) [m].

@@ -120,6 +120,13 @@ class Expression:
             if isinstance(call, ast.Call) and _name(call) in self._histories:
                 yield _name(call), self._like(ast.unparse(call.args[0]))
 
+    def compared(self) -> Iterator[Expression]:
+        """Yield the difference of the sides of each comparison."""
+        for node in ast.walk(self._tree):
+            if isinstance(node, ast.Compare):
+                left, right = ast.unparse(node.left), ast.unparse(node.comparators[0])
+                yield self._like(f"({left}) - ({right})")
+
     @cached_property
     def compiled(self) -> Callable[..., Any]:
         """The compiled expression. Raises ValueError where it can't be evaluated."""
