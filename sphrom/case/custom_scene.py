@@ -41,7 +41,7 @@ from sphrom.case.fields import LARGEST, Coordinate, Place, Positive, SafeName, S
 from sphrom.case.scene_section import MEASURE, OF_WALLS, Defaults, Measures, SceneSection, Settings
 from sphrom.case.shapes import ShapeSection
 from sphrom.metrics.measures import midpoints
-from sphrom.metrics.series import pole_of, sharpened, shortest_period, sign_changes
+from sphrom.metrics.series import pole_of, sharpened, shortest_period
 from sphrom.scenes.flows import Amplitude, BodyForce, CustomFlow, Scales, Scene
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import SIDES, Domain
@@ -51,6 +51,8 @@ from sphrom.text import shortened
 
 N_SAMPLES = 200
 """Points along each edge of the box, or along a wall, at which expressions are checked."""
+BESIDE, N_NEAREST = 1e-6, 4 * N_SAMPLES
+"""Distance of places beside a jump from it, over that of samples, and samples that lead to it."""
 N_INSTANTS = 50
 """Times of a run at which the head of a body force is computed."""
 N_CHECKED = 4097
@@ -486,14 +488,17 @@ class CustomScene(SceneSection):
         parts = [self._expression("resistance", self.resistance, "x", "y")]
         parts += [self._expression(BODY_FORCE, part, "x", "y", "t") for part in self.body_force]
         width, found = np.array(self.domain.lengths) / N_SAMPLES, [self._samples[:0]]
+        beside = BESIDE * np.concatenate([np.diag(width), -np.diag(width)])
         for difference in (each for part in parts for each in part.compared()):
             if difference.depends_on and "t" not in difference.depends_on:
 
-                def at(place: Array, compared: Expression = difference) -> Array:
-                    return compared(x=place[0], y=place[1], t=0.0)
+                def nearness(place: Array, compared: Expression = difference) -> Array:
+                    return -np.abs(compared(x=place[0], y=place[1], t=0.0))
 
-                found.append(sign_changes(at, self._samples.T, width).T)
-        places = np.concatenate(found)
+                order = np.argsort(-nearness(self._samples.T), kind="stable")
+                _, edge = sharpened(nearness, self._samples[order[:N_NEAREST]].T, width)
+                found.extend(edge.T + offset for offset in beside)
+        places = np.clip(np.concatenate(found), self.domain.lower, self.domain.upper)
         return places[self.domain.contains(places)]
 
     def _peak(self, where: str, size: Callable[[Array], Array]) -> tuple[float, Array]:

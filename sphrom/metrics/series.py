@@ -273,29 +273,6 @@ def sharpened(
     return values.max(axis=1), place
 
 
-def sign_changes(function: Callable[[Array], Array], place: Array, width: Array) -> Array:
-    """Return places (n_dim, n_found) on both sides of where the sign of a function changes.
-
-    Changes within `width` (n_dim,) of samples (n_dim, n_places) are found, and narrow parts of
-    another sign if the function has slopes beside them. Arguments are those of `sharpened`.
-    """
-    found = []
-    for step in np.diag(width):
-        low, sign = place, function(place) > 0.0
-        high = np.minimum(place + step[:, None], place.max(axis=1, keepdims=True))
-        changes = sign != (function(high) > 0.0)
-        low, high, sign = low[:, changes], high[:, changes], sign[changes]
-        for _ in range(N_HALVINGS):
-            middle = 0.5 * (low + high)
-            before = (function(middle) > 0.0) == sign
-            low, high = np.where(before, middle, low), np.where(before, high, middle)
-        found += [low, high]
-    for sign in (-1.0, 1.0):
-        least = np.argsort(np.abs(function(place)), kind="stable")[:N_PEAKS]
-        found.append(sharpened(lambda at, sign=sign: sign * function(at), place[:, least], width)[1])
-    return np.concatenate(found, axis=1)
-
-
 def pole_of(signal: Callable[[Array], Array], times: Array) -> float | None:
     """Return a time [s] at which a signal isn't finite, between zero and the last; None if none.
 

@@ -132,16 +132,16 @@ def test_jumps_and_ramps_are_no_oscillation(share: str) -> None:
             r"resistance: is negative at \(1\.01",
         ),
         (
-            {"resistance": "where(x > 1.002, where(x < 1.004, -5, 0), 0)"},
-            r"resistance: is negative at \(1\.002, ",
+            {"resistance": "where(x > 1.002, where(x < 1.004, min(0, 1 - 2*y), 0), 0)"},
+            r"resistance: is negative at \(1\.004, 0\.9",
         ),
         (
             {"resistance": "where(abs(x - 1.0037) + abs(y - 0.5033) < 1e-4, -5, 0)"},
-            r"resistance: is negative at \(1\.0037, 0\.5033\)",
+            r"resistance: is negative at \(1\.00[34]\d*, 0\.503",
         ),
         (
             {"body_force": ["0/where(abs(x - 1.0037) < 1e-4, 0, 1)", 0]},
-            r"body_force: is not a finite number at \(1\.0037, ",
+            r"body_force: is not a finite number at \(1\.003[678]",
         ),
         ({"initial": {"v": 1.0}}, r"initial: goes through the wall bottom at .* with 1 m/s"),
         ({"initial": {"u": 6.0}}, r"initial: reaches 6 m/s, 0\.6 times the speed of sound"),
