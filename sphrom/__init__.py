@@ -23,6 +23,7 @@ FROM_API = (
     "Result",
     "Sensitivities",
     "Study",
+    "load",
     "open",
 )
 __all__ = ["__version__", "errors", *FROM_API]

@@ -87,7 +87,7 @@ def _show_table(columns: Sequence[Sequence[str]]) -> None:
 
 @contextmanager
 def _bar(description: str, total: int) -> Iterator[Callable[[int], None]]:
-    """Show a progress bar below the lines; the block gets a function that takes what is done."""
+    """Show a progress bar below the lines; it yields a function of the number of done items."""
     from rich.progress import BarColumn, Progress, TimeRemainingColumn
 
     global _bars

@@ -161,8 +161,9 @@ class Record:
     def mapped(self, change: Callable[[Array], Any]) -> Self:
         """Return the record with `change` applied to all stored arrays, also those of its parts."""
         stored = fields_of_record(type(self))
-        changed = {name: _mapped(getattr(self, name), change) for name in stored}
-        return type(self)(**vars(self) | changed)
+        own = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}  # type: ignore[arg-type]
+        changed = {name: _mapped(own[name], change) for name in stored}
+        return type(self)(**own | changed)
 
 
 def _mapped(value: Any, change: Callable[[Array], Any]) -> Any:

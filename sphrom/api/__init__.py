@@ -13,6 +13,7 @@ from sphrom.api.model import Model as Model
 from sphrom.api.result import Result as Result
 from sphrom.api.result import Sensitivities as Sensitivities
 from sphrom.api.study import Study as Study
+from sphrom.api.study import load as load
 from sphrom.api.study import open as open
 from sphrom.artifacts.records.fit import FittedHistory as FittedHistory
 from sphrom.fit.fit import Estimate as Estimate

@@ -15,6 +15,8 @@ from numpy.typing import ArrayLike
 from sphrom.api.result import Labels, Result, Sensitivities, rows_of
 from sphrom.arguments import checked, finite_array
 from sphrom.arrays import Array
+from sphrom.artifacts.records.reduced_models import TrainedModel
+from sphrom.artifacts.records.runs import TrainedSurfaceModel
 from sphrom.case.checks import steady_problem
 from sphrom.case.fields import LARGEST
 from sphrom.case.hints import beyond_training, extrapolation
@@ -67,14 +69,21 @@ class Model:
     _own: Mapping[str, float] = {}
     _reduced: ReferenceModel | SurfaceModelAt | None = None
 
-    def __init__(self, context: StageContext, section: ReducedModelSection) -> None:
-        self._workspace, self._section = Workspace(context), section
+    def __init__(
+        self,
+        context: StageContext,
+        section: ReducedModelSection,
+        stored: TrainedModel | TrainedSurfaceModel | None = None,
+    ) -> None:
+        self._workspace = Workspace(context)
+        self._section = section
         self._labels = Labels(context.case)
         self._errors: TrainingDifferences = {}
         self._fast: FastModel | SurfaceModel | None = None
-        if section.from_operators:
+        if stored is None and section.from_operators:
             self._workspace.require(self._workspace.operators())
-            self._fast = fast_model(self._workspace, section)
+        if section.from_operators:
+            self._fast = fast_model(self._workspace, section, stored)
 
     def _points(self, rows: Iterable[Mapping[str, float]]) -> list[ParameterPoint]:
         """Return the points with some values and the model's own; warn of one that extrapolates."""

@@ -11,10 +11,13 @@ from typing import TYPE_CHECKING, Any
 from sphrom import stages
 from sphrom.api.model import Model
 from sphrom.arguments import checked
-from sphrom.case.loader import load_case
+from sphrom.artifacts import open_artifact, read_record
+from sphrom.artifacts.records.reduced_models import TrainedModel
+from sphrom.artifacts.records.runs import TrainedSurfaceModel
+from sphrom.case.loader import case_of_text, load_case
 from sphrom.case.models import Case
 from sphrom.console import Reporter
-from sphrom.errors import CaseError
+from sphrom.errors import ArtifactError, CaseError
 from sphrom.signals import guarded
 from sphrom.text import nearest, quoted
 
@@ -158,6 +161,40 @@ class Study:
             context = replace(self._context, keep_valid=True)
             self._models = {key: Model(context, sections[name])}
         return self._models[key].at(**parameters)
+
+
+@guarded()
+@checked
+def load(path: str | os.PathLike[str]) -> Model:
+    """Open a trained model from its artifact, such as `model-fast.h5`, and nothing else.
+
+    The file contains all that runs need at any parameters: no case, full run, basis or operators
+    are read. The model is at the parameter values of the first training run; `at` changes them.
+
+        sphrom.load("model-fast.h5").at(reynolds=137).run()
+
+    Raises ArtifactError when the file is missing, damaged, foreign, or of another major version.
+    """
+    made_by = "sphrom operators CASE"
+    stored: TrainedModel | TrainedSurfaceModel
+    with open_artifact(Path(path), None, made_by=made_by) as artifact:
+        kind = artifact.schema
+        text = artifact.case_text
+        if kind == "sphrom/model":
+            stored = read_record(artifact, TrainedModel)
+        elif kind == "sphrom/surface-model":
+            stored = read_record(artifact, TrainedSurfaceModel)
+        else:
+            raise ArtifactError(f"{path} is a {kind}, no model; `{made_by}` writes model-NAME.h5")
+    try:
+        case = case_of_text(text)
+    except CaseError as error:
+        raise ArtifactError(f"{path} was made with a case that is invalid now: {error}") from error
+    section = next((model for model in case.rom if model.name == stored.model), None)
+    if section is None:
+        raise ArtifactError(f"{path} is damaged: its case has no model {quoted(stored.model)}")
+    context = stages.context_of(case, Reporter(), Path(path).parent, force=False, threads=None)
+    return Model(context, section, stored).at(**case.plan.train_points[0].as_dict())
 
 
 @guarded(computes=False)

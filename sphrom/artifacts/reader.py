@@ -386,7 +386,7 @@ LOCKINGS = (None, False, True)
 """Ways to lock a file. HDF5 refuses any other than the one with which this process has the file
 open, so the default comes first. An artifact never changes, so it can be read without a lock."""
 LEFT_OPEN = "already open for"
-"""What HDF5 says of a file whose superblock has the mark of a writer, which it sets since 1.10."""
+"""HDF5's message for a file whose superblock has the mark of a writer, which it sets since 1.10."""
 # The exceptions that h5py raises for the various damaged structures of a file.
 DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, OverflowError)
 

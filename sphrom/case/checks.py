@@ -217,29 +217,26 @@ def _check_geometry(case: Case) -> Found:
 
 def narrow_place(domain: Domain, width: float) -> str | None:
     """Return the two walls that are nearest to each other, and remedies, if nearer than a width."""
-    lower, upper = np.array(domain.lower), np.array(domain.upper)
-    frame = shapely.get_coordinates(shapely.box(*lower, *upper))
+    if not domain.polygons:
+        return None
+    frame = shapely.get_coordinates(shapely.box(*domain.lower, *domain.upper))
     # The corners begin at the right, at the bottom, and go around anticlockwise.
     sides = zip(("right", "top", "left", "bottom"), frame[:-1], frame[1:], strict=True)
     lines = {name: shapely.linestrings(ends) for name, *ends in sides if name in domain.wall_names}
-    found: list[tuple[float, str]] = []
-    for (name, shape), (other, moved) in product(domain.polygons, _images(domain, lines)):
-        line = shapely.shortest_line(shape, moved)
-        if name == other and shapely.equals(shape, moved):
-            continue
-        if shapely.length(line) < width:
-            x, y = shapely.get_coordinates(line).mean(axis=0)
-            remedy = "let them overlap, join them to one solid by `union`, or leave"
-            if other in lines:
-                remedy = f"let {name} dip into the wall, or leave"
-            found.append(
-                (
-                    float(shapely.length(line)),
-                    f"at ({x:.4g}, {y:.4g}) m, between {name} and "
-                    f"{other}: {remedy} {width:.3g} m between them",
-                )
-            )
-    return min(found)[1] if found else None
+    pairs = [
+        (shapely.shortest_line(shape, moved), name, other)
+        for (name, shape), (other, moved) in product(domain.polygons, _images(domain, lines))
+        if name != other or not shapely.equals(shape, moved)
+    ]
+    line, name, other = min(pairs, key=lambda pair: (shapely.length(pair[0]), *pair[1:]))
+    if not shapely.length(line) < width:
+        return None
+    x, y = shapely.get_coordinates(line).mean(axis=0)
+    remedy = "let them overlap, join them to one solid by `union`"
+    if other in lines:
+        remedy = f"let {name} dip into the wall"
+    between = f"at ({x:.4g}, {y:.4g}) m, between {name} and {other}"
+    return f"{between}: {remedy}, or leave {width:.3g} m between them"
 
 
 def _images(domain: Domain, lines: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
@@ -527,7 +524,7 @@ def _check_surface(case: Case) -> Found:
 def _start_problem(case: Case, point: ParameterPoint) -> str | None:
     """Return the reason why the fluid's shape at the start of a run is no graph, or None."""
     plan, scene = case.plan, case.scene
-    if math.isfinite(scene.level_at(point.factors)):
+    if math.isfinite(scene.level_at(point.factors)) or not plan.n_particles:
         return None
     position, space = scene.fill(plan.particle_spacing, point.factors), plan.stream_space
     volume, radius = np.full(len(position), plan.particle_spacing**2), 2.0 * plan.smoothing_length

@@ -72,10 +72,10 @@ class Expression:
         _check(self._tree.body, (*variables, *self._constants), self._histories)
         used = {node.id for node in ast.walk(self._tree) if isinstance(node, ast.Name)}
         self.depends_on = frozenset(used.intersection(variables))
-        called = (*CALLED, *histories)
-        calls = {ast.unparse(node): node for node in _outermost(self._tree.body, called)}
-        self._calls = [self._call(node) for node in calls.values()]
-        self._plain = _Plain(self._constants, [*calls])
+        plain = _Plain(self._constants, (*CALLED, *histories))
+        self._text = ast.unparse(plain.visit(_parsed(text)))
+        self._names = sorted(plain.names)
+        self._calls = [self._call(node) for node in plain.calls.values()]
 
     def _call(self, node: ast.Call) -> Callable[[Given], Array]:
         """Return a function for the values of a call, given those of the variables."""
@@ -133,13 +133,12 @@ class Expression:
         import numexpr  # late, because few scenes need it
 
         numexpr.set_num_threads(1)
-        tree = self._plain.visit(_parsed(self.text))
-        names = [(name, np.float64) for name in sorted(self._plain.names)]
+        names = [(name, np.float64) for name in self._names]
         try:
             if len(names) > MOST_INPUTS:
                 raise ValueError(f"it calls {', '.join(CALLED)} or histories too often")
             with np.errstate(all="ignore"):
-                compiled: Callable[..., Any] = numexpr.NumExpr(ast.unparse(tree), names)
+                compiled: Callable[..., Any] = numexpr.NumExpr(self._text, names)
         except (OverflowError, ZeroDivisionError, ValueError, TypeError) as error:
             reason = error.args[-1]
             raise ValueError(f"{_quoted(self.text)} can't be evaluated: {reason}") from error
@@ -152,8 +151,8 @@ class Expression:
         with np.errstate(all="ignore"):
             for n, call in enumerate(self._calls):
                 given[f"_{n}"] = call(variables)
-            compiled, names = self.compiled, sorted(self._plain.names)
-            value = compiled(*(np.atleast_1d(given[name]).astype(float) for name in names))
+            inputs = (np.atleast_1d(given[name]).astype(float) for name in self._names)
+            value = self.compiled(*inputs)
         values = np.asarray(value, dtype=np.float64)
         return np.broadcast_to(values, shape) if shape else values.reshape(())
 
@@ -221,31 +220,26 @@ def _factors(node: ast.expr, inverse: bool = False) -> Iterator[tuple[ast.expr, 
         yield node, inverse
 
 
-def _outermost(node: ast.AST, names: Collection[str]) -> Iterator[ast.Call]:
-    """Yield the calls of some functions that are not within others of these calls."""
-    if isinstance(node, ast.Call) and _name(node) in names:
-        yield node
-    else:
-        for part in ast.iter_child_nodes(node):
-            yield from _outermost(part, names)
-
-
 class _Plain(ast.NodeTransformer):
     """Replaces some calls by names such as `_0`, and constants by numbers.
 
     All numbers become floats, so that `9**9**9` overflows.
     """
 
-    def __init__(self, constants: Mapping[str, float], calls: list[str]) -> None:
-        self._constants, self._calls = constants, calls
+    def __init__(self, constants: Mapping[str, float], called: Collection[str]) -> None:
+        self._constants, self._called = constants, called
+        self.calls: dict[str, ast.Call] = {}
+        """The calls by their texts, except those within others of them."""
         self.names: set[str] = set()
         """The names that remain, apart from those of functions."""
 
     def visit_Call(self, node: ast.Call) -> ast.expr:
-        if (text := ast.unparse(node)) not in self._calls:
+        if _name(node) not in self._called:
             node.args = [self.visit(part) for part in node.args]
             return node
-        self.names.add(name := f"_{self._calls.index(text)}")
+        text = ast.unparse(node)
+        self.calls.setdefault(text, node)
+        self.names.add(name := f"_{[*self.calls].index(text)}")
         return ast.Name(name)
 
     def visit_Name(self, node: ast.Name) -> ast.expr:

@@ -369,11 +369,7 @@ class Plan:
 
     def problems_until(self, end: float) -> Iterator[tuple[str, str]]:
         """Yield keys of the scene that don't allow runs until a time [s], with reasons."""
-        # Driving can't be evaluated at unknown times.
-        if problems := list(self.scene.unknown_times(end)):
-            yield from problems
-        else:
-            yield from self.scene.problems(end, self.fluid(self.points[0]))
+        return self.scene.problems(end, self.fluid(self.points[0]))
 
     @cached_property
     def strip(self) -> Strip | None:
@@ -422,12 +418,11 @@ class Plan:
     @cached_property
     def shortest_period(self) -> float:
         """The shortest period of the driving at all points [s]; infinite if none oscillates."""
-        return self.scene.shortest_period(self._case.time.final_time, self._settings)
+        return self.scene.shortest_period(self._settings)
 
     def longest_step(self, point: ParameterPoint) -> float:
         """Return the longest step [s] that resolves the driving at a point, infinite if steady."""
-        end = self._case.time.final_time
-        return self.scene.shortest_period(end, [point.factors]) / STEPS_PER_PERIOD
+        return self.scene.shortest_period([point.factors]) / STEPS_PER_PERIOD
 
     @cached_property
     def spin_up_ratio(self) -> Fraction:

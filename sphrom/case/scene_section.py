@@ -149,11 +149,6 @@ class SceneSection(Section):
         return None
 
     @property
-    def inflow_ramp(self) -> float:
-        """The time in which the inflow reaches its speed [s]; 0 without an inflow."""
-        return 0.0
-
-    @property
     def porous_widths(self) -> Mapping[str, float]:
         """The width of each porous body [m]."""
         return {}
@@ -219,7 +214,7 @@ class SceneSection(Section):
         """Return the scene for all parameters, a spacing [m] and an end of runs [s]."""
         return self
 
-    def shortest_period(self, final_time: float, settings: Settings) -> float:
+    def shortest_period(self, settings: Settings) -> float:
         """Return the shortest period [s] of the driving at some values of the parameters."""
         return math.inf
 

@@ -155,7 +155,7 @@ class Answer:
                 beside = {"estimate": row.estimated}
                 if nearest is not None:
                     beside = {"nearest state": nearest.relative_l2, **beside}
-                also = ", ".join(f"{what} {percent(e)}" for what, e in beside.items() if e)
+                also = ", ".join(f"{label} {percent(e)}" for label, e in beside.items() if e)
                 part = f"{words} by {percent(row.relative_l2)}" if row.relative_l2 else ""
                 off = f"{format_figure(row.rms_error, DIGITS)} {row.unit}"
                 noise = f"{words}: {ONLY_NOISE} in the full run, the difference is {off}"

@@ -274,10 +274,10 @@ def _differences(model: FittedModel, name: str) -> tuple[Array, Array]:
     workspace, trained = model.fast.workspace, model.fast.on_basis(name)
     points, compared = trained.points, compared_snapshots(workspace.case.plan.steps.n_snapshots)
     differences, sizes, oscillations = [], [], workspace.case.plan.oscillations
-    for k, (reduced, own) in enumerate(trained.held_out):
-        if not np.isfinite(own).all():
-            continue
-        change, time = items(trained.measured_differences, k), reduced.output_times.time
+    if (errors := trained.errors) is None or (known := errors.held_out) is None:
+        return np.zeros(0), np.zeros(0)
+    for row, (k, reduced, own) in enumerate(trained.held_out()):
+        change, time = items(trained.differences, row), reduced.output_times.time
         predicted = quantities_of(workspace.case, reduced, time, own)
         full = oscillations.of(time, combined(predicted, change, 1.0))
         change = items(change | combined(full, oscillations.of(time, predicted), -1.0), compared)
@@ -290,5 +290,5 @@ def _differences(model: FittedModel, name: str) -> tuple[Array, Array]:
         if not np.isfinite(model.stacked(change)).all():
             continue  # the run does not oscillate
         differences.append(model.stacked(change))
-        sizes.append(trained.products.errors(k, own[compared]))
+        sizes.append(known.errors[row])
     return np.array(differences), np.array(sizes)

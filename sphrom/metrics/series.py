@@ -252,7 +252,7 @@ def shortest_period(signal: Callable[[Array], Array], end: float) -> float:
 
 
 def sharpened(
-    function: Callable[[Array], Array], place: Array, width: Array
+    function: Callable[[Array], Array], place: Array, width: Array, ends: Array
 ) -> tuple[Array, Array]:
     """Return the highest values (n_peaks,) of peaks beside places, and where these values are.
 
@@ -261,11 +261,12 @@ def sharpened(
     function : returns values (n_places,) at places (n_dim, n_places).
     place : (n_dim, n_peaks) samples with larger values than their neighbours.
     width : (n_dim,) distances of these neighbours.
+    ends : (2, n_dim) the first and the last places.
     """
     stencil = np.array(list(product(STENCIL, repeat=len(place)))).T
     for halving in range(N_HALVINGS):
         reach = (0.5**halving * width)[:, None] * stencil
-        around = place[:, :, None] + reach[:, None]
+        around = np.clip(place[:, :, None] + reach[:, None], *ends[..., None, None])
         values = function(around.reshape(len(place), -1)).reshape(around.shape[1:])
         values = np.where(np.isnan(values), np.inf, values)
         best = values.argmax(axis=1)
@@ -283,8 +284,7 @@ def pole_of(signal: Callable[[Array], Array], times: Array) -> float | None:
     """
 
     def size(place: Array) -> Array:
-        within = np.clip(place[0], times[0], times[-1])
-        return np.abs(signal(within)).reshape(-1, within.size).sum(axis=0)
+        return np.abs(signal(place[0])).reshape(-1, place.size).sum(axis=0)
 
     with np.errstate(all="ignore"):
         values = size(times[None])
@@ -296,6 +296,6 @@ def pole_of(signal: Callable[[Array], Array], times: Array) -> float | None:
         return None
     peaks = peaks[np.argsort(-values[peaks], kind="stable")[:N_PEAKS]]
     with np.errstate(all="ignore"):
-        found, where = sharpened(size, times[None, peaks], times[1:2])
+        found, where = sharpened(size, times[None, peaks], times[1:2], times[[0, -1], None])
     poles = ~(found <= POLE * values[peaks])
     return float(where[0, poles][0]) if poles.any() else None

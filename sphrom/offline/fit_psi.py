@@ -9,6 +9,8 @@ import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.artifacts import write_record
+from sphrom.case.models import Case
+from sphrom.console import Reporter
 from sphrom.errors import CaseError
 from sphrom.reduction.lattice_splines import LatticeSplines, fit_lattice_splines
 from sphrom.reduction.mode_splines import basis_columns
@@ -35,16 +37,20 @@ def run(context: StageContext) -> None:
     with workspace.create(target, attributes) as artifact:
         started = time.perf_counter()
         for name in case.plan.bases:
-            splines = _fit(workspace, points, read_basis(workspace, name), name)
+            splines = fit(case, points, read_basis(workspace, name), name, context.report)
             write_record(artifact, splines, f"bases/{name}")
             context.report.info(f"basis {name}: {splines.n_columns} {_summary(splines)}")
         artifact.annotate("timing/fit", time.perf_counter() - started)
 
 
-def _fit(
-    workspace: Workspace, points: Array, basis: TrialBasis, name: str
+def fit(
+    case: Case, points: Array, basis: TrialBasis, name: str, report: Reporter
 ) -> LocalSplines | LatticeSplines:
-    case, columns = workspace.case, basis_columns(basis)
+    """Return the splines of a basis of a case, through its points (n_points, 2) [m].
+
+    Raises CaseError if they can't be fitted.
+    """
+    columns = basis_columns(basis)
     domain = case.scene.domain
     if case.plan.lattice_splines:
         try:
@@ -53,7 +59,7 @@ def _fit(
             raise CaseError(f"psi.kind: {error}; set psi.kind to polyharmonic") from error
     width = default_cell_width(domain, len(points))
     n_cells = math.prod(fitting_cells(domain, width))
-    with workspace.context.report.progress(f"splines, basis {name}", n_cells) as advance:
+    with report.progress(f"splines, basis {name}", n_cells) as advance:
         try:
             return fit_splines(
                 points,

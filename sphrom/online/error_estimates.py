@@ -15,10 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sphrom.arrays import Array
-from sphrom.artifacts import ArtifactWriter, read_record, write_record
+from sphrom.artifacts import ArtifactWriter, write_record
 from sphrom.artifacts.records.runs import ErrorEstimate as StoredEstimate
 from sphrom.artifacts.records.runs import MeasuredOnce
-from sphrom.case.points import ParameterPoint
 from sphrom.metrics.histories import QUANTITIES
 from sphrom.metrics.measures import (
     COEFFICIENT,
@@ -30,19 +29,8 @@ from sphrom.metrics.measures import (
 )
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.correction import interpolation_variance
-from sphrom.reduction.error_calibration import (
-    LocalErrorCalibration,
-    calibrate_errors,
-    compared_snapshots,
-)
-from sphrom.reduction.held_out import UnheldShares
-from sphrom.reduction.reduced_operators import ResidualFactor, residual_norm
-from sphrom.reduction.reference_model import ReferenceModel
-from sphrom.setup.assembly import scaled_parameters
-from sphrom.store.trained_models import read_operators
 
 if TYPE_CHECKING:
-    from sphrom.online.basis_model import BasisModel
     from sphrom.online.fast_model import FastRun
 
 
@@ -89,14 +77,13 @@ class SteadyErrors:
 def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
     """Estimate the errors of a run, write and report them, if the case has estimates."""
     report, started = run.model.workspace.context.report, time.perf_counter()
-    trained, fitted = _fitted(run)
+    model = run.model.at_point(run.point)
+    trained, fitted = model.errors, model.fitted_errors(run.point)
     if trained is None:
         return
     estimated = run.estimate
     if fitted is None or estimated is None:
-        artifact.write(
-            "residual", trained.residual(run.point, run.reduced, run.time, run.coordinates)
-        )
+        artifact.write("residual", residual_of(run, run.time, run.coordinates))
         return
     artifact.write("residual", estimated.residual)
     factors = [None, None]
@@ -136,10 +123,11 @@ def estimate(run: FastRun) -> ErrorEstimate | None:
 
     Runs of one model share the fits to its training runs.
     """
-    trained, fitted = _fitted(run)
+    model = run.model.at_point(run.point)
+    trained, fitted = model.errors, model.fitted_errors(run.point)
     if trained is None or fitted is None:
         return None
-    residual = trained.residual(run.point, run.reduced, run.time, run.coordinates)
+    residual = residual_of(run, run.time, run.coordinates)
     errors = fitted.errors(run.time, residual, run.coordinates)
     sizes = trained.products.sizes(run.coordinates)
     squares = np.mean(errors**2, axis=0) / np.mean(sizes**2, axis=0)
@@ -186,19 +174,20 @@ def measured_errors(run: FastRun) -> dict[str, Quantities]:
     Empty if the run has no estimates.
     """
     model, estimated = run.model.at_point(run.point), run.estimate
-    if model.trained_errors is None or estimated is None:
+    if estimated is None:
         return {}
-    place = scaled_parameters(model.workspace.case, [run.point])[0]
-    variance = np.array(interpolation_variance(model.places, place))
+    variance = np.array(interpolation_variance(model.places, model.place(run.point)))
     return {
         name: {q: each.at(variance, estimated.errors) for q, each in quantities.items()}
         for name, quantities in model.output_errors.items()
     }
 
 
-def _fitted(run: FastRun) -> tuple[TrainedErrors | None, LocalErrorCalibration | None]:
-    trained = run.model.at_point(run.point).trained_errors
-    return trained, None if trained is None else trained.at(run.point)
+def residual_of(run: FastRun, times: Array, coordinates: Array) -> Array:
+    """Return the norm (n_states,) [/s] of the residual of a run's model at coordinates."""
+    model = run.model.at_point(run.point)
+    assert model.errors is not None
+    return model.residual(model.errors, run.point, run.reduced, times, coordinates)
 
 
 def steady_errors(run: FastRun, state: Array) -> SteadyErrors | None:
@@ -206,10 +195,11 @@ def steady_errors(run: FastRun, state: Array) -> SteadyErrors | None:
 
     None if the run has no estimates.
     """
-    trained, fitted = _fitted(run)
+    model = run.model.at_point(run.point)
+    trained, fitted = model.errors, model.fitted_errors(run.point)
     if trained is None or fitted is None:
         return None
-    residual = float(trained.residual(run.point, run.reduced, run.time[-1:], state[None])[0])
+    residual = float(residual_of(run, run.time[-1:], state[None])[0])
     change = fitted.changes(run.coordinates)[-1]
     later = float(np.linalg.norm(state - run.coordinates[-1]))
     errors = fitted.steady_errors(residual, change, later)
@@ -223,62 +213,6 @@ def distance_from(states: Array, state: Array) -> float:
     nearest = float(np.linalg.norm(states - state, axis=1).min())
     size = float(np.linalg.norm(state))
     return nearest / size if size > 0.0 else float(nearest > 0.0)
-
-
-class TrainedErrors:
-    """The training errors of a model with one basis, and the fit of estimates to them.
-
-    `known` (n_runs, n_compared, 2) are root mean squares over the fluid, as `ErrorEstimate.errors`.
-    `fitted` is None if the training runs have no errors, or all of them diverge.
-    """
-
-    def __init__(self, model: BasisModel) -> None:
-        workspace, name, points = model.workspace, model.name, model.points
-        self._case = workspace.case
-        pressure_scale = self._case.fluid.reference_density * self._case.plan.sound_speed
-        self.units = np.array([1.0, pressure_scale])
-        compared = compared_snapshots(self._case.plan.steps.n_snapshots)
-        group = f"bases/{name}/estimate"
-        with workspace.open(workspace.operators()) as artifact:
-            whole = read_operators(artifact, name)
-            driven = {"walls_driven": whole.walls_driven}
-            factor = read_record(artifact, ResidualFactor, f"bases/{name}/residual", **driven)
-            self._factor = factor.of_model(whole, model.modes)
-            unheld = read_record(artifact, UnheldShares, f"{group}/unheld")
-        self.products = model.products
-        correction, places = model.correction, model.places
-        coordinates, residuals, errors = [], [], []
-        for k, (reduced, run) in enumerate(model.trained):
-            held_out = model.held_out[k][1]
-            own = run if correction is None else run + correction.at(places[k])
-            coordinates.append(own)
-            times = reduced.output_times.time
-            residuals.append(self.residual(points[k], reduced, times, held_out))
-            errors.append(self.products.errors(k, held_out[compared]))
-        self.known = np.stack(errors)
-        self.fitted = calibrate_errors(
-            times,
-            np.stack(coordinates),
-            np.stack(residuals),
-            self.known,
-            compared,
-            places,
-            unheld.mapped(lambda shares: shares[..., model.section.size - 1, :]),
-        )
-
-    def at(self, point: ParameterPoint) -> LocalErrorCalibration | None:
-        """Return the fit at a parameter point."""
-        place = scaled_parameters(self._case, [point])[0]
-        return None if self.fitted is None else self.fitted.at(place)
-
-    def residual(
-        self, point: ParameterPoint, reduced: ReferenceModel, times: Array, coordinates: Array
-    ) -> Array:
-        """Return the norm (n_states,) [/s] of a model's residual at coordinates."""
-        viscosity = self._case.plan.kinematic_viscosity(point)
-        amplitude = None if reduced.amplitude is None else reduced.amplitude(times)
-        around = amplitude, point.factors, reduced.closure
-        return residual_norm(self._factor, viscosity, coordinates, *around)
 
 
 def _described(run: FastRun, estimated: ErrorEstimate, factors: Sequence[float | None]) -> str:

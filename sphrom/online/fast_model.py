@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sphrom.arrays import Array
+from sphrom.artifacts.records.reduced_models import TrainedModel
+from sphrom.artifacts.records.runs import TrainedSurfaceModel
 from sphrom.case.hints import beyond_training, extrapolation
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
@@ -26,26 +28,38 @@ from sphrom.online.error_estimates import ErrorEstimate, estimate
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.polynomial_model import Run
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, automatic
-from sphrom.reduction.trial_basis import ModeVelocities
-from sphrom.setup.assembly import MOST_GROWTH
+from sphrom.reduction.trial_basis import ModeVelocities, TrialBasis
+from sphrom.setup.assembly import MOST_GROWTH, inner_product
 from sphrom.sph.fluid import ROUNDING
-from sphrom.store.trained_models import MappedStarts
+from sphrom.store.trained_models import (
+    MappedStarts,
+    read_modes,
+    stored_model,
+    stored_starts,
+)
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:
     from sphrom.online.surface_model import SurfaceModel
+    from sphrom.reduction.mode_splines import ModeSplines
 
 DOUBTFUL = 50.0
 """Estimated error from which a run is doubtful [%]; errors are up to twice their estimates."""
 
 
-def fast_model(workspace: Workspace, section: ReducedModelSection) -> FastModel | SurfaceModel:
-    """Return a model that runs without particles."""
+def fast_model(
+    workspace: Workspace,
+    section: ReducedModelSection,
+    stored: TrainedModel | TrainedSurfaceModel | None = None,
+) -> FastModel | SurfaceModel:
+    """Return a model that runs without particles, from its artifact if one is `stored`."""
     if workspace.case.scene.has_surface:
         from sphrom.online.surface_model import SurfaceModel  # it loads kernels
 
-        return SurfaceModel(workspace, section)
-    return FastModel(workspace, section)
+        assert not isinstance(stored, TrainedModel)
+        return SurfaceModel(workspace, section, stored)
+    assert not isinstance(stored, TrainedSurfaceModel)
+    return FastModel(workspace, section, stored)
 
 
 class FastModel:
@@ -57,8 +71,16 @@ class FastModel:
     If training runs choose the number of modes, it is in the section of the model `on_basis`.
     """
 
-    def __init__(self, workspace: Workspace, section: ReducedModelSection) -> None:
-        self.workspace, self.section = workspace, section
+    def __init__(
+        self,
+        workspace: Workspace,
+        section: ReducedModelSection,
+        stored: TrainedModel | None = None,
+    ) -> None:
+        self.workspace = workspace
+        self.section = section
+        self._is_alone = stored is not None
+        self._stored = stored or stored_model(workspace, section)
         self._on_basis: dict[str, BasisModel] = {}
         self._velocities: dict[str, ModeVelocities] = {}
 
@@ -69,8 +91,36 @@ class FastModel:
     def on_basis(self, name: str) -> BasisModel:
         """Return the model with one of its bases."""
         if name not in self._on_basis:
-            self._on_basis[name] = BasisModel(self.workspace, self.section, name, self._starts.at)
+            if self._stored is not None and name in self._stored.bases:
+                self._on_basis[name] = self._opened(self._stored, name)
+            else:
+                from sphrom.online.training import train  # models with an artifact need none
+
+                self._on_basis[name] = train(self.workspace, self.section, name, self._starts.at)
         return self._on_basis[name]
+
+    def _opened(self, stored: TrainedModel, name: str) -> BasisModel:
+        """Return the stored model with one of its bases."""
+        case, trained = self.workspace.case, stored.bases[name]
+        product = inner_product(case)
+        basis = TrialBasis(
+            **vars(stored.modes[name]),
+            inner_product=product,
+            weights=product.weights(stored.volume),
+            separate_mean=case.plan.separate_mean_density,
+        )
+        section = self.section.model_copy(update={"n_modes": basis.n_modes})
+
+        def splines() -> ModeSplines:
+            if not self._is_alone:
+                return read_modes(self.workspace, name, basis.n_modes)[1]
+            from sphrom.offline.fit_psi import fit  # few programs need it
+
+            points, report = stored.reference_position, self.workspace.context.report
+            return fit(case, points, basis, name, report)
+
+        start = self._starts.at
+        return BasisModel(self.workspace, section, name, trained, basis, start, splines)
 
     def at_point(self, point: ParameterPoint) -> BasisModel:
         """Return the model with its basis at a parameter point."""
@@ -78,8 +128,9 @@ class FastModel:
 
     @cached_property
     def _starts(self) -> MappedStarts:
-        with self.workspace.open(self.workspace.operators()) as artifact:
-            return MappedStarts(self.workspace, artifact)
+        if (stored := self._stored) is not None:
+            return MappedStarts(self.workspace, stored.reference_position, stored.starts)
+        return MappedStarts(self.workspace, stored=stored_starts(self.workspace))
 
     def run(
         self,
@@ -121,13 +172,13 @@ class FastModel:
         case has no error estimates.
         """
         bases = [self.on_basis(name) for name in dict.fromkeys(map(self.basis_at, points))]
-        if any(basis.trained_errors is None for basis in bases):
-            return []
-        return [
-            (place, items(basis.measured_differences, k))
-            for basis in bases
-            for k, place in enumerate(basis.places)
-        ]
+        found = []
+        for basis in bases:
+            if (errors := basis.errors) is None:
+                return []
+            for row, k in enumerate(() if errors.held_out is None else errors.held_out.run):
+                found.append((basis.places[k], items(basis.differences, row)))
+        return found
 
     def velocities(self, run: FastRun) -> ModeVelocities:
         """Return the object that computes speeds and energies of a run, one per basis."""
@@ -199,7 +250,7 @@ class FastRun(Run):
     def doubts(self) -> tuple[str, ...]:
         """Why a completed run may be wrong, as far as is known without a full run."""
         errors = self.estimate
-        if errors is None and self.model.at_point(self.point).trained_errors is not None:
+        if errors is None and self.model.at_point(self.point).errors is not None:
             text = "no estimate of errors: the training runs have none, or all of them diverge"
             return (*self.outside, text)
         if errors is None or max(errors.velocity_percent, errors.pressure_percent) < DOUBTFUL:

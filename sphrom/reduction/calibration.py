@@ -51,6 +51,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.arrays import Array
+from sphrom.declaration import Record, attribute, dataset, part
 from sphrom.metrics.series import dominant_frequency, hat, moving_average
 from sphrom.reduction.correction import spline_weights
 from sphrom.reduction.reduced_measures import PointForce
@@ -91,38 +92,53 @@ class TrainingRun:
     """The values of the other parameters, by name."""
 
 
-@dataclass(frozen=True)
-class Slope:
+class CorrectedRates(Record):
+    """A constant and a linear rate."""
+
+    constant: Array = dataset("mode", "of the modes, /s", "constant rate", "c")
+    linear: Array = dataset("mode mode", "of the modes, /s", "linear rate", "A")
+
+    def polynomial(self, energy: float | None) -> Polynomial:
+        """Return the rates; with `energy`, the constant is multiplied by energy |a|^2."""
+        if energy is None:
+            return Polynomial(((self.constant, self.linear),))
+        quadratic = energy * self.constant[:, None, None] * np.eye(len(self.constant))
+        return Polynomial(((np.zeros_like(self.constant), self.linear, quadratic),))
+
+
+class Slope(CorrectedRates):
     """The term of the correction that is linear in one parameter."""
 
-    slope: Polynomial
-    mean: float
-    """Mean of the runs' values."""
-    largest: float
-    """Largest absolute value of the runs; one where all are zero."""
+    mean: float = attribute("of the parameter", "mean of the training runs' values")
+    largest: float = attribute(
+        "of the parameter", "largest absolute value of the training runs; one if all are zero"
+    )
 
 
-@dataclass(frozen=True)
-class Calibration:
+class Calibration(Record):
     """The correction of the rates as a function of the parameters."""
 
-    mean: Polynomial
-    """c and A, at the mean viscosity."""
-    slope: Polynomial
-    """c' and A'; zero if all runs had the same viscosity."""
-    mean_viscosity: float
-    """nu_mean [m2/s]."""
-    others: Mapping[str, Slope] = field(default_factory=dict)
+    at_mean: CorrectedRates = part()
+    """At the mean viscosity."""
+    slope: CorrectedRates = part()
+    """Zero if all runs had the same viscosity."""
+    mean_viscosity: float = attribute("m2/s", "mean viscosity of the training runs")
+    energy: float | None = attribute(
+        "1", "factor of |a|^2 on the constant rates of flows without driving", default=None
+    )
+    others: Mapping[str, Slope] = part(default_factory=dict)
     """The slopes in the other parameters, by name."""
 
     def at(
         self, kinematic_viscosity: float, factors: Mapping[str, float] | None = None
     ) -> Polynomial:
         """Return the correction at a viscosity [m2/s] and at values of the other parameters."""
-        correction = self.mean.plus(self.slope, kinematic_viscosity / self.mean_viscosity - 1.0)
+        excess = kinematic_viscosity / self.mean_viscosity - 1.0
+        slope = self.slope.polynomial(self.energy)
+        correction = self.at_mean.polynomial(self.energy).plus(slope, excess)
         for name, other in self.others.items():
             offset = ((factors or {})[name] - other.mean) / other.largest
-            correction = correction.plus(other.slope, offset)
+            correction = correction.plus(other.polynomial(self.energy), offset)
         return correction
 
 
@@ -162,20 +178,19 @@ def calibrate(
     # If all runs have one value of a parameter, its features are zero, and so is its slope.
     solved = np.split(np.linalg.lstsq(gram, features.T @ residuals)[0], len(parts))
     at_mean, slope, *others = (
-        _correction(p[0], p[1:].T / scale, None if driven else energy) for p in solved
+        CorrectedRates(constant=terms[0], linear=terms[1:].T / scale) for terms in solved
     )
     slopes = {
-        name: Slope(other, *size) for (name, size), other in zip(sizes.items(), others, strict=True)
+        name: Slope(**vars(other), mean=mean, largest=largest)
+        for (name, (mean, largest)), other in zip(sizes.items(), others, strict=True)
     }
-    return Calibration(at_mean, slope, mean_viscosity, slopes)
-
-
-def _correction(first: Array, linear: Array, energy: float | None) -> Polynomial:
-    """Return a constant and a linear rate; with `energy`, the constant is multiplied by |a|^2."""
-    if energy is None:
-        return Polynomial(((first, linear),))
-    quadratic = energy * first[:, None, None] * np.eye(len(first))
-    return Polynomial(((np.zeros_like(first), linear, quadratic),))
+    return Calibration(
+        at_mean=at_mean,
+        slope=slope,
+        mean_viscosity=mean_viscosity,
+        energy=None if driven else energy,
+        others=slopes,
+    )
 
 
 def _averaged(run: TrainingRun, interval: float, window: float) -> tuple[Array, Array]:
@@ -252,6 +267,45 @@ def fitted_cycle(time: Array, states: Array) -> LimitCycle:
             f"{100.0 * explained:.0f} % of its fluctuations"
         )
     return LimitCycle(frequency, harmonics_of(time, states, frequency))
+
+
+class TrainedCycles(Record):
+    """The limit cycles of training runs, with the parameters of these runs."""
+
+    viscosities: Array = dataset("run", "m2/s", "viscosity of each run", "nu")
+    values: Mapping[str, Array] = dataset(
+        "run", "of the parameter", "value of another parameter in each run", default_factory=dict
+    )
+    frequencies: Array = dataset("run", "rad/s", "angular frequency of each cycle", "omega")
+    real: Array = dataset(
+        "run harmonic mode", "of the modes", "real parts of the coordinates' harmonics", "A_k"
+    )
+    imaginary: Array = dataset(
+        "run harmonic mode", "of the modes", "imaginary parts of the coordinates' harmonics", "A_k"
+    )
+    amplitude: float = attribute("1", "amplitude of the driving, which does not change")
+
+    @classmethod
+    def of_closure(cls, closure: CycleClosure) -> TrainedCycles:
+        """Return the record of a closure."""
+        harmonics = np.stack([cycle.harmonics for cycle in closure.cycles])
+        names = closure.factors[0]
+        return cls(
+            viscosities=closure.viscosities,
+            values={n: np.array([factors[n] for factors in closure.factors]) for n in names},
+            frequencies=np.array([cycle.frequency for cycle in closure.cycles]),
+            real=harmonics.real.copy(),
+            imaginary=harmonics.imag.copy(),
+            amplitude=closure.amplitude,
+        )
+
+    def closure(self, operators: ReducedOperators) -> CycleClosure:
+        """Return the closure of a model with these operators."""
+        harmonics = self.real + 1j * self.imaginary
+        cycles = map(LimitCycle, self.frequencies.tolist(), harmonics)
+        rows = np.array(list(self.values.values())).T.reshape(len(self.viscosities), -1).tolist()
+        factors = [dict(zip(self.values, row, strict=True)) for row in rows]
+        return CycleClosure(operators, self.viscosities, factors, list(cycles), self.amplitude)
 
 
 @dataclass(frozen=True)

@@ -28,11 +28,12 @@ In a run that is longer than the training runs, the correction fades out before 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from sphrom.arrays import Array, Indices
+from sphrom.declaration import Record, dataset
 
 NEARNESS = 1e-4
 """Weight of the squared distances relative to the error in reproducing the point."""
@@ -124,22 +125,30 @@ FADED = 0.1
 """Final share of the trained time over which the correction of longer runs fades out."""
 
 
-@dataclass(frozen=True)
-class Correction:
+UNLIMITED = 1e99
+"""A correlation length beside which all distances vanish; stored values are finite."""
+PLACES = "1", "parameters of the training runs, scaled so that distances are comparable"
+
+
+class Correction(Record):
     """The defects at the training points and their correlation lengths."""
 
-    places: Array
-    """(n_runs, n_parameters), scaled so that distances are comparable."""
-    defects: Array
-    """(n_runs, n_snapshots, n_modes)."""
-    lengths: Array
-    """(n_modes,) correlation lengths of the defects; NaN for modes without a correction."""
+    places: Array = dataset("corrected_run parameter", *PLACES)
+    defects: Array = dataset(
+        "corrected_run snapshot output",
+        "of the outputs",
+        "what the training runs of a model lack",
+        "d",
+    )
+    lengths: Array = dataset(
+        "output", "1", "correlation lengths of the defects; zero without a correction", "l"
+    )
 
     def at(self, place: Array) -> Array:
         """Return the correction (n_snapshots, n_modes) at a place (n_parameters,)."""
         between = _distances(self.places, self.places)
         reach = _distances(self.places, place[None])[:, 0]
-        correction, modes = np.zeros(self.defects.shape[1:]), np.isfinite(self.lengths)
+        correction, modes = np.zeros(self.defects.shape[1:]), self.lengths > 0.0
         lengths = self.lengths[modes, None]
         alike = np.exp(-between / lengths[..., None]), np.exp(-reach / lengths)[..., None]
         weights = np.linalg.solve(*alike)[..., 0]
@@ -178,12 +187,14 @@ def learn_correction(
         inverse = np.linalg.inv(np.exp(-between / length))
         errors = np.einsum("jk,ksm->jsm", inverse / np.diag(inverse)[:, None], defects)
         missed[k] = np.sum(errors**2, axis=(0, 1))
-    whole, chosen = np.sum(defects**2, axis=(0, 1)), np.full(defects.shape[2], np.nan)
+    whole, chosen = np.sum(defects**2, axis=(0, 1)), np.zeros(defects.shape[2])
     for modes in groups or (np.arange(len(whole)),):
         left = missed[:, modes].sum(axis=1)
         if left.min() <= worthwhile * whole[modes].sum():
             chosen[modes] = lengths[left.argmin()]
-    return None if np.isnan(chosen).all() else Correction(places, defects, chosen)
+    if not chosen.any():
+        return None
+    return Correction(places=places, defects=defects, lengths=chosen)
 
 
 def faded(correction: Array, n_snapshots: int) -> Array:

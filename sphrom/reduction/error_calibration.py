@@ -26,13 +26,14 @@ snapshots with the basis, without reading the points again:
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from sphrom.arrays import Array, Indices
+from sphrom.declaration import Record, attribute, dataset, part
 from sphrom.metrics.series import hat, smoothed
-from sphrom.reduction.correction import interpolation_variance, interpolation_weights
+from sphrom.reduction.correction import PLACES, interpolation_variance, interpolation_weights
 from sphrom.reduction.held_out import UnheldShares
 
 N_COMPARED = 100
@@ -49,22 +50,35 @@ WITHIN = 0.95
 """Share of the training errors that are within the factor of their estimates."""
 
 
-@dataclass(frozen=True)
-class ErrorCalibration:
+class ChangeShares(Record):
+    """The shares of changes that a basis misses, of velocity and q: see `UnheldShares`."""
+
+    parameters: Array = dataset(
+        "field", "m/s over the inner product's", "share of changes with the parameters", "s_p"
+    )
+    time: Array = dataset(
+        "estimated_run field", "m/s over the inner product's", "share of changes with time", "s_t"
+    )
+
+
+class ErrorCalibration(Record):
     """The fitted relation between residuals, changes, and the errors of the velocity and of q."""
 
-    decay_rate: float
-    """lambda [1/s]."""
-    constants: Array
-    """C_k (n_runs, 2)."""
-    factors: Array
-    """(2,) The ratio of error to estimate, either way, of 95 % of the training errors."""
-    places: Array
-    """(n_runs, n_parameters) of the runs, as `interpolation_weights` measures distances."""
-    coordinates: Array
-    """(n_runs, n_snapshots, n_modes) of the training runs."""
-    shares: UnheldShares
-    """Of changes: (2,) with the parameters, (n_runs, 2) with time."""
+    decay_rate: float = attribute("1/s", "decay rate of errors")
+    constants: Array = dataset(
+        "estimated_run field",
+        "m/s over the inner product's",
+        "error over the residual's integral",
+        "C_k",
+    )
+    factors: Array = dataset(
+        "field", "1", "ratio of error to estimate, either way, of 95 % of the training errors"
+    )
+    places: Array = dataset("estimated_run parameter", *PLACES)
+    coordinates: Array = dataset(
+        "estimated_run snapshot mode", "of the inner product", "coordinates of the training runs"
+    )
+    shares: ChangeShares = part()
 
     def at(self, place: Array) -> LocalErrorCalibration:
         """Return the calibration at a parameter point (n_parameters,)."""
@@ -74,11 +88,12 @@ class ErrorCalibration:
         # Beyond the hull of the training points the constants may keep changing.
         share = min(1.0, distance / apart) if apart > 0.0 else 0.0
         return LocalErrorCalibration(
-            self.decay_rate,
-            np.exp(weights @ logarithms + share * np.ptp(logarithms, axis=0)),
-            None if distance > 0.0 else self.factors,
-            np.tensordot(weights, self.coordinates, 1),
-            replace(self.shares, time=np.tensordot(weights, self.shares.time, 1)),
+            decay_rate=self.decay_rate,
+            constants=np.exp(weights @ logarithms + share * np.ptp(logarithms, axis=0)),
+            factors=None if distance > 0.0 else self.factors,
+            expected=np.tensordot(weights, self.coordinates, 1),
+            of_parameters=self.shares.parameters,
+            of_time=np.tensordot(weights, self.shares.time, 1),
         )
 
 
@@ -93,8 +108,10 @@ class LocalErrorCalibration:
     """None outside the training points, where they are unknown."""
     expected: Array
     """(n_snapshots, n_modes) coordinates interpolated from the training runs."""
-    shares: UnheldShares
-    """Of changes with the parameters and with time, (2,) each."""
+    of_parameters: Array
+    """(2,) share of changes with the parameters."""
+    of_time: Array
+    """(2,) share of changes with time."""
 
     def extrapolates(self, n_snapshots: int) -> bool:
         """Return whether a run is outside the training points or longer than the training runs."""
@@ -116,7 +133,7 @@ class LocalErrorCalibration:
         known = accumulated(time, residual, self.decay_rate)[:, None] * self.constants
         sizes, trained = (np.linalg.norm(each, axis=1) for each in (coordinates, self.expected))
         growth = np.maximum(1.0, sizes / (trained.max() or 1.0))
-        time_shares = growth[:, None] ** 2 * self.shares.time
+        time_shares = growth[:, None] ** 2 * self.of_time
         return self._combined(known, self.changes(coordinates), time_shares)
 
     def steady_errors(self, residual: float, change: Array, steady_change: float) -> Array:
@@ -128,12 +145,12 @@ class LocalErrorCalibration:
         """
         known = residual / self.decay_rate * self.constants
         later = change + np.array([0.0, steady_change])
-        shares, of_velocity = self.shares.time, float(self.shares.time[0])
-        whole = shares / of_velocity if of_velocity > 0.0 else np.ones(2)
+        of_velocity = float(self.of_time[0])
+        whole = self.of_time / of_velocity if of_velocity > 0.0 else np.ones(2)
         return self._combined(known[None], later[None], whole)[0]
 
     def _combined(self, known: Array, changes: Array, time_shares: Array) -> Array:
-        by_parameters = changes[:, :1] * self.shares.parameters
+        by_parameters = changes[:, :1] * self.of_parameters
         by_time = changes[:, 1:] * time_shares
         return np.asarray(np.sqrt(known**2 + by_parameters**2 + by_time**2))
 
@@ -272,12 +289,12 @@ def calibrate_errors(
     middle = np.stack([each.mean(axis=0) for each in ratios])
     places = places[usable]
     return ErrorCalibration(
-        float(rate),
-        np.exp(middle),
-        _factors(ratios, middle, places),
-        places,
-        coordinates[usable],
-        replace(shares, time=shares.time[usable]),
+        decay_rate=float(rate),
+        constants=np.exp(middle),
+        factors=_factors(ratios, middle, places),
+        places=places,
+        coordinates=coordinates[usable],
+        shares=ChangeShares(parameters=shares.parameters, time=shares.time[usable]),
     )
 
 

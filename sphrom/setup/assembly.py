@@ -101,7 +101,7 @@ def uniform_force(case: Case, point: ParameterPoint) -> Callable[[Array], Array]
     """Return the body force (2, n_times) [m/s2] at times, gravity aside, the same everywhere."""
     force = case.plan.flow(point).body_force
     assert isinstance(force, SurfaceForce)
-    return force.uniform
+    return force.over
 
 
 def sound_averages(case: Case) -> Array:

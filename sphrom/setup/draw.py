@@ -160,7 +160,7 @@ def _draw_in_fluid(axes: Axes, case: Case, arrow: float) -> None:
     domain, strip, level = case.scene.domain, case.plan.strip, case.scene.level_at()
     look: Any = {"alpha": 0.35, "lw": 0.0, "zorder": 3}
     for name, section in getattr(case.scene, "porous", {}).items():
-        # Holes turn the other way than what surrounds them.
+        # Holes turn the other way than the outlines around them.
         shape = shapely.normalize(section.geometry())
         rings = shapely.get_rings(shapely.get_parts(shape))
         path = Outline.make_compound_path(*(Outline(ring.coords) for ring in rings))

@@ -26,7 +26,7 @@ from sphrom.sph.domain import Walls
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.sph.fluid import UnitForcing, pressure_of, volume_of
 from sphrom.sph.functional import Functional, MeasuredWall, WallForces, measured_wall
-from sphrom.sph.time_loop import Watch
+from sphrom.sph.watch import Watch
 
 SAMPLING_RATIO = 2.0
 """Smoothing length of the moving least squares that sample particles, over the spacing."""

@@ -269,7 +269,7 @@ def inflow_of(case: Case, point: ParameterPoint, trajectory: Artifact) -> Inflow
     width = domain.lengths[across] * len(points) / n_places  # solids may cross the strip
     times = trajectory.read("time")
     later = np.arange(len(times) // 2, len(times))
-    later = later[times[later] >= case.plan.scene.inflow_ramp]
+    later = later[times[later] >= case.plan.scene.ramp]
     later = later if later.size else np.array([len(times) - 1])
     # At equal distances the instants could all be at one phase of an oscillation.
     count = N_CHANGING if force.changes else N_INFLOWS

@@ -11,7 +11,7 @@ import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.artifacts import read_record
-from sphrom.artifacts.records.runs import SurfaceModels
+from sphrom.artifacts.records.runs import SurfaceModels, TrainedSurfaceModel
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ALL, AUTO, ReducedModelSection
@@ -19,7 +19,7 @@ from sphrom.metrics.elevation import find_elevation
 from sphrom.metrics.measures import Samples
 from sphrom.reduction.polynomial_model import OutputTimes
 from sphrom.reduction.stream_functions import StreamSpace
-from sphrom.reduction.surface_basis import SurfaceBasis, chosen_size
+from sphrom.reduction.surface_basis import SurfaceBasis, TrainedGraph, chosen_size
 from sphrom.setup.assembly import uniform_force
 from sphrom.sph.fluid import volume_of
 from sphrom.store.trained_models import start
@@ -63,22 +63,27 @@ class TrainedSurface:
     Its section has the number of modes, those of noise left out.
     """
 
-    def __init__(self, workspace: Workspace, section: ReducedModelSection) -> None:
-        with workspace.open(workspace.operators()) as artifact:
-            trained = read_record(artifact, SurfaceModels).sizes
-        if section.n_modes == AUTO:
-            size = chosen_size({int(size): each for size, each in trained.items()})
-            section = section.model_copy(update={"n_modes": size})
-        self._trained = found = trained[str(section.size)]
+    def __init__(
+        self,
+        workspace: Workspace,
+        section: ReducedModelSection,
+        stored: TrainedSurfaceModel | None = None,
+    ) -> None:
+        if stored is None:
+            self.trained = trained_size(workspace, section)
+            whole = read_surface_basis(workspace)
+            self.basis = whole.reduced(self.trained.n_modes, self.trained.n_surface)
+        else:
+            self.trained = stored.graph
+            self.basis = stored.basis
         self.workspace = workspace
-        self.section = section.model_copy(update={"n_modes": found.n_modes})
-        self.basis = read_surface_basis(workspace).reduced(found.n_modes, found.n_surface)
+        self.section = section.model_copy(update={"n_modes": self.trained.n_modes})
         self._starts: dict[object, Array] = {}
 
     def at(self, point: ParameterPoint) -> SurfaceModelAt:
         """Return the model at a parameter point."""
         case = self.workspace.case
-        graph = self._trained.model(
+        graph = self.trained.model(
             self.basis,
             case.plan.depth(point),
             case.scene.gravity,
@@ -108,6 +113,16 @@ class TrainedSurface:
             coefficients, _ = self.basis.space.fit(state.position, state.velocity)
             self._starts[key] = self.basis.project(coefficients[None], elevation[None])[0]
         return self._starts[key]
+
+
+def trained_size(workspace: Workspace, section: ReducedModelSection) -> TrainedGraph:
+    """Return what the training of a model with its number of modes has found."""
+    with workspace.open(workspace.operators()) as artifact:
+        trained = read_record(artifact, SurfaceModels).sizes
+    size = section.n_modes
+    if size == AUTO:
+        size = chosen_size({int(size): each for size, each in trained.items()})
+    return trained[str(size)]
 
 
 def elevation_of(case: Case, space: StreamSpace, columns: Array) -> Callable[[Array, Array], Array]:

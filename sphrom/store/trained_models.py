@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, read_record
-from sphrom.artifacts.records.reduced_models import Starts
+from sphrom.artifacts.records.reduced_models import Starts, TrainedModel
 from sphrom.artifacts.records.runs import Start
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
@@ -41,6 +41,23 @@ from sphrom.store.workspace import Workspace
 
 N_BLOCK_SNAPSHOTS = 16
 """Number of snapshots that are projected at once."""
+
+
+def stored_model(workspace: Workspace, model: ReducedModelSection) -> TrainedModel | None:
+    """Return a trained model from its artifact; None if there is no valid one."""
+    target = workspace.model(model)
+    if workspace.reason_to_make(target) is not None:
+        return None
+    with workspace.open(target) as artifact:
+        return read_record(artifact, TrainedModel)
+
+
+def stored_starts(workspace: Workspace) -> Starts | None:
+    """Return the starts that the artifact of operators has, if any."""
+    with workspace.open(workspace.operators()) as artifact:
+        if "starts/parameters" in artifact:
+            return read_record(artifact, Starts, "starts")
+    return None
 
 
 def read_points(workspace: Workspace) -> Array:
@@ -267,13 +284,16 @@ class MappedStarts:
     in the parameters on which the scene's initial state depends.
     """
 
-    def __init__(self, workspace: Workspace, operators: Artifact | None = None) -> None:
-        """Use the starts stored in an artifact of operators, if one is given and has any."""
+    def __init__(
+        self, workspace: Workspace, points: Array | None = None, stored: Starts | None = None
+    ) -> None:
+        """Use stored starts, if there are any, and map others onto points (n_points, 2) [m].
+
+        By default the points are those of the case's bases.
+        """
         self._workspace = workspace
-        self._points = read_points(workspace)
-        self._stored = None
-        if operators is not None and "starts/parameters" in operators:
-            self._stored = read_record(operators, Starts, "starts")
+        self._points = points
+        self._stored = stored
         self._latest: tuple[object, Fields] | None = None
         others = workspace.case.plan.parameter_names[1:]
         self._names = list(filter(workspace.case.scene.starts_by, others))
@@ -300,5 +320,6 @@ class MappedStarts:
                     return stored.density_fluctuation[k], stored.velocity[k]
         from sphrom.setup.particles import map_onto
 
-        to_points = map_onto(self._workspace.case, self._points)
+        points = read_points(self._workspace) if self._points is None else self._points
+        to_points = map_onto(self._workspace.case, points)
         return to_points(**vars(start(self._workspace, begin)))

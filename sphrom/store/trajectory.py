@@ -18,7 +18,8 @@ if TYPE_CHECKING:  # it imports kernels, which take long and which reduced runs 
     from sphrom.setup.particles import MeasuredParticles
     from sphrom.sph.domain import Walls
     from sphrom.sph.functional import WallForces
-    from sphrom.sph.time_loop import Item, Snapshot, Watch
+    from sphrom.sph.time_loop import Item, Snapshot
+    from sphrom.sph.watch import Watch
 
 
 PARTS = ("pressure", "viscous")

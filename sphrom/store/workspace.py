@@ -59,6 +59,8 @@ KINDS: Mapping[str, Kind] = {
     "psi": Kind("spline", "fit-psi", "psi.h5", ("psi",)),
     "psi on a lattice": Kind("b-spline", "fit-psi", "psi.h5", ("psi",)),
     "operators": Kind("operators", "operators", "operators.h5", ("operators",), ("rom",)),
+    "model": Kind("model", "operators", "model-{}.h5", FULL_RUN, ("rom",)),
+    "model of a surface": Kind("surface-model", "operators", "model-{}.h5", FULL_RUN, ("rom",)),
     "rom": Kind("coordinates", "rom", "rom-{}.h5", FULL_RUN, ("rom", "compare")),
     "map of a surface": Kind("surface-snapshots", "map", "map-{}.h5", ("scene",)),
     "pod of a surface": Kind("surface-basis", "pod", "pod.h5", ("basis",), ("parameters", "rom")),
@@ -367,6 +369,11 @@ class Workspace:
             "varied": plan.parameter_names[1:],
         }
         return self._target("operators", "", about, parents)
+
+    def model(self, model: ReducedModelSection) -> Target:
+        """A trained model from operators, which runs without them."""
+        about, made_from = _about(model, "parameters"), self._trained(model)
+        return self._target(f"model{self._own_kind}", model.name, about, made_from)
 
     def reduced_run(self, model: ReducedModelSection, point: ParameterPoint) -> Target:
         """The run of a reduced model at a parameter point."""

@@ -57,7 +57,7 @@ def test_only_the_open_part_of_a_strip_counts() -> None:
         found = case(inflow([velocity, 0]), fluid=fluid).plan
         strips.append(found.strip)
         steps.append(found.steps)
-        assert found.scene.inflow_ramp == pytest.approx(4.0 / 1.5)
+        assert found.scene.ramp == pytest.approx(4.0 / 1.5)
     assert strips[0] == strips[1]
     assert steps[0] == steps[1]
     assert strips[0] is not None
@@ -78,7 +78,7 @@ def test_a_strip_has_the_largest_speed_of_all_points(name: str, own: float) -> N
     plan = case(scene, parameters=given, fluid={"reference_speed": 1.5}).plan
     assert plan.strip is not None
     assert plan.strip.speed == pytest.approx(3.0)
-    assert plan.scene.inflow_ramp == pytest.approx(4.0 / 3.0)
+    assert plan.scene.ramp == pytest.approx(4.0 / 3.0)
     for point in plan.points:  # all runs have one strip
         resistance = plan.flow(point).resistance
         assert resistance is not None

@@ -86,8 +86,8 @@ def test_what_the_table_holds_is_part_of_the_case(load, tmp_path: Path) -> None:
         ("0,0\n1,1\n", "must name a column of times and one of values"),
         ("t,a,b\n0,0,0\n1,1,1\n", "`value` choose; it names t, a, b"),
         ("t,t\n0,0\n1,1\n", "it names t, t"),
-        ("time;ax\n0;0\n1;1,5\n", "points the decimals; see line 1"),
-        ("time,ax\n0,0\n0,5,1\n", "points the decimals; see line 3"),
+        ("time;ax\n0;0.5\n1;1,5\n", "line 3 has decimal commas, and line 2 points"),
+        ("time,ax\n0,0\n0,5,1\n", "line 3: has 3 cells for 2 columns"),
         ("time,ax\n0,0\n2,1\n1,1\n", "times must increase from row to row; 1 follows 2"),
         ("time,ax\n0,0\n2,1\n2,1\n", "2 follows 2"),
         ("time,ax\n0,0\n2,nan\n", "values must be numbers"),
@@ -149,10 +149,10 @@ def walls(case: Case, *times: float) -> np.ndarray:
 
 
 def test_walls_follow_expressions_in_t(load) -> None:
-    moving = {"top": {"velocity": ["3*sway(t)", 0]}, "bottom": {"velocity": ["-1", 0]}}
+    moving = {"top": {"velocity": ["3*sway(t)", 0]}, "bottom": {"velocity": ["-4", 0]}}
     case = load(walls=moving)
-    np.testing.assert_allclose(walls(case, 0.25, 0.5), [[-1.0, 3.0], [-1.0, 6.0]])
-    assert case.plan.max_speed == 6.0  # raises the speed of sound
+    np.testing.assert_allclose(walls(case, 0.25, 0.5), [[-4.0, 3.0], [-4.0, 6.0]])
+    assert case.plan.max_speed == 6.0  # raises the speed of sound, by each wall's own amplitude
     disc = {"disc": {"circle": {"centre": [1, 0.5], "radius": 0.25}}}
     turning = {"disc": {"rotation": "2*sway(t)"}}
     flow = load(solids=disc, walls=turning, reference_length=0.5).plan

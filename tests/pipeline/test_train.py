@@ -97,7 +97,9 @@ def test_the_same_command_goes_on_and_makes_no_run_twice(case, train, monkeypatc
     first, rows = trained(), table()
     made = []
     ensure = fom._run_point
-    monkeypatch.setattr(fom, "_run_point", lambda w, p: (made.append(p.reynolds), ensure(w, p)))
+    monkeypatch.setattr(
+        fom, "_run_point", lambda w, p, *a: (made.append(p.reynolds), ensure(w, p, *a))
+    )
     train("--budget", "3", "--tolerance", "0.06%")
     assert (trained(), table(), made) == (first, rows, [])
     again = train("--budget", "5", "--tolerance", "0.06%")

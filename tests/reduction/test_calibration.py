@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.reduction.calibration import Calibration, Slope, TrainingRun, calibrate
+from sphrom.reduction.calibration import Calibration, CorrectedRates, Slope, TrainingRun, calibrate
 from sphrom.reduction.polynomial_model import OutputTimes, PolynomialModel
 from sphrom.reduction.reduced_operators import Polynomial
 
@@ -16,7 +16,10 @@ QUADRATIC = np.zeros((3, 3, 3))
 QUADRATIC[0, 1, 2] = QUADRATIC[0, 2, 1] = 0.3
 QUADRATIC[2, 0, 0] = -0.2
 TRUE = Polynomial(((np.array([0.5, 0.0, 1.0]), LINEAR, QUADRATIC),))
-OFF = Polynomial(((np.array([0.02, -0.03, 0.01]), 0.01 * np.arange(9.0).reshape(3, 3) - 0.04),))
+AT_MEAN = CorrectedRates(
+    constant=np.array([0.02, -0.03, 0.01]), linear=0.01 * np.arange(9.0).reshape(3, 3) - 0.04
+)
+OFF = AT_MEAN.polynomial(None)
 
 
 def correction(runs: list[TrainingRun], *settings: float, **more: float) -> Polynomial:
@@ -107,8 +110,8 @@ def test_without_enough_snapshots_there_is_nothing_to_calibrate_with():
 
 
 def test_a_known_error_that_follows_the_viscosity_is_found(runs):
-    slope = Polynomial(((np.array([0.0, 0.02, 0.0]), np.diag([0.0, 0.1, -0.05])),))
-    known = Calibration(OFF, slope, 2e-2)
+    slope = CorrectedRates(constant=np.array([0.0, 0.02, 0.0]), linear=np.diag([0.0, 0.1, -0.05]))
+    known = Calibration(at_mean=AT_MEAN, slope=slope, mean_viscosity=2e-2)
     wrong = [
         TrainingRun(TRUE.plus(known.at(viscosity), -1.0), run, viscosity)
         for run, viscosity in zip(runs, (1e-2, 2e-2, 3e-2), strict=True)
@@ -123,14 +126,19 @@ def test_a_known_error_that_follows_the_viscosity_is_found(runs):
 
 def test_one_viscosity_tells_nothing_of_others(runs):
     found = calibrate([TrainingRun(TRUE, run, VISCOSITY) for run in runs], INTERVAL, 0.1)
-    assert np.all(found.slope.powers[0][0] == 0.0)
-    assert np.all(found.slope.powers[0][1] == 0.0)
+    assert np.all(found.slope.constant == 0.0)
+    assert np.all(found.slope.linear == 0.0)
 
 
 def test_a_known_error_that_follows_another_parameter_is_found(runs):
-    slope = Polynomial(((np.array([0.01, 0.0, -0.02]), np.diag([0.05, 0.0, -0.05])),))
-    none = slope.scaled(0.0)
-    known = Calibration(OFF, none, VISCOSITY, {"lid": Slope(slope, 0.75, 1.0)})
+    rates = {"constant": np.array([0.01, 0.0, -0.02]), "linear": np.diag([0.05, 0.0, -0.05])}
+    none = CorrectedRates(constant=np.zeros(3), linear=np.zeros((3, 3)))
+    known = Calibration(
+        at_mean=AT_MEAN,
+        slope=none,
+        mean_viscosity=VISCOSITY,
+        others={"lid": Slope(**rates, mean=0.75, largest=1.0)},
+    )
     given = [(run, {"lid": lid}) for run in runs for lid in (0.5, 1.0)]
     found = calibrate(
         [

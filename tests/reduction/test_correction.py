@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial import Delaunay
@@ -73,7 +75,7 @@ def test_a_run_held_out_has_what_the_others_give(defects):
     correction = learn_correction(PLACES, defects)
     changed = defects.copy()
     changed[1] = 1e3
-    other = type(correction)(PLACES, changed, correction.lengths)
+    other = replace(correction, defects=changed)
     assert np.array_equal(other.held_out(PLACES[1]), correction.held_out(PLACES[1]))
     assert np.allclose(correction.held_out(PLACES[1])[:, 0], defects[1, :, 0], atol=1e-3)
 

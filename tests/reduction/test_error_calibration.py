@@ -109,15 +109,15 @@ def test_of_what_takes_any_time_all_of_the_change_counts() -> None:
     known, moved = CONSTANTS[0] / RATE, 4.0 * SHARES.parameters
     later = np.array([3.0, 3.0 * share[1] / share[0]])
     np.testing.assert_allclose(steady, np.sqrt(known**2 + moved**2 + later**2), rtol=1e-9)
-    still = replace(local, shares=replace(SHARES, time=np.zeros(2)))
+    still = replace(local, of_time=np.zeros(2))
     np.testing.assert_allclose(still.steady_errors(0.0, np.zeros(2), 1.0), [1.0, 1.0], rtol=1e-9)
 
 
 def test_what_later_times_leave_out_is_interpolated_between_runs() -> None:
     found = fitted()
     middle = found.at(np.log([np.sqrt(100.0 * 200.0)]))
-    np.testing.assert_allclose(middle.shares.time, SHARES.time.mean(axis=0), rtol=1e-6)
-    np.testing.assert_allclose(found.at(np.log([400.0])).shares.time, SHARES.time[1], rtol=1e-6)
+    np.testing.assert_allclose(middle.of_time, SHARES.time.mean(axis=0), rtol=1e-6)
+    np.testing.assert_allclose(found.at(np.log([400.0])).of_time, SHARES.time[1], rtol=1e-6)
 
 
 def test_runs_that_diverged_are_left_out() -> None:

@@ -13,12 +13,12 @@ from sphrom.sph.time_loop import (
     Clock,
     Snapshot,
     TimeSteps,
-    Watch,
     check_position,
     check_snapshot,
     march,
     runge_kutta_step,
 )
+from sphrom.sph.watch import Watch
 
 DENSITY = 2.0
 BOX = BoxDomain((0.0, 0.0), (1.0, 1.0), (False, False))

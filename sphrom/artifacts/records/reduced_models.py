@@ -15,6 +15,7 @@ from sphrom.reduction.held_out import OF_FIELDS, FieldProducts, UnheldShares
 from sphrom.reduction.mode_splines import CellSplines, LatticeCoefficients
 from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure
 from sphrom.reduction.reduced_operators import MemoryOperators, ReducedOperators, ResidualFactor
+from sphrom.reduction.trained_basis import TrainedBasis
 from sphrom.reduction.trial_basis import Modes, StoredBasis
 
 
@@ -129,6 +130,17 @@ class Operators(Record, kind="sphrom/operators"):
     bases: Mapping[str, BasisOperators] = part()
     starts: Starts | None = part(default=None)
     walls_driven: int = attribute("", "1 if the amplitude is that of the walls' speed, else 0")
+
+
+class TrainedModel(Medium, kind="sphrom/model"):
+    """A trained model, with all that its runs need at any parameters."""
+
+    bases: Mapping[str, TrainedBasis] = part()
+    modes: Mapping[str, StoredBasis] = part(at="modes/*")
+    volume: Array = dataset("particle", "m2", "area represented by each point", "V", "Eq. 3.15")
+    reference_position: Array = dataset("particle component", *REFERENCE_POSITION)
+    starts: Starts | None = part(default=None)
+    model: str = attribute("", "name of the model")
 
 
 class Spline(Record, kind="sphrom/spline"):

@@ -361,6 +361,14 @@ class SurfaceModels(Record, kind="sphrom/surface-operators"):
     sizes: Mapping[str, TrainedGraph] = part(at="sizes/*")
 
 
+class TrainedSurfaceModel(Medium, kind="sphrom/surface-model"):
+    """A trained model of a flow with a free surface, with all that its runs need."""
+
+    basis: SurfaceBasis = part()
+    graph: TrainedGraph = part()
+    model: str = attribute("", "name of the model")
+
+
 class SurfaceRun(Settings, kind="sphrom/surface-run"):
     """The time series of a reduced run with a free surface."""
 

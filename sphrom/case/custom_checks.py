@@ -1,0 +1,216 @@
+"""Checks of a scene of kind custom. Some yield a key of the scene and its problem."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+import numpy as np
+import shapely
+
+from sphrom.case.driving import (
+    BODY_FORCE,
+    INFLOW,
+    N_CHECKED,
+    Driving,
+    finite_peak,
+    largest_norm,
+    require_finite,
+)
+from sphrom.case.expressions import MOST_QUOTED
+from sphrom.metrics.series import pole_of
+from sphrom.sph.fluid import Fluid
+from sphrom.sph.places import N_SAMPLES, TOUCHING
+from sphrom.text import shortened
+
+if TYPE_CHECKING:
+    from sphrom.case.custom_scene import CustomScene
+
+Found = Iterator[tuple[str, str]]
+
+FASTEST = 0.45
+"""Largest speed over that of sound; the density then changes by 10 %, which ends a run."""
+LARGEST_CHANGE = 0.1
+"""Largest relative change of the density, which ends a run."""
+THROUGH_WALL = 0.07
+"""Largest initial speed through a wall over that of sound. Sound that a flat wall reflects changes
+the density by this share, and more in corners; at 0.08 a box of 20 x 20 particles is unstable."""
+ALONG = 0.02
+"""Largest normal speed of a wall over its speed; it is not zero because circles are polygons."""
+OTHER_UNIT = 100.0
+"""Ratio of the widths of a solid and the box, or its inverse, that suggests another unit."""
+MOST_AREAS = 4
+"""Most areas that a warning about separate parts of the fluid lists."""
+
+
+def check_walls(driving: Driving) -> None:
+    """Raise ValueError unless walls' velocities are finite and along the walls."""
+    scene = driving.scene
+    for name, wall in scene.walls.items():
+        if name not in scene.shapes and wall.rotation is not None:
+            raise ValueError(f"walls.{name}.rotation: a side of the box can't rotate")
+        place = scene.places.edge(name)
+        velocity = driving.wall_velocity(name)(place)
+        require_finite(f"walls.{name}.velocity", velocity, place)
+        normal = scene.domain.distance_and_normal(place)[1]
+        across = np.abs(np.sum(velocity * normal, axis=1))
+        worst = int(np.argmax(across))
+        if across[worst] > ALONG * float(np.max(np.hypot(*velocity.T))):
+            x, y = place[worst]
+            raise ValueError(
+                f"walls.{name}: its velocity at ({x:g}, {y:g}) m has a normal component of "
+                f"{across[worst]:.3g} m/s; walls may only move along themselves"
+            )
+
+
+def check_surface(driving: Driving) -> None:
+    """Raise ValueError unless the fluid with a free surface is in the box, if there is one."""
+    scene, force, level = driving.scene, driving.force, driving.level
+    if scene.fluid is None or force is None:
+        return
+    low, high = scene.domain.lower[1], scene.domain.upper[1]
+    if scene.fluid.level is None:
+        if not scene.domain.fluid.buffer(TOUCHING).contains(scene.fluid.geometry()):
+            raise ValueError("fluid: must lie within the box and outside of solids")
+    elif not low < level < high:
+        raise ValueError(f"fluid.level: must be above {low:g} and below {high:g}; got {level:g}")
+    places = scene.places
+    require_finite("body_force", force(places.all.T, 0.0).T, places.all)
+    if not driving.values:  # for all values the same peaks
+        finite_peak("body_force", places, lambda at: np.abs(force(at, 0.0)).sum(axis=0))
+
+
+def parameter_problems(driving: Driving, names: Collection[str]) -> Found:
+    """Yield constants in which walls or the force aren't affine, and ambiguous names."""
+    scene = driving.scene
+    varied = [name for name in names if name in scene.constants]
+    slowed = driving.expression("resistance", scene.resistance, "x", "y")
+    for name in (name for name in varied if slowed.degree_in([name]) > 0.0):
+        yield name, "resistance depends on it, which no parameter changes"
+    for key, timed in driving.timed():
+        for name in varied:
+            if any(time.degree_in([name]) > 0.0 for _, time in timed.read()):
+                yield name, f"{key} reads a history at times that depend on it"
+    for name in varied:
+        if name in (*scene.walls, BODY_FORCE, INFLOW):
+            yield name, "is a constant's name and a wall's or the force's; rename the constant"
+    # A push has no parameter that multiplies its field.
+    factors = (*driving.walls, *[""] * len(driving.pushes))
+    for factor, drive in zip(factors, driving.drives, strict=True):
+        for expression in drive.fields:
+            used = [one for one in varied if expression.degree_in([one]) > 0.0]
+            if expression.degree_in(varied) + (factor in names) <= 1.0 or not used:
+                continue
+            reason = f"multiplies {factor}, which also varies, in {drive.key}; vary only one"
+            if factor not in names:
+                text = shortened(expression.text, MOST_QUOTED)
+                reason = (
+                    f"{drive.key} must be a constant part plus multiples of {', '.join(used)}, "
+                    f"because operators are projected once for all values; got '{text}'"
+                )
+            yield used[0], reason
+
+
+def unknown_times(driving: Driving, final_time: float) -> Found:
+    """Yield the first key whose history doesn't contain all times of runs [s]."""
+    times = np.linspace(0.0, final_time, N_CHECKED)
+    for key, expression in driving.timed():
+        for name, time in expression.read():
+            if (problem := driving.scene.histories[name].lacks(time(t=times))) is not None:
+                yield key, f"{name}: {problem}"
+                return
+
+
+def problems(
+    scene: CustomScene, drivings: Iterable[Driving], final_time: float, fluid: Fluid
+) -> Found:
+    """Refuse a driving that isn't finite at all times, and an inflow that ramps too long.
+
+    Also speeds near that of sound, and an initial velocity through a wall. Of several values of
+    the parameters, the first with a problem is refused. Driving can't be evaluated at times that
+    a history does not contain.
+    """
+    if found := list(unknown_times(scene.at(), final_time)):
+        yield from found
+        return
+    if scene.ramp >= final_time:
+        yield "inflow.ramp", f"takes {scene.ramp:g} s, until time.final_time or longer"
+    for driving in drivings:
+        if found := list(_problems_at(driving, final_time, fluid)):
+            yield found[0]
+            return
+
+
+def _problems_at(driving: Driving, final_time: float, fluid: Fluid) -> Found:
+    times, sound_speed = np.linspace(0.0, final_time, N_CHECKED), fluid.sound_speed
+    for key, signal in driving.signals().items():
+        if (pole := pole_of(signal, times)) is not None:
+            yield key, f"is not finite at t = {pole:.4g} s"
+            return
+    samples = driving.scene.places.samples
+    start = driving.initial(samples[samples[:, 1] <= driving.level])
+    speeds = {**driving.speeds(final_time), "initial": largest_norm(start[:, :2])}
+    for key, speed in speeds.items():
+        if speed > FASTEST * sound_speed:
+            yield (
+                key,
+                f"reaches {speed:.4g} m/s, {speed / sound_speed:.2g} times the speed of "
+                f"sound; set fluid.reference_speed: {speed:.3g}, or lower it",
+            )
+    pressure = np.abs(driving.initial(samples)[:, 2]).max()
+    if pressure > LARGEST_CHANGE * fluid.reference_density * sound_speed**2:
+        yield "initial.p", f"{pressure:.3g} Pa changes the density by more than 10 %"
+    speed, wall = _through_wall(driving)
+    if speed > THROUGH_WALL * sound_speed:
+        yield (
+            "initial",
+            f"goes through the wall {wall} with {speed:.3g} m/s, which makes a shock of "
+            "sound; start at rest, or with a velocity along the walls, or lower "
+            "fluid.mach_number",
+        )
+
+
+def _through_wall(driving: Driving) -> tuple[float, str]:
+    """Return the largest initial speed [m/s] normal to a wall, and its place in words."""
+    scene = driving.scene
+    largest, where = 0.0, ""
+    at_rest = scene.initial == type(scene.initial)()
+    for name in () if at_rest or scene.fluid is not None else scene.domain.wall_names:
+        with suppress(ValueError):  # no fluid touches this wall
+            place = scene.places.edge(name)
+            normal = scene.domain.distance_and_normal(place)[1]
+            across = np.abs(np.sum(driving.initial(place)[:, :2] * normal, axis=1))
+            x, y = place[np.argmax(across)]
+            if across.max() > largest:
+                largest, where = float(across.max()), f"{name} at ({x:.4g}, {y:.4g}) m"
+    return largest, where
+
+
+def odd_units(scene: CustomScene) -> Found:
+    """Yield solids whose coordinates seem to have another unit than the box."""
+    width = max(np.subtract(scene.box.upper, scene.box.lower))
+    for name, shape in scene.shapes.items():
+        ratio = max(np.subtract(shape.bounds[2:], shape.bounds[:2])) / width
+        if not 1.0 / OTHER_UNIT < ratio < OTHER_UNIT:
+            hint = f"is {ratio:.2g} times as wide as the box; `scale` changes units"
+            yield f"solids.{name}", hint
+
+
+def warnings(scene: CustomScene) -> Found:
+    """Warn of solids in another unit, or that divide the fluid or cross an inflow."""
+    yield from odd_units(scene)
+    if len(areas := scene.domain.separate_areas) > 1:
+        sizes = ", ".join(f"{area:.4g}" for area in areas[:MOST_AREAS])
+        yield "solids", f"divide the fluid into {len(areas)} parts, of {sizes} m2"
+    read = {name for _, expression in scene.at().timed() for name, _ in expression.read()}
+    for name in scene.histories.keys() - read:
+        yield f"histories.{name}", f"is not used; write {name}(t) in an expression"
+    if (strip := scene.strip) is None:
+        return
+    # Solids may cross the strip if their width is constant, like walls.
+    lines = scene.places.lines(strip.axis, np.linspace(strip.start, strip.end, N_SAMPLES + 1))
+    for name, shape in scene.shapes.items():
+        widths = shapely.length(shapely.intersection(shape, lines))
+        if np.ptp(widths) > TOUCHING * max(scene.domain.lengths):
+            yield f"solids.{name}", "is in the strip of the inflow, which forces the flow there"
