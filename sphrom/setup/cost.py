@@ -216,7 +216,8 @@ def described_run(case: Case, point: ParameterPoint) -> str:
     shares = {"acoustic": limits.acoustic, "viscous": limits.viscous}
     of_limits = ", ".join(f"{step / each:.2g} of the {name} limit" for name, each in shares.items())
     layer, thin = case.scene.length_scale / math.sqrt(point.reynolds), ""
-    if case.scene.domain.has_walls and layer < plan.particle_spacing:
+    no_slip = case.scene.domain.has_walls and not case.scene.free_slip
+    if no_slip and layer < plan.particle_spacing:
         thin = f"; no particles resolve layers of L / sqrt(Re) = {layer:.2g} m at walls"
     return (
         f"{point.label}: {plan.n_particles} particles{ghosts}, "

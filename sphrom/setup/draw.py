@@ -172,7 +172,8 @@ def _draw_in_fluid(axes: Axes, case: Case, arrow: float) -> None:
         low[strip.axis], high[strip.axis] = strip.start, strip.end
         corners = shapely.get_coordinates(shapely.box(*low, *high)).T
         axes.fill(*corners, color=panels.COLOURS[2], label="strip of the inflow", **look)
-        middle = 0.5 * (low + high)
+        centre = shapely.box(*low, *high).intersection(domain.fluid).representative_point()
+        middle = shapely.get_coordinates(centre)[0]
         way = np.where(np.arange(2) == strip.axis, np.copysign(arrow, strip.speed), 0.0)
         _draw_arrows(axes, (middle - 0.5 * way)[None], way[None], panels.COLOURS[2])
         beside: Any = {"xytext": (0.0, 12.0), "textcoords": "offset points", **CENTRED}

@@ -164,8 +164,8 @@ class StoredRun:
 
 ON_WALL = 1e-6
 """Points closer to a wall than this share of the spacing are on it."""
-N_INFLOWS = 10
-"""Number of instants at which the inflow of a run is sampled."""
+N_INFLOWS, N_CHANGING = 10, 40
+"""Number of instants at which a steady and a changing inflow of a run are sampled."""
 MISSED_INFLOW, WRONG_INFLOW = 0.02, 0.2
 """Differences from the target inflow, relative, that are told, and that make a run fail."""
 LEAST_SHARE = 1e-10
@@ -272,13 +272,19 @@ def inflow_of(case: Case, point: ParameterPoint, trajectory: Artifact) -> Inflow
     later = later[times[later] >= case.plan.scene.ramp]
     later = later if later.size else np.array([len(times) - 1])
     # At equal distances the instants could all be at one phase of an oscillation.
-    shares = (np.arange(N_INFLOWS) + np.random.default_rng(0).random(N_INFLOWS)) / N_INFLOWS
-    spread_out = shares if force.changes else np.linspace(0.0, 1.0, N_INFLOWS)
+    count = N_CHANGING if force.changes else N_INFLOWS
+    shares = (np.arange(count) + np.random.default_rng(0).random(count)) / count
+    spread_out = shares if force.changes else np.linspace(0.0, 1.0, count)
     chosen = np.unique(later[(spread_out * (later.size - 1)).astype(int)])
     sampled = sample_run(case, trajectory, points, snapshots=chosen.tolist())
     wanted = np.array([force.amplitude(t) for t in sampled.time])[:, None, None] * profile
     rates = [width * v[..., strip.axis].mean(axis=1) for v in (wanted, sampled.velocity)]
     flows = [float(rate.mean()) for rate in rates]
+    if force.changes:  # few instants do not have the mean of an oscillation
+        steps = np.arange(times[later[0]], times[-1], case.plan.steps.time_step)
+        amplitude = float(np.mean([force.amplitude(t) for t in steps]))
+        mean = amplitude * width * float(profile[:, strip.axis].mean())
+        flows = [mean, mean + flows[1] - flows[0]]
     if not (size := math.sqrt(float(np.mean(rates[0] ** 2)))) > 0.0:
         return None  # a constant of zero stops the inflow
     off = np.linalg.norm(sampled.velocity.mean(axis=0) - wanted.mean(axis=0), axis=1)

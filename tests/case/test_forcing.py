@@ -131,6 +131,18 @@ def test_jumps_and_ramps_are_no_oscillation(share: str) -> None:
             {"resistance": "1 - 3*exp(-((x - 1.012)/0.004)**2)"},
             r"resistance: is negative at \(1\.01",
         ),
+        (
+            {"resistance": "where(x > 1.002, where(x < 1.004, min(0, 1 - 2*y), 0), 0)"},
+            r"resistance: is negative at \(1\.004, 0\.9",
+        ),
+        (
+            {"resistance": "where(abs(x - 1.0037) + abs(y - 0.5033) < 1e-4, -5, 0)"},
+            r"resistance: is negative at \(1\.00[34]\d*, 0\.503",
+        ),
+        (
+            {"body_force": ["0/where(abs(x - 1.0037) < 1e-4, 0, 1)", 0]},
+            r"body_force: is not a finite number at \(1\.003[678]",
+        ),
         ({"initial": {"v": 1.0}}, r"initial: goes through the wall bottom at .* with 1 m/s"),
         ({"initial": {"u": 6.0}}, r"initial: reaches 6 m/s, 0\.6 times the speed of sound"),
         ({"initial": {"p": 1e6}}, r"initial\.p: 1e\+06 Pa changes the density"),
@@ -140,6 +152,13 @@ def test_jumps_and_ramps_are_no_oscillation(share: str) -> None:
 def test_what_no_run_could_bear(scene: dict[str, Any], words: str) -> None:
     with pytest.raises(CaseError, match=words):
         case({**PLAIN, **scene})
+
+
+def test_a_spot_with_a_sudden_edge_between_samples_limits_the_step() -> None:
+    """Its resistance is 125 /s, as that of a porous body in the same place."""
+    found = case({**PLAIN, "resistance": "where(abs(x - 1.003) < 1e-3, 125, 0)"})
+    assert found.plan.scene.largest_resistance(0.01) == 125.0
+    assert found.plan.steps.time_step * 125.0 < 2.78
 
 
 def test_a_thin_porous_body_is_told_and_its_resistance_limits_the_step() -> None:
@@ -198,8 +217,10 @@ def test_a_channel_that_is_blocked_or_winds() -> None:
 
 def test_places_of_particles_are_checked() -> None:
     """A row of particles lies at y = 0.5 + dx/2; no sample does."""
-    narrow = "where(abs(y - 0.5208333333333334) < 1e-4, -1, 1)"
-    with pytest.raises(CaseError, match=r"scene\.resistance: is negative at \(.*, 0\.520\d+\) m"):
+    narrow = "2*min(1, 1e4*abs(y - 0.5208333333333334)) - 1"
+    with pytest.raises(
+        CaseError, match=r"scene\.resistance: is negative at \(.*, 0\.520[78]\d+\) m"
+    ):
         case({**PLAIN, "resistance": narrow}, resolution=24)
     assert np.isfinite(case({**PLAIN, "resistance": "1"}).plan.limits.least)
 
