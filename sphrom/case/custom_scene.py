@@ -217,10 +217,8 @@ class CustomScene(SceneSection):
     @cached_property
     def places(self) -> Places:
         """The places at which expressions are evaluated and checked."""
-        places, expression = (
-            Places(self.domain, self.shapes, self._runs.places),
-            self.at().expression,
-        )
+        places = Places(self.domain, self.shapes, self._runs.places)
+        expression = self.at().expression
         fields = [expression("resistance", self.resistance, "x", "y")]
         fields += [expression("body_force", part, "x", "y", "t") for part in self.body_force]
         found = [self._runs.places]
