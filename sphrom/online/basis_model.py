@@ -174,7 +174,7 @@ class BasisModel:
         return replace(model, states=rates.states, linear=rates.linear_parts[nearest])
 
     def equations(self, modes: str, point: ParameterPoint, in_training: bool) -> ReferenceModel:
-        """Return the same without what steps need."""
+        """Return the same without states and linear parts, which only steps need."""
         case, rates = self.workspace.case, self.trained.rates[modes]
         viscosity = case.plan.kinematic_viscosity(point)
         basis = self.basis if modes == ALL_MODES else self._leading_basis

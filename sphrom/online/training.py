@@ -1,6 +1,6 @@
 """The training of a model from operators with one basis: artifacts in, a record out.
 
-The model is calibrated with its training runs, repeats them, and learns from what it lacks there:
+The model is calibrated with its training runs, repeats them, and learns from its errors there:
 the corrections of coordinates and forces, and the fit of error estimates.
 """
 
@@ -201,7 +201,7 @@ class _Training:
     def _learnt(
         self, trained: TrainedBasis, models: Sequence[ReferenceModel], runs: Sequence[Run]
     ) -> BasisModel:
-        """Return the model with what it learns from its own training runs."""
+        """Return the model with the corrections and steps that its own training runs teach."""
         if self.section.time_step == AUTO:
             steps = [0.0 if math.isfinite(run.diverged_at) else run.time_step for run in runs]
             trained = replace(trained, first_step=np.array(steps))
@@ -306,7 +306,7 @@ class _Training:
     def _corrected_forces(
         self, trained: TrainedBasis, models: Sequence[ReferenceModel], coordinates: Array
     ) -> dict[str, TrainedForce]:
-        """Return the forces with what they lack in training runs."""
+        """Return the forces with the corrections by their errors in training runs."""
         model, own = self._with(trained), []
         for point, reduced, run in zip(self.points, models, coordinates, strict=True):
             added = model.added(point)

@@ -137,7 +137,7 @@ class Correction(Record):
     defects: Array = dataset(
         "corrected_run snapshot output",
         "of the outputs",
-        "what the training runs of a model lack",
+        "errors of a model in its training runs",
         "d",
     )
     lengths: Array = dataset(

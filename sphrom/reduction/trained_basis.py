@@ -115,7 +115,7 @@ class TrainedForce(Record):
 
 
 class HeldOutRuns(Record):
-    """Predicted training runs, corrected by the other runs only, and what they measure wrongly.
+    """Predicted training runs, corrected by the other runs only, and their errors.
 
     With its own correction a training run equals the full run, so it would show no error. Runs
     that diverged are left out.

@@ -116,7 +116,7 @@ class TrainedSurface:
 
 
 def trained_size(workspace: Workspace, section: ReducedModelSection) -> TrainedGraph:
-    """Return what the training of a model with its number of modes has found."""
+    """Return the trained parameters of a model with its number of modes."""
     with workspace.open(workspace.operators()) as artifact:
         trained = read_record(artifact, SurfaceModels).sizes
     size = section.n_modes
