@@ -220,7 +220,8 @@ def joined(group: str, name: str) -> str:
 def fields_of(record: type[Record], group: str = "", optional: bool = False) -> Iterator[Field]:
     """Yield the datasets and attributes of a record and of its parts, named by their paths."""
     for field in fields_of_record(record).values():
-        path, required = joined(group, field.name), field.required and not optional
+        path = joined(group, field.name)
+        required = field.required and not optional
         if field.record is not None:
             # A mapping may be empty, but each of its records is complete.
             yield from fields_of(field.record, path, not (field.is_mapping or required))
@@ -275,7 +276,8 @@ def matches(pattern: str, name: str) -> bool:
     """Return whether `name` matches `pattern`, where `*` stands for one group or attribute."""
     if "*" not in pattern:
         return pattern == name
-    expected, actual = pattern.split("/"), name.split("/")
+    expected = pattern.split("/")
+    actual = name.split("/")
     return len(expected) == len(actual) and all(
         one in ("*", other) for one, other in zip(expected, actual, strict=True)
     )

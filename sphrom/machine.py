@@ -32,7 +32,8 @@ def seconds_of(run: Callable[[], object]) -> float:
     """Return the processor time of a call [s], the mean over enough calls to be measurable."""
     count, taken = 0, 0.0
     while taken < LEAST_TIMED:
-        count, started = max(1, 4 * count), time.process_time()
+        count = max(1, 4 * count)
+        started = time.process_time()
         for _ in range(count):
             run()
         taken = time.process_time() - started

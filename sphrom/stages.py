@@ -107,7 +107,8 @@ def run_all(context: StageContext, until: str | None = None) -> None:
     context = replace(context, keep_valid=True)
     unstable: UnstableError | None = None
     for stage in _needed(context.case, until):
-        started, before = time.monotonic(), len(context.known.written)
+        started = time.monotonic()
+        before = len(context.known.written)
         try:
             run_stage(stage, replace(context, report=context.report.details))
         except UnstableError as error:
@@ -151,7 +152,8 @@ def _warnings_in_lines(report: Reporter) -> Iterator[None]:
             before(message, category, *place, **more)
 
     with warnings.catch_warnings():
-        before, warnings.showwarning = warnings.showwarning, show
+        before = warnings.showwarning
+        warnings.showwarning = show
         yield
 
 

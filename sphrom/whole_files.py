@@ -43,7 +43,8 @@ def read_whole(path: Path, most: int) -> bytes:
 
 def require_size(path: Path, most: int) -> None:
     """Raise Unreadable unless the path is a file of at most `most` bytes that fits into memory."""
-    size, available = path.stat().st_size, available_ram()
+    size = path.stat().st_size
+    available = available_ram()
     if not path.is_file():  # reading a pipe would wait for its writer
         raise Unreadable("is not a file")
     most = most if available is None else min(most, available // TIMES_SIZE)

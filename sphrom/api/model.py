@@ -203,7 +203,8 @@ class Model:
         final_time : as for `run`.
         step_factor : length of the time steps over that of automatic ones.
         """
-        case, (fast, reduced) = self._workspace.case, self._by_operators("sensitivities")
+        case = self._workspace.case
+        (fast, reduced) = self._by_operators("sensitivities")
         self._require_names(names)
         if step_factor < LEAST_STEP:
             raise CaseError(f"step_factor: must be {LEAST_STEP:g} or more; got {step_factor:g}")
@@ -214,7 +215,8 @@ class Model:
         slopes = tangents(fast, self._point, wanted, longer, step_factor)
 
         def changes(points: Array) -> Samples:
-            mean, run = reduced.mean_density_fluctuation, slopes.run
+            mean = reduced.mean_density_fluctuation
+            run = slopes.run
             moved = zip(run + slopes.coordinates, mean + slopes.mean_changes, strict=True)
             sampled = partial(fast.at_point(self._point).sampled, points, slopes.time)
             own, *others = (sampled(*state) for state in ((run, mean), *moved))
@@ -249,13 +251,15 @@ class Model:
         Estimates with 95 % intervals that include the noise and the model's own errors, such as
         `fit["reynolds"].value`, `.low` and `.high`; read the warnings `fit.problems` first.
         """
-        case, section = self._workspace.case, self._section
+        case = self._workspace.case
+        section = self._section
         fast, _ = self._without_particles("fit")
         self._require_names(names)
         share = case.fit.noise if noise is None else percent(noise, "noise")
         # A path is a `Path` here, see `checked`.
         data = read_measurements(measurements, case, case.plan.model_steps(section), share)  # type: ignore[arg-type]
-        ranges, values = fit_ranges(case, section), self.parameters
+        ranges = fit_ranges(case, section)
+        values = self.parameters
         if names:
             trained = trained_ranges(case, section)
             ranges = {name: ranges.get(name, trained[name]) for name in dict.fromkeys(names)}
@@ -356,7 +360,8 @@ class Model:
     ) -> tuple[ReferenceModel, Array, float, float]:
         """Return the model, coordinates as an array, amplitude of the driving, and time [s]."""
         _, reduced = self._by_operators(method)
-        state, shape = finite_array(coordinates, "coordinates"), reduced.start.shape
+        state = finite_array(coordinates, "coordinates")
+        shape = reduced.start.shape
         if state.shape != shape:
             raise CaseError(f"coordinates: must have the shape {shape}; got {state.shape}")
         at = self._workspace.case.plan.steps.end_time if time is None else time

@@ -59,7 +59,8 @@ class Labels:
         variables = {}
         for name, quantities in measured.items():
             own = name.removeprefix(ERROR)
-            line, of = self._lines.get(own, ""), f"{own}{', estimated error' * (own != name)}"
+            line = self._lines.get(own, "")
+            of = f"{own}{', estimated error' * (own != name)}"
             for quantity, values in quantities.items():
                 is_vector = quantity in VECTORS
                 if quantity in PLACED and not line:  # a probe has one place
@@ -67,7 +68,8 @@ class Labels:
                 dims, meaning = f"{axes}{line}{' component' * is_vector}", f"{quantity} of {of}"
                 unit = UNITS.get(quantity)
                 if unit is None:  # an oscillation has one figure per run
-                    dims, values = axes.removesuffix("snapshot"), values[..., 0]
+                    dims = axes.removesuffix("snapshot")
+                    values = values[..., 0]
                     unit = self.case.plan.oscillations[own].units_of(quantity)
                 variables[f"{name}_{quantity}"] = labelled(dims, values, unit, meaning)
                 variables[f"{name}_{quantity}"][2].update(self._notes(own, quantity, values))
@@ -84,7 +86,8 @@ class Labels:
 
     def _notes(self, name: str, quantity: str, values: Array) -> dict[str, Any]:
         """Return attributes: the first time that counts [s], and why an oscillation is NaN."""
-        plan, missing = self.case.plan, quantity not in UNITS and bool(np.isnan(values).any())
+        plan = self.case.plan
+        missing = quantity not in UNITS and bool(np.isnan(values).any())
         of = plan.oscillations.get(name)
         begin = plan.means_from.get(name, plan.settled_from) if of is None else of.from_time
         return {"from_time": begin} | ({"missing": NO_OSCILLATION} if missing else {})
@@ -100,12 +103,14 @@ class Labels:
         """Return fields at points (n_points, 2) [m]; raise CaseError outside of the fluid."""
         import xarray
 
-        position, domain = finite_array(points, "points"), self.case.scene.domain
+        position = finite_array(points, "points")
+        domain = self.case.scene.domain
         if position.ndim != 2 or position.shape[1] != 2 or not len(position):
             raise CaseError(f"points: must have the shape (n_points, 2); got {position.shape}")
         for x, y in position[~domain.contains(position)][:1]:
             raise CaseError(f"points: ({x:g}, {y:g}) m is not in the fluid")
-        samples, dims = sampled(domain.wrap(position)), f"{axes} point"
+        samples = sampled(domain.wrap(position))
+        dims = f"{axes} point"
         where = labelled("point component", position, "m", "position of each point")
         variables = {
             "velocity": labelled(f"{dims} component", samples.velocity, "m/s", "velocity"),
@@ -121,8 +126,11 @@ class Labels:
         model: str,
     ) -> xarray.Dataset:
         """Return the measurements of runs with estimated errors; NaN for unstable runs."""
-        n_runs, measured, time = len(points), dict[str, dict[str, Array]](), np.zeros(0)
-        status, errors = np.full(n_runs, "unstable"), np.full((3, n_runs), np.nan)
+        n_runs = len(points)
+        measured = dict[str, dict[str, Array]]()
+        time = np.zeros(0)
+        status = np.full(n_runs, "unstable")
+        errors = np.full((3, n_runs), np.nan)
         for k, run in enumerate(runs):
             time = run.time
             if run.failure is not None:
@@ -214,7 +222,8 @@ class Result:
         an oscillation.
         """
         about = {"model": self.model, **self.parameters}
-        labels, measured = self._labels, dict(self._measured())
+        labels = self._labels
+        measured = dict(self._measured())
         measured |= labels.case.plan.oscillations.of(self.time, measured)
         return labels.dataset(measured, self.time, about)
 
@@ -227,7 +236,8 @@ class Result:
         """
         import xarray
 
-        measures, means = self.measures, {}
+        measures = self.measures
+        means = {}
         for name, each in measures.items():
             if "snapshot" in each.dims:
                 late = xarray.DataArray(since(self.time, each.from_time), dims="snapshot")

@@ -143,7 +143,8 @@ class Artifact:
         self.case_text = contents.case_text
         self.attributes: Mapping[str, layout.Value] = contents.attributes
         self.datasets = sorted(name for name in contents.datasets if name != CASE)
-        self.schema, self.content_sha256 = self.text("schema"), self.text("content_sha256")
+        self.schema = self.text("schema")
+        self.content_sha256 = self.text("content_sha256")
         self.identity = layout.Identity(path.name, self.text("uuid"), self.content_sha256)
 
     def number(self, name: str) -> float:
@@ -247,7 +248,8 @@ def _contents(file: h5py.File) -> Contents:
 def _looked_through(file: h5py.File) -> Contents:
     """Read the structure of a file and check it against its kind of artifact. Raises Fault."""
     root = attributes_at(file, "")
-    kind, version = str(root.get("schema")), str(root.get("schema_version"))
+    kind = str(root.get("schema"))
+    version = str(root.get("schema_version"))
     if kind not in SCHEMAS:
         raise Fault("is not an artifact of sphrom")
     if version.partition(".")[0] != SCHEMA_VERSION.partition(".")[0]:

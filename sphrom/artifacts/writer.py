@@ -89,7 +89,8 @@ class ArtifactWriter:
         self._path = path
         self._file = file
         self._schema = SCHEMAS[schema]
-        self._started, self._computing = time.monotonic(), computing_seconds()
+        self._started = time.monotonic()
+        self._computing = computing_seconds()
         self._streams: dict[str, Stream] = {}
         self._attributes: dict[str, layout.Value] = {}
         with GarbageCollectionPaused():
@@ -299,7 +300,8 @@ def write_record(artifact: ArtifactWriter, record: Record, group: str = "") -> N
     Raises ArtifactError if it cannot be written or is not finite, ValueError for other types.
     """
     for name, field in fields_of_record(type(record)).items():
-        value, path = getattr(record, name), joined(group, field.name)
+        value = getattr(record, name)
+        path = joined(group, field.name)
         if field.is_mapping:
             for key, one in value.items():
                 filled = path

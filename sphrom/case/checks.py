@@ -81,8 +81,10 @@ def _path(key: str) -> tuple[str | int, ...]:
 
 def _check_size(case: Case) -> Found:
     """Refuse lattices of absurd sizes, and levels without a row, before lattices are made."""
-    length, resolution = case.scene.resolved_length, case.discretization.resolution
-    spacing, sides = length / resolution, case.scene.domain.lengths
+    length = case.scene.resolved_length
+    resolution = case.discretization.resolution
+    spacing = length / resolution
+    sides = case.scene.domain.lengths
     if (depth := case.scene.level_at() - case.scene.domain.lower[1]) < 0.5 * spacing:
         reason = f"is {depth:.3g} m above the floor, less than a row of particles, {spacing:.3g} m"
         yield "scene.fluid.level", f"{reason}; raise it, or discretization.resolution"
@@ -128,7 +130,8 @@ def _references(case: Case) -> Iterator[tuple[str, str, Collection[str | None], 
     models = [model.name for model in case.rom]
     fast = [model.name for model in case.rom if model.from_operators]
     bases, parameters, varied = (ALL, *case.basis.subsets), "parameter", "parameter that varies"
-    own, varying = (REYNOLDS, *case.plan.own_values), case.plan.parameter_names
+    own = (REYNOLDS, *case.plan.own_values)
+    varying = case.plan.parameter_names
     yield "parameters.train", parameters, case.parameters.train.names, own
     yield "parameters.test", parameters, case.parameters.test.names, own
     for name, subset in case.basis.subsets.items():
@@ -159,7 +162,8 @@ def _references(case: Case) -> Iterator[tuple[str, str, Collection[str | None], 
 
 def _check_points(case: Case) -> Found:
     """Check that full runs differ in their values, and that each is possible."""
-    train, test = case.plan.train_points, case.plan.test_points
+    train = case.plan.train_points
+    test = case.plan.test_points
     for key, points in (("parameters.train", train), ("parameters.test", test)):
         yield from _check_repeated(key, points)
         for others in dict.fromkeys(point.others for point in points):
@@ -180,8 +184,10 @@ def _check_repeated(key: str, points: Iterable[ParameterPoint]) -> Found:
 
 
 def _check_geometry(case: Case) -> Found:
-    domain, length = case.scene.domain, case.scene.resolved_length
-    plan, section = case.plan, case.discretization
+    domain = case.scene.domain
+    length = case.scene.resolved_length
+    plan = case.plan
+    section = case.discretization
     wanted = length / section.resolution
     fits = domain.narrowest_gap > 0.0 and domain.fits_lattice(wanted)
     if domain.narrowest_gap <= 0.0:
@@ -215,10 +221,13 @@ def _check_geometry(case: Case) -> Found:
         shapes = domain.has_walls and not plan.walls_fit_lattice
         if shapes and getattr(section.walls, key) == along_axes:
             yield f"discretization.walls.{key}", f"{along_axes} is for walls that follow the axes"
-    gap, solid = domain.narrowest_gap, domain.thinnest_solid
-    most, narrow = min(0.5 * gap, solid), f"half of the narrowest fluid, {gap:g} m wide"
+    gap = domain.narrowest_gap
+    solid = domain.thinnest_solid
+    most = min(0.5 * gap, solid)
+    narrow = f"half of the narrowest fluid, {gap:g} m wide"
     limit = f"the thinnest solid, {solid:g} m thick" if most == solid else narrow
-    own, mapped = plan.smoothing_length, plan.reference_smoothing_length
+    own = plan.smoothing_length
+    mapped = plan.reference_smoothing_length
     radius = SUPPORT_RATIO * max(own, mapped)
     if gap > 0.0 and radius > most * (1.0 + ROUNDING):
         least = math.ceil(section.resolution * radius / most * (1.0 - ROUNDING))
@@ -268,8 +277,10 @@ def _images(domain: Domain, lines: Mapping[str, Any]) -> Iterator[tuple[str, Any
 
 def nearest_fitting_resolution(case: Case) -> int | None:
     """Return the nearest resolution at which walls fit the lattice, or None if none is near."""
-    domain, length = case.scene.domain, case.scene.resolved_length
-    resolution, half = case.discretization.resolution, case.discretization.resolution // 2
+    domain = case.scene.domain
+    length = case.scene.resolved_length
+    resolution = case.discretization.resolution
+    half = case.discretization.resolution // 2
     near = range(resolution - half + 1, 2 * resolution + 1)
     fitting = (number for number in near if domain.fits_lattice(length / number))
     return min(fitting, key=lambda number: (abs(number - resolution), -number), default=None)
@@ -283,7 +294,8 @@ def coarser_resolution(case: Case) -> int | None:
 
 
 def _check_steps(case: Case) -> Found:
-    time, plan = case.time, case.plan
+    time = case.time
+    plan = case.plan
     if not plan.step_target > 0.0:
         yield "time", "no step is short enough; the resistance or the inflow is too strong"
         return
@@ -305,7 +317,8 @@ def _check_steps(case: Case) -> Found:
                 yield f"time.{key}", problem
                 return
     else:
-        ratio, recorded = plan.spin_up_ratio, plan.recorded_time
+        ratio = plan.spin_up_ratio
+        recorded = plan.recorded_time
         apart = abs(float(ratio) * recorded - time.spin_up) > WHOLE_STEPS_TOLERANCE * time.spin_up
         if apart or math.lcm(case.snapshots.every, ratio.denominator) > number * (1.0 + ROUNDING):
             yield (
@@ -329,7 +342,8 @@ def _not_whole(duration: float, step: float) -> str | None:
 
 def beyond_limits(case: Case) -> Iterator[str]:
     """Yield the limits that the time step exceeds."""
-    step, stable = case.time.step, case.plan.limits
+    step = case.time.step
+    stable = case.plan.limits
     limits = {
         "acoustic": (stable.acoustic, "1.5 h / c0, Eq. 2.19"),
         "viscous": (stable.viscous, "0.125 h^2 / nu, beside walls at most 0.22 h dx / nu"),
@@ -385,7 +399,8 @@ def _measure_problem(case: Case, measured: MeasureSection) -> str | None:
 
 
 def _surface_problem(case: Case, measured: MeasureSection) -> str | None:
-    scene, periodic = case.scene, case.scene.domain.periodic
+    scene = case.scene
+    periodic = case.scene.domain.periodic
     if not scene.has_surface:
         return "needs fluid with a free surface; set scene.fluid"
     if measured.of_fluid == "centre_of_mass" and any(periodic):
@@ -446,7 +461,8 @@ def _check_models(case: Case) -> Found:
 
 
 def _model_problems(case: Case, model: ReducedModelSection) -> Found:
-    plan, points = case.plan, case.plan.rom_points(model)
+    plan = case.plan
+    points = case.plan.rom_points(model)
     try:
         bases = plan.bases_for(model)
     except CaseError as error:
@@ -508,7 +524,8 @@ def _check_fixed_points(case: Case) -> Found:
 
 def _check_surface(case: Case) -> Found:
     """Refuse scenes and keys that reduced models of a free surface don't support."""
-    scene, domain = case.scene, case.scene.domain
+    scene = case.scene
+    domain = case.scene.domain
     if not (scene.has_surface and case.rom):
         return
     reason = "reduced models of a free surface"
@@ -543,11 +560,14 @@ def _check_surface(case: Case) -> Found:
 
 def _start_problem(case: Case, point: ParameterPoint) -> str | None:
     """Return the reason why the fluid's shape at the start of a run is no graph, or None."""
-    plan, scene = case.plan, case.scene
+    plan = case.plan
+    scene = case.scene
     if math.isfinite(scene.level_at(point.factors)) or not plan.n_particles:
         return None
-    position, space = scene.fill(plan.particle_spacing, point.factors), plan.stream_space
-    volume, radius = np.full(len(position), plan.particle_spacing**2), 2.0 * plan.smoothing_length
+    position = scene.fill(plan.particle_spacing, point.factors)
+    space = plan.stream_space
+    volume = np.full(len(position), plan.particle_spacing**2)
+    radius = 2.0 * plan.smoothing_length
     walls = space.left, space.right, space.bottom
     try:
         find_elevation(position, volume, plan.surface_columns, radius, walls)
@@ -627,13 +647,17 @@ def _check_reduced_times(case: Case) -> Found:
 
 
 def _check_compare(case: Case) -> Found:
-    section, domain, end = case.compare, case.scene.domain, case.time.final_time
+    section = case.compare
+    domain = case.scene.domain
+    end = case.time.final_time
     if section.from_time >= end:
         reason = f"must be before time.final_time, {exact(end)} s; got {exact(section.from_time)}"
         yield "compare.from_time", reason
     if section.exact and case.plan.flow(case.plan.points[0]).exact is None:
         yield "compare.exact", f"a scene of kind {case.scene.kind} has no exact solution"
-    left, right, line = domain.lower[0], domain.upper[0], case.plan.probe_line
+    left = domain.lower[0]
+    right = domain.upper[0]
+    line = case.plan.probe_line
     if not left < line < right:
         reason = f"must be within the scene, between {left:g} and {right:g} m; got {line:g}"
         yield "compare.line", reason
@@ -651,7 +675,8 @@ def _check_compare(case: Case) -> Found:
 
 
 def _figure_problems(case: Case, figure: OfModes | OfRuns) -> Found:
-    start, end = case.time.spin_up, case.time.final_time
+    start = case.time.spin_up
+    end = case.time.final_time
     if isinstance(figure, OfModes):
         return
     for names, (_, points) in zip(figure.runs, studies.rows_of(case, figure), strict=True):
@@ -665,7 +690,8 @@ def _figure_problems(case: Case, figure: OfModes | OfRuns) -> Found:
 
 
 def _check_trade(case: Case) -> Found:
-    section, plan = case.trade, case.plan
+    section = case.trade
+    plan = case.plan
     if (size := max(section.n_modes or (0,))) > plan.n_modes:
         reason = f"must be at most basis.n_modes, {plan.n_modes}; got {size}"
         yield "trade.n_modes", reason
@@ -675,7 +701,9 @@ def _check_trade(case: Case) -> Found:
 
 
 def _check_sweep(case: Case) -> Found:
-    model, points, steps = studies.sweep_model(case), studies.sweep_points(case), case.plan.steps
+    model = studies.sweep_model(case)
+    points = studies.sweep_points(case)
+    steps = case.plan.steps
     if case.sweep.sensitivities and (model is None or not model.from_operators):
         reason = "needs a model with evaluation: operators, whose equations can be differentiated"
         yield "sweep.sensitivities", reason
@@ -697,7 +725,8 @@ def _check_sweep(case: Case) -> Found:
 
 
 def _check_training(case: Case) -> Found:
-    section, plan = case.training, case.plan
+    section = case.training
+    plan = case.plan
     model = studies.fast_section(case, section.model)
     if not section.ranges:
         return

@@ -72,7 +72,9 @@ def check_walls(driving: Driving) -> None:
 
 def check_surface(driving: Driving) -> None:
     """Raise ValueError unless the fluid with a free surface is in the box, if there is one."""
-    scene, force, level = driving.scene, driving.force, driving.level
+    scene = driving.scene
+    force = driving.force
+    level = driving.level
     if scene.fluid is None or force is None:
         return
     low, high = scene.domain.lower[1], scene.domain.upper[1]
@@ -149,7 +151,8 @@ def problems(
 
 
 def _problems_at(driving: Driving, final_time: float, fluid: Fluid) -> Found:
-    times, sound_speed = np.linspace(0.0, final_time, N_CHECKED), fluid.sound_speed
+    times = np.linspace(0.0, final_time, N_CHECKED)
+    sound_speed = fluid.sound_speed
     for key, signal in driving.signals().items():
         if (pole := pole_of(signal, times)) is not None:
             yield key, f"is not finite at t = {pole:.4g} s"
@@ -196,7 +199,8 @@ def unresolved(
             at = place[scene.strip.contains(place.T)]
         lower = np.array(scene.domain.lower)
         centre = lower + (np.floor((at - lower) / particle_spacing) + 0.5) * particle_spacing
-        exact, seen = field(at.T), field(centre.T)
+        exact = field(at.T)
+        seen = field(centre.T)
         if np.abs(exact - seen).sum() > MISSED * np.abs(exact).sum():
             yield key
 
@@ -213,7 +217,8 @@ def _through_wall(driving: Driving) -> tuple[float, str]:
             across = np.abs(np.sum(driving.initial(place)[:, :2] * normal, axis=1))
             x, y = place[np.argmax(across)]
             if across.max() > largest:
-                largest, where = float(across.max()), f"{name} at ({x:.4g}, {y:.4g}) m"
+                largest = float(across.max())
+                where = f"{name} at ({x:.4g}, {y:.4g}) m"
     return largest, where
 
 

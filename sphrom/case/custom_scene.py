@@ -188,7 +188,8 @@ class CustomScene(SceneSection):
     @cached_property
     def domain(self) -> Domain:
         """The box less its solids."""
-        lower, upper = self.box.lower, self.box.upper
+        lower = self.box.lower
+        upper = self.box.upper
         if not all(low < high for low, high in zip(lower, upper, strict=True)):
             raise ValueError("box: upper must be above lower along both axes")
         corners = (lower[0], lower[1]), (upper[0], upper[1])
@@ -389,7 +390,8 @@ class CustomScene(SceneSection):
     @cached_property
     def _resistance(self) -> Resistance | None:
         """The resistance to the flow."""
-        own, shapes = None, _geometries("porous", self.porous)
+        own = None
+        shapes = _geometries("porous", self.porous)
         solid = shapely.union_all(list(self.shapes.values()))
         fluid = shapely.box(*self.box.lower, *self.box.upper).difference(solid)
         for name, shape in shapes.items():
@@ -452,7 +454,8 @@ class CustomScene(SceneSection):
         """The least integral of 1/k along lines through the box [1/m], the larger of x and y."""
         shapes = self._porous_parts
         ways = [0.0]
-        lower, upper = self.domain.lower, self.domain.upper
+        lower = self.domain.lower
+        upper = self.domain.upper
         for axis in range(2) if shapes else ():
             middles = midpoints(lower[axis], upper[axis], N_SAMPLES)
             lines = shapely.intersection(self.domain.fluid, self.places.lines(axis, middles))

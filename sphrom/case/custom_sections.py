@@ -97,7 +97,8 @@ class InflowSection(Section):
         Points on a solid that only touches the strip, such as one that ends at the edge of the box,
         do not count: there is no fluid of the strip beside them.
         """
-        lower, upper = np.array(domain.lower), np.array(domain.upper)
+        lower = np.array(domain.lower)
+        upper = np.array(domain.upper)
         lower[axis] = self.strip.start
         upper[axis] = self.strip.end
         points = grid(lower, upper)
@@ -117,7 +118,9 @@ class InflowSection(Section):
 
         Raises ValueError unless the strip is part of the box and fluid flows through it.
         """
-        start, end, inflows = self.strip.start, self.strip.end, dict[int, Array]()
+        start = self.strip.start
+        end = self.strip.end
+        inflows = dict[int, Array]()
         for axis in np.flatnonzero(domain.periodic).tolist():
             within = domain.lower[axis] <= start < end <= domain.upper[axis]
             if not within or end - start >= domain.lengths[axis]:
@@ -216,7 +219,8 @@ class SurfaceFluidSection(Section):
             if domain.fills_box:
                 return filled
             # Beside solids a lattice may not end at the level, or not along the sides.
-            below, ends = domain.below(level), domain.row_end(level, particle_spacing) == level
+            below = domain.below(level)
+            ends = domain.row_end(level, particle_spacing) == level
             right = ends and len(filled) == below.n_particles(particle_spacing)
             return filled if right else below.fill(particle_spacing)
         return points[shapely.contains_xy(self.geometry(), *points.T)]

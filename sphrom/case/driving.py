@@ -68,7 +68,8 @@ class Driving:
 
     def expression(self, key: str, value: float | str, *variables: str) -> Expression:
         """Return the expression of a key. Raises ValueError, with the key."""
-        text, scene = value if isinstance(value, str) else repr(value), self.scene
+        text = value if isinstance(value, str) else repr(value)
+        scene = self.scene
         constants = {name: self.values.get(name, own) for name, own in scene.constants.items()}
         try:
             expression = Expression(text, variables, constants, scene.histories)
@@ -99,7 +100,8 @@ class Driving:
     @cached_property
     def initial(self) -> Callable[[Array], Array]:
         """A function for u, v [m/s] and p [Pa] (n_points, 3) at positions (n_points, 2) [m]."""
-        section, places = self.scene.initial, self.scene.places
+        section = self.scene.initial
+        places = self.scene.places
         if section.file is not None:
             return lambda position: section.table(position)
 
@@ -172,7 +174,8 @@ class Driving:
     @cached_property
     def wall_amplitudes(self) -> dict[str, Amplitude]:
         """The amplitudes of walls whose velocity changes with time, one for each expression."""
-        known, found = dict[str, Amplitude](), {}
+        known = dict[str, Amplitude]()
+        found = {}
         for name, drive in self.walls.items():
             for text, amplitude in drive.amplitudes.items():
                 if amplitude.depends_on:
@@ -195,7 +198,9 @@ class Driving:
 
     def wall_velocity(self, name: str) -> Callable[[Array], Array]:
         """Return the velocity (n_points, 2) [m/s] of a wall at places on it (n_points, 2) [m]."""
-        wall, drive, factor = self.scene.walls[name], self.walls[name], self.values.get(name, 1.0)
+        wall = self.scene.walls[name]
+        drive = self.walls[name]
+        factor = self.values.get(name, 1.0)
         if wall.velocity is not None:
             return lambda at: factor * drive(self.scene.places.wrapped(at.T)).T
         rate = factor * float(drive.fields[0]())
@@ -207,7 +212,9 @@ class Driving:
     @cached_property
     def force(self) -> BodyForce | None:
         """The body force: a field times an amplitude, with a factor that may be a parameter."""
-        scene, pushes, places = self.scene, self.pushes, self.scene.places
+        scene = self.scene
+        pushes = self.pushes
+        places = self.scene.places
         if scene.fluid is not None:
             parts = [self.expression(BODY_FORCE, v, "x", "y", "t") for v in scene.body_force]
             return SurfaceForce.of(tuple(parts), scene.fluid.gravity)
@@ -257,7 +264,8 @@ class Driving:
 
     def signals(self) -> dict[str, Callable[[Array], Array]]:
         """Return functions for the driving (..., n_times) at times (n_times,) [s], by key."""
-        force, signals = self.force, dict[str, Callable[[Array], Array]]()
+        force = self.force
+        signals = dict[str, Callable[[Array], Array]]()
         for name, drive in self.walls.items():
             for amplitude in drive.amplitudes.values():
                 if amplitude.depends_on:
@@ -311,9 +319,11 @@ class Driving:
 
     def largest_head(self, until: float) -> float:
         """Return a bound of the body force's head along the fluid until a time [m2/s2]."""
-        domain, samples = self.scene.domain, self.scene.places.samples
+        domain = self.scene.domain
+        samples = self.scene.places.samples
         times = self.times(until, N_INSTANTS)
-        drive, push = self.force, self.pushes.get(BODY_FORCE)
+        drive = self.force
+        push = self.pushes.get(BODY_FORCE)
         if isinstance(drive, SurfaceForce):
             heights = np.array((domain.lengths[0], min(self.level, domain.upper[1])))
             pulls = [self._pull(drive(samples.T, t)) for t in times]

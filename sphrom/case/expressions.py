@@ -79,7 +79,8 @@ class Expression:
 
     def _call(self, node: ast.Call) -> Callable[[Given], Array]:
         """Return a function for the values of a call, given those of the variables."""
-        name, parts = _name(node), [self._like(ast.unparse(part)) for part in node.args]
+        name = _name(node)
+        parts = [self._like(ast.unparse(part)) for part in node.args]
         _ = [part.compiled for part in parts]
         if name in self._histories:
             return lambda given: self._histories[name](parts[0]._of(given))
@@ -93,7 +94,8 @@ class Expression:
             raise ValueError(f"the places in '{_short(node)}' must increase")
 
         def interpolated(given: Given) -> Array:
-            x, values = parts[0]._of(given), [value._of(given) for value in parts[2::2]]
+            x = parts[0]._of(given)
+            values = [value._of(given) for value in parts[2::2]]
             out = np.where(np.isnan(x), x, values[0])
             for n, low in enumerate(places[:-1]):
                 share = np.clip((x - low) / (places[n + 1] - low), 0.0, 1.0)
@@ -124,7 +126,8 @@ class Expression:
         """Yield the difference of the sides of each comparison."""
         for node in ast.walk(self._tree):
             if isinstance(node, ast.Compare):
-                left, right = ast.unparse(node.left), ast.unparse(node.comparators[0])
+                left = ast.unparse(node.left)
+                right = ast.unparse(node.comparators[0])
                 yield self._like(f"({left}) - ({right})")
 
     @cached_property
@@ -304,7 +307,8 @@ def _check(whole: ast.expr, known: tuple[str, ...], histories: Collection[str]) 
 
 def _arguments(node: ast.Call, histories: Collection[str]) -> list[ast.expr]:
     """Return the arguments of a call; a condition is replaced by its two sides."""
-    name, number = _name(node), len(node.args)
+    name = _name(node)
+    number = len(node.args)
     if name in histories:
         used = {part.id for part in ast.walk(node) if isinstance(part, ast.Name)}
         if number != 1 or "t" not in used or used & {"x", "y"}:

@@ -56,7 +56,8 @@ def case_warnings(case: Case) -> list[str]:
 
 
 def _of_strip(case: Case) -> Iterator[str]:
-    strip, least = case.plan.strip, LEAST_STRIP * case.plan.particle_spacing
+    strip = case.plan.strip
+    least = LEAST_STRIP * case.plan.particle_spacing
     if strip is not None and (width := strip.end - strip.start) < least * (1.0 - ROUNDING):
         resolution = math.ceil(case.discretization.resolution * least / width)
         yield (
@@ -66,8 +67,10 @@ def _of_strip(case: Case) -> Iterator[str]:
 
 
 def _of_kernel(case: Case) -> Iterator[str]:
-    plan, ratio = case.plan, case.discretization.smoothing_length_ratio
-    key, scene = "discretization.smoothing_length_ratio", case.scene
+    plan = case.plan
+    ratio = case.discretization.smoothing_length_ratio
+    key = "discretization.smoothing_length_ratio"
+    scene = case.scene
     length = min(scene.length_scale, *scene.domain.lengths)
     if scene.has_surface and ratio < NARROW:
         yield (
@@ -107,7 +110,8 @@ def _of_fields(case: Case) -> Iterator[str]:
 
 
 def _of_driving(case: Case) -> Iterator[str]:
-    period, interval = case.plan.shortest_period, case.plan.steps.snapshot_interval
+    period = case.plan.shortest_period
+    interval = case.plan.steps.snapshot_interval
     if interval > period / SNAPSHOTS_PER_PERIOD * (1.0 + ROUNDING):
         most = int(period / SNAPSHOTS_PER_PERIOD / case.plan.steps.time_step * (1.0 + ROUNDING))
         yield (
@@ -117,7 +121,8 @@ def _of_driving(case: Case) -> Iterator[str]:
 
 
 def _of_histories(case: Case) -> Iterator[str]:
-    plan, histories = case.plan, getattr(case.scene, "histories", {})
+    plan = case.plan
+    histories = getattr(case.scene, "histories", {})
     for name, history in histories.items():
         times = history.rows[0, 1:-1]
         interval = float(np.median(np.diff(times)))
@@ -142,7 +147,8 @@ def _of_filling(case: Case) -> Iterator[str]:
     fluid = getattr(case.scene, "fluid", None)
     if fluid is None or fluid.level is not None:
         return
-    area, filled = fluid.geometry().area, case.plan.n_particles * case.plan.particle_spacing**2
+    area = fluid.geometry().area
+    filled = case.plan.n_particles * case.plan.particle_spacing**2
     if abs(filled / area - 1.0) > MOST_MISSED:
         yield (
             f"scene.fluid: its particles have an area of {filled:.4g} m2, and its shape "
@@ -188,7 +194,9 @@ def extrapolation(case: Case, point: ParameterPoint) -> str | None:
 
 
 def _of_numerics(case: Case) -> Iterator[str]:
-    plan, steps, psi = case.plan, case.plan.steps, case.psi
+    plan = case.plan
+    steps = case.plan.steps
+    psi = case.psi
     if plan.reference_bases and case.basis.inner_product == "raw":
         yield (
             "basis.inner_product: with the raw product, sound may grow in models on the reference "
@@ -232,7 +240,8 @@ def slow_sweep(case: Case) -> str | None:
 
 def sweep_beyond_training(case: Case) -> str | None:
     """Return a warning with the number of points of a reduced sweep beyond the trained range."""
-    model, points = sweep_model(case), sweep_points(case)
+    model = sweep_model(case)
+    points = sweep_points(case)
     beyond = [point for point in points if outside(point, case.plan.train_points)]
     if model is None or not beyond:
         return None

@@ -31,7 +31,8 @@ MAX_BYTES = 256 * 1024
 OVERRIDE = "--set"
 CONTENT = "case"
 """The name of a case without a file, in messages."""
-_REYNOLDS, _OTHER = TypeAdapter[float](Positive), TypeAdapter[float](Coordinate)
+_REYNOLDS = TypeAdapter[float](Positive)
+_OTHER = TypeAdapter[float](Coordinate)
 
 
 def load_case(
@@ -101,9 +102,11 @@ def _content(
 ) -> tuple[str, Document, list[Path]]:
     """Return a case's name for messages, its content with overrides, and the changed paths."""
     if isinstance(source, Mapping):
-        name, document = CONTENT, Document(plain_values(source, CONTENT))
+        name = CONTENT
+        document = Document(plain_values(source, CONTENT))
     else:
-        name, document = str(source), _read(FilePath(source))
+        name = str(source)
+        document = _read(FilePath(source))
     data = document.value
     if isinstance(overrides, Mapping):
         changed = [_assign(data, key_named(data, key), value) for key, value in overrides.items()]

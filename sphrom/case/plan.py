@@ -106,7 +106,8 @@ class Plan:
     @cached_property
     def reference_smoothing_length(self) -> float:
         """h of the map onto the reference space [m]."""
-        section, own = self._case.reference, self._case.discretization.smoothing_length_ratio
+        section = self._case.reference
+        own = self._case.discretization.smoothing_length_ratio
         usual = MLS_SMOOTHING_LENGTH_RATIO if section.method == "mls" else own
         return (section.smoothing_length_ratio or usual) * self.particle_spacing
 
@@ -168,7 +169,8 @@ class Plan:
     @cached_property
     def probe_line(self) -> float:
         """x of the vertical line on which runs are compared [m]."""
-        scene, line = self._case.scene, self._case.compare.line
+        scene = self._case.scene
+        line = self._case.compare.line
         if line is not None or scene.domain.sections(scene.probe_line):
             return scene.probe_line if line is None else line
         places = np.linspace(scene.domain.lower[0], scene.domain.upper[0], N_LINES)
@@ -178,7 +180,8 @@ class Plan:
     @cached_property
     def max_speed(self) -> float:
         """The largest speed at all points: the reference speed, or the speed of a varied wall."""
-        scene, end = self.scene, self._case.time.final_time
+        scene = self.scene
+        end = self._case.time.final_time
         varied = (v for v in self._settings if v or scene.amplitudes)
         walls = (scene.largest_wall_speed(v, end) for v in varied)
         fastest = max(self._case.fluid.reference_speed, *walls, 0.0)
@@ -196,8 +199,10 @@ class Plan:
     @cached_property
     def heads(self) -> dict[str, float]:
         """Estimates of the largest heads of all runs [m2/s2], by their cause in words."""
-        scene, end = self._case.scene, self._case.time.final_time
-        domain, viscosity = scene.domain, max(map(self.kinematic_viscosity, self.points))
+        scene = self._case.scene
+        end = self._case.time.final_time
+        domain = scene.domain
+        viscosity = max(map(self.kinematic_viscosity, self.points))
         gap = domain.narrowest_gap or math.inf  # a check refuses a gap of zero
         in_gaps = self.max_speed * (max(domain.lengths) / gap**2 + scene.porous_way)
         at_corners = CORNER_PRESSURE * self._largest_jump / self.particle_spacing
@@ -215,7 +220,8 @@ class Plan:
     @cached_property
     def _largest_jump(self) -> float:
         """The largest change of the walls' velocity around the box within a spacing [m/s]."""
-        domain, dx = self._case.scene.domain, self.particle_spacing
+        domain = self._case.scene.domain
+        dx = self.particle_spacing
         edge = shapely.box(*domain.lower, *domain.upper).buffer(BEYOND * dx, join_style="mitre")
         place = shapely.get_coordinates(shapely.segmentize(edge.exterior, dx))
         of_walls = domain.distance_and_normal(place)[0] <= 0.0
@@ -277,7 +283,8 @@ class Plan:
 
     def depth(self, point: ParameterPoint) -> float:
         """Return the mean depth of fluid with a free surface at a parameter point [m]."""
-        scene, values = self._case.scene, point.factors
+        scene = self._case.scene
+        values = point.factors
         if math.isfinite(level := scene.level_at(values)):
             return level - scene.domain.lower[1]
         area = len(scene.fill(self.particle_spacing, values)) * self.particle_spacing**2
@@ -289,7 +296,8 @@ class Plan:
 
         Their rows resolve the shallowest fluid, and their box holds crests above the deepest.
         """
-        domain, depths = self._case.scene.domain, [self.depth(point) for point in self.points]
+        domain = self._case.scene.domain
+        depths = [self.depth(point) for point in self.points]
         left, bottom, right, top = (*domain.lower, *domain.upper)
         height = min((right - left) / MOST_COLUMNS, min(depths) / ROWS_OF_FLUID)
         n_rows = math.ceil(min(top - bottom, HIGHEST_CREST * max(depths)) / height)
@@ -333,7 +341,8 @@ class Plan:
 
         Raises CaseError if an expression has no value there.
         """
-        point, names = self.train_points[0], self.driving
+        point = self.train_points[0]
+        names = self.driving
 
         def at(one: str | None) -> Scene:
             drives = {name: float(name == one) for name in names}
@@ -347,9 +356,12 @@ class Plan:
 
     def is_driven(self, point: ParameterPoint) -> bool:
         """Return whether anything sets the fluid in motion in a full run at a parameter point."""
-        scene, flow, domain = self._case.scene, self.flow(point), self._case.scene.domain
+        scene = self._case.scene
+        flow = self.flow(point)
+        domain = self._case.scene.domain
         place = grid_points(domain.lower, domain.upper, (N_PLACES, N_PLACES))
-        fluid, level = place[domain.contains(place)], scene.level_at(point.factors)
+        fluid = place[domain.contains(place)]
+        level = scene.level_at(point.factors)
         if scene.has_surface and not math.isfinite(level):
             return True  # a shape falls, or moves by its own pressure
         if flow.initial_velocity(fluid).any():
@@ -380,7 +392,8 @@ class Plan:
 
     def step_limits(self, point: ParameterPoint) -> StepLimits:
         """Return the largest stable time steps at a parameter point."""
-        scene, sharpness = self.scene, self._sharpest_corner
+        scene = self.scene
+        sharpness = self._sharpest_corner
         slowing = scene.largest_resistance(self.kinematic_viscosity(point))
         return fluid.step_limits(
             self.fluid(point), self.discretization, scene.domain.has_walls, sharpness, slowing
@@ -436,7 +449,8 @@ class Plan:
 
         An automatic step is shortened: snapshots begin after the spin-up, and end with the run.
         """
-        every, step = self._case.snapshots.every, self._case.time.step
+        every = self._case.snapshots.every
+        step = self._case.time.step
         if step != "auto":
             n_spin_up_steps = round(self._case.time.spin_up / step)
             n_steps = max(1, round(self.recorded_time / step))
@@ -479,10 +493,12 @@ class Plan:
     @cached_property
     def oscillations(self) -> Oscillations:
         """The oscillating quantities, by the names of the measurements of their frequency."""
-        columns, found = self._case.scene.columns, Oscillations()
+        columns = self._case.scene.columns
+        found = Oscillations()
         for name, measure in self._case.scene.measure.items():
             if (section := measure.frequency) is not None:
-                column, begin = columns[section.of], section.from_time
+                column = columns[section.of]
+                begin = section.from_time
                 begin = self.means_from[column.measure] if begin is None else begin
                 found[name] = Oscillating(**vars(column), from_time=begin)
         return found
@@ -490,7 +506,8 @@ class Plan:
     @cached_property
     def coefficients(self) -> dict[str, float]:
         """The ratios of coefficients to forces [m/N], by the names of the measurements."""
-        density, measures = self._case.fluid.reference_density, self._case.scene.measure
+        density = self._case.fluid.reference_density
+        measures = self._case.scene.measure
         scales = ((name, each.coefficient) for name, each in measures.items())
         return {n: 2.0 / (density * c.speed**2 * c.length) for n, c in scales if c is not None}
 

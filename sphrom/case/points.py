@@ -82,7 +82,8 @@ def outside(point: ParameterPoint, trained: Iterable[ParameterPoint]) -> dict[st
     """Return the trained ranges of those parameters of a point that are outside of them."""
     points, ranges = [other.as_dict() for other in trained], {}
     for name, value in point.as_dict().items():
-        low, high = min(p[name] for p in points), max(p[name] for p in points)
+        low = min(p[name] for p in points)
+        high = max(p[name] for p in points)
         if not low <= value <= high:
             ranges[name] = exact(low) if low == high else f"{exact(low)} to {exact(high)}"
     return ranges

@@ -99,7 +99,8 @@ class LidDrivenCavityScene(SceneSection):
     def problems(self, final_time: float, fluid: Fluid) -> Iterator[tuple[str, str]]:
         """Refuse a lid that does not reach its speed before the end."""
         if self.lid_ramp >= final_time:
-            end, ramp = exact(final_time), exact(self.lid_ramp)
+            end = exact(final_time)
+            ramp = exact(self.lid_ramp)
             yield "lid_ramp", f"must end before time.final_time, {end} s; got {ramp}"
 
 
@@ -170,7 +171,8 @@ class OpenCavityScene(SceneSection):
 
     def largest_head(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
         """Return the head of the force less its mean along the channel [m2/s2]."""
-        cavity, length = self._cavity.cavity_length, self._cavity.channel_length
+        cavity = self._cavity.cavity_length
+        length = self._cavity.channel_length
         return abs(self._force(values).largest) * cavity * (1.0 - cavity / length)
 
     def stations(self, line: float) -> Array:

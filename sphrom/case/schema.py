@@ -161,7 +161,9 @@ def _allowed_branch(node: Node) -> str:
         return "one of " + ", ".join(node["enum"])
     kind = node.get("type")
     if kind == "array":
-        least, most, items = node.get("minItems", 0), node.get("maxItems"), resolve(node["items"])
+        least = node.get("minItems", 0)
+        most = node.get("maxItems")
+        items = resolve(node["items"])
         number = f"{least} to {most}" if most else f"{least} or more"
         number = f"{least}" if least == most else number
         each = "a mapping" if "properties" in items else allowed(items)
@@ -175,7 +177,8 @@ def _allowed_branch(node: Node) -> str:
         return f"text such as {node['examples'][0]}"
     if "maxLength" in node:
         return f"text of at most {node['maxLength']} characters"
-    low, high = node.get("minimum"), node.get("maximum")
+    low = node.get("minimum")
+    high = node.get("maximum")
     if (low, high) == (SMALLEST, LARGEST):
         return f"a number above zero ({_number(low)} to {_number(high)})"
     if low is None or high is None:

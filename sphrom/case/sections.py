@@ -147,7 +147,8 @@ class TimeSection(Section):
     @model_validator(mode="after")
     def _rising(self) -> TimeSection:
         if self.spin_up >= self.final_time:
-            begin, end = exact(self.spin_up), exact(self.final_time)
+            begin = exact(self.spin_up)
+            end = exact(self.final_time)
             raise ValueError(f"final_time: must be after time.spin_up, {begin} s; got {end}")
         return self
 
@@ -363,7 +364,8 @@ class ReducedModelSection(Section):
             )
         for (kind, value), keys in _ONLY_FOR.items():
             for one in keys:
-                own, usual = getattr(self, one), type(self).model_fields[one].default
+                own = getattr(self, one)
+                usual = type(self).model_fields[one].default
                 # A key that is switched off is valid for all kinds.
                 if own is not False and own != usual and getattr(self, kind) != value:
                     raise ValueError(f"{one}: is only for {kind}: {value}")
@@ -372,7 +374,8 @@ class ReducedModelSection(Section):
 
     def _check_modes(self) -> None:
         """Raise ValueError for numbers of modes that the other keys don't allow."""
-        n_modes, integrated = self.n_modes, self.integrated_modes
+        n_modes = self.n_modes
+        integrated = self.integrated_modes
         if n_modes == AUTO and not (self.from_operators and self.is_calibrated):
             reason = "auto needs evaluation: operators and a calibrated model"
             raise ValueError(f"n_modes: {reason}; give a number")

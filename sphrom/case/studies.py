@@ -72,7 +72,8 @@ def sweep_name(case: Case) -> str:
 
 def sweep_points(case: Case) -> tuple[ParameterPoint, ...]:
     """Return the points of a case's sweep, in order; empty if the case has no values for it."""
-    section, grid = case.sweep, case.sweep.grid
+    section = case.sweep
+    grid = case.sweep.grid
     points: Iterable[dict[str, float]] = section.points
     if section.sample is not None:
         points = section.sample.points
@@ -156,7 +157,8 @@ class Box:
 
     def slopes(self, place: Array) -> Array:
         """Return the derivatives (n_free,) of the free values by their coordinates."""
-        values, ends = self.values(place), self.ranges.items()
+        values = self.values(place)
+        ends = self.ranges.items()
         return np.array(
             [values[n] * math.log(h / low) if n == REYNOLDS else h - low for n, (low, h) in ends]
         )
@@ -171,7 +173,8 @@ class Region:
     """
 
     def __init__(self, case: Case) -> None:
-        self._case, ranges = case, case.training.ranges
+        self._case = case
+        ranges = case.training.ranges
         own = {REYNOLDS: case.plan.train_points[0].reynolds}
         self._box = Box(ranges, {} if REYNOLDS in ranges else own)
         self.names = tuple(dict.fromkeys((REYNOLDS, *ranges)))

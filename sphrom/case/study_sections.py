@@ -271,7 +271,8 @@ class DistributionSection(Section):
 
     def check(self, parameter: str) -> None:
         """Raise ValueError unless a parameter's values can be drawn from it."""
-        name, arguments = self.distribution, self.arguments
+        name = self.distribution
+        arguments = self.arguments
         if (problem := draws.problem(name, arguments)) is not None:
             raise ValueError(f"{parameter}: {problem}")
         low = SMALLEST if parameter == REYNOLDS else -LARGEST

@@ -103,7 +103,8 @@ def dump_yaml(value: Any) -> str:
 
 def read_yaml(text: str) -> Document:
     """Read one YAML document; its errors are in `problems`."""
-    line, document = None, Document()
+    line = None
+    document = Document()
     try:
         if (node := Loader(text).get_single_node()) is not None:
             document.value = document.convert(node, ())
@@ -160,7 +161,8 @@ class Document:
     def _mapping(self, node: yaml.MappingNode, path: Path) -> dict[str, Any]:
         values: dict[str, Any] = {}
         for key_node, value_node in node.value:
-            key, line = key_node.value, key_node.start_mark.line + 1
+            key = key_node.value
+            line = key_node.start_mark.line + 1
             if not isinstance(key_node, yaml.ScalarNode):
                 self._refuse(path, line, "a key must be text")
             elif key in values:

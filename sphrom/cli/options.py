@@ -166,7 +166,8 @@ def command(
         def run(**values: Any) -> None:
             (does or function)(Options(**{name: values.pop(name) for name in taken}), **values)
 
-        common, named = parameters_of(Options), parameters_of(function)
+        common = parameters_of(Options)
+        named = parameters_of(function)
         others = [p for n, p in named.items() if n not in ("options", "own")]
         run.__signature__ = Signature(  # type: ignore[attr-defined]
             [*(common[name] for name in ALL if name in taken), *others, *own]
@@ -202,7 +203,8 @@ def run_stage(stage: str, options: Options, **asked: object) -> Any:
         if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
             report.info("SIGINT is ignored here: stop this command with SIGTERM (`kill PID`)")
         context = stages.context_of(case, report, options.out, options.force, options.threads)
-        resume, every = options.resume, options.checkpoint_every
+        resume = options.resume
+        every = options.checkpoint_every
         context = stages.with_checkpoints(context, resume=resume, every=every)
         context = replace(context, words=options.words)
         context = stages.selected(context, stage, options.only or ())

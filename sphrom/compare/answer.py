@@ -149,9 +149,11 @@ class Answer:
         """Yield a sentence per measured force, with the errors of its components."""
         best = {(row.measured, row.quantity): row for row in self.nearest_loads}
         for name, of_name in groupby(self.loads, key=lambda row: row.measured):
-            rows, parts = list(of_name), list[str]()
+            rows = list(of_name)
+            parts = list[str]()
             for row in rows:
-                words, nearest = row.quantity.replace("_", " "), best.get((name, row.quantity))
+                words = row.quantity.replace("_", " ")
+                nearest = best.get((name, row.quantity))
                 beside = {"estimate": row.estimated}
                 if nearest is not None:
                     beside = {"nearest state": nearest.relative_l2, **beside}
@@ -271,7 +273,8 @@ def _judged(compared: Sequence[tuple[Pair, ErrorRow]]) -> list[tuple[Pair, Error
 
 def _by_preference(case: Case, tables: Tables) -> list[ReducedModelSection]:
     """Return the models that ran to their end, the recommended one first."""
-    errors, least = dict[str, float](), dict[bool, float]()
+    errors = dict[str, float]()
+    least = dict[bool, float]()
     failed = {row.compared for row in tables.errors if row.status != "complete"}
     seconds = {row.model: row.reduced_seconds for row in tables.timings}
     models = [model for model in case.rom if _compared(tables, model.name)]
@@ -283,7 +286,8 @@ def _by_preference(case: Case, tables: Tables) -> list[ReducedModelSection]:
             least[kind] = min(error, least.get(kind, math.inf))
 
     def key(model: ReducedModelSection) -> tuple[bool, bool, bool, float]:
-        kind, name = model.from_operators, model.name
+        kind = model.from_operators
+        name = model.name
         off = errors[name] > (1.0 + ALIKE) * least.get(kind, math.inf)
         return not kind, name in failed, off, seconds.get(name) or math.inf
 
@@ -310,7 +314,8 @@ def _doubts(workspace: Workspace) -> Iterator[str]:
             yield f"Warning: {inflow.problem}."
     said = {at: of["imported/doubts"] for at, of in runs.items() if of.get("imported/doubts")}
     if said:
-        (first, *more), doubts = said, next(iter(said.values())).replace("\n", "; ")
+        (first, *more) = said
+        doubts = next(iter(said.values())).replace("\n", "; ")
         also = f"; so may those at {', '.join(more)}" if more else ""
         yield f"The run at {first} was imported, and may be of another flow: {doubts}{also}."
 
@@ -327,7 +332,8 @@ def _surface_errors(tables: Tables, row: ErrorRow, best: str) -> tuple[float, fl
 
 def tell_answer(workspace: Workspace, tables: Tables) -> None:
     """Report the answer and the folders of tables and pictures, at the end of a command."""
-    report, out = workspace.context.report, workspace.out
+    report = workspace.context.report
+    out = workspace.out
     if tables == Tables():
         for sentence in _unphysical(workspace):
             report.prose(sentence)

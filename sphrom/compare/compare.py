@@ -57,7 +57,8 @@ def run(context: StageContext) -> None:
 
     Raises ArtifactError when a run is missing, or existing tables are damaged.
     """
-    workspace, case = Workspace(context), context.case
+    workspace = Workspace(context)
+    case = context.case
     if not (case.rom or case.scene.domain.has_walls or _exact_flows(case)):
         tell_answer(workspace, Tables())
         return
@@ -65,7 +66,8 @@ def run(context: StageContext) -> None:
     target = workspace.comparison()
     is_new = workspace.must_make(target)
     if is_new:
-        tables, probes = Tables(), probes_of(case)
+        tables = Tables()
+        probes = probes_of(case)
         with workspace.create(target) as artifact:
             for point in case.plan.points:
                 writer = ComparisonWriter(artifact, point, probes)
@@ -111,9 +113,15 @@ class _PointComparison:
     """The comparisons at one parameter point, in the order of the tables."""
 
     def __init__(self, workspace: Workspace, writer: ComparisonWriter, tables: Tables) -> None:
-        self.workspace, self.case, self.point = workspace, workspace.case, writer.point
-        self.probes, self.writer, self.tables = writer.probes, writer, tables
-        plan, point, probes = self.case.plan, writer.point, writer.probes
+        self.workspace = workspace
+        self.case = workspace.case
+        self.point = writer.point
+        self.probes = writer.probes
+        self.writer = writer
+        self.tables = tables
+        plan = self.case.plan
+        point = writer.point
+        probes = writer.probes
         self.models = plan.compared_at(point)
         with workspace.open(workspace.full_run(point)) as trajectory:
             require_complete(trajectory)
@@ -148,7 +156,8 @@ class _PointComparison:
 
     def _compare_limits(self) -> None:
         """Compare the mapped snapshots, and the best state in each basis."""
-        workspace, case = self.workspace, self.case
+        workspace = self.workspace
+        case = self.case
         with workspace.open(workspace.mapped(self.point)) as mapped:
             self._add(sample_mapped(case, mapped, sampler(case, self.probes.all)), "map")
             self._measure("map", measured_of_map(case, mapped))
@@ -156,7 +165,8 @@ class _PointComparison:
             last = sorted(self.models, key=lambda model: model.evaluation == "operators")
             used = {basis_used(workspace, model, self.point): model for model in last}
             for (name, size), model in sorted(used.items(), key=lambda each: each[0]):
-                best, modes = best_name(name, size), read_modes(workspace, name, size)
+                best = best_name(name, size)
+                modes = read_modes(workspace, name, size)
                 both, alone = sample_best(case, mapped, *modes, self.probes)
                 self._add(both, best, basis=name, n_modes=size)
                 self._add(alone, f"{ALONE}, {name} M={size}", basis=name, n_modes=size)
@@ -184,7 +194,9 @@ class _PointComparison:
             self._add(run.sampled(self.probes.all), name, FULL, ALL, size, status)
 
     def _compare_model(self, model: ReducedModelSection) -> None:
-        workspace, case, point = self.workspace, self.case, self.point
+        workspace = self.workspace
+        case = self.case
+        point = self.point
         target = workspace.reduced_run(model, point)
         basis, size = basis_used(workspace, model, point)
         with workspace.open(target) as trajectory:
@@ -193,14 +205,13 @@ class _PointComparison:
             reduced = self._sampled(model.name, run)
             self._describe_flow(model.name, run, reduced)
             if status == "complete":  # a run that stopped early has no estimates and no speed-up
-                about, begin = self._described(model.name, basis), case.compare.from_time
+                about = self._described(model.name, basis)
+                begin = case.compare.from_time
                 estimate = estimate_row(trajectory, reduced, self.full, self.probes, begin, **about)
                 if estimate is not None:
                     self.tables.estimates.append(estimate)
-                estimates, measured = (
-                    measured_estimates(case, trajectory),
-                    measured_of(case, trajectory),
-                )
+                estimates = measured_estimates(case, trajectory)
+                measured = measured_of(case, trajectory)
                 if case.scene.has_surface:
                     measured |= {SURFACE: {"elevation": run.elevation}}
                 self._measure(model.name, measured, basis, size, estimates)
@@ -226,7 +237,8 @@ class _PointComparison:
         n_modes: int | None = None,
         estimates: Measured | None = None,
     ) -> None:
-        since, plan = self.case.compare.from_time, self.case.plan
+        since = self.case.compare.from_time
+        plan = self.case.plan
         rows = measure_rows(
             measured,
             self.measured,
@@ -255,7 +267,8 @@ class _PointComparison:
         n_modes: int | None = None,
         status: str = "complete",
     ) -> None:
-        begin, period = self.case.compare.from_time, self.case.plan.longest_sound_period
+        begin = self.case.compare.from_time
+        period = self.case.plan.longest_sound_period
         both = samples, self.references[against]
         if (weight := self.case.plan.weight_at(self.point, self.probes.all)) is not None:
             both = without_weight(*both, weight)

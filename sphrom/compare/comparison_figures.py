@@ -105,8 +105,11 @@ class _PointFigures:
     def __init__(
         self, workspace: Workspace, tables: Tables, stored: StoredComparison, point: ParameterPoint
     ) -> None:
-        self.workspace, self.case, self.point = workspace, workspace.case, point
-        self.comparison, self.probes = stored, probes_of(self.case)
+        self.workspace = workspace
+        self.case = workspace.case
+        self.point = point
+        self.comparison = stored
+        self.probes = probes_of(self.case)
         rows = [r for r in tables.errors if (r.parameters, r.against) == (point.label, FULL)]
         status = {row.compared: row.status for row in rows}
         self.models = [model for model in self.case.rom if model.name in status]
@@ -168,7 +171,8 @@ class _PointFigures:
         complete = {m.name: self._errors[m.name] for m in self.complete}
         label = "velocity, field, over time: relative L2 [%]"
         errors = _error_panel(self.case, "velocity_field_relative_l2", label, complete)
-        frame, fields = frame_of(self.case), self._beside(fastest.name, "speed")
+        frame = frame_of(self.case)
+        fields = self._beside(fastest.name, "speed")
         flat = np.ptp(frame.extent[2:]) < FLAT * np.ptp(frame.extent[:2])
         rows = [[field] for field in fields] if flat else [fields]
         return draw_grid(rows, frame, scales=self._scales, title=self.when, beside=errors)
@@ -206,7 +210,8 @@ class _PointFigures:
                 when = f"mean over {row.from_time:.3g} s to {row.time:.3g} s"
             quantity, _, axis = row.profile.split()
             labels = f"{axis} / L [–]", f"{quantity} / {'ρ U²' if quantity == 'p' else 'U'} [–]"
-            at, expected = profile.coordinate, profile.reference_value
+            at = profile.coordinate
+            expected = profile.reference_value
             curves = [
                 Curve(f"full, {when}", at, profile.value, "full"),
                 Curve(f"{row.source}, {state}", at, expected, "reference"),
@@ -218,7 +223,9 @@ class _PointFigures:
 
     def _measured(self, name: str) -> Figure:
         """Draw a measurement over time, or along a line at the end, with a panel per component."""
-        title, x_label, x = f"{name}, {self.point.label}", "time [s]", self.time
+        title = f"{name}, {self.point.label}"
+        x_label = "time [s]"
+        x = self.time
         measure = field_measures(self.case).get(name)
         is_line = measure is not None and measure.normal is None and len(measure.position) > 1
         if measure is not None and is_line:
@@ -302,15 +309,19 @@ def draw_lines(
     Full, exact and reduced runs share panels; `quantities` are keys of LABELS. The title of a panel
     names models that became unstable earlier.
     """
-    panels, where = [], np.empty((0, 2))
+    panels = []
+    where = np.empty((0, 2))
     for models, points in rows:
         for point in points:
             where, full = comparison.samples(None, point)
             index = int(np.argmin(np.abs(full.time - time)))
-            time, y, row = float(full.time[index]), where[:, 1], []
+            time = float(full.time[index])
+            y = where[:, 1]
+            row = []
             lines = {m.name: comparison.samples(m.name, point)[1] for m in models if m is not None}
             for quantity in quantities:
-                curves, title = [], lettered(quantities, quantity, point.label)
+                curves = []
+                title = lettered(quantities, quantity, point.label)
                 if (flow := case.plan.flow(point).exact) is not None:
                     exact = exact_samples(flow, where, full.time[index : index + 1])
                     curves.append(Curve("exact", y, _along(exact, quantity)[0], "exact"))
@@ -428,7 +439,8 @@ def mode_fields(
 
 def draw_modes(workspace: Workspace, basis: str) -> Figure:
     """Draw density and velocity of the first modes that models use, with spaces side by side."""
-    number, most = max(model_sizes(workspace, basis), default=1), MOST_MODES
+    number = max(model_sizes(workspace, basis), default=1)
+    most = MOST_MODES
     if workspace.case.basis.lagrangian:
         most //= len(SPACES)
     numbers = list(range(1, number + 1))

@@ -102,17 +102,20 @@ def full_run_timer(workspace: Workspace, point: ParameterPoint, step: float) -> 
     with workspace.open(workspace.full_run(point)) as run:
         position, *fields = snapshot_fields(run, run.length("time") // 2)
     state = np.vstack((position.T, fields[0], fields[1].T))
-    model, own = particles.functional(workspace.case, point), workspace.case.plan.steps.time_step
+    model = particles.functional(workspace.case, point)
+    own = workspace.case.plan.steps.time_step
     return _steps_timer(workspace.case, model, state, own, step)
 
 
 def _steps_timer(
     case: Case, model: Model, state: Array, step: float, counted: float
 ) -> Callable[[], float]:
-    begin, n_steps = case.plan.steps.start_time, case.plan.recorded_time / counted
+    begin = case.plan.steps.start_time
+    n_steps = case.plan.recorded_time / counted
 
     def seconds() -> float:
-        now, started = model.wrapped(state), time.process_time()
+        now = model.wrapped(state)
+        started = time.process_time()
         for number in range(N_TIMED_STEPS):
             now = runge_kutta_step(model.rates, now, begin + number * step, step)
         return (time.process_time() - started) / N_TIMED_STEPS * n_steps
@@ -125,7 +128,9 @@ def run_timings(workspace: Workspace) -> Iterator[RunTiming]:
 
     Steps on particles cost the same at all points, so they are timed once per model.
     """
-    case, plan, runs = workspace.case, workspace.case.plan, []
+    case = workspace.case
+    plan = workspace.case.plan
+    runs = []
     timers: dict[object, Callable[[], float]] = {}
     fast = {m.name: fast_model(workspace, m) for m in case.rom if m.from_operators}
     for point, model in ((p, m) for p in plan.points for m in plan.compared_at(p)):
@@ -134,7 +139,8 @@ def run_timings(workspace: Workspace) -> Iterator[RunTiming]:
         with workspace.open(workspace.reduced_run(model, point)) as run:
             if run.text("status") != "complete":
                 continue
-            step, memory_length = run.number("time_step"), _number(run, "memory_length")
+            step = run.number("time_step")
+            memory_length = _number(run, "memory_length")
             n_modes = int(run.dataset("generalized_coordinates").shape[1])
         if case.scene.has_surface:  # the surface has coordinates, too
             n_modes = basis_used(workspace, model, point)[1]
@@ -157,7 +163,8 @@ def run_timings(workspace: Workspace) -> Iterator[RunTiming]:
         if full is None:
             yield RunTiming(*about, stated, least, None, *factors)
             continue
-        whole, gains = float(seconds[full].min()), (seconds[full] / seconds[own]).tolist()
+        whole = float(seconds[full].min())
+        gains = (seconds[full] / seconds[own]).tolist()
         yield RunTiming(*about, whole, least, whole / least, *factors, min(gains), max(gains))
 
 
@@ -186,7 +193,8 @@ def stage_timings(workspace: Workspace) -> Iterator[StageTiming]:
         targets |= parents
     for target in targets.values():
         with open_artifact(target.path, target.schema, made_by=target.made_by) as artifact:
-            seconds, threads = artifact.number("wall_seconds"), int(artifact.number("threads"))
+            seconds = artifact.number("wall_seconds")
+            threads = int(artifact.number("threads"))
             yield StageTiming(target.path.name, artifact.text("stage"), seconds, threads)
 
 

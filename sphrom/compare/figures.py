@@ -57,7 +57,8 @@ def _snapshot(
     with StoredRun.opened(workspace, point, model) as run:
         if not len(run.time):
             return 0.0, "\nunstable at the start", np.empty((0, 2)), {}
-        index, remark = int(np.argmin(np.abs(run.time - time))), ""
+        index = int(np.argmin(np.abs(run.time - time)))
+        remark = ""
         if not run.is_complete and time > run.time[-1]:
             remark = f"\nunstable, last at t = {run.time[-1]:.3g} s"
         velocity, pressure = run.fields(index)
@@ -70,7 +71,8 @@ def run(context: StageContext) -> None:
 
     Raises ArtifactError when a necessary run, basis or the comparison is missing.
     """
-    workspace, wanted = Workspace(context), context.case.compare.figures
+    workspace = Workspace(context)
+    wanted = context.case.compare.figures
     if not wanted:
         context.report.info("compare.figures lists no figures")
         return
@@ -104,7 +106,8 @@ def _draw(workspace: Workspace, comparison: StoredComparison, figure: FigureSect
 
 def _draw_fields(workspace: Workspace, figure: FieldFigure) -> Figure:
     """Draw fields at a time; those of unstable runs are at their last snapshot."""
-    rows, frame = rows_of(workspace.case, figure), frame_of(workspace.case)
+    rows = rows_of(workspace.case, figure)
+    frame = frame_of(workspace.case)
     points = dict.fromkeys(point for _, some in rows for point in some)
     full = {point: _snapshot(workspace, None, point, figure.time) for point in points}
     panels = []

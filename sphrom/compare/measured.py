@@ -107,7 +107,8 @@ def measured_of_best(
     workspace: Workspace, model: ReducedModelSection, point: ParameterPoint, mapped: Artifact
 ) -> Measured:
     """Measure the nearest states in the basis of a model, with the model's operators."""
-    fast, time = FastModel(workspace, model), mapped.read("time")
+    fast = FastModel(workspace, model)
+    time = mapped.read("time")
     reduced = fast.at(point)
     state = mapped.read("density_fluctuation"), mapped.read("velocity")
     coordinates = project(reduced.basis, *state)
@@ -151,7 +152,8 @@ def measure_rows(
             sizes = variations(quantity, reference, with_weight=with_weight)
             expected = estimates.get(measured, {}).get(quantity)
             estimated = {} if expected is None else shares(mean_squares(quantity, expected), sizes)
-            mine, others = parts(quantity, found), parts(quantity, reference)
+            mine = parts(quantity, found)
+            others = parts(quantity, reference)
             errors: dict[str, Pair] = dict.fromkeys(sizes, (None, None))
             if own is not full:
                 errors = {n: errors_of(n, mine[n], others[n], size) for n, size in sizes.items()}
@@ -264,7 +266,8 @@ def flow_row(
     figures = []
     for snapshot in range(len(run.time)):
         velocity, pressure = run.fields(snapshot)
-        fastest, energy = np.hypot(*velocity.T).max(), kinetic_energy(velocity, run.mass)
+        fastest = np.hypot(*velocity.T).max()
+        energy = kinetic_energy(velocity, run.mass)
         figures.append((fastest, energy, pressure.mean(), pressure.std()))
     speed, energies, mean_pressure, deviations = np.stack(figures, axis=1)
     counted = since(run.time, case.plan.settled_from)

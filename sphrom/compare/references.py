@@ -78,7 +78,8 @@ def window_of(case: Case, reference: ReferenceProfile, times: Array) -> range:
         return range(0)
     period = case.plan.longest_sound_period
     within = np.abs(times - times[nearest]) <= 0.5 * period * (1.0 + ROUNDING)
-    n_before, n_after = int(within[:nearest].sum()), int(within[nearest + 1 :].sum())
+    n_before = int(within[:nearest].sum())
+    n_after = int(within[nearest + 1 :].sum())
     n_beside = min(n_before, n_after)
     return range(nearest - n_beside, nearest + n_beside + 1)
 
@@ -103,7 +104,9 @@ def compare_with_references(
     Profiles at times without a snapshot are left out. If a steady velocity still changed, all
     steady profiles are marked as unsettled; the noise of pressures never settles.
     """
-    times, pairs, changes = trajectory.read("time"), [], [0.0]
+    times = trajectory.read("time")
+    pairs = []
+    changes = [0.0]
     for reference in profiles_of(case, point):
         if window := window_of(case, reference, times):
             row, profile = _comparison(case, point, trajectory, probes, reference, times, window)
@@ -125,7 +128,9 @@ def _comparison(
     window: range,
 ) -> tuple[ReferenceRow, Profile]:
     """Compare a reference with the mean over a window of snapshots, at points off the walls."""
-    domain, length, before = case.scene.domain, case.scene.length_scale, range(0)
+    domain = case.scene.domain
+    length = case.scene.length_scale
+    before = range(0)
     state, transient = "time average" if reference.averaged else "steady", None
     if reference.time is not None:
         state, transient = "transient", reference.time * time_scale(case)
@@ -139,7 +144,9 @@ def _comparison(
     # On the walls, a run has its boundary conditions rather than a solution.
     off_walls = domain.wall_distance(points) > ON_WALL * case.plan.particle_spacing
     compared = off_walls & domain.contains(points)
-    points, number, speed = points[compared], int(compared.sum()), case.fluid.reference_speed
+    points = points[compared]
+    number = int(compared.sum())
+    speed = case.fluid.reference_speed
     if reference.quantity == "p":  # also sample the points whose mean pressure is the datum
         centre = 0.5 * np.add(domain.lower, domain.upper)[None]
         points = np.concatenate((points, probes.grid if reference.datum == "mean" else centre))
@@ -152,7 +159,9 @@ def _comparison(
     else:
         values = samples.velocity[..., "uv".index(reference.quantity)] / speed
     now, then = (values[np.isin(chosen, part)] for part in (window, before))
-    value, scatter, several = now.mean(axis=0), now.std(axis=0), len(now) > 1
+    value = now.mean(axis=0)
+    scatter = now.std(axis=0)
+    several = len(now) > 1
     expected = reference.value[compared]
     error = value - expected
     row = ReferenceRow(

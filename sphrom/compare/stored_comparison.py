@@ -28,7 +28,8 @@ class ComparisonWriter:
 
     def __init__(self, artifact: ArtifactWriter, point: ParameterPoint, probes: Probes) -> None:
         self.point, self.probes = point, probes
-        self._artifact, self._place = artifact, point.file_label
+        self._artifact = artifact
+        self._place = point.file_label
 
     def full_run(self, samples: Samples) -> None:
         """Write the full run on the line and at the stations, and its ranges."""
@@ -41,7 +42,8 @@ class ComparisonWriter:
         """Write the errors over time and the samples of a run, unless it has no errors."""
         if not len(history.time):
             return
-        group, places = group_of(row.compared, row.against), history.places.items()
+        group = group_of(row.compared, row.against)
+        places = history.places.items()
         series = Series(
             time=history.time,
             relative_l2={f"{place}_relative_l2": errors.relative_l2 for place, errors in places},

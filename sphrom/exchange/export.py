@@ -82,7 +82,8 @@ def run(
         raise CaseError(f"--to: must be {FIELDS} or {PROBES}; got {to!r}")
     if at and to != PROBES:
         raise CaseError(f"--at: needs --to {PROBES}")
-    workspace, folder = Workspace(context), into or context.out / FOLDER
+    workspace = Workspace(context)
+    folder = into or context.out / FOLDER
     write = _write_all if to == FIELDS else partial(_write_tables, at=at or ())
     if write(workspace, folder) == 0:
         raise ArtifactError(
@@ -92,7 +93,8 @@ def run(
 
 def _runs(workspace: Workspace) -> list[Item]:
     """Return the existing runs of the case at the selected points and of the selected models."""
-    case, context = workspace.case, workspace.context
+    case = workspace.case
+    context = workspace.context
     points = () if context.models else context.chosen(case.plan.points)
     runs = [Item(workspace.full_run(point), point) for point in points]
     for model in context.chosen_models:
@@ -103,7 +105,8 @@ def _runs(workspace: Workspace) -> list[Item]:
 
 def _others(workspace: Workspace) -> list[Item]:
     """Return the other existing artifacts of the case that may have fields."""
-    case, targets = workspace.case, [workspace.basis()]
+    case = workspace.case
+    targets = [workspace.basis()]
     if case.plan.packed:
         targets.append(workspace.packing())
     for point in workspace.context.chosen(case.plan.points):
@@ -115,7 +118,8 @@ def _others(workspace: Workspace) -> list[Item]:
 
 def _write_all(workspace: Workspace, folder: Path) -> int:
     """Write the fields of all existing artifacts, and return the number of views."""
-    context, n_written = workspace.context, 0
+    context = workspace.context
+    n_written = 0
     for item in [*_runs(workspace), *([] if context.models else _others(workspace))]:
         with _opened(workspace, item) as source:
             for name, view in views(item.target.schema, source.shapes).items():
@@ -133,16 +137,16 @@ def _opened(workspace: Workspace, item: Item) -> Iterator[Source]:
 
     Raises ArtifactError when it or its basis is missing, damaged, or of another case.
     """
-    point, model = item.point, item.model
+    point = item.point
+    model = item.model
     with workspace.open(item.target) as artifact:
         shapes = {name: artifact.dataset(name).shape for name in artifact.datasets}
         computed: dict[str, Callable[[Any], Array]] = {}
         if model and point and model.from_operators and POINTS not in artifact:
-            run, sound_speed = (
-                StoredRun(workspace, artifact, point, model),
-                workspace.case.plan.sound_speed,
-            )
-            points, state = run.position(0), lru_cache(maxsize=1)(run.rebuilt)
+            run = StoredRun(workspace, artifact, point, model)
+            sound_speed = workspace.case.plan.sound_speed
+            points = run.position(0)
+            state = lru_cache(maxsize=1)(run.rebuilt)
             computed = {
                 POINTS: points.__getitem__,
                 "density_fluctuation": lambda index: state(index)[0],
@@ -253,7 +257,8 @@ def _write_tables(workspace: Workspace, folder: Path, at: Sequence[str]) -> int:
             raise ArtifactError(f"{path} exists already; --force replaces it")
         with StoredRun.opened(workspace, item.point, item.model) as run:
             samples = run.sampled(points)
-        times, n_times = np.repeat(samples.time, len(points)), len(samples.time)
+        times = np.repeat(samples.time, len(points))
+        n_times = len(samples.time)
         fields = samples.velocity.reshape(-1, 2), samples.pressure.ravel()
         values = np.column_stack((times, np.tile(points, (n_times, 1)), *fields)).tolist()
         rows = [dict(zip(HEAD, row, strict=True)) for row in values]

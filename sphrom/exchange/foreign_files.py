@@ -140,7 +140,8 @@ def read_foreign(source: Source, array: str | None = None) -> ForeignSnapshot:
 
     Raises ArtifactError when the file is missing, damaged, unknown, unsafe, or not finite.
     """
-    path, suffix = source.path, source.path.suffix.lower()
+    path = source.path
+    suffix = source.path.suffix.lower()
     if suffix not in KINDS:
         raise ArtifactError(f"{path}: can't be read; the suffix must be one of {', '.join(KINDS)}")
     with _refused(path):

@@ -174,11 +174,14 @@ def interpolated(
     base = near[nearest][1].position
     fastest = max(float(np.hypot(*snapshot.velocity).max()) for _, snapshot in near)
     length, periodic = (np.array(each)[:, None] for each in (domain.lengths, domain.periodic))
-    moved, velocity, fluctuation = np.zeros_like(base), np.zeros_like(base), np.zeros(base.shape[1])
+    moved = np.zeros_like(base)
+    velocity = np.zeros_like(base)
+    fluctuation = np.zeros(base.shape[1])
     for (node, snapshot), weight in zip(near, weights, strict=True):
         offset = snapshot.position - base
         offset -= np.where(periodic, length * np.round(offset / length), 0.0)  # the shortest way
-        farthest, seconds = float(np.hypot(*offset).max()), abs(node - nodes[nearest])
+        farthest = float(np.hypot(*offset).max())
+        seconds = abs(node - nodes[nearest])
         if farthest > FARTHEST * fastest * seconds + spacing:
             raise CaseError(
                 f"--sort-by: a particle moves by {farthest:.4g} m within {seconds:.4g} s, faster "
@@ -227,7 +230,8 @@ def run(context: StageContext, files: Sequence[Path], about: ImportOptions) -> l
     ArtifactError when a file is missing, damaged, unsafe or lacks a field, when the number of
     particles changes, or a run of another origin exists.
     """
-    workspace, case = Workspace(context), context.case
+    workspace = Workspace(context)
+    case = context.case
     points = context.chosen(case.plan.points)
     if len(points) != 1:
         labels = ", ".join(point.label for point in points)
@@ -289,12 +293,15 @@ def _write(
     origin: Mapping[str, str],
 ) -> None:
     """Write the snapshots of files as a full run at a parameter point."""
-    case, plan, about = workspace.case, workspace.case.plan, converter.about
+    case = workspace.case
+    plan = workspace.case.plan
+    about = converter.about
     attributes = {**assembly.run_attributes(case, point, plan.steps.time_step), **origin}
     crossing, last = case.scene.length_scale / plan.max_speed, len(choices) - 1
     begin = max(0, last - max(1, int(FOLLOWED * crossing / plan.steps.snapshot_interval)))
     with workspace.create(target, attributes) as artifact:
-        model, kept = particles.functional(case, point), Kept()
+        model = particles.functional(case, point)
+        kept = Kept()
         writer = TrajectoryWriter(
             artifact,
             len(choices),
@@ -343,8 +350,13 @@ def _doubts(
     runs of other schemes within their errors. Wrong walls are clearest in the change until
     snapshot `early`, a wrong viscosity in the difference at the end.
     """
-    case, plan, report = workspace.case, workspace.case.plan, workspace.context.report
-    first, (time, state), last, every = kept[0][1], kept[begin], max(kept), plan.steps.every
+    case = workspace.case
+    plan = workspace.case.plan
+    report = workspace.context.report
+    first = kept[0][1]
+    (time, state) = kept[begin]
+    last = max(kept)
+    every = plan.steps.every
     crossing, slow = case.scene.length_scale / plan.max_speed, LEAST_SPEED * plan.max_speed
 
     def apart(own: Array, theirs: Array) -> tuple[float, float]:
@@ -361,8 +373,10 @@ def _doubts(
         )
     steps = TimeSteps(plan.steps.time_step, (last - begin) * every, every, time)
     begins = np.vstack((state.position, state.density_fluctuation, state.velocity))
-    to, own = particles.map_onto(case, case.scene.domain.fill(plan.particle_spacing)), {}
-    name, density = "the case's own full model", case.fluid.reference_density
+    to = particles.map_onto(case, case.scene.domain.fill(plan.particle_spacing))
+    own = {}
+    name = "the case's own full model"
+    density = case.fluid.reference_density
     try:
         with report.progress(f"{name}, {point.label}", steps.n_steps) as advance:
             for step, full in march(model, begins, steps, density, Clock(), advance):
@@ -390,7 +404,8 @@ def _doubts(
 
 def _named(files: Sequence[Path]) -> str:
     """Return files in the form of a command line, by a pattern if it matches the same files."""
-    folder, suffix = files[0].parent, files[0].suffix
+    folder = files[0].parent
+    suffix = files[0].suffix
     pattern = re.sub(r"\d+(\D*)$", r"*\1", files[0].stem) + suffix
     if len(files) > 1 and set(folder.glob(pattern)) == set(files):
         return "*".join(map(shlex.quote, f"{folder}/{pattern}".split("*")))
@@ -419,16 +434,19 @@ def fitted_case(
     ArtifactError when a file can't be read.
     """
     sources = find_sources(files, about)
-    case, keys = load_case(source, overrides), list[str]()
+    case = load_case(source, overrides)
+    keys = list[str]()
     n_foreign = read_foreign(sources[0], about.array).n_particles
     if (resolution := _fitting_resolution(case, n_foreign)) is not None:
         keys.append(f"discretization.resolution={resolution}")
     if case.time.spin_up > 0.0:
         keys.append("time.spin_up=0")
     case = load_case(source, [*overrides, *keys])
-    plan, apart = case.plan, interval(sources)
+    plan = case.plan
+    apart = interval(sources)
     limit = case.time.courant_number / fluid.COURANT_LIMIT * plan.limits.least
-    every, n = max(1, math.ceil(apart / limit)), int(sources[-1].time / apart + TIME_TOLERANCE)
+    every = max(1, math.ceil(apart / limit))
+    n = int(sources[-1].time / apart + TIME_TOLERANCE)
     keys += [
         f"time.final_time={float(f'{apart * n:.12g}')!r}",
         f"time.step={float(f'{apart / every:.12g}')!r}",
@@ -486,7 +504,8 @@ class Converter:
         self.largest_speed = max(self.largest_speed, float(np.hypot(*velocity).max()))
         self._require_flat(foreign)
         position = self._place(foreign)[order]
-        scene, largest = self._case.plan.max_speed, self.largest_speed
+        scene = self._case.plan.max_speed
+        largest = self.largest_speed
         is_fast = largest > MOST_SPEED * scene
         fitting = self.about.fitting("velocity", scene / largest) if is_fast else ""
         if fitting or largest > self._case.plan.sound_speed:
@@ -521,7 +540,8 @@ class Converter:
         domain = self._case.scene.domain
         columns = [foreign.field(name, "--position") for name in self._position]
         position = (np.stack(columns, axis=1) - self._origin) * self._scales["length"]
-        low, high = position.min(axis=0), position.max(axis=0)
+        low = position.min(axis=0)
+        high = position.max(axis=0)
         spacing = self._case.plan.particle_spacing
         # The fourth neighbour is one spacing away in lattices, and nearly so if particles pair.
         apart = float(np.median(KDTree(position).query(position, 5)[0][:, 4]))

@@ -181,7 +181,8 @@ def run(
     """
     if measurements is None:
         raise CaseError("measurements: are missing; give the name of a CSV file")
-    workspace, case = Workspace(context), context.case
+    workspace = Workspace(context)
+    case = context.case
     model = studies.fast_section(case, case.fit.model)
     if model is None:
         raise CaseError("fit.model: no reduced model has evaluation: operators; add one to rom")
@@ -239,7 +240,8 @@ def show(report: Reporter, fit: Fit) -> None:
 def _shown(estimate: Estimate) -> tuple[str, ...]:
     unit = UNITS.get(estimate.parameter, "")
     name = f"{estimate.parameter} [{unit}]" if unit else estimate.parameter
-    values, deviation = (estimate.value, estimate.low, estimate.high), estimate.standard_deviation
+    values = (estimate.value, estimate.low, estimate.high)
+    deviation = estimate.standard_deviation
     share = 100.0 * deviation / abs(estimate.value) if estimate.value else None
     parts = (deviation, estimate.by_noise, estimate.by_model, share)
     shown = *(format_figure(v, SHOWN_DIGITS) for v in values), *(format_figure(p, 2) for p in parts)
@@ -279,15 +281,19 @@ def fit(
         still = f", or has {NO_OSCILLATION}," * bool(case.plan.oscillations)
         raise UnstableError(f"{fast.section.name} is unstable{still} at all starts of the search")
     start = first[0].place
-    samples, refined = error_samples(model, start, known), first
+    samples = error_samples(model, start, known)
+    refined = first
     if samples is not None:
         time = model.reduced(model.point(start)).output_times.time
         each = [model.at_instants(time, sample) for sample in samples]
         weights = Weights(measurements.noise, np.stack(each))
         refined = minima(model, values, weights, [m.place for m in first[:MOST_MINIMA]]) or first
-    best, likely = refined[0], nearly_as_good(refined)
-    spread, shares = uncertainty(best.derivatives, weights), undetermined_shares(likely, weights)
-    slopes, dof = box.slopes(best.place), len(values) - len(box.names)
+    best = refined[0]
+    likely = nearly_as_good(refined)
+    spread = uncertainty(best.derivatives, weights)
+    shares = undetermined_shares(likely, weights)
+    slopes = box.slopes(best.place)
+    dof = len(values) - len(box.names)
     bound = float(chi2.ppf(SURE, dof)) + weights.expected
     doubt = "interval too narrow" * (best.chi_square > bound)
     estimates = list(_estimates(model, best, spread, shares, doubt))
@@ -324,7 +330,8 @@ def fit(
 def _estimates(
     model: FittedModel, best: Minimum, spread: Uncertainty, shares: Array, doubt: str
 ) -> Iterator[Estimate]:
-    box, values = model.box, model.box.values(best.place)
+    box = model.box
+    values = model.box.values(best.place)
     slopes = box.slopes(best.place)
     for k, name in enumerate(box.names):
         at_bound = "at its bound" if best.at_bound[k] else doubt
@@ -367,7 +374,8 @@ def _histories(
 
 
 def _about_the_case(model: FittedModel, samples: Array | None) -> Iterator[str]:
-    case, box = model.fast.workspace.case, model.box
+    case = model.fast.workspace.case
+    box = model.box
     for name, (low, high) in studies.trained_ranges(case, model.fast.section).items():
         ends = box.ranges[name] if name in box.ranges else (box.fixed[name],)
         if min(ends) < low or max(ends) > high:
@@ -418,7 +426,8 @@ def _about_the_fit(fitted: Fit, by_model: float) -> Iterator[str]:
     from scipy.stats import chi2
 
     dof = fitted.degrees_of_freedom
-    ratio, bound = fitted.chi_square / dof, fitted.expected_chi_square
+    ratio = fitted.chi_square / dof
+    bound = fitted.expected_chi_square
     if (beyond := fitted.chi_square - bound) > 0.0:
         worst = max(fitted.histories, key=lambda each: each.residual)
         bad = beyond > (TRUSTED - 1.0) * by_model

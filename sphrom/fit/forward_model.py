@@ -151,10 +151,12 @@ class FittedModel:
         except UnstableError:
             return None
         measured = quantities_of(self._case, reduced, reduced.output_times.time, run.run)
-        oscillations, slopes = self._case.plan.oscillations, []
+        oscillations = self._case.plan.oscillations
+        slopes = []
         histories = self.stacked(measured | oscillations.of(run.time, measured))
         for k, name in enumerate(run.parameters):
-            changes, step = items(run.measured, k), STEP * (abs(point.as_dict()[name]) or 1.0)
+            changes = items(run.measured, k)
+            step = STEP * (abs(point.as_dict()[name]) or 1.0)
             sides = (combined(measured, changes, part * step) for part in (-0.5, 0.5))
             low, high = (oscillations.of(run.time, side) for side in sides)
             for each, figures in high.items():
@@ -199,7 +201,8 @@ class FittedSurface(FittedModel):
 
     def whole(self, place: Array) -> tuple[Array, Array, Array] | None:
         """Return the histories at all snapshots, and their derivatives by the place."""
-        found, slopes = self._histories_at(place), []
+        found = self._histories_at(place)
+        slopes = []
         for k in range(len(place)):
             ends = np.clip(place[k] + DIFFERENCE * np.array([-1.0, 1.0]), 0.0, 1.0)
             moved = (np.where(np.arange(len(place)) == k, end, place) for end in ends)
@@ -239,7 +242,8 @@ def error_samples(model: FittedModel, place: Array, known: TrainingDifferences) 
     ----------
     known : a cache of the differences in training runs, to which new ones are added.
     """
-    fast, case = model.fast, model.fast.workspace.case
+    fast = model.fast
+    case = model.fast.workspace.case
     point = model.point(place)
     name = fast.basis_at(point)
     # Places that the case does not name are sampled in the full runs.
@@ -271,13 +275,18 @@ def _differences(model: FittedModel, name: str) -> tuple[Array, Array]:
 
     They are (n_runs, n_compared, n_histories) and (n_runs, n_compared, 2) [m/s], of complete runs.
     """
-    workspace, trained = model.fast.workspace, model.fast.on_basis(name)
-    points, compared = trained.points, compared_snapshots(workspace.case.plan.steps.n_snapshots)
-    differences, sizes, oscillations = [], [], workspace.case.plan.oscillations
+    workspace = model.fast.workspace
+    trained = model.fast.on_basis(name)
+    points = trained.points
+    compared = compared_snapshots(workspace.case.plan.steps.n_snapshots)
+    differences = []
+    sizes = []
+    oscillations = workspace.case.plan.oscillations
     if (errors := trained.errors) is None or (known := errors.held_out) is None:
         return np.zeros(0), np.zeros(0)
     for row, (k, reduced, own) in enumerate(trained.held_out()):
-        change, time = items(trained.differences, row), reduced.output_times.time
+        change = items(trained.differences, row)
+        time = reduced.output_times.time
         predicted = quantities_of(workspace.case, reduced, time, own)
         full = oscillations.of(time, combined(predicted, change, 1.0))
         change = items(change | combined(full, oscillations.of(time, predicted), -1.0), compared)

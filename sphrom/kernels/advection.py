@@ -32,8 +32,19 @@ FIRST = VOLUME + 1
 
 @term
 def _transport_pairs(
-    xi: float, yi: float, a: float, b: float, c: float, x: Array, y: Array, first: Array,
-    second: Array, third: Array, volume: Array, depth: Array, nearness: float,
+    xi: float,
+    yi: float,
+    a: float,
+    b: float,
+    c: float,
+    x: Array,
+    y: Array,
+    first: Array,
+    second: Array,
+    third: Array,
+    volume: Array,
+    depth: Array,
+    nearness: float,
     inverse_length: float,
 ) -> tuple[float, float, float, float, float]:
     """Sum the pair terms of `transport`; the last two fields are the carrying velocity."""
@@ -94,9 +105,20 @@ def transport(
         for row in range(first, last):
             low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
             b = _transport_pairs(
-                xi, yi, density, u, v, source[X, low:high], source[Y, low:high],
-                source[DENSITY, low:high], source[U, low:high], source[V, low:high],
-                source[VOLUME, low:high], depth[low:high], nearness, inverse_length,
+                xi,
+                yi,
+                density,
+                u,
+                v,
+                source[X, low:high],
+                source[Y, low:high],
+                source[DENSITY, low:high],
+                source[U, low:high],
+                source[V, low:high],
+                source[VOLUME, low:high],
+                depth[low:high],
+                nearness,
+                inverse_length,
             )
             td += b[0]
             tu += b[1]
@@ -191,20 +213,64 @@ def regularity_and_gradients(
             for t in range(here.size):
                 j = here[t]
                 (
-                    lxx, lxy, lyy, gx, gy, sx, sy, dx, dy, moment, divergence, ax, ay, bx, by, cx,
+                    lxx,
+                    lxy,
+                    lyy,
+                    gx,
+                    gy,
+                    sx,
+                    sy,
+                    dx,
+                    dy,
+                    moment,
+                    divergence,
+                    ax,
+                    ay,
+                    bx,
+                    by,
+                    cx,
                     cy,
                 ) = _gradient_pairs(
-                    source[X, j] - source[X, here[0]], source[Y, j] - source[Y, here[0]],
-                    source[DENSITY, j], source[U, j], source[V, j], source[FIRST, j],
-                    source[FIRST + 1, j], source[FIRST + 2, j], near[X, :n], near[Y, :n],
-                    near[DENSITY, :n], near[U, :n], near[V, :n], near[VOLUME, :n],
-                    near[FIRST, :n], near[FIRST + 1, :n], near[FIRST + 2, :n], inverse_length,
-                    constants.amplitude, constants.inverse_kernel, constants.as_printed,
+                    source[X, j] - source[X, here[0]],
+                    source[Y, j] - source[Y, here[0]],
+                    source[DENSITY, j],
+                    source[U, j],
+                    source[V, j],
+                    source[FIRST, j],
+                    source[FIRST + 1, j],
+                    source[FIRST + 2, j],
+                    near[X, :n],
+                    near[Y, :n],
+                    near[DENSITY, :n],
+                    near[U, :n],
+                    near[V, :n],
+                    near[VOLUME, :n],
+                    near[FIRST, :n],
+                    near[FIRST + 1, :n],
+                    near[FIRST + 2, :n],
+                    inverse_length,
+                    constants.amplitude,
+                    constants.inverse_kernel,
+                    constants.as_printed,
                 )
                 i = particle[j]
                 finish_regularity(
-                    lxx, lxy, lyy, gx, gy, sx, sy, dx, dy, moment, divergence, source[DENSITY, j],
-                    walls, i, constants, out[:, i],
+                    lxx,
+                    lxy,
+                    lyy,
+                    gx,
+                    gy,
+                    sx,
+                    sy,
+                    dx,
+                    dy,
+                    moment,
+                    divergence,
+                    source[DENSITY, j],
+                    walls,
+                    i,
+                    constants,
+                    out[:, i],
                 )
                 determinant = lxx * lyy - lxy * lxy
                 slopes[i, 0, 0] = -(lyy * ax - lxy * ay) / determinant

@@ -63,8 +63,13 @@ def box_of(source: Array, targets: Indices) -> tuple[float, float, float, float]
 
 @serial
 def longest_list(
-    place: Array, targets: Indices, block_start: Indices, grid: Grid, cell_start: Indices,
-    reach: float, move_limit: float,
+    place: Array,
+    targets: Indices,
+    block_start: Indices,
+    grid: Grid,
+    cell_start: Indices,
+    reach: float,
+    move_limit: float,
 ) -> int:
     """Return a bound for the length of lists while no target has moved beyond a limit [m].
 
@@ -95,7 +100,11 @@ def copy_range(values: Array, target: Array, origin: float) -> None:
 
 @term
 def list_candidates(
-    source: Array, targets: Indices, grid: Grid, cell_start: Indices, reach: float,
+    source: Array,
+    targets: Indices,
+    grid: Grid,
+    cell_start: Indices,
+    reach: float,
     candidates: Array,
 ) -> int:
     """Copy the sources that may be within reach of a block's targets to a list; return its length.

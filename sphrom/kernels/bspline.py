@@ -77,9 +77,7 @@ def add_row(nodes: Array, factor: float, along: Four, values: Array) -> None:
     c = factor * along[2]
     d = factor * along[3]
     for k in range(n):
-        values[k] += (
-            a * nodes[k] + b * nodes[n + k] + (c * nodes[2 * n + k] + d * nodes[3 * n + k])
-        )
+        values[k] += a * nodes[k] + b * nodes[n + k] + (c * nodes[2 * n + k] + d * nodes[3 * n + k])
 
 
 @parallel

@@ -37,7 +37,8 @@ def sort_by_cell(
 
     The counting sort is stable: sources of one cell keep their order.
     """
-    n_columns, n_rows = grid.n_columns, grid.n_rows
+    n_columns = grid.n_columns
+    n_rows = grid.n_rows
     cell = np.empty(x.size, np.int64)
     cell_start = np.zeros(n_columns * n_rows + 1, np.int64)
     for k in range(x.size):
@@ -65,7 +66,13 @@ def rows_within(south: float, north: float, reach: float, grid: Grid) -> tuple[i
 
 @term
 def range_beside_box(
-    west: float, east: float, south: float, north: float, row: int, reach: float, grid: Grid,
+    west: float,
+    east: float,
+    south: float,
+    north: float,
+    row: int,
+    reach: float,
+    grid: Grid,
     cell_start: NDArray[np.int64],
 ) -> tuple[int, int]:
     """Return the range of sorted sources in a row of cells that may lie within reach of a box."""
@@ -75,7 +82,7 @@ def range_beside_box(
     first = math.floor((west - half - grid.x_origin) / grid.cell_width)
     last = math.floor((east + half - grid.x_origin) / grid.cell_width)
     base = row * grid.n_columns
-        # A position may be beyond the sources on either side.
+    # A position may be beyond the sources on either side.
     first = min(max(first, 0), grid.n_columns)
     last = min(max(last, -1), grid.n_columns - 1)
     return cell_start[base + first], cell_start[base + last + 1]

@@ -60,7 +60,8 @@ class CodeCache:
 
 def find_cache(name: str) -> CodeCache:
     """Return the cache of a name in the user's folder; warn if it is not writable."""
-    named, folder = next(filter(None, map(os.environ.get, VARIABLES)), None), None
+    named = next(filter(None, map(os.environ.get, VARIABLES)), None)
+    folder = None
     try:
         folder = (Path(named) if named else Path.home() / ".cache") / "sphrom" / name
         folder.mkdir(parents=True, exist_ok=True)

@@ -51,9 +51,19 @@ def _ends(state: Array, rates: Array, matrices: Array, out: Array) -> None:
 
 @term
 def integrate(
-    coefficients: Array, used: Indices, amplitudes: Array, stages: Array, links: Array, ends: Array,
-    n_steps: int, steps_per_snapshot: int, degree: int, largest_square: float, monomials: Array,
-    work: Array, out: Array,
+    coefficients: Array,
+    used: Indices,
+    amplitudes: Array,
+    stages: Array,
+    links: Array,
+    ends: Array,
+    n_steps: int,
+    steps_per_snapshot: int,
+    degree: int,
+    largest_square: float,
+    monomials: Array,
+    work: Array,
+    out: Array,
 ) -> int:
     """Advance a system from `out[0]`; return the number of steps before it diverged, or all.
 
@@ -76,8 +86,9 @@ def integrate(
     out : (n_snapshots, n_modes); only those before a divergence are written.
     """
     n_modes = out.shape[1]
-    points, rates = work[: 4 * n_modes].reshape(4, n_modes), work[4 * n_modes :]
-    rates, reached = rates[: 4 * n_modes].reshape(4, n_modes), rates[4 * n_modes :]
+    points = work[: 4 * n_modes].reshape(4, n_modes)
+    rates = work[4 * n_modes : 8 * n_modes].reshape(4, n_modes)
+    reached = work[8 * n_modes :]
     n_states = reached.size // n_modes
     for i in range(n_modes):
         points[0, i] = out[0, i]

@@ -18,8 +18,15 @@ from sphrom.kernels.wendland import gradient_factor, kernel
 
 @term
 def _mean_pairs(
-    xi: float, yi: float, x: Array, y: Array, density: Array, us: Array, vs: Array,
-    volume: Array, inverse_length: float,
+    xi: float,
+    yi: float,
+    x: Array,
+    y: Array,
+    density: Array,
+    us: Array,
+    vs: Array,
+    volume: Array,
+    inverse_length: float,
 ) -> tuple[float, float, float, float, float]:
     """Sum the pair terms of `ghost_means` over one range of fluid sources."""
     weights = densities = u = v = flux = 0.0
@@ -39,8 +46,13 @@ def _mean_pairs(
 
 @parallel
 def ghost_means(
-    ghost: Array, source: Array, grid: Grid, cell_start: Indices, reach: float,
-    inverse_length: float, out: Array,
+    ghost: Array,
+    source: Array,
+    grid: Grid,
+    cell_start: Indices,
+    reach: float,
+    inverse_length: float,
+    out: Array,
 ) -> None:
     """Interpolate the fluid's density fluctuation and velocity to ghosts (Eq. 2.15).
 
@@ -59,8 +71,14 @@ def ghost_means(
         for row in range(first, last):
             low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
             b = _mean_pairs(
-                xi, yi, source[X, low:high], source[Y, low:high], source[DENSITY, low:high],
-                source[U, low:high], source[V, low:high], source[VOLUME, low:high],
+                xi,
+                yi,
+                source[X, low:high],
+                source[Y, low:high],
+                source[DENSITY, low:high],
+                source[U, low:high],
+                source[V, low:high],
+                source[VOLUME, low:high],
                 inverse_length,
             )
             weights += b[0]
@@ -78,7 +96,12 @@ def ghost_means(
 
 @term
 def _head_pairs(
-    xi: float, yi: float, x: Array, y: Array, force_x: Array, force_y: Array,
+    xi: float,
+    yi: float,
+    x: Array,
+    y: Array,
+    force_x: Array,
+    force_y: Array,
     inverse_length: float,
 ) -> float:
     """Sum the pair terms of `ghost_heads` over one range of fluid sources."""
@@ -93,8 +116,15 @@ def _head_pairs(
 
 @parallel
 def ghost_heads(
-    ghost: Array, source: Array, force: Array, weights: Array, grid: Grid, cell_start: Indices,
-    reach: float, inverse_length: float, out: Array,
+    ghost: Array,
+    source: Array,
+    force: Array,
+    weights: Array,
+    grid: Grid,
+    cell_start: Indices,
+    reach: float,
+    inverse_length: float,
+    out: Array,
 ) -> None:
     """Compute the contribution of a body force to the pressure at ghosts (Eq. 2.15).
 
@@ -112,8 +142,13 @@ def ghost_heads(
         for row in range(first, last):
             low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
             total += _head_pairs(
-                xi, yi, source[X, low:high], source[Y, low:high], force[0, low:high],
-                force[1, low:high], inverse_length,
+                xi,
+                yi,
+                source[X, low:high],
+                source[Y, low:high],
+                force[0, low:high],
+                force[1, low:high],
+                inverse_length,
             )
         out[i] = total / weights[i] if weights[i] > 0.0 else 0.0
 
@@ -133,8 +168,15 @@ def _damping_pairs(
 
 @parallel
 def ghost_damping(
-    ghost: Array, source: Array, values: Array, weights: Array, grid: Grid, cell_start: Indices,
-    reach: float, inverse_length: float, out: Array,
+    ghost: Array,
+    source: Array,
+    values: Array,
+    weights: Array,
+    grid: Grid,
+    cell_start: Indices,
+    reach: float,
+    inverse_length: float,
+    out: Array,
 ) -> None:
     """Add the pressure of the fluid's damper to ghosts, interpolated as in Eq. 2.15.
 

@@ -227,9 +227,12 @@ def run_all(
     n_modes = tables.stream.shape[4]
     n_snapshots, n_all = states.shape[1:]
     for run in prange(states.shape[0]):
-        mass, work = np.empty((n_modes, n_modes)), np.empty((5, n_modes))
-        state, stage = states[run, 0].copy(), np.empty(n_all)
-        rate, total = np.empty(n_all), np.empty(n_all)
+        mass = np.empty((n_modes, n_modes))
+        work = np.empty((5, n_modes))
+        state = states[run, 0].copy()
+        stage = np.empty(n_all)
+        rate = np.empty(n_all)
+        total = np.empty(n_all)
         depth, gravity, viscosity, growth = given[run]
         dt = time_step
         for step in range((n_snapshots - 1) * n_substeps):

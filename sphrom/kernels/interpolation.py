@@ -34,7 +34,13 @@ Y_POWER = (0, 0, 1, 0, 1, 2)
 
 @term
 def _shepard_pairs(
-    xi: float, yi: float, x: Array, y: Array, first: Array, second: Array, third: Array,
+    xi: float,
+    yi: float,
+    x: Array,
+    y: Array,
+    first: Array,
+    second: Array,
+    third: Array,
     inverse_length: float,
 ) -> tuple[float, float, float, float]:
     norm = a = b = c = 0.0
@@ -75,8 +81,14 @@ def shepard(
         for row in range(first, last):
             low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
             sums = _shepard_pairs(
-                xi, yi, source[0, low:high], source[1, low:high], source[2, low:high],
-                source[3, low:high], source[4, low:high], inverse_length,
+                xi,
+                yi,
+                source[0, low:high],
+                source[1, low:high],
+                source[2, low:high],
+                source[3, low:high],
+                source[4, low:high],
+                inverse_length,
             )
             norm += sums[0]
             a += sums[1]
@@ -89,8 +101,15 @@ def shepard(
 
 @term
 def _add_moments(
-    xi: float, yi: float, x: Array, y: Array, first: Array, second: Array, third: Array,
-    inverse_length: float, sums: Array,
+    xi: float,
+    yi: float,
+    x: Array,
+    y: Array,
+    first: Array,
+    second: Array,
+    third: Array,
+    inverse_length: float,
+    sums: Array,
 ) -> None:
     """Add the moments and right-hand sides of one range of sources to `sums`."""
     m00 = m10 = m01 = m20 = m11 = m02 = m30 = m21 = m12 = m03 = 0.0
@@ -233,8 +252,15 @@ def moving_least_squares(
             for row in range(first, last):
                 low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
                 _add_moments(
-                    xi, yi, source[0, low:high], source[1, low:high], source[2, low:high],
-                    source[3, low:high], source[4, low:high], inverse_length, sums,
+                    xi,
+                    yi,
+                    source[0, low:high],
+                    source[1, low:high],
+                    source[2, low:high],
+                    source[3, low:high],
+                    source[4, low:high],
+                    inverse_length,
+                    sums,
                 )
             _value_at_origin(sums, factor, solution)
             for f in range(3):

@@ -85,8 +85,14 @@ def evaluate(
 
 @term
 def _between(
-    share: float, time_step: float, state: Array, slope: Array, ahead: Array, rate: Array,
-    snapshot: int, out: Array,
+    share: float,
+    time_step: float,
+    state: Array,
+    slope: Array,
+    ahead: Array,
+    rate: Array,
+    snapshot: int,
+    out: Array,
 ) -> None:
     """Compute a snapshot within a step, by the cubic of states and slopes at its ends."""
     rest = 1.0 - share
@@ -99,8 +105,16 @@ def _between(
 
 @term
 def integrate(
-    coefficients: Array, used: Indices, amplitudes: Array, time_step: float, n_steps: int,
-    degree: int, largest_square: float, monomials: Array, work: Array, out: Array,
+    coefficients: Array,
+    used: Indices,
+    amplitudes: Array,
+    time_step: float,
+    n_steps: int,
+    degree: int,
+    largest_square: float,
+    monomials: Array,
+    work: Array,
+    out: Array,
 ) -> int:
     """Advance a system from `out[0]`; return the number of steps before it diverged, or all.
 

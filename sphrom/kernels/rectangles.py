@@ -44,7 +44,12 @@ def _ramp(distance: float, zero: float, one: float) -> float:
 
 @term
 def shifting_change(
-    towards: float, wanted: float, across: float, distance: float, closest: float, touching: float,
+    towards: float,
+    wanted: float,
+    across: float,
+    distance: float,
+    closest: float,
+    touching: float,
     felt: float,
 ) -> float:
     """Return the change that a wall makes to a shifting velocity towards it.
@@ -58,8 +63,15 @@ def shifting_change(
 
 @parallel
 def hold_back(
-    particle: Indices, targets: Indices, target: Array, solids: Array, closest: float,
-    touching: float, felt: float, against: float, shifting: Array,
+    particle: Indices,
+    targets: Indices,
+    target: Array,
+    solids: Array,
+    closest: float,
+    touching: float,
+    felt: float,
+    against: float,
+    shifting: Array,
 ) -> None:
     """Change shifting velocities so that no particle passes through a wall.
 

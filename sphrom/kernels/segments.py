@@ -100,7 +100,12 @@ def _nearest(
 
 @parallel
 def signed_distances(
-    position: Array, segments: Array, listed: Indices, start: Indices, grid: Grid, out: Array,
+    position: Array,
+    segments: Array,
+    listed: Indices,
+    start: Indices,
+    grid: Grid,
+    out: Array,
     nearest: Indices,
 ) -> None:
     """Compute the distances of points from walls, and the normals there.
@@ -135,7 +140,12 @@ def signed_distances(
 
 @parallel
 def wall_distances(
-    targets: Indices, target: Array, segments: Array, listed: Indices, start: Indices, grid: Grid,
+    targets: Indices,
+    target: Array,
+    segments: Array,
+    listed: Indices,
+    start: Indices,
+    grid: Grid,
     out: Array,
 ) -> None:
     """Compute the distances of particles from solids, zero inside them.
@@ -155,8 +165,17 @@ def wall_distances(
 
 @parallel
 def hold_back(
-    particle: Indices, targets: Indices, target: Array, segments: Array, listed: Indices,
-    start: Indices, grid: Grid, closest: float, touching: float, felt: float, against: float,
+    particle: Indices,
+    targets: Indices,
+    target: Array,
+    segments: Array,
+    listed: Indices,
+    start: Indices,
+    grid: Grid,
+    closest: float,
+    touching: float,
+    felt: float,
+    against: float,
     shifting: Array,
 ) -> None:
     """Change shifting velocities so that no particle passes a wall; see `rectangles.hold_back`.
@@ -194,7 +213,10 @@ def hold_back(
                         shifting[0, i] * wx + shifting[1, i] * wy,
                         wanted_x * wx + wanted_y * wy,
                         against * (target[U, j] * wx + target[V, j] * wy),
-                        distance, closest, touching, felt,
+                        distance,
+                        closest,
+                        touching,
+                        felt,
                     )
                     shifting[0, i] += change * wx
                     shifting[1, i] += change * wy

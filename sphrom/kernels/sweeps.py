@@ -110,9 +110,21 @@ def shifting_push(closeness: float, amplitude: float, as_printed: float) -> floa
 
 @term
 def _regularity_pairs(
-    xi: float, yi: float, density: float, u: float, v: float, x: Array, y: Array, densities: Array,
-    us: Array, vs: Array, volume: Array, inverse_length: float, amplitude: float,
-    inverse_kernel: float, as_printed: float,
+    xi: float,
+    yi: float,
+    density: float,
+    u: float,
+    v: float,
+    x: Array,
+    y: Array,
+    densities: Array,
+    us: Array,
+    vs: Array,
+    volume: Array,
+    inverse_length: float,
+    amplitude: float,
+    inverse_kernel: float,
+    as_printed: float,
 ) -> tuple[float, float, float, float, float, float, float, float, float, float, float]:
     """Sum the pair terms of `regularity` over one range of sources."""
     lxx = lxy = lyy = gx = gy = sx = sy = dx = dy = moment = divergence = 0.0
@@ -142,9 +154,22 @@ def _regularity_pairs(
 
 @term
 def finish_regularity(
-    lxx: float, lxy: float, lyy: float, gx: float, gy: float, sx: float, sy: float, dx: float,
-    dy: float, moment: float, divergence: float, density: float, walls: Array, i: int,
-    constants: RegularityConstants, out: Array,
+    lxx: float,
+    lxy: float,
+    lyy: float,
+    gx: float,
+    gy: float,
+    sx: float,
+    sy: float,
+    dx: float,
+    dy: float,
+    moment: float,
+    divergence: float,
+    density: float,
+    walls: Array,
+    i: int,
+    constants: RegularityConstants,
+    out: Array,
 ) -> None:
     """Fill particle i's column of `regularity` from its sums and those over walls."""
     if walls.shape[1] > 0:
@@ -173,9 +198,18 @@ def finish_regularity(
 
 @parallel
 def regularity(
-    particle: Indices, targets: Indices, block_start: Indices, source: Array, grid: Grid,
-    cell_start: Indices, reach: float, inverse_length: float, scratch: Array,
-    constants: RegularityConstants, walls: Array, out: Array,
+    particle: Indices,
+    targets: Indices,
+    block_start: Indices,
+    source: Array,
+    grid: Grid,
+    cell_start: Indices,
+    reach: float,
+    inverse_length: float,
+    scratch: Array,
+    constants: RegularityConstants,
+    walls: Array,
+    out: Array,
 ) -> None:
     """Compute the shifting, and the values of particles and neighbours that the rates need.
 
@@ -202,24 +236,68 @@ def regularity(
             for t in range(here.size):
                 j = here[t]
                 lxx, lxy, lyy, gx, gy, sx, sy, dx, dy, moment, divergence = _regularity_pairs(
-                    source[X, j] - source[X, here[0]], source[Y, j] - source[Y, here[0]],
-                    source[DENSITY, j], source[U, j], source[V, j], near[X, :n], near[Y, :n],
-                    near[DENSITY, :n], near[U, :n], near[V, :n], near[VOLUME, :n], inverse_length,
-                    constants.amplitude, constants.inverse_kernel, constants.as_printed,
+                    source[X, j] - source[X, here[0]],
+                    source[Y, j] - source[Y, here[0]],
+                    source[DENSITY, j],
+                    source[U, j],
+                    source[V, j],
+                    near[X, :n],
+                    near[Y, :n],
+                    near[DENSITY, :n],
+                    near[U, :n],
+                    near[V, :n],
+                    near[VOLUME, :n],
+                    inverse_length,
+                    constants.amplitude,
+                    constants.inverse_kernel,
+                    constants.as_printed,
                 )
                 i = particle[j]
                 finish_regularity(
-                    lxx, lxy, lyy, gx, gy, sx, sy, dx, dy, moment, divergence, source[DENSITY, j],
-                    walls, i, constants, out[:, i],
+                    lxx,
+                    lxy,
+                    lyy,
+                    gx,
+                    gy,
+                    sx,
+                    sy,
+                    dx,
+                    dy,
+                    moment,
+                    divergence,
+                    source[DENSITY, j],
+                    walls,
+                    i,
+                    constants,
+                    out[:, i],
                 )
 
 
 @term
 def _rate_pairs(
-    xi: float, yi: float, density: float, u: float, v: float, pressure: float, viscous: float,
-    gradient_x: float, gradient_y: float, shift_u: float, shift_v: float, x: Array, y: Array,
-    densities: Array, us: Array, vs: Array, volume: Array, pressures: Array, viscosities: Array,
-    gradients_x: Array, gradients_y: Array, inverse_length: float, fluid: FluidConstants,
+    xi: float,
+    yi: float,
+    density: float,
+    u: float,
+    v: float,
+    pressure: float,
+    viscous: float,
+    gradient_x: float,
+    gradient_y: float,
+    shift_u: float,
+    shift_v: float,
+    x: Array,
+    y: Array,
+    densities: Array,
+    us: Array,
+    vs: Array,
+    volume: Array,
+    pressures: Array,
+    viscosities: Array,
+    gradients_x: Array,
+    gradients_y: Array,
+    inverse_length: float,
+    fluid: FluidConstants,
 ) -> tuple[float, float, float]:
     """Sum the pair terms of `rates` over one range of sources."""
     stiffness = fluid.sound_speed * fluid.sound_speed
@@ -244,11 +322,32 @@ def _rate_pairs(
 
 @term
 def _printed_pairs(
-    xi: float, yi: float, density: float, u: float, v: float, pressure: float, viscous: float,
-    gradient_x: float, gradient_y: float, own_u: float, own_v: float, x: Array, y: Array,
-    densities: Array, us: Array, vs: Array, volume: Array, pressures: Array, viscosities: Array,
-    gradients_x: Array, gradients_y: Array, shift_u: Array, shift_v: Array, inverse_length: float,
-    tiny: float, fluid: FluidConstants,
+    xi: float,
+    yi: float,
+    density: float,
+    u: float,
+    v: float,
+    pressure: float,
+    viscous: float,
+    gradient_x: float,
+    gradient_y: float,
+    own_u: float,
+    own_v: float,
+    x: Array,
+    y: Array,
+    densities: Array,
+    us: Array,
+    vs: Array,
+    volume: Array,
+    pressures: Array,
+    viscosities: Array,
+    gradients_x: Array,
+    gradients_y: Array,
+    shift_u: Array,
+    shift_v: Array,
+    inverse_length: float,
+    tiny: float,
+    fluid: FluidConstants,
 ) -> tuple[float, float, float]:
     """Sum the pair terms of `rates` over one range, with those as printed that constants select."""
     stiffness = fluid.sound_speed * fluid.sound_speed
@@ -280,9 +379,18 @@ def _printed_pairs(
 
 @parallel
 def rates(
-    particle: Indices, targets: Indices, block_start: Indices, source: Array, grid: Grid,
-    cell_start: Indices, reach: float, inverse_length: float, scratch: Array, regular: Array,
-    fluid: FluidConstants, out: Array,
+    particle: Indices,
+    targets: Indices,
+    block_start: Indices,
+    source: Array,
+    grid: Grid,
+    cell_start: Indices,
+    reach: float,
+    inverse_length: float,
+    scratch: Array,
+    regular: Array,
+    fluid: FluidConstants,
+    out: Array,
 ) -> None:
     """Compute the rates of density and velocity (Eq. 2.6-2.7 without the body force).
 
@@ -313,25 +421,63 @@ def rates(
                 spread = 0.0
                 if printed:
                     dd, du, dv = _printed_pairs(
-                        x, y, source[DENSITY, j], u, v, regular[OWN_PRESSURE, i],
-                        regular[OWN_VISCOUS, i], regular[OWN_GRADIENT_X, i],
-                        regular[OWN_GRADIENT_Y, i], shift_u, shift_v, near[X, :n], near[Y, :n],
-                        near[DENSITY, :n], near[U, :n], near[V, :n], near[VOLUME, :n],
-                        near[PRESSURE, :n], near[VISCOUS, :n], near[GRADIENT_X, :n],
-                        near[GRADIENT_Y, :n], near[SHIFT_U, :n], near[SHIFT_V, :n], inverse_length,
-                        tiny, fluid,
+                        x,
+                        y,
+                        source[DENSITY, j],
+                        u,
+                        v,
+                        regular[OWN_PRESSURE, i],
+                        regular[OWN_VISCOUS, i],
+                        regular[OWN_GRADIENT_X, i],
+                        regular[OWN_GRADIENT_Y, i],
+                        shift_u,
+                        shift_v,
+                        near[X, :n],
+                        near[Y, :n],
+                        near[DENSITY, :n],
+                        near[U, :n],
+                        near[V, :n],
+                        near[VOLUME, :n],
+                        near[PRESSURE, :n],
+                        near[VISCOUS, :n],
+                        near[GRADIENT_X, :n],
+                        near[GRADIENT_Y, :n],
+                        near[SHIFT_U, :n],
+                        near[SHIFT_V, :n],
+                        inverse_length,
+                        tiny,
+                        fluid,
                     )
-                    spread = (1.0 - fluid.advective) * 2.0 * (
-                        shift_u * regular[SUPPORT_X, i] + shift_v * regular[SUPPORT_Y, i]
+                    spread = (
+                        (1.0 - fluid.advective)
+                        * 2.0
+                        * (shift_u * regular[SUPPORT_X, i] + shift_v * regular[SUPPORT_Y, i])
                     )
                 else:
                     dd, du, dv = _rate_pairs(
-                        x, y, source[DENSITY, j], u, v, regular[OWN_PRESSURE, i],
-                        regular[OWN_VISCOUS, i], regular[OWN_GRADIENT_X, i],
-                        regular[OWN_GRADIENT_Y, i], shift_u, shift_v, near[X, :n], near[Y, :n],
-                        near[DENSITY, :n], near[U, :n], near[V, :n], near[VOLUME, :n],
-                        near[PRESSURE, :n], near[VISCOUS, :n], near[GRADIENT_X, :n],
-                        near[GRADIENT_Y, :n], inverse_length, fluid,
+                        x,
+                        y,
+                        source[DENSITY, j],
+                        u,
+                        v,
+                        regular[OWN_PRESSURE, i],
+                        regular[OWN_VISCOUS, i],
+                        regular[OWN_GRADIENT_X, i],
+                        regular[OWN_GRADIENT_Y, i],
+                        shift_u,
+                        shift_v,
+                        near[X, :n],
+                        near[Y, :n],
+                        near[DENSITY, :n],
+                        near[U, :n],
+                        near[V, :n],
+                        near[VOLUME, :n],
+                        near[PRESSURE, :n],
+                        near[VISCOUS, :n],
+                        near[GRADIENT_X, :n],
+                        near[GRADIENT_Y, :n],
+                        inverse_length,
+                        fluid,
                     )
                 full_density = fluid.reference_density + source[DENSITY, j]
                 divergence = regular[DIVERGENCE, i]

@@ -42,10 +42,23 @@ def fill_tangents(
 
 @term
 def integrate(
-    coefficients: Array, by_amplitude: Array, by_parameter: Array, used: Indices,
-    amplitudes: Array, amplitude_changes: Array, stages: Array, links: Array, ends: Array,
-    n_steps: int, steps_per_snapshot: int, degree: int, monomials: Array, changes: Array,
-    rate: Array, work: Array, out: Array,
+    coefficients: Array,
+    by_amplitude: Array,
+    by_parameter: Array,
+    used: Indices,
+    amplitudes: Array,
+    amplitude_changes: Array,
+    stages: Array,
+    links: Array,
+    ends: Array,
+    n_steps: int,
+    steps_per_snapshot: int,
+    degree: int,
+    monomials: Array,
+    changes: Array,
+    rate: Array,
+    work: Array,
+    out: Array,
 ) -> None:
     """Advance a system and its tangents from `out[:, 0]`, in steps of `kernels.exponential`.
 

@@ -52,10 +52,26 @@ N_GHOST_ROWS = RETURN + 1
 
 @term
 def _regularity_pairs(
-    xi: float, yi: float, u: float, v: float, own_volume: float, distance: float, x: Array,
-    y: Array, us: Array, vs: Array, volume: Array, depth: Array, normal_x: Array, normal_y: Array,
-    returned: Array, inverse_length: float, walls_return: float, amplitude: float,
-    inverse_kernel: float, as_printed: float,
+    xi: float,
+    yi: float,
+    u: float,
+    v: float,
+    own_volume: float,
+    distance: float,
+    x: Array,
+    y: Array,
+    us: Array,
+    vs: Array,
+    volume: Array,
+    depth: Array,
+    normal_x: Array,
+    normal_y: Array,
+    returned: Array,
+    inverse_length: float,
+    walls_return: float,
+    amplitude: float,
+    inverse_kernel: float,
+    as_printed: float,
 ) -> tuple[float, float, float, float, float, float]:
     """Sum the pair terms of `wall_regularity` over one range of ghosts."""
     sx = sy = dx = dy = moment = divergence = 0.0
@@ -83,9 +99,18 @@ def _regularity_pairs(
 
 @parallel
 def wall_regularity(
-    particle: Indices, targets: Indices, target: Array, distance: Array, source: Array, grid: Grid,
-    cell_start: Indices, reach: float, inverse_length: float, walls_return: float,
-    constants: RegularityConstants, out: Array,
+    particle: Indices,
+    targets: Indices,
+    target: Array,
+    distance: Array,
+    source: Array,
+    grid: Grid,
+    cell_start: Indices,
+    reach: float,
+    inverse_length: float,
+    walls_return: float,
+    constants: RegularityConstants,
+    out: Array,
 ) -> None:
     """Compute the sums over ghosts that `sweeps.regularity` needs.
 
@@ -108,11 +133,25 @@ def wall_regularity(
         for row in range(first, last):
             low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
             b = _regularity_pairs(
-                xi, yi, target[U, j], target[V, j], target[VOLUME, j], distance[t],
-                source[X, low:high], source[Y, low:high], source[U, low:high],
-                source[V, low:high], source[VOLUME, low:high], source[DEPTH, low:high],
-                source[NORMAL_X, low:high], source[NORMAL_Y, low:high], source[RETURN, low:high],
-                inverse_length, walls_return, constants.amplitude, constants.inverse_kernel,
+                xi,
+                yi,
+                target[U, j],
+                target[V, j],
+                target[VOLUME, j],
+                distance[t],
+                source[X, low:high],
+                source[Y, low:high],
+                source[U, low:high],
+                source[V, low:high],
+                source[VOLUME, low:high],
+                source[DEPTH, low:high],
+                source[NORMAL_X, low:high],
+                source[NORMAL_Y, low:high],
+                source[RETURN, low:high],
+                inverse_length,
+                walls_return,
+                constants.amplitude,
+                constants.inverse_kernel,
                 constants.as_printed,
             )
             sx += b[0]
@@ -132,9 +171,23 @@ def wall_regularity(
 
 @term
 def _wall_pairs(
-    xi: float, yi: float, u: float, v: float, pressure: float, viscous: float, distance: float,
-    x: Array, y: Array, us: Array, vs: Array, volumes: Array, pressures: Array, depth: Array,
-    inverse_length: float, tiny: float, fluid: FluidConstants,
+    xi: float,
+    yi: float,
+    u: float,
+    v: float,
+    pressure: float,
+    viscous: float,
+    distance: float,
+    x: Array,
+    y: Array,
+    us: Array,
+    vs: Array,
+    volumes: Array,
+    pressures: Array,
+    depth: Array,
+    inverse_length: float,
+    tiny: float,
+    fluid: FluidConstants,
 ) -> tuple[float, float]:
     """Sum the pair terms of `wall_rates` over one range of ghosts."""
     stiffness = fluid.sound_speed * fluid.sound_speed
@@ -159,8 +212,17 @@ def _wall_pairs(
 
 @parallel
 def wall_rates(
-    particle: Indices, targets: Indices, target: Array, distance: Array, source: Array, grid: Grid,
-    cell_start: Indices, reach: float, inverse_length: float, regular: Array, fluid: FluidConstants,
+    particle: Indices,
+    targets: Indices,
+    target: Array,
+    distance: Array,
+    source: Array,
+    grid: Grid,
+    cell_start: Indices,
+    reach: float,
+    inverse_length: float,
+    regular: Array,
+    fluid: FluidConstants,
     out: Array,
 ) -> None:
     """Add the contribution of ghosts to the acceleration (Eq. 2.7).
@@ -187,10 +249,23 @@ def wall_rates(
         for row in range(first, last):
             low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
             b = _wall_pairs(
-                xi, yi, target[U, j], target[V, j], regular[OWN_PRESSURE, i],
-                regular[OWN_VISCOUS, i], distance[t], source[X, low:high], source[Y, low:high],
-                source[U, low:high], source[V, low:high], source[VOLUME, low:high],
-                source[PRESSURE, low:high], source[DEPTH, low:high], inverse_length, tiny, fluid,
+                xi,
+                yi,
+                target[U, j],
+                target[V, j],
+                regular[OWN_PRESSURE, i],
+                regular[OWN_VISCOUS, i],
+                distance[t],
+                source[X, low:high],
+                source[Y, low:high],
+                source[U, low:high],
+                source[V, low:high],
+                source[VOLUME, low:high],
+                source[PRESSURE, low:high],
+                source[DEPTH, low:high],
+                inverse_length,
+                tiny,
+                fluid,
             )
             du += b[0]
             dv += b[1]
@@ -201,9 +276,23 @@ def wall_rates(
 
 @term
 def _force_pairs(
-    xg: float, yg: float, ug: float, vg: float, pressure: float, depth: float, x: Array, y: Array,
-    us: Array, vs: Array, volumes: Array, pressures: Array, viscosities: Array, distances: Array,
-    inverse_length: float, tiny: float, fluid: FluidConstants,
+    xg: float,
+    yg: float,
+    ug: float,
+    vg: float,
+    pressure: float,
+    depth: float,
+    x: Array,
+    y: Array,
+    us: Array,
+    vs: Array,
+    volumes: Array,
+    pressures: Array,
+    viscosities: Array,
+    distances: Array,
+    inverse_length: float,
+    tiny: float,
+    fluid: FluidConstants,
 ) -> tuple[float, float, float, float]:
     """Sum the pair terms of `ghost_forces` over one range of fluid sources."""
     stiffness = fluid.sound_speed * fluid.sound_speed
@@ -230,8 +319,15 @@ def _force_pairs(
 
 @parallel
 def ghost_forces(
-    ghost: Array, source: Array, distance: Array, grid: Grid, cell_start: Indices, reach: float,
-    inverse_length: float, fluid: FluidConstants, out: Array,
+    ghost: Array,
+    source: Array,
+    distance: Array,
+    grid: Grid,
+    cell_start: Indices,
+    reach: float,
+    inverse_length: float,
+    fluid: FluidConstants,
+    out: Array,
 ) -> None:
     """Compute the force of the fluid on each ghost: minus that of the ghost in `wall_rates`.
 
@@ -251,10 +347,23 @@ def ghost_forces(
         for row in range(first, last):
             low, high = range_in_row(x, y, row, reach, grid, cell_start)
             b = _force_pairs(
-                x, y, ghost[U, i], ghost[V, i], ghost[PRESSURE, i], ghost[DEPTH, i],
-                source[X, low:high], source[Y, low:high], source[U, low:high], source[V, low:high],
-                source[VOLUME, low:high], source[PRESSURE, low:high], source[VISCOUS, low:high],
-                distance[low:high], inverse_length, tiny, fluid,
+                x,
+                y,
+                ghost[U, i],
+                ghost[V, i],
+                ghost[PRESSURE, i],
+                ghost[DEPTH, i],
+                source[X, low:high],
+                source[Y, low:high],
+                source[U, low:high],
+                source[V, low:high],
+                source[VOLUME, low:high],
+                source[PRESSURE, low:high],
+                source[VISCOUS, low:high],
+                distance[low:high],
+                inverse_length,
+                tiny,
+                fluid,
             )
             px += b[0]
             py += b[1]

@@ -45,8 +45,6 @@ def laplacian_weight(square: float, inverse_length: float) -> float:
     return 1.0 - LAPLACIAN_SHAPE * square * inverse_length * inverse_length
 
 
-
-
 @parallel
 def weigh(distance: Array, inverse_length: float, values: Array, factors: Array) -> None:
     """Compute W [1/m2] and F [1/m4] (n_pairs,) at distances (n_pairs,) [m]."""

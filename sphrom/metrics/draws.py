@@ -186,12 +186,16 @@ def spread(
     interval = sampling
     mean_error = root_error = np.zeros(values.shape[1])
     if errors is not None:
-        below, above = np.sort(values - errors, axis=0), np.sort(values + errors, axis=0)
+        below = np.sort(values - errors, axis=0)
+        above = np.sort(values + errors, axis=0)
         interval = np.stack((below[low], above[high]))
-        mean_error, root_error = errors.mean(axis=0), np.sqrt(np.mean(errors**2, axis=0))
-    mean, deviation = values.mean(axis=0), values.std(axis=0)
+        mean_error = errors.mean(axis=0)
+        root_error = np.sqrt(np.mean(errors**2, axis=0))
+    mean = values.mean(axis=0)
+    deviation = values.std(axis=0)
     of_mean = Z * deviation / np.sqrt(len(values)) + mean_error
-    moment, size = np.mean((values - mean) ** 4, axis=0), 2.0 * deviation
+    moment = np.mean((values - mean) ** 4, axis=0)
+    size = 2.0 * deviation
     excess = Z * np.sqrt(np.maximum(moment - deviation**4, 0.0) / len(values))
     of_deviation = np.divide(excess, size, out=np.zeros_like(size), where=size > 0.0) + root_error
     ends = np.array([-1.0, 1.0])[:, None]
@@ -270,7 +274,8 @@ def _resampled(own: Array, other: Array, mixed: Array, counts: Array) -> tuple[A
     variance = 0.5 * weights @ (own**2 + other**2) - means**2
     variance = np.where(variance > 0.0, variance, 1.0)
     shape = (len(counts), len(mixed), own.shape[1])
-    first, total = np.empty(shape), np.empty(shape)
+    first = np.empty(shape)
+    total = np.empty(shape)
     for i, each in enumerate(mixed):
         first[:, i] = weights @ (other * (each - own)) / variance
         total[:, i] = 0.5 * weights @ (own - each) ** 2 / variance

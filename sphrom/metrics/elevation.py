@@ -46,7 +46,8 @@ class Filling:
         solid: Array | None = None,
         solid_volume: float = 0.0,
     ) -> None:
-        self._tree, self._radius = cKDTree(points), radius
+        self._tree = cKDTree(points)
+        self._radius = radius
         self._box = lower, upper, periodic
         self._left: Array | float = 1.0
         if solid is not None and len(solid):
@@ -88,8 +89,10 @@ def lowest_surface(share: Array, heights: Array) -> Array:
     the floor in a column that is dry there, and the largest height in a full column.
     """
     wet = np.pad(share > HALF, ((0, 0), (0, 1)))
-    dry, columns = wet.argmin(axis=1), np.arange(len(share))
-    above, below = np.minimum(dry, len(heights) - 1), np.maximum(dry - 1, 0)
+    dry = wet.argmin(axis=1)
+    columns = np.arange(len(share))
+    above = np.minimum(dry, len(heights) - 1)
+    below = np.maximum(dry - 1, 0)
     excess, fall = share[columns, below] - HALF, share[columns, below] - share[columns, above]
     part = np.divide(excess, fall, out=np.zeros_like(fall), where=above > below)
     return np.asarray(heights[below] + part * (heights[above] - heights[below]))

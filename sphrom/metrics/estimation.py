@@ -229,7 +229,8 @@ class Uncertainty:
 
 def uncertainty(derivatives: Array, weights: Weights) -> Uncertainty:
     """Return the uncertainty of an estimate with derivatives (n_values, n_parameters)."""
-    weighted, n_samples = weights(derivatives), len(weights.samples)
+    weighted = weights(derivatives)
+    n_samples = len(weights.samples)
     _, eigenvalues, directions = _inverse(weighted.T @ weighted)
     gain = weights.gain(derivatives)
     noise = (gain * weights.deviation**2) @ gain.T

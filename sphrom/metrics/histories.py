@@ -135,7 +135,8 @@ def compare(
     [s] is given, pressures are also compared without sound.
     """
     common = slice(min(len(run.time), len(reference.time)))
-    run, reference = run.at(common), reference.at(common)
+    run = run.at(common)
+    reference = reference.at(common)
     meaningful = since(reference.time, from_time)
     for values in (reference.speed, reference.pressure):
         meaningful &= _varies(values, probes)

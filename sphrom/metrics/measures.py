@@ -125,7 +125,8 @@ class Oscillating(Column):
 
         Its errors are included if a full run is given.
         """
-        late, signals = since(time, self.from_time), list[Array]()
+        late = since(time, self.from_time)
+        signals = list[Array]()
         for values in (run[self.quantity] for run in (own, full) if run is not None):
             one = values if self.component is None else values[..., self.component]
             signals.append(one.reshape(len(time))[late])
@@ -353,7 +354,8 @@ def without_weight(run: Samples, reference: Samples, weight: Array) -> tuple[Sam
     at rest, is subtracted from the pressures.
     """
     common = slice(min(len(run.time), len(reference.time)))
-    run, reference = run.at(common), reference.at(common)
+    run = run.at(common)
+    reference = reference.at(common)
     wet_in_run, wet_in_reference = (r.speed + np.abs(r.pressure) > 0.0 for r in (run, reference))
     wet = wet_in_run & wet_in_reference
 

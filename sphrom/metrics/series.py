@@ -120,7 +120,8 @@ def oscillation(time: Array, signal: Array) -> dict[str, float]:
             frequency = dominant_frequency(time, np.gradient(signal))
         for _ in range(MOST_CORRECTIONS):
             instants, wave, mean = demodulated(time, signal, frequency)
-            turns, size = np.unwrap(np.angle(wave)) / (2.0 * np.pi), np.abs(wave)
+            turns = np.unwrap(np.angle(wave)) / (2.0 * np.pi)
+            size = np.abs(wave)
             change = _slope(instants, turns)
             frequency = min(frequency + change, most)
             if abs(change) <= CONVERGED * frequency:
@@ -174,7 +175,8 @@ def oscillation_beside(time: Array, signal: Array, reference: Array) -> dict[str
     `frequency_error` and `amplitude_error` are relative [%]. `phase_error` is the phase by which
     the signal leads the reference at the end of the record [deg]; it accumulates over whole turns.
     """
-    figures, expected = oscillation(time, signal), oscillation(time, reference)
+    figures = oscillation(time, signal)
+    expected = oscillation(time, reference)
     for figure in OSCILLATION[:2]:
         if figure in figures and expected.get(figure):
             figures[f"{figure}_error"] = 100.0 * abs(figures[figure] / expected[figure] - 1.0)

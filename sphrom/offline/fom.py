@@ -66,7 +66,8 @@ def ensure_run(workspace: Workspace, point: ParameterPoint) -> Target:
     must not be overwritten, or can't be continued.
     """
     _ensure_spun_up(workspace, point)
-    target, shorter = workspace.full_run(point), workspace.shorter_run(point)
+    target = workspace.full_run(point)
+    shorter = workspace.shorter_run(point)
     if shorter is not None or workspace.must_make(target):
         workspace.context.report.info(described_run(workspace.case, point))
         _run_point(workspace, point, shorter)
@@ -75,7 +76,8 @@ def ensure_run(workspace: Workspace, point: ParameterPoint) -> Target:
 
 def ensure_packed(workspace: Workspace) -> None:
     """Pack the starting positions unless they are up to date."""
-    case, target = workspace.case, workspace.packing()
+    case = workspace.case
+    target = workspace.packing()
     if not case.plan.packed or workspace.reason_to_make(target) is None:
         return
     if not workspace.must_make(target):
@@ -145,7 +147,8 @@ def _spin_up(workspace: Workspace, point: ParameterPoint) -> None:
             checkpoints.progress(f"spin-up, {point.label}", n_steps) as advance,
             checkpoints.kept_if_stopped(),
         ):
-            from_step, reached = checkpoints.begin, checkpoints.reached
+            from_step = checkpoints.begin
+            reached = checkpoints.reached
             end = begin.state if from_step is None else from_step.state
             try:
                 for _, kept in march(

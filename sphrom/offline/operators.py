@@ -106,9 +106,11 @@ class _Projection:
 
     def __init__(self, workspace: Workspace, points: FixedPoints, name: str) -> None:
         self.workspace, self.points, self.name = workspace, points, name
-        self.case, self.report = workspace.case, workspace.context.report
+        self.case = workspace.case
+        self.report = workspace.context.report
         self.trained = self.case.plan.bases[name]
-        self.basis, self.splines = read_basis(workspace, name), read_splines(workspace, name)
+        self.basis = read_basis(workspace, name)
+        self.splines = read_splines(workspace, name)
         with self.report.progress(f"operators, basis {name}", points.n_points) as advance:
             self.operators = project_operators(points, self.basis, self.splines, advance=advance)
         self.compared = compared_snapshots(self.case.plan.steps.n_snapshots)
@@ -166,7 +168,8 @@ class _Projection:
 
     def _wall_forces(self) -> dict[str, WallForce]:
         """Project the measured forces, and add those recorded by training runs."""
-        case, walls = self.case, particles.driven_measured_walls(self.case)
+        case = self.case
+        walls = particles.driven_measured_walls(self.case)
         if not walls:
             return {}
         loads: dict[str, list[Array]] = {measured: [] for measured in walls}
@@ -174,9 +177,11 @@ class _Projection:
             with self.workspace.open(self.workspace.full_run(point)) as run:
                 for measured, recorded in loads.items():
                     recorded.append(read_forces(run, measured))
-        forces, ghosts = {}, particles.walls(case, case.plan.flow(self.trained[0]))
+        forces = {}
+        ghosts = particles.walls(case, case.plan.flow(self.trained[0]))
         assert ghosts is not None
-        names, position = case.scene.measured_walls, self.points.position
+        names = case.scene.measured_walls
+        position = self.points.position
         around = position, ghosts.position, case.plan.particle_spacing
         slowed = self.points.slowed_over(case.plan.kinematic_viscosity(self.trained[0]))
         tested = stokes_fields(case.scene.domain, *around, set(names.values()), *slowed)
@@ -192,15 +197,19 @@ class _Projection:
 
         Sound is averaged out of both, and the start is left out.
         """
-        case, times, averages = self.case, snapshot_times(self.case), sound_averages(self.case)
+        case = self.case
+        times = snapshot_times(self.case)
+        averages = sound_averages(self.case)
         late = times >= times[0] + LEFT_OUT * (times[-1] - times[0])
-        states, rows = training_runs(self.workspace, self.basis, self.name), []
+        states = training_runs(self.workspace, self.basis, self.name)
+        rows = []
         for name, force in forces.items():
             if force.balance is None or not force.balance.follows.any() or len(times) < 2:
                 continue
             scale, shares = force.balance.follows / [1.0, 1.0, arms[name]], []
             for k, point in enumerate(self.trained):
-                viscosity, driven = case.plan.kinematic_viscosity(point), self.points.walls_driven
+                viscosity = case.plan.kinematic_viscosity(point)
+                driven = self.points.walls_driven
                 amplitude = amplitude_of(case, point)
                 pushes = np.zeros(len(times)) if amplitude is None else amplitude(times)
                 # The change of momentum is that of the snapshots, not of a model.
@@ -227,7 +236,8 @@ class _Projection:
 
     def _measures(self) -> dict[str, TrainedMeasure]:
         """Project the measured fields, and add the measurements recorded by training runs."""
-        fields, recorded = MeasuredFields.of(self.case), []
+        fields = MeasuredFields.of(self.case)
+        recorded = []
         if fields is None:
             return {}
         for point in self.trained:
@@ -247,7 +257,8 @@ class _Projection:
 
     def _error_data(self) -> tuple[ResidualFactor | None, Estimate | None]:
         """Return the data for error estimates of models with the basis, if the case has any."""
-        plan, name = self.case.plan, self.name
+        plan = self.case.plan
+        name = self.name
         if not plan.has_error_estimate(name):
             return None, None
         # The sizes of the parameters' factors, by part.
@@ -294,7 +305,8 @@ class _Projection:
 
     def _unheld(self) -> held_out.UnheldShares:
         """Return the shares of held-out training snapshots that bases cannot represent."""
-        n_snapshots, scale = len(self.trained) * len(self.compared), self.points.density_scale
+        n_snapshots = len(self.trained) * len(self.compared)
+        scale = self.points.density_scale
 
         def read(runs: list[Artifact]) -> Iterator[tuple[slice, Array, Array]]:
             for rows in blocks(
@@ -332,10 +344,13 @@ class _Projection:
 
         They are NaN if the model is not stable.
         """
-        case, modes = self.case, np.arange(n_modes)
-        operators, runs = self.operators.of_modes(modes), runs[..., modes]
+        case = self.case
+        modes = np.arange(n_modes)
+        operators = self.operators.of_modes(modes)
+        runs = runs[..., modes]
         calibration = calibrated(case, self.trained, operators, runs)
-        basis, states = truncate(self.basis, n_modes), self.states[:, modes]
+        basis = truncate(self.basis, n_modes)
+        states = self.states[:, modes]
         found = []
         for point, own in zip(self.trained, runs, strict=True):
             around = case.plan.kinematic_viscosity(point), point.factors
@@ -360,7 +375,8 @@ class _Projection:
         for point in self.trained:
             viscosity = self.case.plan.kinematic_viscosity(point)
             polynomial = self.operators.at(viscosity, point.factors)
-            at_rest, limit = polynomial.at_rest(), step_limit(polynomial, self.states)
+            at_rest = polynomial.at_rest()
+            limit = step_limit(polynomial, self.states)
             figures = largest_growth(at_rest), spectral_radius(at_rest), limit
             rows.append((point.label, *(f"{figure:.3g}" for figure in figures)))
         self.report.table(
@@ -372,7 +388,9 @@ class _Projection:
 
     def _report_choice(self, chosen: HeldOut) -> None:
         """Report the automatic numbers of modes, and of integrated modes."""
-        plan, name, size = self.case.plan, self.name, 0
+        plan = self.case.plan
+        name = self.name
+        size = 0
         if self.name in plan.sized_bases:
             size = held_out.best_size(chosen.error)
             velocity, pressure = (format_figure(100.0 * e) for e in chosen.error[size - 1])

@@ -137,7 +137,8 @@ def _write_lagrangian(workspace: Workspace, artifact: ArtifactWriter, volume: Ar
 def _report(workspace: Workspace, name: str, basis: TrialBasis) -> None:
     """Report the shares of the first modes, and their orthonormality."""
     values = basis.singular_values[JOINT]
-    shares, energies = cumulative_singular_value_share(values), energy(values)
+    shares = cumulative_singular_value_share(values)
+    energies = energy(values)
     workspace.context.report.table(
         f"basis {name}: {basis.n_modes} modes, Gram matrix within {basis.gram_error:.1e} of one",
         ("modes", "singular value", "share (Eq. 4.3) %", "energy %"),

@@ -38,7 +38,8 @@ def map_point(workspace: Workspace, point: ParameterPoint) -> None:
 
     Raises UnstableError where a column has no fluid or more than one surface.
     """
-    case, space = workspace.case, workspace.case.plan.stream_space
+    case = workspace.case
+    space = workspace.case.plan.stream_space
     columns = case.plan.surface_columns
     find = elevation_of(case, space, columns)
     with workspace.open(workspace.full_run(point)) as trajectory:
@@ -83,7 +84,8 @@ def map_point(workspace: Workspace, point: ParameterPoint) -> None:
 
 def decompose(workspace: Workspace) -> None:
     """Write the basis of the training runs."""
-    case, target = workspace.case, workspace.basis()
+    case = workspace.case
+    target = workspace.basis()
     with workspace.create(target, medium(case)) as artifact:
         coefficients, elevations, speeds, lost = [], [], [], []
         for point in case.plan.train_points:
@@ -97,7 +99,8 @@ def decompose(workspace: Workspace) -> None:
             raise CaseError(
                 "parameters.train: all runs are at rest, so there are no modes; drive them"
             )
-        runs, noise = np.stack(coefficients), np.linalg.norm(lost) / np.linalg.norm(speeds)
+        runs = np.stack(coefficients)
+        noise = np.linalg.norm(lost) / np.linalg.norm(speeds)
         most = min(MOST_KEPT, runs.shape[2], runs.shape[0] * runs.shape[1])
         whole = make_basis(case.plan.stream_space, runs, np.stack(elevations), float(noise), most)
         artifact.annotate("timing/decomposition", time.perf_counter() - started)
@@ -127,7 +130,8 @@ def train_models(workspace: Workspace) -> None:
     """Train models of all numbers of modes that the case's models have, and write them."""
     from sphrom.reduction.graph_training import train  # it loads kernels
 
-    case, sizes = workspace.case, workspace.case.plan.surface_sizes
+    case = workspace.case
+    sizes = workspace.case.plan.surface_sizes
     basis = read_surface_basis(workspace)
     with workspace.create(workspace.operators()) as artifact:
         started = time.perf_counter()

@@ -150,7 +150,8 @@ class BasisModel:
         """
         if self.problem is not None:
             raise self.problem
-        model, step = self.projected(point), self._first_step(point)
+        model = self.projected(point)
+        step = self._first_step(point)
         leading = model.leading and replace(model.leading, first_step=step)
         return self.corrected(replace(model, first_step=step, leading=leading), point)
 
@@ -169,13 +170,15 @@ class BasisModel:
 
     def _equations(self, modes: str, point: ParameterPoint, in_training: bool) -> ReferenceModel:
         """Return the equations and the start of the rates of some modes."""
-        rates, nearest = self.trained.rates[modes], self.trained.nearest(self.place(point))
+        rates = self.trained.rates[modes]
+        nearest = self.trained.nearest(self.place(point))
         model = self.equations(modes, point, in_training)
         return replace(model, states=rates.states, linear=rates.linear_parts[nearest])
 
     def equations(self, modes: str, point: ParameterPoint, in_training: bool) -> ReferenceModel:
         """Return the same without states and linear parts, which only steps need."""
-        case, rates = self.workspace.case, self.trained.rates[modes]
+        case = self.workspace.case
+        rates = self.trained.rates[modes]
         viscosity = case.plan.kinematic_viscosity(point)
         basis = self.basis if modes == ALL_MODES else self._leading_basis
         start, mean = self._start_at(point, basis)
@@ -218,7 +221,8 @@ class BasisModel:
 
         A training run that is `held_out` is corrected by the others only.
         """
-        place, times = self.place(point), snapshot_times(self.workspace.case)
+        place = self.place(point)
+        times = snapshot_times(self.workspace.case)
         added = {
             name: TimedLoads.of(times, each.held_out(place) if held_out else each.at(place))
             for name, force in self.trained.forces.items()
@@ -232,7 +236,8 @@ class BasisModel:
     ) -> PointForce:
         """Return a measured force at a point, with loads that training runs add."""
         viscosity = self.workspace.case.plan.kinematic_viscosity(point)
-        force, closure = self.trained.forces[name], self.trained.rates[ALL_MODES].closure
+        force = self.trained.forces[name]
+        closure = self.trained.rates[ALL_MODES].closure
         projected = self._projected_force(name, point, correction)
         if not isinstance(closure, CycleClosure) or force.on_cycles is None:
             return projected
@@ -323,7 +328,8 @@ def steps_of(section: ReducedModelSection, reduced: ReferenceModel, full_steps: 
     `full_steps` is the number of the full model's steps between snapshots. Raises CaseError if
     there are too many steps for any run to finish.
     """
-    output_times, n_intervals = reduced.output_times, reduced.output_times.n_snapshots - 1
+    output_times = reduced.output_times
+    n_intervals = reduced.output_times.n_snapshots - 1
     if section.time_step == "fom":
         return reference_model.runge_kutta(reduced, full_steps * n_intervals)
     if section.time_step != "auto":

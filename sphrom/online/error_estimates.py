@@ -76,9 +76,11 @@ class SteadyErrors:
 
 def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
     """Estimate the errors of a run, write and report them, if the case has estimates."""
-    report, started = run.model.workspace.context.report, time.perf_counter()
+    report = run.model.workspace.context.report
+    started = time.perf_counter()
     model = run.model.at_point(run.point)
-    trained, fitted = model.errors, model.fitted_errors(run.point)
+    trained = model.errors
+    fitted = model.fitted_errors(run.point)
     if trained is None:
         return
     estimated = run.estimate
@@ -124,7 +126,8 @@ def estimate(run: FastRun) -> ErrorEstimate | None:
     Runs of one model share the fits to its training runs.
     """
     model = run.model.at_point(run.point)
-    trained, fitted = model.errors, model.fitted_errors(run.point)
+    trained = model.errors
+    fitted = model.fitted_errors(run.point)
     if trained is None or fitted is None:
         return None
     residual = residual_of(run, run.time, run.coordinates)
@@ -144,7 +147,8 @@ def measured_sizes(run: FastRun, errors: Mapping[str, Quantities]) -> dict[str, 
     Columns are such as `drag_force_x`, and for vectors `drag_force`. Only the times that count
     enter. The second is zero for components with only noise.
     """
-    found, plan = dict[str, Pair](), run.model.workspace.case.plan
+    found = dict[str, Pair]()
+    plan = run.model.workspace.case.plan
     for name, each in errors.items():
         counted = plan.counted(name, run.time)
         for quantity, error in each.items() if counted.any() else ():
@@ -173,7 +177,8 @@ def measured_errors(run: FastRun) -> dict[str, Quantities]:
 
     Empty if the run has no estimates.
     """
-    model, estimated = run.model.at_point(run.point), run.estimate
+    model = run.model.at_point(run.point)
+    estimated = run.estimate
     if estimated is None:
         return {}
     variance = np.array(interpolation_variance(model.places, model.place(run.point)))
@@ -196,7 +201,8 @@ def steady_errors(run: FastRun, state: Array) -> SteadyErrors | None:
     None if the run has no estimates.
     """
     model = run.model.at_point(run.point)
-    trained, fitted = model.errors, model.fitted_errors(run.point)
+    trained = model.errors
+    fitted = model.fitted_errors(run.point)
     if trained is None or fitted is None:
         return None
     residual = float(residual_of(run, run.time[-1:], state[None])[0])

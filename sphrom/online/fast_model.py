@@ -101,7 +101,8 @@ class FastModel:
 
     def _opened(self, stored: TrainedModel, name: str) -> BasisModel:
         """Return the stored model with one of its bases."""
-        case, trained = self.workspace.case, stored.bases[name]
+        case = self.workspace.case
+        trained = stored.bases[name]
         product = inner_product(case)
         basis = TrialBasis(
             **vars(stored.modes[name]),
@@ -116,7 +117,8 @@ class FastModel:
                 return read_modes(self.workspace, name, basis.n_modes)[1]
             from sphrom.offline.fit_psi import fit  # few programs need it
 
-            points, report = stored.reference_position, self.workspace.context.report
+            points = stored.reference_position
+            report = self.workspace.context.report
             return fit(case, points, basis, name, report)
 
         start = self._starts.at
@@ -238,7 +240,8 @@ class FastRun(Run):
     @cached_property
     def outside(self) -> tuple[str, ...]:
         """Warnings about a run outside the trained parameters, or longer than training runs."""
-        case, end = self.model.workspace.case, self.reduced.output_times.time[-1]
+        case = self.model.workspace.case
+        end = self.reduced.output_times.time[-1]
         trained = case.plan.steps.end_time
         warnings = [beyond_training(trained)] if end > trained * (1.0 + ROUNDING) else []
         if self.model.at_point(self.point).leaves_cycles:

@@ -49,12 +49,15 @@ def seek_steady_state(run: FastRun, artifact: ArtifactWriter) -> None:
 
     If the search fails, the state with the smallest residual is written as not converged.
     """
-    report, model = run.model.workspace.context.report, run.model.at_point(run.point)
-    polynomial, amplitude = run.reduced.polynomial, 0.0
+    report = run.model.workspace.context.report
+    model = run.model.at_point(run.point)
+    polynomial = run.reduced.polynomial
+    amplitude = 0.0
     if run.reduced.amplitude is not None:
         amplitude = float(run.reduced.amplitude(run.time)[-1])
     seek = partial(steady_state, polynomial, run.coordinates[-1], amplitude=amplitude)
-    found, seconds = seek(), min(seconds_of(seek) for _ in range(N_TIMED))
+    found = seek()
+    seconds = min(seconds_of(seek) for _ in range(N_TIMED))
     growth = largest_growth(polynomial.jacobian(found.coordinates, amplitude))
     status: Converged = "converged" if found.converged else "not converged"
     stored = Steady.of(found, status=status, largest_real_part=growth)
@@ -147,7 +150,8 @@ def _warn(
     integrator: Integrator,
 ) -> None:
     """Warn before a run that is known to be unstable or inaccurate."""
-    texts, step = list(against(workspace, section, point)), integrator.steps.time_step
+    texts = list(against(workspace, section, point))
+    step = integrator.steps.time_step
     if integrator.steps.system.integrator != EXPONENTIAL and step > reduced.step_limit:
         limit = f"the model's stability limit of {reduced.step_limit:.3g} s"
         texts.append(f"a step of {step:.3g} s is beyond {limit}")
@@ -157,7 +161,9 @@ def _warn(
 
 def _report(run: FastRun, integrator: Integrator, seconds: float) -> None:
     """Report the number of steps of a run, their length, and their computing time."""
-    report, reduced, step = run.model.workspace.context.report, run.reduced, run.time_step
+    report = run.model.workspace.context.report
+    reduced = run.reduced
+    step = run.time_step
     exponential = integrator.steps.system.integrator == EXPONENTIAL
     if run.failure is not None:
         report.warn(f"{run.name}: {run.failure}")
@@ -174,7 +180,9 @@ def _report(run: FastRun, integrator: Integrator, seconds: float) -> None:
 
 def _write(run: FastRun, artifact: ArtifactWriter) -> None:
     """Write the coordinates of a run up to a divergence, and the fields that the case requests."""
-    workspace, reduced, done = run.model.workspace, run.reduced, run.done
+    workspace = run.model.workspace
+    reduced = run.reduced
+    done = run.done
     section = run.model.at_point(run.point).section
     artifact.write("time", done.time)
     artifact.write("generalized_coordinates", done.coordinates)
@@ -201,8 +209,10 @@ def _write(run: FastRun, artifact: ArtifactWriter) -> None:
 
 def _write_fields(run: FastRun, artifact: ArtifactWriter) -> None:
     """Reconstruct and write the fields of all snapshots, one at a time."""
-    workspace, mean = run.model.workspace, run.reduced.mean_density_fluctuation
-    points, n_snapshots = read_points(workspace), len(run.time)
+    workspace = run.model.workspace
+    mean = run.reduced.mean_density_fluctuation
+    points = read_points(workspace)
+    n_snapshots = len(run.time)
     artifact.write("reference_position", points)
     densities = artifact.stream("density_fluctuation", points.shape[:1], n_snapshots)
     velocities = artifact.stream("velocity", points.shape, n_snapshots)

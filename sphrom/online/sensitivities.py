@@ -68,7 +68,8 @@ class _Sides:
 
     def mapped(self, change: Callable[[ReferenceModel], ReferenceModel | None]) -> _Sides:
         """Return the pair of models derived from these."""
-        below, above = change(self.below), change(self.above)
+        below = change(self.below)
+        above = change(self.above)
         assert below is not None
         assert above is not None
         return replace(self, below=below, above=above)
@@ -80,7 +81,9 @@ class _Sides:
     @property
     def change(self) -> Change:
         """The derivative of the equations by the parameter."""
-        low, high, width = self.below.amplitude, self.above.amplitude, self.width
+        low = self.below.amplitude
+        high = self.above.amplitude
+        width = self.width
         polynomial = self.above.polynomial.plus(self.below.polynomial, -1.0).scaled(1.0 / width)
         start = self.slope(lambda model: model.start)
         if low is None or high is None:
@@ -114,7 +117,8 @@ def tangents(
 
     Raises UnstableError if the run diverges.
     """
-    case, basis = model.workspace.case, model.basis_at(point)
+    case = model.workspace.case
+    basis = model.basis_at(point)
     sides = [_sides(model, point, name, basis) for name in names]
     if case.time.spin_up > 0.0:
         sides = [s.mapped(lambda side: _starting_as(side, reduced)) for s in sides]
@@ -154,7 +158,8 @@ def _completed(
 
 def _integrated(steps: Steps, sides: Sequence[_Sides]) -> Array:
     """Return a run and its derivatives (1 + n_parameters, n_snapshots, n_modes)."""
-    system, model = steps.system, steps.model
+    system = steps.system
+    model = steps.model
     if not isinstance(system, ExponentialModel):
         raise UnstableError("a model without training states has no exponential steps")
     changes = [side.change for side in sides]
@@ -195,7 +200,8 @@ def _forces(
     reduced: ReferenceModel, sides: Sequence[_Sides], run: Array, changes: Array, means: Array
 ) -> dict[str, Quantities]:
     """Return the derivatives of the forces and torques."""
-    times, mean = reduced.output_times.time, reduced.mean_density_fluctuation
+    times = reduced.output_times.time
+    mean = reduced.mean_density_fluctuation
     differences = []
     for side, change, of_mean in zip(sides, changes, means, strict=True):
         low, high = (

@@ -95,7 +95,8 @@ def against(
     workspace: Workspace, section: ReducedModelSection, point: ParameterPoint
 ) -> Iterator[str]:
     """Yield the objections of maps to a run of a model at a parameter point."""
-    plan, n_modes = workspace.case.plan, section.n_modes
+    plan = workspace.case.plan
+    n_modes = section.n_modes
     if not (ranges := stable_ranges(workspace)):
         return
     if n_modes == AUTO:

@@ -123,7 +123,8 @@ class SurfaceRun:
     @property
     def largest_speed(self) -> float:
         """The largest speed of all points and snapshots [m/s]."""
-        graph, space = self.reduced.graph, self.reduced.graph.basis.space
+        graph = self.reduced.graph
+        space = self.reduced.graph.basis.space
         lower, upper = (space.left, space.bottom), (space.right, space.top)
         points = grid_points(lower, upper, (space.n_rows, space.n_columns))
         speed = np.linalg.norm(graph.velocity(self.coordinates, points), axis=-1)
@@ -138,7 +139,9 @@ class SurfaceRun:
         return with_coefficients(measured, case.plan.coefficients)
 
     def _measure(self, name: str, section: MeasureSection) -> Quantities:
-        graph, state, density = self.reduced.graph, self.coordinates, self._density
+        graph = self.reduced.graph
+        state = self.coordinates
+        density = self._density
         domain = self.model.workspace.case.scene.domain
         if section.elevation is not None:
             return {"elevation": graph.elevation(state, np.array([section.elevation]))[:, 0]}
@@ -169,7 +172,8 @@ class SurfaceRun:
     @cached_property
     def outside(self) -> tuple[str, ...]:
         """Warnings of a run outside of the trained values, or longer than training runs."""
-        case, end = self.model.workspace.case, self.reduced.output_times.time[-1]
+        case = self.model.workspace.case
+        end = self.reduced.output_times.time[-1]
         trained = case.plan.steps.end_time
         found = [beyond_training(trained)] if end > trained * (1.0 + ROUNDING) else []
         beyond = extrapolation(case, self.point)
@@ -184,7 +188,8 @@ class SurfaceRun:
 def run_point(workspace: Workspace, section: ReducedModelSection, point: ParameterPoint) -> None:
     """Run a model at a parameter point, and write its artifact."""
     workspace.require(workspace.operators())
-    target, report = workspace.reduced_run(section, point), workspace.context.report
+    target = workspace.reduced_run(section, point)
+    report = workspace.context.report
     run, seconds = SurfaceModel(workspace, section).timed(point, N_TIMED)
     attributes = run_attributes(workspace.case, point, run.time_step)
     with workspace.create(target, attributes) as artifact:

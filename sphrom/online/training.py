@@ -97,14 +97,16 @@ def write_surface_model(workspace: Workspace, section: ReducedModelSection) -> N
 
 def write_model(workspace: Workspace, section: ReducedModelSection) -> None:
     """Train a model with all its bases, and write its artifact."""
-    case, started = workspace.case, time.perf_counter()
+    case = workspace.case
+    started = time.perf_counter()
     starts = stored_starts(workspace)
     start = MappedStarts(workspace, stored=starts).at
     models = {name: train(workspace, section, name, start) for name in case.plan.bases_for(section)}
     if any(model.problem is not None for model in models.values()):
         return
     with workspace.open(workspace.basis()) as artifact:
-        points, volume = artifact.read("reference_position"), artifact.read("volume")
+        points = artifact.read("reference_position")
+        volume = artifact.read("volume")
     stored = TrainedModel(
         bases={name: model.trained for name, model in models.items()},
         modes={name: model.basis for name, model in models.items()},
@@ -270,7 +272,8 @@ class _Training:
 
     def _with_linear_parts(self, trained: TrainedBasis) -> dict[str, TrainedRates]:
         """Return the rates with the linear part of each training run, a Jacobian there."""
-        bare, found = self._with(trained), {}
+        bare = self._with(trained)
+        found = {}
         for name, rates in trained.rates.items():
             models = [bare.equations(name, point, in_training=True) for point in self.points]
             parts = [each.around(rates.states).linear for each in models]
@@ -307,13 +310,16 @@ class _Training:
         self, trained: TrainedBasis, models: Sequence[ReferenceModel], coordinates: Array
     ) -> dict[str, TrainedForce]:
         """Return the forces with the corrections by their errors in training runs."""
-        model, own = self._with(trained), []
+        model = self._with(trained)
+        own = []
         for point, reduced, run in zip(self.points, models, coordinates, strict=True):
             added = model.added(point)
             forces = {name: model.force_at(name, point) for name in trained.forces}
             states = run if added is None else run + added
             own.append(forces_of(replace(reduced, forces=forces), self.times, states))
-        places, weights, found = trained.places, sound_averages(self.case), {}
+        places = trained.places
+        weights = sound_averages(self.case)
+        found = {}
         for name, force in trained.forces.items():
             _, recorded = read_wall_force(self.artifact, self.name, name, self.modes)
             defects = recorded - np.stack([each[name] for each in own])
@@ -334,7 +340,8 @@ class _Training:
         self, trained: TrainedBasis, models: Sequence[ReferenceModel], coordinates: Array
     ) -> TrainedErrors:
         """Return the data of error estimates, fitted to the errors of training runs."""
-        estimate, model = f"{self.group}/estimate", self._with(trained)
+        estimate = f"{self.group}/estimate"
+        model = self._with(trained)
         whole = read_operators(self.artifact, self.name)
         driven = {"walls_driven": whole.walls_driven}
         factor = read_record(self.artifact, ResidualFactor, f"{self.group}/residual", **driven)

@@ -304,7 +304,8 @@ def _draw_pictures(
 
     first = pictures[0][0]
     for group in groups.values():
-        fields, label = [field for _, field in group], group[0][1].label
+        fields = [field for _, field in group]
+        label = group[0][1].label
         colours, scale = colour_scale(fields, scales or {})
         alike = [f for _, f in pictures if f.label == label]
         if scales is None and any(colour_scale([f])[0] == SIGNED_MAP for f in alike):
@@ -334,11 +335,13 @@ def colour_scale(fields: Sequence[Field], scales: Mapping[str, Range] = {}) -> t
     deciding = [field for field in fields if field.complete] or fields
     finite = [field.values[np.isfinite(field.values)] for field in deciding]
     ranges = np.array([np.percentile(v, SHOWN) if len(v) else (0.0, 1.0) for v in finite])
-    low, high = float(ranges[:, 0].min()), float(ranges[:, 1].max())
+    low = float(ranges[:, 0].min())
+    high = float(ranges[:, 1].max())
     if fields[0].label in scales:
         least, most = scales[fields[0].label]
         reach = BEYOND * (most - least)
-        low, high = max(low, least - reach), min(high, most + reach)
+        low = max(low, least - reach)
+        high = min(high, most + reach)
     if fields[0].difference or low < 0.0 < high:  # scales with both signs are symmetric
         largest = max(-low, high) or 1.0
         return DIFFERENCE_MAP if fields[0].difference else SIGNED_MAP, (-largest, largest)
@@ -381,7 +384,8 @@ def _bar_below(
     )
     numbers = ScalarFormatter(useMathText=True)
     numbers.set_powerlimits((-2, 4))
-    bar.locator, bar.formatter = MaxNLocator(aspect // 6), numbers
+    bar.locator = MaxNLocator(aspect // 6)
+    bar.formatter = numbers
     bar.update_ticks()
     numbers.format_ticks(list(bar.get_ticks()))
     bar.set_label(f"{label} {numbers.get_offset()}".strip(), loc="left")  # avoids an overlap
@@ -393,7 +397,8 @@ def _look(curve: Curve, index: int) -> dict[str, Any]:
     if curve.role in LOOKS:
         later = {"color": "#777777", "linestyle": DASHES[index % len(DASHES)]}
         return later if index else LOOKS[curve.role]
-    look, n_points = line_of(index) | {"markerfacecolor": "white", "markersize": 4.2}, len(curve.x)
+    look = line_of(index) | {"markerfacecolor": "white", "markersize": 4.2}
+    n_points = len(curve.x)
     if curve.role == "reference":
         look |= {"linestyle": "none", "markevery": max(1, n_points // MOST_MARKERS)}
         return look if curve.place is not None else look | {"color": INK}

@@ -166,7 +166,8 @@ def calibrate(
     energy = 1.0 / (scale**2 * np.sqrt(coordinates.shape[1]))
     first = np.ones(len(coordinates)) if driven else energy * np.sum(coordinates**2, axis=1)
     features = np.insert(coordinates / scale, 0, first, axis=1)
-    offsets, sizes = [viscosities / mean_viscosity - 1.0], dict[str, tuple[float, float]]()
+    offsets = [viscosities / mean_viscosity - 1.0]
+    sizes = dict[str, tuple[float, float]]()
     for name in runs[0].factors:
         values = np.array([run.factors[name] for run in runs])
         sizes[name] = mean, largest = float(values.mean()), float(np.abs(values).max()) or 1.0
@@ -367,10 +368,12 @@ class CycleClosure:
         return self._damped(viscosity, factors, self._damping)
 
     def _damped(self, viscosity: float, factors: Factors, damping: float) -> Polynomial:
-        rates, pushed = self.operators.at(viscosity, factors), np.full(N_PHASES, self.amplitude)
+        rates = self.operators.at(viscosity, factors)
+        pushed = np.full(N_PHASES, self.amplitude)
         cycle, own = (self.cycle_at(viscosity, factors, fitted) for fitted in (True, False))
         of_cycle, missing = (c.rates - rates.along(c.states, pushed) for c in (cycle, own))
-        linear, mean = _slope(cycle.states, of_cycle), cycle.harmonics[0].real
+        linear = _slope(cycle.states, of_cycle)
+        mean = cycle.harmonics[0].real
         moving = _projector(cycle.harmonics[1:])
         linear -= damping * cycle.frequency * (np.eye(len(linear)) - moving)
         below = min(self._square(self._weights(viscosity, factors)), 0.0)
@@ -385,7 +388,8 @@ class CycleClosure:
         """Return the largest Floquet multiplier of trained cycles across their direction."""
         largest, used = [], self._damping if damping is None else damping
         for point in zip(self.viscosities, self.factors, strict=True):
-            cycle, growth = self.cycle_at(*point), np.eye(self.operators.n_modes)
+            cycle = self.cycle_at(*point)
+            growth = np.eye(self.operators.n_modes)
             rates = self.operators.at(*point).plus(self._damped(*point, used))
             jacobians = rates.jacobians(cycle.states, self.amplitude)
             half = math.pi / (cycle.frequency * N_PHASES) * jacobians

@@ -49,7 +49,8 @@ def spline_weights(places: Array, place: Array) -> Array:
     The interpolant is a sum of radial cubes and a linear polynomial. With one parameter it is the
     natural cubic spline, which is linear outside. Parameters: see `interpolation_weights`.
     """
-    n_points, size = len(places), float(np.ptp(places, axis=0).max()) or 1.0
+    n_points = len(places)
+    size = float(np.ptp(places, axis=0).max()) or 1.0
     points = (np.vstack((places, place)) - places.mean(axis=0)) / size
     distances = np.linalg.norm(points[:, None] - points[:-1], axis=2)
     # Points in a plane do not determine the slope across it.
@@ -109,7 +110,8 @@ def interpolation_variance(places: Array, place: Array) -> float:
     training points (n_points, n_parameters), and largest halfway between two of them.
     """
     weights, _ = interpolation_weights(places, place)
-    reach, between = _distances(places, place[None])[:, 0], _distances(places, places)
+    reach = _distances(places, place[None])[:, 0]
+    between = _distances(places, places)
     return float(2.0 * weights @ reach - weights @ between @ weights)
 
 
@@ -148,7 +150,8 @@ class Correction(Record):
         """Return the correction (n_snapshots, n_modes) at a place (n_parameters,)."""
         between = _distances(self.places, self.places)
         reach = _distances(self.places, place[None])[:, 0]
-        correction, modes = np.zeros(self.defects.shape[1:]), self.lengths > 0.0
+        correction = np.zeros(self.defects.shape[1:])
+        modes = self.lengths > 0.0
         lengths = self.lengths[modes, None]
         alike = np.exp(-between / lengths[..., None]), np.exp(-reach / lengths)[..., None]
         weights = np.linalg.solve(*alike)[..., 0]
@@ -187,7 +190,8 @@ def learn_correction(
         inverse = np.linalg.inv(np.exp(-between / length))
         errors = np.einsum("jk,ksm->jsm", inverse / np.diag(inverse)[:, None], defects)
         missed[k] = np.sum(errors**2, axis=(0, 1))
-    whole, chosen = np.sum(defects**2, axis=(0, 1)), np.zeros(defects.shape[2])
+    whole = np.sum(defects**2, axis=(0, 1))
+    chosen = np.zeros(defects.shape[2])
     for modes in groups or (np.arange(len(whole)),):
         left = missed[:, modes].sum(axis=1)
         if left.min() <= worthwhile * whole[modes].sum():

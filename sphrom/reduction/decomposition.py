@@ -64,7 +64,8 @@ def decompose(
     if mean_density is not None:
         product = product.without_mean()
     weights = product.weights(volume)
-    root, n_block = np.sqrt(weights), _points_per_block(n_snapshots, ram_limit)
+    root = np.sqrt(weights)
+    n_block = _points_per_block(n_snapshots, ram_limit)
 
     def blocks() -> Iterator[tuple[slice, Array]]:
         """Yield points and their weighted states (n_snapshots, 3 n): first field, velocity."""

@@ -165,7 +165,8 @@ def accumulated(time: Array, residual: Array, decay_rate: float | Array) -> Arra
 
     Residuals (..., n_snapshots) vary linearly between snapshots; decay rates have shape (...).
     """
-    rate, steps = np.asarray(decay_rate)[..., None], np.diff(time)
+    rate = np.asarray(decay_rate)[..., None]
+    steps = np.diff(time)
     remains = np.exp(-rate * steps)
     mean = (1.0 - remains) / (rate * steps)
     older, newer = (mean - remains) / rate, (1.0 - mean) / rate
@@ -204,8 +205,10 @@ class OutputErrors:
         variance : (...) `interpolation_variance` at the parameters of each run.
         over_fluid : (..., n_instants, 2) estimated errors of the whole field in each run.
         """
-        n_instants, n_trained = over_fluid.shape[-2], len(self.noise)
-        known, longer = np.minimum(np.arange(n_instants), n_trained - 1), np.ones(n_instants)
+        n_instants = over_fluid.shape[-2]
+        n_trained = len(self.noise)
+        known = np.minimum(np.arange(n_instants), n_trained - 1)
+        longer = np.ones(n_instants)
         if n_instants > n_trained:
             before, after = np.split(over_fluid, [n_trained], axis=-2)
             ratios = np.max(after / before.max(axis=-2, keepdims=True), axis=-1)

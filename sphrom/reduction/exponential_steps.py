@@ -98,12 +98,14 @@ def _matrices(halves: Callable[[int], Array], time_step: float, n_states: int) -
     `halves` returns the integrals at a multiple of half the time between two states.
     """
     reached = [halves(2 * k) for k in range(1, n_states + 1)]
-    half, whole = halves(n_states), reached[-1]
+    half = halves(n_states)
+    whole = reached[-1]
     to_third, to_fourth = 4.0 * half[2] / time_step, 2.0 * whole[2] / time_step
     # The weights of the start in the later stages, and those of stages in each other (Krogstad).
     second, third = [half[0], half[1]], [half[0], half[1] - to_third]
     fourth = [whole[0], whole[1] - to_fourth]
-    stages, links = np.array([second, third, fourth]), np.array([to_third, to_fourth])
+    stages = np.array([second, third, fourth])
+    links = np.array([to_third, to_fourth])
     # The weights of the start and of the three values that give a parabola, in the states.
     power, phi_1, phi_2, phi_3 = np.stack(reached, axis=1)
     phi_2, phi_3 = phi_2 / time_step, phi_3 / time_step**2
@@ -217,7 +219,8 @@ class ExponentialModel(PolynomialModel):
 
         matrices, ratio = self._method(n_steps, output_times)
         taken = ratio.n_steps(output_times.n_snapshots - 1)
-        start_time, time_step = output_times.start_time, ratio.time_step(output_times.interval)
+        start_time = output_times.start_time
+        time_step = ratio.time_step(output_times.interval)
         coefficients, used, amplitudes = self._driven(start_time, taken, time_step, amplitude)
         by_parameter = np.zeros((len(changes), *coefficients.shape))
         by_amplitude = np.zeros(coefficients.shape)

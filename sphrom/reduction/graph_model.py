@@ -114,7 +114,8 @@ class GraphModel:
     def rates(self, times: Array, coordinates: Array) -> Array:
         """Return the rates [1/s] of coordinates (n_times, n_modes + n_surface) at times [s]."""
         n_modes = len(self.basis.stream_modes)
-        tables, out = _tables(self.basis), np.empty(coordinates.shape)
+        tables = _tables(self.basis)
+        out = np.empty(coordinates.shape)
         work = self.closure_matrix, np.empty((n_modes, n_modes)), np.empty((5, n_modes))
         for own, state, (f_x, f_y) in zip(out, coordinates, self.force(times).T, strict=True):
             kernels.rates(tables, state, *self.given, f_x, f_y, *work, own)
@@ -140,10 +141,12 @@ class GraphModel:
 
         The pressure is the integral up to the surface of weight, acceleration and viscosity.
         """
-        rates, (nodes, weights) = self.rates(times, coordinates), gauss_points(N_BELOW)
+        rates = self.rates(times, coordinates)
+        (nodes, weights) = gauss_points(N_BELOW)
         degrees = np.arange(N_BELOW)
         to_series = legvander(2.0 * nodes - 1.0, N_BELOW - 1) * weights[:, None] * (2 * degrees + 1)
-        out, bottom = np.empty((len(times), len(points))), self.basis.space.bottom
+        out = np.empty((len(times), len(points)))
+        bottom = self.basis.space.bottom
         for here in np.array_split(np.argsort(points[:, 0]), 1 + out.size // BLOCK):
             x, which = np.unique(points[here, 0], return_inverse=True)
             height = self.elevation(coordinates, x) - bottom
@@ -170,7 +173,8 @@ class GraphModel:
         forces : (n_times, 2) over the density [m3/s2].
         torques : (n_times,) over the density [m4/s2].
         """
-        space, forces = self.basis.space, np.zeros((len(times), 2))
+        space = self.basis.space
+        forces = np.zeros((len(times), 2))
         if wall == "bottom":
             columns, widths = integration_columns(space)
             points = np.stack([columns, np.full(N_COLUMNS, space.bottom)], axis=-1)
@@ -192,7 +196,8 @@ class GraphModel:
 
     def _slope(self, times: Array, coordinates: Array, rates: Array, x: Array, y: Array) -> Array:
         """Return -p_y (n_times, n_places, n_heights) [m/s2] at heights y over x, both [m]."""
-        n_modes, modes = len(self.basis.stream_modes), self.basis.stream_modes
+        n_modes = len(self.basis.stream_modes)
+        modes = self.basis.stream_modes
         along = self.basis.space.along
         orders = (0, 1), (1, 0), (2, 0), (1, 1), (3, 0), (1, 2)
         p_y, p_x, p_xx, p_xy, p_xxx, p_xyy = along(modes, coordinates[:, :n_modes], x, y, *orders)
@@ -203,7 +208,8 @@ class GraphModel:
 
     def kinetic_energy(self, coordinates: Array) -> Array:
         """Return the kinetic energy (n_times,) over the density [m4/s2]."""
-        space, (nodes, weights) = self.basis.space, gauss_points(N_HEIGHTS)
+        space = self.basis.space
+        (nodes, weights) = gauss_points(N_HEIGHTS)
         columns, widths = integration_columns(space)
         modes = self.basis.stream_modes
         heights = self.elevation(coordinates, columns) - space.bottom

@@ -141,7 +141,8 @@ class _Projected:
         If a run ended early, the error of the missing part counts as twice its size.
         """
         matrices, sides, squares = self.products
-        n_done, n_modes = len(coordinates), sides.shape[1]
+        n_done = len(coordinates)
+        n_modes = sides.shape[1]
         a, b = coordinates[:, :n_modes], coordinates[:, n_modes:]
         surface = np.sum(self.cosines**2, axis=-1) + 2 * self.level**2
         elevation, velocity = 4 * surface, 4 * squares
@@ -165,7 +166,8 @@ def _train(
     rise = float(np.mean([run.elevation.mean() - bottom - run.depth for run in runs]))
 
     def fit_of(n_surface: int, rise: float) -> _Fit:
-        own, pairs = basis.reduced(n_modes, n_surface), zip(runs, products, strict=True)
+        own = basis.reduced(n_modes, n_surface)
+        pairs = zip(runs, products, strict=True)
         return _Fit([_Projected.of(own, run, product, rise) for run, product in pairs])
 
     n_most = min(n_modes, len(basis.surface_modes))
@@ -178,7 +180,8 @@ def _train(
     n_surface = len(fit.scale) - n_modes
     plain = fit_of(n_surface, 0.0)
     projections = [one.errors(one.coordinates) ** 2 for one in fit.projected]
-    calibrated, uncalibrated = fit.errors(fit.numbers), plain.errors(plain.numbers)
+    calibrated = fit.errors(fit.numbers)
+    uncalibrated = plain.errors(plain.numbers)
     projected = np.sqrt(np.mean(projections, axis=0))
     return TrainedGraph(
         n_surface=n_surface,
@@ -235,7 +238,8 @@ class _Fit:
 
     def improved(self, n_steps: int, n_free: int) -> _Fit:
         """Return the fit after steps with the leading numbers free, as long as they help."""
-        numbers, penalty = self.numbers, PENALTY
+        numbers = self.numbers
+        penalty = PENALTY
         steps = np.concatenate([np.zeros((1, len(numbers))), DIFFERENCE * np.eye(len(numbers))])
         for _ in range(n_steps):
             given = numbers + steps[: 1 + n_free]

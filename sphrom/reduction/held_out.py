@@ -73,7 +73,8 @@ def snapshot_products(
     A block is its points, the density fluctuations (n_snapshots, n) [kg/m3] and the velocities
     (n_snapshots, n, 2) [m/s]. `density_scale` times a density fluctuation is q.
     """
-    density, flow = np.zeros((n_snapshots, n_snapshots)), np.zeros((n_snapshots, n_snapshots))
+    density = np.zeros((n_snapshots, n_snapshots))
+    flow = np.zeros((n_snapshots, n_snapshots))
     sums = np.zeros(n_snapshots)
     for rows, density_fluctuation, velocity in blocks:
         weights = basis.weights[rows]
@@ -81,7 +82,8 @@ def snapshot_products(
         density += (density_fluctuation * weights) @ density_fluctuation.T
         flow += (flat * np.repeat(weights, 2)) @ flat.T
         sums += density_fluctuation @ weights
-    product, total = basis.inner_product, float(basis.weights.sum())
+    product = basis.inner_product
+    total = float(basis.weights.sum())
     without_mean = density - np.outer(sums, sums) / total
     if basis.separate_mean:
         first = product.density_scale**2 * without_mean
@@ -170,11 +172,14 @@ def unheld_shares(products: SnapshotProducts, places: Array, n_modes: int) -> Un
     n_runs = len(places)
     snapshots = np.arange(len(products.states)).reshape(n_runs, -1)
     per_run = snapshots.shape[1]
-    half, late = (per_run + 1) // 2, int(LEFT_OUT * per_run)
-    time, parameters = np.ones((n_runs, n_modes, 2)), []
+    half = (per_run + 1) // 2
+    late = int(LEFT_OUT * per_run)
+    time = np.ones((n_runs, n_modes, 2))
+    parameters = []
     for run in range(n_runs):
         if half < per_run:
-            trained, left_out = snapshots[:, :half].ravel(), snapshots[run, half:]
+            trained = snapshots[:, :half].ravel()
+            left_out = snapshots[run, half:]
             expected = np.zeros((len(products.states), len(left_out)))
             expected[snapshots[run, half - 1]] = 1.0
             time[run] = _shares(products, trained, left_out, expected, n_modes)

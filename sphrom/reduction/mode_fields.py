@@ -46,7 +46,8 @@ def mode_fields(basis: TrialBasis, points: FixedPoints) -> ModeFields:
     """Return the modes of a basis as fields."""
     product = basis.inner_product
     ratio = points.density_scale / product.density_scale
-    density, velocity = basis.density_modes, basis.velocity_modes
+    density = basis.density_modes
+    velocity = basis.velocity_modes
     if product.density_offset != 0.0:
         constant = np.full_like(density[:1], -product.density_offset)
         density = np.concatenate((density, constant))

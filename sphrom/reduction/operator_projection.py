@@ -152,7 +152,9 @@ class _Fields:
     """
 
     def __init__(self, points: FixedPoints, basis: TrialBasis, splines: ModeSplines | None) -> None:
-        self.points, self.basis, self.fields = points, basis, mode_fields(basis, points)
+        self.points = points
+        self.basis = basis
+        self.fields = mode_fields(basis, points)
         self.slopes = mode_gradients(points, self.fields, splines)
         self.diffusion = points.diffusion(self.fields.scaled_density)
         self.divergence = points.divergence(self.fields.velocity)
@@ -190,7 +192,8 @@ class _Fields:
 
         A part has a constant (2, n) and a term that is linear in the fields (2, n, n_fields).
         """
-        density, rates = self.fields.scaled_density, {}
+        density = self.fields.scaled_density
+        rates = {}
         for part, drag in self.drags.items():
             share = density[rows] / self.points.sound_speed
             rates[part] = drag[:, rows], -drag[:, rows, None] * share
@@ -211,7 +214,8 @@ class _Sums(_Fields):
 
     def __init__(self, points: FixedPoints, basis: TrialBasis, splines: ModeSplines | None) -> None:
         super().__init__(points, basis, splines)
-        m, k = self.fields.n_modes, self.fields.n_fields
+        m = self.fields.n_modes
+        k = self.fields.n_fields
         self.acoustic = np.zeros((m, k))
         self.inertia = np.zeros(m), np.zeros((m, k)), np.zeros((m, k, k))
         self.viscosity = np.zeros(m), np.zeros((m, k)), np.zeros((m, k, k))
@@ -226,7 +230,9 @@ class _Sums(_Fields):
 
     def add(self, rows: slice) -> None:
         """Add the contribution of a block of points."""
-        speed, terms, slopes = self.points.sound_speed, self.terms(rows), self.slopes(rows)
+        speed = self.points.sound_speed
+        terms = self.terms(rows)
+        slopes = self.slopes(rows)
         tests = weighted_rows(self.basis, self.fields, rows)
         continuity = tests[:, :1] - self._mean_weight[:, None, None]
         weights = np.concatenate((tests[:, :1], continuity, tests[:, 1:]), axis=1)
@@ -250,7 +256,8 @@ class _Sums(_Fields):
 
     def folded(self) -> ReducedOperators:
         """Return the operators of the modes, with the constant part folded in."""
-        n_modes, points = self.fields.n_modes, self.points
+        n_modes = self.fields.n_modes
+        points = self.points
         parts = {"inertia": self.inertia, "viscosity": self.viscosity, **self.by_part}
         folded = {part: _folded(sums, n_modes) for part, sums in parts.items()}
         fields = _fields_of(folded, points.drives, DriveRates)
@@ -260,7 +267,8 @@ class _Sums(_Fields):
 
 def _projected(weights: Array, rates: Array) -> Array:
     """Sum rates (n_rows, n, n_fields) over points, with weights (n_modes, n_rows, n)."""
-    n_modes, n_fields = len(weights), rates.shape[2]
+    n_modes = len(weights)
+    n_fields = rates.shape[2]
     return np.asarray(weights.reshape(n_modes, -1) @ rates.reshape(-1, n_fields))
 
 
@@ -270,7 +278,8 @@ def _folded(tensors: Tensors, n_modes: int) -> Tensors:
     The constant part is the last field; its coordinate is one.
     """
     constant, linear, *quadratic = tensors
-    modes, one = slice(n_modes), slice(n_modes, None)
+    modes = slice(n_modes)
+    one = slice(n_modes, None)
     constant = constant + linear[:, one].sum(axis=1)
     linear = linear[:, modes].copy()
     for product in quadratic:
@@ -310,7 +319,8 @@ class _Residuals(_Fields):
 
     def columns(self, rows: slice) -> Array:
         """Return the columns (3 n, n_columns) at some points."""
-        tensors, packed = self._by_part(rows), []
+        tensors = self._by_part(rows)
+        packed = []
         for part in self.parts:
             flat = tuple(tensor.reshape(-1, *tensor.shape[2:]) for tensor in tensors[part])
             packed.append(pack(_folded(flat, self.fields.n_modes)))
@@ -324,7 +334,9 @@ class _Residuals(_Fields):
 
     def _by_part(self, rows: slice) -> dict[str, Tensors]:
         """Return the rates of the columns at some points, by part and degree, as (3, n, ...)."""
-        points, terms, slopes = self.points, self.terms(rows), self.slopes(rows)
+        points = self.points
+        terms = self.terms(rows)
+        slopes = self.slopes(rows)
         constant = np.zeros((3, *terms.divergence.shape[:1]))
         sound, friction = np.zeros((2, 3, *terms.divergence.shape))
         sound[0] = self.diffusion[rows] - points.sound_speed * terms.divergence - self._means[0]
@@ -377,7 +389,8 @@ def project_forces(
 
     def terms(of_fields: Array, of_mean: Array) -> Array:
         """Return loads (3, n_terms) of the constant part, of a uniform density, of the modes."""
-        of_columns, n = wall.loads(of_fields), fields.n_modes
+        of_columns = wall.loads(of_fields)
+        n = fields.n_modes
         constant = of_columns[:, n:].sum(axis=1, keepdims=True)
         return np.hstack((constant, wall.loads(of_mean), of_columns[:, :n]))
 
@@ -427,9 +440,12 @@ def _balance(
     push: Array | None,
 ) -> MomentumBalance:
     """Project the terms of the balance of momentum, tested with Stokes flows."""
-    fields, n = mode_fields(basis, points), basis.n_modes
+    fields = mode_fields(basis, points)
+    n = basis.n_modes
     gradients_of = mode_gradients(points, fields, splines)
-    momentum, strain, advection = np.zeros((3, n)), np.zeros((3, n)), np.zeros((3, n, n))
+    momentum = np.zeros((3, n))
+    strain = np.zeros((3, n))
+    advection = np.zeros((3, n, n))
     for rows in blocks(points.n_points, BLOCK_VALUES // (6 * n)):
         velocity, gradient = fields.velocity[:, rows, :n], gradients_of(rows)[1:, ..., :n]
         value, slope = tested.value[:, rows], tested.gradient[:, rows]
@@ -446,7 +462,8 @@ def _balance(
         slowed = np.einsum("lnd,n,dnk->lk", tested.value, rate, fields.velocity[..., :n])
         return np.asarray(mass * slowed)
 
-    slowed, viscous = slowing(points.slowing_rate), slowing(points.inverse_permeability)
+    slowed = slowing(points.slowing_rate)
+    viscous = slowing(points.inverse_permeability)
     return MomentumBalance(
         follows=tested.follows.astype(np.int64),
         momentum=mass * momentum,
@@ -474,7 +491,8 @@ class _States:
 
     def only(self, k: int) -> _States:
         """Return one of the states."""
-        one, t = (..., slice(k, k + 1)), self.terms
+        one = (..., slice(k, k + 1))
+        t = self.terms
         slowing = None if t.slowing is None else t.slowing[one]
         terms = Terms(
             t.divergence[one], t.pressure_gradient[one], t.laplacian[one], slowing=slowing
@@ -512,8 +530,11 @@ class _Rates:
 
     def linear(self, states: _States, power: int) -> Array:
         """Return L applied to states (3, n_points, n_states) [m/s2]."""
-        points, terms, speed = self.points, states.terms, self.points.sound_speed
-        share, out = states.scaled_density / speed, np.zeros_like(states.slopes[:, 0])
+        points = self.points
+        terms = states.terms
+        speed = self.points.sound_speed
+        share = states.scaled_density / speed
+        out = np.zeros_like(states.slopes[:, 0])
         if power == 0:
             out[0] = points.diffusion(states.scaled_density) - speed * terms.divergence
             out[0] = self._kept(out[0])
@@ -533,7 +554,9 @@ class _Rates:
 
     def _products(self, carrier: _States, carried: _States) -> Array:
         """Return B of a carrier, which advects and is compressed, and of the carried states."""
-        (u, v), q, terms = carrier.velocity, carrier.scaled_density, carried.terms
+        (u, v) = carrier.velocity
+        q = carrier.scaled_density
+        terms = carried.terms
         out = -u * carried.slopes[:, 0] - v * carried.slopes[:, 1]
         out[0] -= self._kept(q * terms.divergence)
         drag = self.viscosity / self.points.sound_speed * terms.laplacian
@@ -566,7 +589,8 @@ def project_memory(
     for some in blocks(len(pairs), BLOCK_VALUES // (9 * points.n_points)):
         for power in range(rates.n_powers):
             left = _left_over(rates, states, pairs[some], power, weights, fields)
-            q, velocity = np.ascontiguousarray(left[0]), np.ascontiguousarray(left[1:])
+            q = np.ascontiguousarray(left[0])
+            velocity = np.ascontiguousarray(left[1:])
             slopes = np.stack([points.gradients(field) for field in (q, *velocity)])
             residuals = _States(q, velocity, slopes, points.terms(q, velocity))
             for m in range(n):
@@ -589,7 +613,8 @@ def _all_states(points: FixedPoints, fields: ModeFields, splines: ModeSplines | 
         first = rest if rest.shape[-1] else np.zeros((*values.shape[:-1], 1))
         return np.concatenate((first, values[..., : fields.n_modes]), axis=-1)
 
-    q, velocity = ordered(fields.scaled_density), ordered(fields.velocity)
+    q = ordered(fields.scaled_density)
+    velocity = ordered(fields.velocity)
     slopes = ordered(mode_gradients(points, fields, splines)(slice(0, points.n_points)))
     return _States(q, velocity, slopes, points.terms(q, velocity))
 
@@ -600,7 +625,8 @@ def _left_over(
     """Return R = Pi' F (3, n_points, n_pairs) of some pairs, in q and the velocity (Alg. 3.5)."""
     out = np.zeros((3, rates.points.n_points, len(pairs)))
     for column, (k, l) in enumerate(pairs):
-        first, second = states.only(k), states.only(l)
+        first = states.only(k)
+        second = states.only(l)
         if power == 0:
             products = rates.products(first, second)[..., 0]
             out[..., column] += products * (0.5 if k == l else 1.0)

@@ -60,7 +60,8 @@ class Projector:
     def __init__(self, basis: Array, weights: Array, *, separate_mean: bool = False) -> None:
         self._basis, self._weights, self._separate_mean = basis, weights, separate_mean
         self._n_vectors = basis.shape[1] + separate_mean
-        n_chunks, n = projection.N_CHUNKS, self._n_vectors
+        n_chunks = projection.N_CHUNKS
+        n = self._n_vectors
         partial = np.empty((n_chunks, n, n))
         scratch = np.empty((n_chunks, n, 3 * projection.BLOCK))
         projection.gram(basis, weights, separate_mean, scratch, partial)
@@ -113,7 +114,8 @@ class ParticleModel:
         memory_length: float | None = None,
     ) -> None:
         self.functional = functional
-        self.domain, self.neighbourhood = functional.domain, functional.neighbourhood
+        self.domain = functional.domain
+        self.neighbourhood = functional.neighbourhood
         self.modes = modes
         self._basis = np.empty((0, modes.n_columns))
         self.product = product
@@ -190,7 +192,8 @@ class ParticleModel:
         # A comparison with NaN is false, so every bad particle is found.
         bad = np.flatnonzero(~((density > 0.0) & (density < np.inf)))
         if bad.size:
-            where, value = first_of(bad, position), density[bad[0]]
+            where = first_of(bad, position)
+            value = density[bad[0]]
             raise UnstableError(f"{where} has a density of {value:.3g} kg/m3")
         full = self.functional.evaluate(position, fields.density_fluctuation, fields.velocity, time)
         # f-bar (3, N) of Eq. 3.1 in the state's scaling.

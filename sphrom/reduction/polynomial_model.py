@@ -166,7 +166,8 @@ def steady_state(polynomial: Polynomial, start: Array, amplitude: float = 0.0) -
     It has converged if the norm of the rates is below `CONVERGED` times that of the constant and
     linear parts. The eigenvalues of the Jacobian there show whether the state is stable.
     """
-    state, rates = np.array(start), polynomial(start, amplitude)
+    state = np.array(start)
+    rates = polynomial(start, amplitude)
     for n_steps in range(MOST_STEPS):
         residual = float(np.linalg.norm(rates))
         constant = polynomial(np.zeros_like(state), amplitude)

@@ -97,7 +97,8 @@ class ReducedForce(Record):
 
     def of_modes(self, modes: NDArray[np.int64]) -> ReducedForce:
         """Return the force in the coordinates of some modes."""
-        kept, loads = _kept_terms(modes), np.arange(3)
+        kept = _kept_terms(modes)
+        loads = np.arange(3)
         direct = replace(self, balance=None).mapped(lambda x: x if x.ndim == 1 else x[:, kept])
         if self.balance is None:
             return direct
@@ -122,7 +123,8 @@ class ReducedForce(Record):
         """
         viscous, n = kinematic_viscosity * self.viscous, N_OTHER_TERMS
         direct = np.concatenate((self.pressure, viscous))
-        heads, momentum = np.zeros_like(direct), np.zeros_like(direct[:, n:])
+        heads = np.zeros_like(direct)
+        momentum = np.zeros_like(direct[:, n:])
         body_force = with_drives(self.body_force, self.drives, "force", factors)
         if body_force is not None:
             heads[:3] = body_force
@@ -130,7 +132,8 @@ class ReducedForce(Record):
         (heads if walls_driven else direct)[3:, 0] += moved
         quadratic = np.zeros((6, *2 * momentum.shape[1:]))
         if self.balance is not None:
-            balance, follows = self.balance, self.balance.follows[:, None].astype(float)
+            balance = self.balance
+            follows = self.balance.follows[:, None].astype(float)
             # The pressure force is the whole force less the viscous one.
             for terms in (direct, heads):
                 terms[:3] -= follows * (terms[:3] + terms[3:])
@@ -260,12 +263,15 @@ def project_measures(
 
     `measured` must be affine in the fields at positions (n_positions, 2) [m].
     """
-    product, modes = basis.inner_product, splines.values(position).reshape(len(position), -1, 3)
+    product = basis.inner_product
+    modes = splines.values(position).reshape(len(position), -1, 3)
     fields = np.concatenate((np.zeros((2, *modes.shape[::2])), modes.swapaxes(0, 1)))
     density, velocity = fields[..., 0] / product.density_scale, fields[..., 1:]
-    density[0], density[1] = product.density_fluctuation(density[0]), 1.0
+    density[0] = product.density_fluctuation(density[0])
+    density[1] = 1.0
     columns = [measured(*each) for each in zip(density, velocity, strict=True)]
-    offset, linear = measured(0.0 * density[0], velocity[0]), np.arange(len(columns)) > 0
+    offset = measured(0.0 * density[0], velocity[0])
+    linear = np.arange(len(columns)) > 0
 
     def terms(name: str, quantity: str) -> Array:
         values = np.stack([each[name][quantity] for each in columns], -1)

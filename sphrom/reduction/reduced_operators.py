@@ -212,13 +212,15 @@ def stability_limits(eigenvalues: NDArray[np.complex128]) -> Array:
     neutral = np.minimum(eigenvalues.real, 0.0) + 1j * eigenvalues.imag
     size = np.abs(neutral)
     ray = np.divide(neutral, size, out=np.zeros_like(neutral), where=size > 0.0)
-    low, high = np.zeros(size.size), np.full(size.size, STABLE_RADIUS)
+    low = np.zeros(size.size)
+    high = np.full(size.size, STABLE_RADIUS)
     for _ in range(N_BISECTIONS):
         middle = 0.5 * (low + high)
         z = middle * ray
         growth = 1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0)))
         stable = np.abs(growth) <= 1.0 + NEUTRAL
-        low, high = np.where(stable, middle, low), np.where(stable, high, middle)
+        low = np.where(stable, middle, low)
+        high = np.where(stable, high, middle)
     return np.divide(low, size, out=np.full(size.size, np.inf), where=size > 0.0)
 
 
@@ -333,7 +335,8 @@ class ResidualFactor(Record):
 
         Its rows include the rates of the other modes; there are no more rows than columns.
         """
-        n_modes, parts = operators.n_modes, list[Array]()
+        n_modes = operators.n_modes
+        parts = list[Array]()
         first, second = np.triu_indices(n_modes)
         products = np.flatnonzero(np.isin(first, modes) & np.isin(second, modes))
         kept = np.concatenate(([0], 1 + modes, 1 + n_modes + products))
@@ -370,7 +373,8 @@ def with_drives(own: Any, drives: Mapping[str, Any], part: str, factors: Factors
     `own` may be None, and so may the result.
     """
     for name, drive in drives.items():
-        more, factor = getattr(drive, part), factors[name]
+        more = getattr(drive, part)
+        factor = factors[name]
         if isinstance(more, tuple):
             scaled = tuple(factor * tensor for tensor in more)
             own = scaled if own is None else tuple(map(np.add, own, scaled))

@@ -230,7 +230,8 @@ def accurate(first: Steps, tolerance: float) -> Steps:
         return change / tolerance
 
     most = taken(FINEST * first.n_steps)
-    n_steps, too_few = taken(first.n_steps), 0
+    n_steps = taken(first.n_steps)
+    too_few = 0
     while n_steps < most:
         ratio = excess(n_steps)
         called_for = taken(math.ceil(n_steps * min(MARGIN * ratio ** (1.0 / ORDER), MOST)))
@@ -317,7 +318,8 @@ def automatic_whole(model: ReferenceModel) -> Steps:
     if model.linear is None:
         n_first = max(model.n_stable, model.n_resolving)
         return accurate(runge_kutta(model, n_first), step_tolerance(model.basis))
-    times, step = model.output_times, model.first_step
+    times = model.output_times
+    step = model.first_step
     n_first = 0 if step is None else math.ceil(round(times.duration / step, 6))
     n_first = n_first or min(math.ceil(model.n_stable / LONGER), times.n_snapshots - 1)
     n_first = max(n_first, model.n_resolving)

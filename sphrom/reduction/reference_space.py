@@ -95,8 +95,10 @@ class ReferenceMap:
             n_near = min(N_NEAR, len(position))
             near = cKDTree(position).query(self._points.T[edge], np.arange(1, n_near + 1))[1]
             own = np.stack((density_fluctuation, *velocity.T))[:, near]
-            low, high = own.min(axis=2), own.max(axis=2)
-            low[0], high[0] = np.minimum(low[0], 0.0), np.maximum(high[0], 0.0)
+            low = own.min(axis=2)
+            high = own.max(axis=2)
+            low[0] = np.minimum(low[0], 0.0)
+            high[0] = np.maximum(high[0], 0.0)
             out[:, edge] = np.clip(out[:, edge], low, high)
             out[:, (share < HALF) | ~np.isfinite(out).all(axis=0)] = 0.0
         if not np.isfinite(out).all():

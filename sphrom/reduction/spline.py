@@ -185,7 +185,8 @@ class LocalSplines(CellSplines, ModeSplines):
 
     def __post_init__(self) -> None:
         # Compiled loops do not check indices.
-        n_cells, start = math.prod(self.cell_shape), self.cell_start
+        n_cells = math.prod(self.cell_shape)
+        start = self.cell_start
         if min(self.cell_shape) < 1 or len(start) != n_cells + 1:
             raise ValueError(f"{len(start)} boundaries do not fit {self.cell_shape} cells")
         if start[0] != 0 or start[-1] != self.points.shape[1] or np.any(np.diff(start) < 0):
@@ -277,7 +278,8 @@ def fit_splines(
     if not inside.all():
         raise ValueError(f"{np.sum(~inside)} points are not inside the domain")
     grid = cell_grid(domain, fitting_cells(domain, cell_width))
-    n_terms, n_columns = math.comb(polynomial_degree + 2, 2), right.shape[1]
+    n_terms = math.comb(polynomial_degree + 2, 2)
+    n_columns = right.shape[1]
     near, local, cell_start = points_by_cell(position, grid, domain, max(1, n_terms))
     radial = np.empty((n_columns, near.size))
     polynomial = np.zeros((cell_start.size - 1, n_terms, n_columns))
@@ -286,7 +288,8 @@ def fit_splines(
         here = slice(cell_start[cell], cell_start[cell + 1])
         if here.start < here.stop:
             n_rows = here.stop - here.start + n_terms
-            matrix, scratch = np.empty((n_rows, n_rows)), np.empty(n_rows - n_terms)
+            matrix = np.empty((n_rows, n_rows))
+            scratch = np.empty(n_rows - n_terms)
             seen = np.ascontiguousarray(local[:, here])
             polyharmonic.assemble(seen, order, polynomial_degree, scratch, matrix)
             weights, condition_number[cell] = _solve(matrix, right[near[here]])

@@ -79,7 +79,8 @@ def stokes_fields(
     strip : (n_points,) whether a point is in the strip of an open flow.
     """
     wrapped = domain.wrap(ghosts)
-    wall, on_wall = domain.nearest_wall(wrapped), domain.on_wall(wrapped)
+    wall = domain.nearest_wall(wrapped)
+    on_wall = domain.on_wall(wrapped)
     normal = domain.distance_and_normal(wrapped)[1]
     depth, inward = domain.distance_and_normal(position)
     beside = np.flatnonzero(depth < spacing)
@@ -148,7 +149,8 @@ class _Stream:
     def __init__(self, domain: Domain, place: Array, points: Array, spacing: float) -> None:
         self._n_places = len(place)
         self._means = [d for d in range(2) if domain.periodic[1 - d]]
-        lower, upper = np.array(domain.lower), np.array(domain.upper)
+        lower = np.array(domain.lower)
+        upper = np.array(domain.upper)
         free = ~np.array(domain.periodic)
         lower[free] = np.minimum(lower, points.min(axis=0))[free]
         upper[free] = np.maximum(upper, points.max(axis=0))[free]

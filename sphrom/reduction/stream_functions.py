@@ -125,7 +125,8 @@ def _penalty(space: StreamSpace) -> Array:
     y, y_weights = _gauss(_breaks(space.bottom, space.top, space.n_rows))
     total = np.zeros(())
     for order in range(4):
-        along_x, along_y = space._along_x(x, order), space._along_y(y, 3 - order)
+        along_x = space._along_x(x, order)
+        along_y = space._along_y(y, 3 - order)
         products = [(along_x.T * x_weights) @ along_x, (along_y.T * y_weights) @ along_y]
         total = total + math.comb(3, order) * np.kron(*products)
     return SMOOTHING * space.width * (space.top - space.bottom) * np.asarray(total)

@@ -73,11 +73,10 @@ class SurfaceBasis(Record):
         (n_snapshots, n_modes, n_modes) of modes, (n_snapshots, n_modes) of modes and the snapshot's
         velocity, (n_snapshots,) of that with itself.
         """
-        n_snapshots, n_modes = len(coefficients), len(self.stream_modes)
-        matrices, sides = (
-            np.empty((n_snapshots, n_modes, n_modes)),
-            np.empty((n_snapshots, n_modes)),
-        )
+        n_snapshots = len(coefficients)
+        n_modes = len(self.stream_modes)
+        matrices = np.empty((n_snapshots, n_modes, n_modes))
+        sides = np.empty((n_snapshots, n_modes))
         squares = np.empty(n_snapshots)
         for number, (own, heights) in enumerate(zip(coefficients, elevation, strict=True)):
             matrix, weights = _weighted_curl(self.space, heights)

@@ -85,7 +85,8 @@ class TrainedRates(Record):
         The second polynomial is the part that a closure or the calibration adds to the projected
         rates; None without such a part.
         """
-        rates, closure = self.operators.at(viscosity, factors), None
+        rates = self.operators.at(viscosity, factors)
+        closure = None
         if self.memory is not None and memory_length is not None:
             closure = self.memory.at(viscosity).scaled(memory_length)
         if self.closure is not None:

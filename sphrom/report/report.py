@@ -206,14 +206,17 @@ def run(context: StageContext) -> None:
     workspace = Workspace(context)
     workspace.require(workspace.comparison())
     tables, about = Tables.read(workspace)
-    case, answer, out = context.case, find_answer(workspace, tables), workspace.out
+    case = context.case
+    answer = find_answer(workspace, tables)
+    out = workspace.out
     made_by = f"sphrom compare {context.words}"
     contents = yaml.safe_load((files("sphrom.report") / "contents.yaml").read_text("utf-8"))
     captions = contents["points"] | _measure_captions(case)
     points = {"Predicted": case.plan.test_points, "Trained": case.plan.train_points}
     shown: dict[str, list[Html]] = {title: [] for title in points}
     for title, point in ((title, point) for title, some in points.items() for point in some):
-        named, words = _named(captions, point.file_label), _errors_of(case, tables, point)
+        named = _named(captions, point.file_label)
+        words = _errors_of(case, tables, point)
         if pictures := list(_pictures(out / "plots", named, words=words)):
             shown[title] += element("h3", point.label), *pictures
     first = next((title for title, some in points.items() if some), "")
@@ -315,7 +318,8 @@ def _sweeps(workspace: Workspace) -> Iterator[Html]:
     for path in sorted(workspace.out.glob("sweep-*.h5")):
         target = replace(workspace.sweep(), path=path)
         with open_artifact(path, target.schema, made_by=target.made_by) as artifact:
-            model, status = artifact.text("model"), artifact.read("status")
+            model = artifact.text("model")
+            status = artifact.read("status")
         counts = f"{counted(len(status), 'run')}, {np.count_nonzero(status == COMPLETE):,} complete"
         note = "; the case has other settings now" * bool(workspace.reason_to_make(target))
         yield element("h3", path.stem)
@@ -333,7 +337,8 @@ def _tables(folder: Path, captions: Mapping[str, str], made_by: str) -> Iterator
             continue
         headings, rows = read_csv(path, made_by, RECORDS.get(name))
         if name == "singular_values":
-            number, digits = headings.index("n_modes"), SHARE_DIGITS
+            number = headings.index("n_modes")
+            digits = SHARE_DIGITS
             rows = [row for row in rows if row[number] in map(str, SHOWN_VALUES)]
         described = range(headings.index("status") if part else 0)
         chosen = [i for i, heading in enumerate(headings) if ("_eq41_" in heading) == bool(part)]
@@ -412,7 +417,8 @@ def _animation(workspace: Workspace, name: str, point: ParameterPoint, reduced: 
     rows, legends = [], []
     for quantity in QUANTITIES:
         fields = side_by_side(name, quantity, *(getattr(samples, quantity) for samples in both))
-        scale, of_difference = colour_scale(fields[:2]), colour_scale(fields[2:])
+        scale = colour_scale(fields[:2])
+        of_difference = colour_scale(fields[2:])
         rows.append([*zip(fields, (scale, scale, of_difference), strict=True)])
         for field, (colours, ends) in rows[-1][1:]:
             low, high = map(format_figure, ends)

@@ -167,7 +167,8 @@ class CustomFlow(Scene):
     def wall_speed(self, position: Array) -> Callable[[float], float | Array] | None:
         if not self.wall_amplitudes:
             return None
-        nearest, names = self.where.nearest_wall(position), self.where.wall_names
+        nearest = self.where.nearest_wall(position)
+        names = self.where.wall_names
         factors = [self.wall_amplitudes.get(name, lambda time: 1.0) for name in names]
         return lambda time: np.array([factor(time) for factor in factors])[nearest]
 

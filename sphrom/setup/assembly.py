@@ -117,10 +117,12 @@ def output_times_of(
     The norm is MOST_GROWTH times the largest of the training states (n_states, n_modes). It is
     increased in proportion if a parameter or the time exceeds its largest trained value.
     """
-    values, largest = np.abs([*point.as_dict().values()]), case.plan.largest_values
+    values = np.abs([*point.as_dict().values()])
+    largest = case.plan.largest_values
     beyond = np.divide(values, largest, out=np.ones_like(largest), where=largest > 0.0)
     norm = np.linalg.norm(states, axis=1).max() * max(1.0, beyond.max())
-    trained, times = case.plan.recorded_time, (steps.n_snapshots, steps.start_time)
+    trained = case.plan.recorded_time
+    times = (steps.n_snapshots, steps.start_time)
     return OutputTimes(steps.snapshot_interval, *times, MOST_GROWTH * float(norm), trained)
 
 

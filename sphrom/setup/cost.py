@@ -67,8 +67,10 @@ class Need:
 
 def needs(case: Case, points: Sequence[ParameterPoint] | None = None) -> dict[str, Need]:
     """Return the needs of the demanding stages; `points` limits the runs to these."""
-    plan, at = case.plan, case.plan.points if points is None else points
-    number, n_snapshots = plan.n_particles, plan.steps.n_snapshots
+    plan = case.plan
+    at = case.plan.points if points is None else points
+    number = plan.n_particles
+    n_snapshots = plan.steps.n_snapshots
     run = STATE_ARRAYS * (number + plan.n_ghosts)
     trajectory = n_snapshots * (6 * number + 3) + 4 * plan.n_ghosts
     spin_up = 5 * number if plan.steps.n_spin_up_steps else 0
@@ -128,7 +130,8 @@ def decomposition_ram_limit() -> int:
 
 def runs_that_fit(case: Case, stage: str) -> int:
     """Return how many runs of a stage fit this machine's cores and memory at the same time."""
-    cores, ram = len(os.sched_getaffinity(0)), available_ram()
+    cores = len(os.sched_getaffinity(0))
+    ram = available_ram()
     return cores if ram is None else max(1, min(cores, ram // needs(case)[stage].ram))
 
 
@@ -209,9 +212,12 @@ def run(context: StageContext) -> None:
 
 def described_run(case: Case, point: ParameterPoint) -> str:
     """Return the sizes of one full run in words."""
-    plan, fluid, limits = case.plan, case.plan.fluid(point), case.plan.step_limits(point)
+    plan = case.plan
+    fluid = case.plan.fluid(point)
+    limits = case.plan.step_limits(point)
     ghosts = f" and {plan.n_ghosts} ghosts" if plan.n_ghosts else ""
-    spin_up, step = plan.steps.n_spin_up_steps, plan.steps.time_step
+    spin_up = plan.steps.n_spin_up_steps
+    step = plan.steps.time_step
     before = f" after {counted(spin_up, 'step')} to spin up" if spin_up else ""
     shares = {"acoustic": limits.acoustic, "viscous": limits.viscous}
     of_limits = ", ".join(f"{step / each:.2g} of the {name} limit" for name, each in shares.items())
@@ -229,7 +235,8 @@ def described_run(case: Case, point: ParameterPoint) -> str:
 
 def _describe_shape(case: Case, report: Reporter) -> None:
     """Print the area of the fluid, and the width of its narrowest places in support radii."""
-    domain, support = case.scene.domain, SUPPORT_RATIO * case.plan.smoothing_length
+    domain = case.scene.domain
+    support = SUPPORT_RATIO * case.plan.smoothing_length
     widths = {
         "narrowest gap" if domain.has_walls else "shortest period": domain.narrowest_gap,
         "thinnest solid": domain.thinnest_solid,
@@ -248,7 +255,8 @@ def _describe_shape(case: Case, report: Reporter) -> None:
 
 def describe_cost(case: Case, report: Reporter) -> None:
     """Print the number of runs, the memory and disk of all stages, and the time of fom."""
-    stages, n_runs = needs(case), len(case.plan.points)
+    stages = needs(case)
+    n_runs = len(case.plan.points)
     largest = max(stages, key=lambda name: stages[name].ram)
     reduced = sum(len(case.plan.rom_points(model)) for model in case.rom)
     report.info(

@@ -64,7 +64,8 @@ def draw(case: Case) -> Figure:
 
     Particles are shown at their start, before packing. Raises CaseError if there are too many.
     """
-    spacing, domain = case.plan.particle_spacing, case.scene.domain
+    spacing = case.plan.particle_spacing
+    domain = case.scene.domain
     if (number := domain.n_particles(spacing)) > MOST_PARTICLES:
         raise CaseError(
             f"{number} particles are too many to draw, more than {MOST_PARTICLES}: try "
@@ -104,20 +105,24 @@ def solids_within(domain: Domain, frame: panels.Extent) -> panels.Solids:
     left, right, lower, upper = frame
     width = max(right - left, upper - lower) / PIXELS
     nx, ny = (max(2, round(length / width)) for length in (right - left, upper - lower))
-    x, y = np.linspace(left, right, nx), np.linspace(lower, upper, ny)
+    x = np.linspace(left, right, nx)
+    y = np.linspace(lower, upper, ny)
     points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     return x, y, domain.distance_and_normal(points)[0].reshape(ny, nx)
 
 
 def _draw_points(axes: Axes, position: Array, size: float, colour: str, label: str) -> None:
     """Draw points (n_points, 2) as dots of a size [points squared]."""
-    (x, y), many, label = position.T, len(position) > VECTORS_BELOW, f"{label}, {len(position)}"
+    (x, y) = position.T
+    many = len(position) > VECTORS_BELOW
+    label = f"{label}, {len(position)}"
     axes.scatter(x, y, s=size, color=colour, linewidths=0.0, label=label, rasterized=many)
 
 
 def _draw_walls(axes: Axes, case: Case, walls: Walls, solids: panels.Solids, arrow: float) -> None:
     """Draw walls with their names; the fastest velocity is as long as an arrow [m]."""
-    domain, spacing = case.scene.domain, case.plan.particle_spacing
+    domain = case.scene.domain
+    spacing = case.plan.particle_spacing
     panels.cover(axes, solids)
     axes.contour(*solids, levels=(0.0,), colors=[panels.INK], linewidths=1.6)
     surface = -domain.distance_and_normal(walls.position)[0] < spacing
@@ -139,7 +144,8 @@ def _draw_walls(axes: Axes, case: Case, walls: Walls, solids: panels.Solids, arr
         axes.text(x, y, text, color=colour, rotation=turned, **CENTRED)
         if own:
             some = first[:: -(-len(first) // MOST_ARROWS)]
-            place, way = domain.on_wall(walls.position[some]), walls.velocity[some]
+            place = domain.on_wall(walls.position[some])
+            way = walls.velocity[some]
             label = f"velocity of walls, at most {fastest:.3g} m/s"
             _draw_arrows(axes, place, arrow / fastest * way, MOVING, label)
 
@@ -157,7 +163,9 @@ def _draw_in_fluid(axes: Axes, case: Case, arrow: float) -> None:
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path as Outline
 
-    domain, strip, level = case.scene.domain, case.plan.strip, case.scene.level_at()
+    domain = case.scene.domain
+    strip = case.plan.strip
+    level = case.scene.level_at()
     look: Any = {"alpha": 0.35, "lw": 0.0, "zorder": 3}
     for name, section in getattr(case.scene, "porous", {}).items():
         # Holes turn the other way than the outlines around them.
@@ -168,8 +176,10 @@ def _draw_in_fluid(axes: Axes, case: Case, arrow: float) -> None:
         point = shape.representative_point()
         axes.text(point.x, point.y, name, **CENTRED)
     if strip is not None:
-        low, high = np.array(domain.lower), np.array(domain.upper)
-        low[strip.axis], high[strip.axis] = strip.start, strip.end
+        low = np.array(domain.lower)
+        high = np.array(domain.upper)
+        low[strip.axis] = strip.start
+        high[strip.axis] = strip.end
         corners = shapely.get_coordinates(shapely.box(*low, *high)).T
         axes.fill(*corners, color=panels.COLOURS[2], label="strip of the inflow", **look)
         centre = shapely.box(*low, *high).intersection(domain.fluid).representative_point()
@@ -185,7 +195,8 @@ def _draw_in_fluid(axes: Axes, case: Case, arrow: float) -> None:
 
 def _draw_compared(axes: Axes, case: Case) -> None:
     """Draw the line of comparisons, stations, and periodic edges."""
-    domain, x = case.scene.domain, case.plan.probe_line
+    domain = case.scene.domain
+    x = case.plan.probe_line
     for interval in domain.sections(x):
         axes.plot(
             [x, x], interval, color=panels.COLOURS[0], ls="--", label="compared line", zorder=4
@@ -204,7 +215,8 @@ def _draw_measured(axes: Axes, case: Case, arrow: float) -> None:
     """Draw probes, lines and sections; an arrow [m] shows the positive direction of flow."""
     for name, measure in case.scene.measured_fields.items():
         ends = np.array(measure.segment or (measure.probe,) * 2)
-        middle, (dx, dy) = ends.mean(axis=0), ends[1] - ends[0]
+        middle = ends.mean(axis=0)
+        (dx, dy) = ends[1] - ends[0]
         if measure.segment is None:
             look: dict[str, Any] = {"marker": "o", "ls": "none", "ms": 6.0, "label": "probes"}
         elif measure.flow_rate is None:

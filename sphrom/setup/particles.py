@@ -78,15 +78,18 @@ def wall_forces(case: Case, point: ParameterPoint, of: Functional) -> WallForces
 
 def watch(case: Case, point: ParameterPoint) -> Watch:
     """Return a watch over the snapshots of a full run."""
-    plan, flow = case.plan, case.plan.flow(point)
-    domain, ghosts = flow.domain, walls(case, flow)
+    plan = case.plan
+    flow = case.plan.flow(point)
+    domain = flow.domain
+    ghosts = walls(case, flow)
     speeds = [] if ghosts is None else np.linalg.norm(ghosts.velocity, axis=1)
     drive = float(np.max(speeds, initial=0.0))
     force = flow.body_force
     if (strip := plan.strip) is not None:  # the same flow passes through the narrowest gap
         wide = domain.lengths[1 - strip.axis] / min(domain.narrowest_gap, *domain.lengths)
         head = case.scene.largest_head(case.time.final_time, point.factors)
-        drive, force = math.hypot(drive, wide * strip.speed, math.sqrt(2.0 * head)), None
+        drive = math.hypot(drive, wide * strip.speed, math.sqrt(2.0 * head))
+        force = None
     return Watch(
         case.fluid.reference_density,
         plan.sound_speed,
@@ -127,13 +130,15 @@ def driven_measured_walls(case: Case) -> dict[str, tuple[MeasuredWall, dict[str,
 def drives(case: Case, position: Array) -> dict[str, UnitForcing[Array]]:
     """Return the forcing of walls' ghosts and points (n_points, 2) per unit of each parameter."""
     at_rest, per_unit = case.plan.rest_and_units
-    ghosts, forcings = walls(case, at_rest), {}
+    ghosts = walls(case, at_rest)
+    forcings = {}
     for name, flow in per_unit.items():
         velocity = force = None
         if ghosts is not None:
             velocity = flow.wall_velocity(ghosts.position) - ghosts.velocity
         if flow.body_force is not None and at_rest.body_force is not None:
-            of_flow, of_rest = flow.body_force.field, at_rest.body_force.field
+            of_flow = flow.body_force.field
+            of_rest = at_rest.body_force.field
             force = of_flow(position.T) - of_rest(position.T)
         some = [part if part is not None and part.any() else None for part in (velocity, force)]
         if any(part is not None for part in some):
@@ -164,13 +169,16 @@ def fixed_points(case: Case, position: Array) -> FixedPoints:
 
 def filled(case: Case, points: Array) -> Filled:
     """Return the function for the share that particles fill at points (n_points, 2) [m]."""
-    domain, spacing, solid = case.scene.domain, case.plan.particle_spacing, np.empty((0, 2))
+    domain = case.scene.domain
+    spacing = case.plan.particle_spacing
+    solid = np.empty((0, 2))
     if n_solids := len(domain.solid_names):
         ghosts = domain.ghosts(spacing, case.plan.n_wall_layers)
         solid = ghosts.position[ghosts.wall >= len(domain.wall_names) - n_solids]
     box, radius = (domain.lower, domain.upper), SUPPORT_RATIO * case.plan.smoothing_length
     filling = Filling(points, radius, *box, domain.periodic, solid, spacing**2)
-    density, mass = case.fluid.reference_density, case.plan.mass
+    density = case.fluid.reference_density
+    mass = case.plan.mass
     return lambda position, excess: filling(position, volume_of(excess, density, mass))
 
 
@@ -198,10 +206,12 @@ class MeasuredFields:
     """
 
     def __init__(self, case: Case, measures: Mapping[str, FieldMeasure]) -> None:
-        self.measures, self._sound_speed = measures, case.plan.sound_speed
+        self.measures = measures
+        self._sound_speed = case.plan.sound_speed
         places = np.concatenate([measure.position for measure in measures.values()])
         distance, normal = case.scene.domain.distance_and_normal(places)
-        spacing, (at_rest, per_unit) = case.plan.particle_spacing, case.plan.rest_and_units
+        spacing = case.plan.particle_spacing
+        (at_rest, per_unit) = case.plan.rest_and_units
         integrals = [np.full(len(m.position), m.normal is not None) for m in measures.values()]
         near = self._near = np.flatnonzero((distance < spacing) & ~np.concatenate(integrals))
         on_walls = places[near] - distance[near, None] * normal[near]
@@ -241,7 +251,8 @@ class MeasuredFields:
 
     def of_fields(self, density_fluctuation: Array, velocity: Array) -> dict[str, Quantities]:
         """Return the measurements of fields (n_positions[, 2]) at `position`, by name."""
-        corrected, pressure = velocity.copy(), pressure_of(density_fluctuation, self._sound_speed)
+        corrected = velocity.copy()
+        pressure = pressure_of(density_fluctuation, self._sound_speed)
         ends = np.cumsum([len(measure.position) for measure in self.measures.values()])
         corrected[self._near] += self._share * (self._walls - corrected[ends[-1] :])
         # The remaining positions are on walls.
@@ -258,10 +269,14 @@ class MeasuredParticles:
     def __init__(self, case: Case, point: ParameterPoint) -> None:
         self._fields = MeasuredFields.of(case)
         self.measures = {} if self._fields is None else self._fields.measures
-        scene, spacing = case.scene, case.plan.particle_spacing
-        self._surface, values = scene.measured_surface, dict(point.others)
-        self._mass, self._weight = case.plan.mass, case.plan.mass * scene.gravity
-        (_, self._rest), (_, top) = scene.domain.lower, scene.domain.upper
+        scene = case.scene
+        spacing = case.plan.particle_spacing
+        self._surface = scene.measured_surface
+        values = dict(point.others)
+        self._mass = case.plan.mass
+        self._weight = case.plan.mass * scene.gravity
+        self._rest = scene.domain.lower[1]
+        top = scene.domain.upper[1]
         n_heights = 1 + math.ceil(HEIGHTS * (top - self._rest) / spacing)
         self._heights = np.linspace(self._rest, top, n_heights)
         if self._surface and math.isfinite(scene.level_at(values)):
@@ -295,7 +310,8 @@ class MeasuredParticles:
 
         Raises UnstableError as `MeasuredFields` does.
         """
-        measured, elevations = dict[str, Quantities](), iter(list[float]())
+        measured = dict[str, Quantities]()
+        elevations = iter(list[float]())
         if self._fields is not None:
             measured |= self._fields(position, density_fluctuation, velocity)
         if self._filled is not None:

@@ -160,7 +160,8 @@ class BoxDomain(Domain):
         if self.rectangles or np.all(np.abs(number - np.rint(number)) < WHOLE_TOLERANCE):
             return particle_spacing, particle_spacing
         # Rounded by itself, the number along the longer side could miss by one or more.
-        short, whole = int(np.argmin(number)), np.rint(number)
+        short = int(np.argmin(number))
+        whole = np.rint(number)
         whole[1 - short] = round(np.prod(number) / max(1.0, whole[short]))
         x, y = self._filled / np.maximum(1.0, whole)
         return float(x), float(y)
@@ -199,7 +200,8 @@ class BoxDomain(Domain):
 
     def nearest_wall(self, position: Array) -> Indices:
         """Return the wall (n_points,) nearest to positions in the solid; sides own the corners."""
-        names, place = self.wall_names, self.wrap(position)
+        names = self.wall_names
+        place = self.wrap(position)
         wall = np.full(len(place), len(names) - 1, dtype=np.int64)
         for axis in (1, 0):
             if not self.periodic[axis]:
@@ -250,7 +252,8 @@ class Rectangle:
 
     def shifted(self, x: float, y: float) -> Rectangle:
         """Return the rectangle moved along both axes [m]."""
-        (left, low), (right, high) = self.lower, self.upper
+        (left, low) = self.lower
+        (right, high) = self.upper
         return Rectangle((left + x, low + y), (right + x, high + y))
 
     def contains(self, position: Array) -> Mask:

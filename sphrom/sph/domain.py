@@ -155,7 +155,8 @@ class Domain(ABC):
 
     def _is_wall(self, place: Array) -> Mask:
         """Whether points (n_points, 2) of the outline are on a wall, not where the images end."""
-        slack, lengths = ROUNDING * max(self.lengths), np.array(self.lengths)
+        slack = ROUNDING * max(self.lengths)
+        lengths = np.array(self.lengths)
         within = (place > self.lower - lengths + slack) & (place < self.upper + lengths - slack)
         return np.asarray((within | ~np.array(self.periodic)).all(axis=1))
 

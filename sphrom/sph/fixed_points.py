@@ -162,7 +162,8 @@ def _pair_blocks(
     for first in range(0, len(targets), N_BLOCK_POINTS):
         some = targets[first : first + N_BLOCK_POINTS]
         near = cKDTree(some).sparse_distance_matrix(tree, reach, output_type="coo_matrix")
-        kernel, factor = np.empty_like(near.data), np.empty_like(near.data)
+        kernel = np.empty_like(near.data)
+        factor = np.empty_like(near.data)
         weigh(near.data, 1.0 / discretization.smoothing_length, kernel, factor)
         factor *= discretization.particle_spacing**2
         offset = np.ascontiguousarray((some[near.row] - place[near.col]).T)
@@ -321,7 +322,8 @@ class FixedPoints:
         self.body_force = body_force
         self.walls_driven = walls_driven
         self.drives = dict(drives or {})
-        delta, length = discretization.diffusion_coefficient, discretization.smoothing_length
+        delta = discretization.diffusion_coefficient
+        length = discretization.smoothing_length
         self._diffusivity = delta * length * fluid.sound_speed
         self._damping_length = discretization.acoustic_damping * length
         self.particle_mass = fluid.reference_density * discretization.particle_spacing**2
@@ -357,7 +359,8 @@ class FixedPoints:
 
     def slowed_over(self, viscosity: float) -> tuple[Array | None, Mask | None]:
         """Return resistance over viscosity [1/m2], and whether points are in the strip, if any."""
-        inverse, rate = self.inverse_permeability, self.slowing_rate
+        inverse = self.inverse_permeability
+        rate = self.slowing_rate
         if rate is not None:
             inverse = rate / viscosity + (0.0 if inverse is None else inverse)
         return inverse, None if self._held is None else self._held.unit > 0.0
@@ -381,10 +384,12 @@ class FixedPoints:
 
     def friction_of(self, wall_velocity: Array) -> Array:
         """Return w (2, n_points) [1/(m s)] for walls' velocities (2, n_ghosts) [m/s]."""
-        drag, friction = -2.0 * self._viscous, self._beside_walls.friction
+        drag = -2.0 * self._viscous
+        friction = self._beside_walls.friction
         out = np.stack([drag * (friction @ u) for u in wall_velocity])
         if self._held is not None:
-            along, unit = out[self._held.axis], self._held.unit
+            along = out[self._held.axis]
+            unit = self._held.unit
             along -= unit * (unit @ along)
         return out
 
@@ -402,11 +407,13 @@ class FixedPoints:
         """
         if divergence is None:
             divergence = self.divergence(velocity)
-        push, damping = self._pushed(scaled_density, rows), None
+        push = self._pushed(scaled_density, rows)
+        damping = None
         if self._damping_length > 0.0:
             damping = -self._damping_length * self._pushed(divergence, rows)
             push += damping
-        laplacian, slowing = self._laplacian(velocity, rows), None
+        laplacian = self._laplacian(velocity, rows)
+        slowing = None
         if (slowed := self._slowed(self.inverse_permeability, velocity, rows)) is not None:
             laplacian -= slowed
         if (slowed := self._slowed(self.slowing_rate, velocity, rows)) is not None:
@@ -415,7 +422,8 @@ class FixedPoints:
 
     def divergence(self, velocity: Array) -> Array:
         """Return D u (n_points, n_fields) [1/s] of velocities (2, n_points, n_fields) [m/s]."""
-        fluid, ghosts = self._fluid, self._ghosts
+        fluid = self._fluid
+        ghosts = self._ghosts
         support = fluid.support if ghosts is None else fluid.support + ghosts.support
         out = sum(
             fluid.gradient[d] @ velocity[d] - scaled(support[d], velocity[d]) for d in range(2)
@@ -427,7 +435,9 @@ class FixedPoints:
 
     def _pushed(self, scaled_density: Array, rows: Rows) -> Array:
         """Return G q (2, n, n_fields) [1/s] at some points."""
-        fluid, ghosts, q = self._fluid, self._ghosts, scaled_density[rows]
+        fluid = self._fluid
+        ghosts = self._ghosts
+        q = scaled_density[rows]
         out = np.stack(
             [
                 some_rows(fluid.gradient[d], rows) @ scaled_density
@@ -447,7 +457,8 @@ class FixedPoints:
 
     def _laplacian(self, velocity: Array, rows: Rows) -> Array:
         """Return V u (2, n, n_fields) [1/(m s)] at some points."""
-        friction, c = some_rows(self._fluid.friction, rows), self._viscous
+        friction = some_rows(self._fluid.friction, rows)
+        c = self._viscous
         own = c[rows] * self._friction_sum[rows] + self._friction_of_factors[rows]
         if self._ghosts is not None:
             own = own + 2.0 * c[rows] * self._ghosts.friction_sum[rows]
@@ -477,13 +488,15 @@ class FixedPoints:
 
     def diffusion(self, scaled_density: Array) -> Array:
         """Return delta h c0 L q (n_points, n_fields) [m/s2] (Eq. 2.10)."""
-        out, fluid = np.zeros_like(scaled_density), self._fluid
+        out = np.zeros_like(scaled_density)
+        fluid = self._fluid
         if self._diffusivity == 0.0:
             return out
         for first in range(0, scaled_density.shape[1], N_BLOCK_FIELDS):
             some = slice(first, first + N_BLOCK_FIELDS)
             q = np.ascontiguousarray(scaled_density[:, some])
-            slope, total = self.gradients(q), fluid.factor @ q - scaled(fluid.factor_sum, q)
+            slope = self.gradients(q)
+            total = fluid.factor @ q - scaled(fluid.factor_sum, q)
             for d in range(2):
                 total += 0.5 * (scaled(fluid.support[d], slope[d]) + fluid.gradient[d] @ slope[d])
             out[:, some] = -2.0 * self._diffusivity * total

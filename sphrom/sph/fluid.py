@@ -163,7 +163,8 @@ def step_limits(
     walls, the viscous limit also depends on the spacing, and on the sharpness of the sharpest
     corner that juts into the fluid (`sphrom.sph.polygons.jutting_corners`).
     """
-    length, courant = discretization.smoothing_length, COURANT_LIMIT
+    length = discretization.smoothing_length
+    courant = COURANT_LIMIT
     half = 0.5 * discretization.acoustic_damping * LARGEST_WAVE_NUMBER
     half += 0.5 * resistance * length / (fluid.sound_speed * LARGEST_WAVE_NUMBER)
     if half > 1.0:
@@ -217,7 +218,8 @@ class Strip:
 
     def forcing(self, position: Array, velocity: Callable[[Array], Array]) -> Array:
         """Return lambda U (2, n_positions) [m/s2], given the inflow's velocity [m/s]."""
-        out, inside = np.zeros_like(position), np.flatnonzero(self.contains(position))
+        out = np.zeros_like(position)
+        inside = np.flatnonzero(self.contains(position))
         out[:, inside] = self.rates(position[:, inside]) * velocity(position[:, inside])
         return out
 

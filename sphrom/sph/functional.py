@@ -64,7 +64,9 @@ class Functional:
     resistance: Resistance | None = None
 
     def __post_init__(self) -> None:
-        fluid, discretization, domain = self.fluid, self.discretization, self.domain
+        fluid = self.fluid
+        discretization = self.discretization
+        domain = self.domain
         self.ghosts = None
         if self.walls is not None:
             self.ghosts = GhostParticles(self.walls, domain, fluid, discretization)
@@ -154,7 +156,8 @@ class Functional:
         walls, force = self._around(source, position, velocity, time)
         constants = self._regularity_constants
         beside = np.empty((6, 0)) if walls is None else walls.regularity(constants)
-        regular, slopes = np.empty((sweeps.N_REGULAR_ROWS, near.targets.size)), None
+        regular = np.empty((sweeps.N_REGULAR_ROWS, near.targets.size))
+        slopes = None
         arguments = (*self.neighbourhood.blocks(source), constants, beside, regular)
         if along is None:
             sweeps.regularity(*arguments)
@@ -232,7 +235,8 @@ class Functional:
         near = self.neighbourhood.sources
         out = np.empty((3, density_fluctuation.size))
         fluid = near.particle, near.targets, source
-        distance, depth = np.full(near.targets.size, np.inf), np.zeros(source.shape[1])
+        distance = np.full(near.targets.size, np.inf)
+        depth = np.zeros(source.shape[1])
         pairs = *fluid, distance, source, *self.neighbourhood.search
         advection.transport(*pairs, depth, self.fluid.reference_density, out)
         walls, _ = self._around(source, position, velocity, time)
@@ -335,7 +339,8 @@ class WallForces:
 
         States are full ones (5, n_particles), times in [s].
         """
-        forces, functional = self._functional.ghost_forces(state, time), self._functional
+        forces = self._functional.ghost_forces(state, time)
+        functional = self._functional
         speed = 1.0 if functional.wall_speed is None else functional.wall_speed(time)
         viscosity = functional.fluid.reference_density * functional.fluid.kinematic_viscosity
         loads = {}

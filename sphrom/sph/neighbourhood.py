@@ -84,7 +84,8 @@ class Neighbourhood:
     reach: float
 
     def __init__(self, domain: Domain, discretization: Discretization, n_fields: int) -> None:
-        self._domain, self._spacing = domain, discretization.particle_spacing
+        self._domain = domain
+        self._spacing = discretization.particle_spacing
         self._support_radius = discretization.support_radius
         self._inverse_length = 1.0 / discretization.smoothing_length
         self._move_limit = MOVE_RATIO * self._spacing

@@ -168,14 +168,16 @@ class PolygonDomain(Domain):
     def wall_search(self, particle_spacing: float) -> WallSearch:
         """Return the search for particles' distances from walls, for use at every substep."""
         width = max(particle_spacing, max(self.lengths) / N_CELLS)
-        lower, upper = np.subtract(self.lower, MARGIN * width), np.add(self.upper, MARGIN * width)
+        lower = np.subtract(self.lower, MARGIN * width)
+        upper = np.add(self.upper, MARGIN * width)
         return list_by_cell(self._segments[0], lower, upper, width, LISTED * particle_spacing)
 
     @cached_property
     def _segments(self) -> tuple[Array, Indices]:
         """The segments (n_segments, 6) of all walls, and the wall of each."""
         before, start, end, _ = outline_of(self.fluid_with_images)
-        segments, wall = np.hstack((start, end, before)), self._walls_of(0.5 * (start + end))
+        segments = np.hstack((start, end, before))
+        wall = self._walls_of(0.5 * (start + end))
         return np.ascontiguousarray(segments[wall >= 0]), wall[wall >= 0]
 
     def _walls_of(self, place: Array) -> Indices:
@@ -185,7 +187,8 @@ class PolygonDomain(Domain):
         limits = [(axis, end[axis]) for axis in axes for end in (self.lower, self.upper)]
         sides = [np.abs(place[:, axis] - end) for axis, end in limits]
         distances = np.array([*sides, np.full(len(place), np.inf)])
-        least, wall = distances.min(axis=0), distances.argmin(axis=0)
+        least = distances.min(axis=0)
+        wall = distances.argmin(axis=0)
         if self.solids:
             # Of equally near walls, sides come first, then solids in their order.
             edges = [edges_of([images]) for images in self._images]
@@ -193,7 +196,8 @@ class PolygonDomain(Domain):
             ends = np.concatenate([np.stack(each, axis=1) for each in edges])
             tree = shapely.STRtree(shapely.linestrings(ends))
             (which, nearest), distance = tree.query_nearest(points, return_distance=True)
-            solid, apart = np.full(len(place), len(edges)), np.full(len(place), np.inf)
+            solid = np.full(len(place), len(edges))
+            apart = np.full(len(place), np.inf)
             np.minimum.at(solid, which, owner[nearest])
             apart[which] = distance
             wall = np.where(apart < least, len(sides) + solid, wall)
@@ -263,8 +267,10 @@ class PolygonDomain(Domain):
 
     def below(self, level: float) -> PolygonDomain:
         """Return the part of the domain under a ceiling at a height [m]."""
-        lower, upper = self.lower, (self.upper[0], level)
-        box, least = shapely.box(*lower, *upper), LEAST * max(self.lengths)
+        lower = self.lower
+        upper = (self.upper[0], level)
+        box = shapely.box(*lower, *upper)
+        least = LEAST * max(self.lengths)
         inside = {name: shapely.intersection(self._with_images(s), box) for name, s in self.solids}
         kept = {name for name, part in inside.items() if part.area > least**2}
         return replace(self, upper=upper, solids=tuple(s for s in self.solids if s[0] in kept))
@@ -307,7 +313,8 @@ def list_by_cell(
 def nearest_segments(position: Array, walls: WallSearch) -> tuple[Array, Array, Indices]:
     """Return signed distances (n_points,) [m], normals (n_points, 2) and nearest segments."""
     place = np.ascontiguousarray(position.T)
-    out, nearest = np.empty((3, len(position))), np.empty(len(position), np.int64)
+    out = np.empty((3, len(position)))
+    nearest = np.empty(len(position), np.int64)
     walls.kernels.signed_distances(place, *walls.lists, out, nearest)
     return out[0], np.ascontiguousarray(out[1:].T), nearest
 
@@ -320,7 +327,8 @@ def ghost_rows(fluid: BaseGeometry, frame: BaseGeometry, spacing: float, n_layer
     fluid : with its images, as far as rows extend beyond the frame.
     frame : the part of the plane in which ghosts are needed: one period of the fluid.
     """
-    found, (lower, upper) = [np.empty((0, 2))], np.reshape(shapely.bounds(frame), (2, 2))
+    found = [np.empty((0, 2))]
+    (lower, upper) = np.reshape(shapely.bounds(frame), (2, 2))
     for layer in range(n_layers):
         depth = (layer + 0.5) * spacing
         grown = shapely.buffer(fluid, depth, join_style="mitre", mitre_limit=MITRE_LIMIT)
@@ -413,7 +421,8 @@ def fitted_lattice(
     They cover the box. The shift is the first with exactly `n_particles` points in the fluid, or
     else the one with the nearest number.
     """
-    best, least = (np.empty((0, 2)), np.empty(0)), math.inf
+    best = (np.empty((0, 2)), np.empty(0))
+    least = math.inf
     for turn in range(N_SHIFTS):
         points = _shifted(domain, particle_spacing, np.mod(0.5 + turn * SHIFT, 1.0))
         distance = domain.distance_and_normal(points)[0]

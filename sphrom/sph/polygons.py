@@ -40,7 +40,8 @@ LEAST_TURN = math.radians(45.0)
 """Smallest turn from a side to the end of a slot or plate."""
 TOUCHING = math.radians(2.0)
 """Sides that meet at a smaller angle touch each other."""
-CORNER, SHARPEST = math.radians(20.0), math.radians(120.0)
+CORNER = math.radians(20.0)
+SHARPEST = math.radians(120.0)
 """The smallest turn of an outline at a corner, and the largest that counts."""
 N_PLACES = 64
 """Least number of places, per longer edge of the box, from which facing walls are searched."""
@@ -90,11 +91,13 @@ def jutting_corners(shape: BaseGeometry, reach: float) -> tuple[Array, Array]:
             np.stack([np.interp(along[own] + way, along, axis) for axis in line.T], axis=1)
             for way in (-reach, reach)
         )
-        (a, b), (c, d) = (line[own] - before).T, (after - line[own]).T
+        (a, b) = (line[own] - before).T
+        (c, d) = (after - line[own]).T
         places.append(line[own])
         # The shape is on the left; the outline of a jutting corner turns right.
         turns.append(np.arctan2(b * c - a * d, a * c + b * d))
-    place, turn = np.concatenate(places), np.concatenate(turns)
+    place = np.concatenate(places)
+    turn = np.concatenate(turns)
     juts = turn > CORNER
     return place[juts], np.tan(0.5 * np.minimum(turn[juts], SHARPEST)) ** 2
 
@@ -256,7 +259,8 @@ def _circles(
 def _ends(edges: Array, wall: Mask, side: int) -> Array:
     """Return the widths [m] of ends and mouths of the fluid if `side` is 1, of solids if -1."""
     before, along, after = np.diff(edges, axis=0)
-    behind, ahead = _turn(before, along), _turn(along, after)
+    behind = _turn(before, along)
+    ahead = _turn(along, after)
     length = np.hypot(*along.T)
     ends = wall & (np.minimum(side * behind, side * ahead) > LEAST_TURN)
     ends &= np.abs(np.abs(behind + ahead) - math.pi) < FACING

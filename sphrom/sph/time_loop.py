@@ -149,7 +149,9 @@ def march(
     """
     first = 0
     if begin is not None:
-        state, clock.seconds, first = begin.state, begin.seconds, begin.step + 1
+        state = begin.state
+        clock.seconds = begin.seconds
+        first = begin.step + 1
     # Everything that a model needs is compiled before the clock starts.
     with _explained("before the first step"):
         model.rates(state, steps.time(max(0, first - 1)))

@@ -90,7 +90,8 @@ class GhostParticles:
 
     def _weights_beside_all(self, domain: Domain) -> Array:
         """Return the sums of the kernel (n_ghosts,) [1/m2] if fluid filled the whole domain."""
-        spacing, reach = self.discretization.particle_spacing, self.discretization.support_radius
+        spacing = self.discretization.particle_spacing
+        reach = self.discretization.support_radius
         lattice = np.ascontiguousarray(domain.fill(spacing).T)
         near = sort_sources(lattice, domain, reach, spacing)
         source = np.zeros((wall_sweeps.N_GHOST_ROWS, near.particle.size))
@@ -214,7 +215,8 @@ class WallTerms:
         search: Search,
     ) -> None:
         self._ghosts = ghosts
-        self._n_particles, self._targets = sources.targets.size, sources.targets
+        self._n_particles = sources.targets.size
+        self._targets = sources.targets
         self._source = source
         self._fields, self._weights, self._fluid_search = fields, weights, search
         self._ghost = ghosts.gathered(fields)
@@ -257,7 +259,8 @@ class WallTerms:
 
         With `against` = 0, only so that none pushes into a wall.
         """
-        search, spacing = self._ghosts.search_walls, self._ghosts.discretization.particle_spacing
+        search = self._ghosts.search_walls
+        spacing = self._ghosts.discretization.particle_spacing
         limits = CLOSEST * spacing, TOUCHING * spacing, FELT * spacing
         if not self._ghosts.discretization.shifting:
             limits = 0.5 * CLOSEST * spacing, CLOSEST * spacing, FELT * spacing
@@ -283,6 +286,7 @@ class WallTerms:
 
     def add_transport(self, out: Array) -> None:
         """Add the ghosts' contribution to the advection (3, n_particles) of Eq. 3.5-3.6."""
-        part, depth = np.zeros_like(out), self._ghost[wall_sweeps.DEPTH]
+        part = np.zeros_like(out)
+        depth = self._ghost[wall_sweeps.DEPTH]
         advection.transport(*self._pairs, depth, self._ghosts.fluid.reference_density, part)
         out += part

@@ -123,7 +123,8 @@ class Watch:
                 f"explains: it is that of a speed of {speed:.3g} m/s of all fluid"
             )
         mach = self.max_speed / self.sound_speed
-        most, worst = max(MOST_FLUCTUATION, PER_MACH_SQUARED * mach**2), int(fluctuation.argmax())
+        most = max(MOST_FLUCTUATION, PER_MACH_SQUARED * mach**2)
+        worst = int(fluctuation.argmax())
         if fluctuation[worst] > most:
             yield (
                 f"the density fluctuates by {fluctuation[worst]:.2%} (root mean square) at t = "

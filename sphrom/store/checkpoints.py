@@ -86,13 +86,15 @@ class Checkpoints:
         it cannot be continued.
         """
         self._workspace, self._target, self._artifact = workspace, target, artifact
-        self._context, self._name = workspace.context, target.path.name
+        self._context = workspace.context
+        self._name = target.path.name
         self._state = self._aside("checkpoint", "sphrom/checkpoint")
         self._shorter, self._continued = shorter, None
         if shorter is not None:
             with workspace.open_intermediate(shorter) as run:
                 self._continued = run.content_sha256
-        kept, self._book = self._found(), _Book()
+        kept = self._found()
+        self._book = _Book()
         self.begin: RunState | None = None
         if kept is None:
             _remove(target)
@@ -212,7 +214,8 @@ class Checkpoints:
         """Return the checkpoint to continue from; None if the run starts from the beginning."""
         if not self._state.path.exists():
             return None
-        context, report = self._context, self._context.report
+        context = self._context
+        report = self._context.report
         try:
             kept = self._latest()
         except ArtifactError as error:
@@ -260,14 +263,16 @@ class Checkpoints:
 
     def _write(self) -> None:
         """Write the pending snapshots, then the state, if there is anything new."""
-        book, reached = self._book, self._reached
+        book = self._book
+        reached = self._reached
         if reached is None or reached[0].step == book.step:
             return
         run_state, steps, n_pending = reached
         n_parts = book.n_parts + (n_pending > 0)
         if n_pending:
             items = book.pending[:n_pending]
-            target, about = self._part(n_parts), {"number": n_parts}
+            target = self._part(n_parts)
+            about = {"number": n_parts}
             with self._workspace.create_intermediate(target, about) as artifact:
                 for name in items[0]:
                     artifact.write(name, np.array([item[name] for item in items]))
@@ -306,7 +311,8 @@ def integrate(
     failure: UnstableError | None = None
     for item in checkpoints.snapshots(trajectory.names):
         trajectory.write(item)
-    begin, reached = checkpoints.begin, checkpoints.reached
+    begin = checkpoints.begin
+    reached = checkpoints.reached
     with checkpoints.kept_if_stopped():
         try:
             for step, kept in march(
@@ -332,7 +338,8 @@ def _computed_otherwise(kept: Checkpoint) -> str:
 
 def _left(target: Target) -> list[Path]:
     """Return all paths with names of checkpoints or parts, valid or not; states first."""
-    folder, name = target.path.parent, escape(target.path.name)
+    folder = target.path.parent
+    name = escape(target.path.name)
     return [
         path
         for ending in ("checkpoint*", "part-*")

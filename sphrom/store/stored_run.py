@@ -150,7 +150,8 @@ class StoredRun:
 
         A run that became unstable is sampled as long as there are particles near all points.
         """
-        case, run = self._workspace.case, self._run
+        case = self._workspace.case
+        run = self._run
         chosen = range(len(self.time)) if snapshots is None else snapshots
         if self._rebuilt is None:
             return sample_run(case, run, points, advance, chosen)
@@ -182,7 +183,8 @@ def probes_of(case: Case) -> Probes:
     spans = domain.sections(x)
     if not spans:
         raise CaseError(f"compare.line: there is no fluid at x = {x:g} m")
-    n_line, longer = case.compare.line_points, max(domain.lengths)
+    n_line = case.compare.line_points
+    longer = max(domain.lengths)
     n_columns, n_rows = (max(2, round(case.compare.grid * s / longer)) for s in domain.lengths)
     shape = n_rows, n_columns
     points = grid_points(domain.lower, domain.upper, shape)
@@ -210,7 +212,8 @@ def sample_run(
 
     A run that became unstable is sampled as long as there are particles near all points.
     """
-    times, sample = trajectory.read("time"), sampler(case, points)
+    times = trajectory.read("time")
+    sample = sampler(case, points)
     chosen = range(len(times)) if snapshots is None else snapshots
     velocities = np.empty((len(chosen), len(points), 2))
     pressures = np.empty((len(chosen), len(points)))
@@ -255,10 +258,12 @@ def inflow_of(case: Case, point: ParameterPoint, trajectory: Artifact) -> Inflow
 
     Times before the inflow has its speed do not count if there are others.
     """
-    strip, force = case.plan.strip, case.plan.flow(point).body_force
+    strip = case.plan.strip
+    force = case.plan.flow(point).body_force
     if strip is None or force is None:
         return None
-    domain, across = case.scene.domain, 1 - strip.axis
+    domain = case.scene.domain
+    across = 1 - strip.axis
     n_places = max(2, round(domain.lengths[across] / case.plan.particle_spacing))
     points = np.empty((n_places, 2))
     points[:, across] = midpoints(domain.lower[across], domain.upper[across], n_places)
@@ -315,7 +320,8 @@ def sample_best(
     The first result is the projection of states in the inner product of the basis. In the second
     each field has coordinates of its own, so no state with these modes is closer in either field.
     """
-    densities, velocities = mapped.dataset("density_fluctuation"), mapped.dataset("velocity")
+    densities = mapped.dataset("density_fluctuation")
+    velocities = mapped.dataset("velocity")
     snapshots = zip(densities, velocities, strict=True)
     # Where modes hold the mean density, a state of none has coordinates too: they count once.
     rest = project(basis, 0.0 * densities[0], 0.0 * velocities[0])

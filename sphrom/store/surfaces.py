@@ -92,18 +92,21 @@ class TrainedSurface:
             calibrated=self.section.is_calibrated,
         )
         graph = replace(graph, longest_step=case.plan.longest_step(point))
-        steps, density = case.plan.model_steps(self.section), case.fluid.reference_density
+        steps = case.plan.model_steps(self.section)
+        density = case.fluid.reference_density
         times = OutputTimes(steps.snapshot_interval, steps.n_snapshots, steps.start_time)
         return SurfaceModelAt(graph, density, self._start(point), times)
 
     def _start(self, point: ParameterPoint) -> Array:
         """Return the coordinates that runs at a point start from."""
-        case, spun_up = self.workspace.case, self.workspace.case.time.spin_up > 0.0
+        case = self.workspace.case
+        spun_up = self.workspace.case.time.spin_up > 0.0
         begin = case.plan.start_point(point)
         own = ((n, v) for n, v in begin.factors.items() if case.scene.starts_by(n))
         key = begin if spun_up else tuple(own)
         if key not in self._starts:
-            state, columns = start(self.workspace, begin), case.plan.surface_columns
+            state = start(self.workspace, begin)
+            columns = case.plan.surface_columns
             level = case.scene.level_at(begin.factors)
             elevation = np.full_like(columns, level)
             if spun_up or not math.isfinite(level):

@@ -94,7 +94,8 @@ def mapped_runs(
 
 def read_splines(workspace: Workspace, name: str) -> ModeSplines:
     """Read the splines of one basis."""
-    domain, group = workspace.case.scene.domain, f"bases/{name}"
+    domain = workspace.case.scene.domain
+    group = f"bases/{name}"
     with workspace.open(workspace.splines()) as artifact:
         # Kernels of splines take long to import, and few runs need them.
         if workspace.case.plan.lattice_splines:
@@ -137,7 +138,8 @@ def calibrated(
 
     Raises ValueError if they have too few snapshots.
     """
-    times, trained = snapshot_times(case), []
+    times = snapshot_times(case)
+    trained = []
     for point, coordinates in zip(points, runs, strict=True):
         viscosity = case.plan.kinematic_viscosity(point)
         amplitude = assembly.amplitude_of(case, point)
@@ -155,7 +157,9 @@ def cycle_closure(
 
     Raises ValueError that names the run if one is not periodic.
     """
-    times, cycles, amplitude = snapshot_times(case), [], assembly.amplitude_of(case, points[0])
+    times = snapshot_times(case)
+    cycles = []
+    amplitude = assembly.amplitude_of(case, points[0])
     for point, run in zip(points, runs, strict=True):
         try:
             cycles.append(fitted_cycle(times, run))
@@ -259,7 +263,8 @@ def start(workspace: Workspace, point: ParameterPoint) -> Start:
 def scene_start(workspace: Workspace, point: ParameterPoint) -> Start:
     """Return the scene's initial state, from which a spin-up or a run without one starts."""
     position = initial_positions(workspace, point.factors)
-    plan, flow = workspace.case.plan, workspace.case.plan.flow(point)
+    plan = workspace.case.plan
+    flow = workspace.case.plan.flow(point)
     density = fluctuation_of(flow.initial_pressure(position), plan.sound_speed)
     velocity = flow.initial_velocity(position)
     return Start(position=position, density_fluctuation=density, velocity=velocity)
@@ -267,7 +272,8 @@ def scene_start(workspace: Workspace, point: ParameterPoint) -> Start:
 
 def starts_record(workspace: Workspace) -> Starts:
     """Map the starts of the training runs; without a spin-up they are alike, and one is mapped."""
-    case, mapped = workspace.case, MappedStarts(workspace)
+    case = workspace.case
+    mapped = MappedStarts(workspace)
     points = case.plan.train_points if case.time.spin_up > 0.0 else case.plan.train_points[:1]
     fields = [mapped.at(point) for point in points]
     return Starts(
@@ -312,7 +318,8 @@ class MappedStarts:
         return tuple(begin.factors[name] for name in self._names)
 
     def _fields_at(self, begin: ParameterPoint) -> Fields:
-        plan, stored = self._workspace.case.plan, self._stored
+        plan = self._workspace.case.plan
+        stored = self._stored
         if stored is not None:
             for k, values in enumerate(stored.parameters.tolist()):
                 trained = plan.point(dict(zip(plan.parameter_names, values, strict=True)))

@@ -95,7 +95,8 @@ class Workspace:
 
     def __init__(self, context: StageContext) -> None:
         self.context = context
-        self.case, self.out = context.case, context.out
+        self.case = context.case
+        self.out = context.out
         ask_for_threads(context.threads)
         # Requested figures change no artifact, and figures of measurements change no run.
         bare = {"from_time": None, "coefficient": None}
@@ -171,7 +172,10 @@ class Workspace:
         Raises ArtifactError without `force` if there is one, but `resume` is not set, or the longer
         case has other steps or another speed of sound.
         """
-        target, case, context, before = self.full_run(point), self.case, self.context, None
+        target = self.full_run(point)
+        case = self.case
+        context = self.context
+        before = None
         if not target.path.exists() or self.imported(target) or not self.reason_to_make(target):
             return None
         with (
@@ -184,10 +188,13 @@ class Workspace:
         if before is None or before.time.spin_up != case.time.spin_up:
             return None
         shorter = Workspace(replace(context, case=before, known=KnownArtifacts()))
-        found, old, new = shorter.full_run(point), before.plan, case.plan
+        found = shorter.full_run(point)
+        old = before.plan
+        new = case.plan
         if shorter.reason_to_make(found) or old.steps.end_time >= new.steps.end_time:
             return None
-        step, ends = old.steps.time_step, f"{target.path} ends at {old.steps.end_time:g} s"
+        step = old.steps.time_step
+        ends = f"{target.path} ends at {old.steps.end_time:g} s"
         changes = {
             "speed of sound": (old.sound_speed, new.sound_speed, ""),
             "step": (step, new.steps.time_step, f"`--set time.step={step!r}` keeps it, "),
@@ -372,7 +379,8 @@ class Workspace:
 
     def model(self, model: ReducedModelSection) -> Target:
         """A trained model from operators, which runs without them."""
-        about, made_from = _about(model, "parameters"), self._trained(model)
+        about = _about(model, "parameters")
+        made_from = self._trained(model)
         return self._target(f"model{self._own_kind}", model.name, about, made_from)
 
     def reduced_run(self, model: ReducedModelSection, point: ParameterPoint) -> Target:

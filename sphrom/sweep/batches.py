@@ -104,7 +104,8 @@ class SweptModel:
         """
         if self._fast is not None:
             return self._of_fast(self._fast.run(point))
-        case, model = self.workspace.case, self._model
+        case = self.workspace.case
+        model = self._model
         # Valid runs of the case itself are kept, even with --force.
         own = point in (case.plan.points if model is None else case.plan.rom_points(model))
         workspace = Workspace(replace(self.workspace.context, keep_valid=own))
@@ -133,7 +134,8 @@ class SweptModel:
         with self.workspace.open(target) as trajectory:
             if trajectory.text("status") != "complete":
                 return RunRecord(point, UNSTABLE, trajectory.text("status_detail"))
-            velocities, mass = trajectory.dataset("velocity"), trajectory.number("mass")
+            velocities = trajectory.dataset("velocity")
+            mass = trajectory.number("mass")
             speed = max(float(np.hypot(*velocity.T).max()) for velocity in velocities)
             energies = np.array([kinetic_energy(velocity, mass) for velocity in velocities])
             step = trajectory.number("time_step")
@@ -260,7 +262,8 @@ def read_records(artifact: Artifact) -> list[RunRecord]:
             for k, value in zip(numbers[axis], artifact.read(name), strict=True):
                 values[k][name] = value
     names = tuple(filter(None, str(artifact.attributes.get("derivative_names", "")).split(",")))
-    points, records = read_points(artifact, range(len(STATES))), list[RunRecord]()
+    points = read_points(artifact, range(len(STATES)))
+    records = list[RunRecord]()
     for k, status in enumerate(artifact.read("status").tolist()):
         reason = str(artifact.attributes.get(f"failures/{k}", ""))
         derived = names if k in values else ()

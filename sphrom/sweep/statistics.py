@@ -77,7 +77,8 @@ def outputs_of(case: Case, runs: Values, trained: Values = ()) -> Iterator[Outpu
     They are followed by means over the times that count, and by figures of oscillations, which are
     NaN for runs without one. `trained` are the differences from `SweptModel.in_training`.
     """
-    whole, differences = _stacked(runs), _stacked(trained)
+    whole = _stacked(runs)
+    differences = _stacked(trained)
     yield from _outputs(case, TIME, whole, differences)
     if len(runs) and case.plan.counted("", runs[0]["time"]).any():
         time = runs[0]["time"]
@@ -130,8 +131,11 @@ def _averaged(case: Case, whole: Mapping[str, Array], time: Array) -> dict[str, 
 def _outputs(
     case: Case, along: Along, runs: Mapping[str, Array], trained: Mapping[str, Array]
 ) -> Iterator[Output]:
-    ending, over_fluid = "_mean" if along == MEAN else "", runs.get(ERROR)
-    energies, wrong, places = runs["kinetic_energy_over_time"], None, trained.get(PLACE)
+    ending = "_mean" if along == MEAN else ""
+    over_fluid = runs.get(ERROR)
+    energies = runs["kinetic_energy_over_time"]
+    wrong = None
+    places = trained.get(PLACE)
     variances = np.zeros(len(energies))
     if places is not None:
         variances = np.array([interpolation_variance(places, each) for each in runs[PLACE]])
@@ -162,7 +166,8 @@ def statistics_of(workspace: Workspace, records: Sequence[RunRecord]) -> Statist
     indices need all runs of their design to be complete.
     """
     case = workspace.case
-    section, sample = case.sweep, case.sweep.sample
+    section = case.sweep
+    sample = case.sweep.sample
     if sample is None or not section.levels:
         return None
     drawn = 2 * sample.count if sample.method == SALTELLI else sample.count
@@ -200,7 +205,8 @@ def _indices(case: Case, records: Sequence[RunRecord]) -> dict[str, OutputIndice
     runs = [record.values for record in records if record.values]
     if case.sweep.sample is None or len(runs) < len(records):
         return {}
-    drawn, names = list(case.sweep.sample.entries), case.plan.parameter_names
+    drawn = list(case.sweep.sample.entries)
+    names = case.plan.parameter_names
 
     def of_all(values: Array) -> Array:
         """Return rows for all parameters, with zeros for those that are not drawn."""
@@ -224,8 +230,10 @@ def publish(
             beside(path, kind, suffix).unlink(missing_ok=True)
     if result is None:
         return
-    time, names = next(r.values["time"] for r in records if r.values), case.plan.parameter_names
-    quantiles, indices = _quantile_rows(result, time), _index_rows(result, names, time)
+    time = next(r.values["time"] for r in records if r.values)
+    names = case.plan.parameter_names
+    quantiles = _quantile_rows(result, time)
+    indices = _index_rows(result, names, time)
     for kind, rows in {"quantiles": quantiles, "indices": indices}.items():
         if cells := list(rows):
             write_csv(beside(path, kind, "csv"), rows_of_columns(dict.fromkeys(cells[0]), cells))
@@ -308,7 +316,8 @@ def draw_indices(result: Statistics, parameters: Sequence[str], time: Array) -> 
     """
 
     def curves(name: str, x: Array) -> Iterator[Curve]:
-        each, share = result.indices[name], result.outputs[name].error_share
+        each = result.indices[name]
+        share = result.outputs[name].error_share
         first = "first order", each.first, each.first_interval
         total = "total", each.total, each.total_interval
         for k, parameter in enumerate(parameters):
@@ -331,7 +340,8 @@ def _draw(
         if each.along != MEAN:
             x = _instants(each.along, len(each.mean), time)
             along = "place along the line [–]" if each.along == LINE else "time [s]"
-            title, shown = name.replace("_", " "), label or f"[{each.unit}]"
+            title = name.replace("_", " ")
+            shown = label or f"[{each.unit}]"
             panels.append(Panel(title, along, shown, [*curves(name, x)]))
     return draw_grid([panels[k : k + COLUMNS] for k in range(0, len(panels), COLUMNS)])
 

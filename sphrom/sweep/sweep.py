@@ -138,7 +138,9 @@ def _make(
     scheduler: str | None,
 ) -> list[Failure]:
     """Run the model at points, and return the failures."""
-    case, report, model = workspace.case, workspace.context.report, sweep_model(workspace.case)
+    case = workspace.case
+    report = workspace.context.report
+    model = sweep_model(workspace.case)
     if model is None:
         new = tuple(point for point in points if point not in case.plan.points)
         require_room(case, workspace.out, new or points, "fom")
@@ -232,7 +234,9 @@ class Results:
         SphromError
             When a run failed for another reason; the kind is that of the first failure.
         """
-        report, case, path = self._workspace.context.report, self._workspace.case, self._whole.path
+        report = self._workspace.context.report
+        case = self._workspace.case
+        path = self._whole.path
         with self._alone():
             records, summary = self._gathered(failed)
         names = columns_of(case, records)
@@ -270,7 +274,8 @@ class Results:
 
     def _gathered(self, failed: Sequence[Failure]) -> tuple[list[RunRecord], Statistics | None]:
         """Write all runs into the artifact, and return them with their statistics."""
-        targets, case = list(self._targets()), self._workspace.case
+        targets = list(self._targets())
+        case = self._workspace.case
         done = {f.point: RunRecord(f.point, FAILED, f.reason) for f in failed}
         for target in targets:
             with self._workspace.open(target) as artifact:

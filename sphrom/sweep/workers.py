@@ -151,7 +151,8 @@ class Workers:
         if self.number == 1 and self._client is None:
             yield from ((task, attempt(do, task)) for task in tasks)
             return
-        left, number = dict.fromkeys(tasks), self.number
+        left = dict.fromkeys(tasks)
+        number = self.number
         while left:
             with suppress(BrokenExecutor), self._executor(number) as executor:
                 running = {executor.submit(_attempt_there, do, task): task for task in left}

@@ -70,7 +70,8 @@ def candidates(
     """
     first = first_model(case).model_copy(update={"basis": basis})
     available = min(case.plan.basis_size(case.plan.basis_for(first, point)) for point in points)
-    listed, sections = case.trade.n_modes, []
+    listed = case.trade.n_modes
+    sections = []
     if (largest := max(listed or (0,))) > available:
         raise CaseError(f"trade.n_modes: the basis {basis} has {available} modes; got {largest}")
     ends = {"galerkin": available}
@@ -96,7 +97,8 @@ def prepared(context: StageContext, models: Sequence[ReducedModelSection]) -> Wo
 
     Operators that the case lacks are projected. Raises ArtifactError when artifacts are missing.
     """
-    own, workspace = context.case, Workspace(context)
+    own = context.case
+    workspace = Workspace(context)
     workspace.require(workspace.basis())
     if not own.scene.has_surface:
         workspace.require(workspace.splines())
@@ -192,7 +194,8 @@ def sampled(
     workspace: Workspace, point: ParameterPoint, probes: Probes, measured: str | None = None
 ) -> Samples:
     """Sample a full run at the probes, with the measurement named `measured`."""
-    report, text = workspace.context.report, f"sample full run, {point.label}"
+    report = workspace.context.report
+    text = f"sample full run, {point.label}"
     with StoredRun.opened(workspace, point) as run, report.progress(text, len(run.time)) as advance:
         samples = run.sampled(probes.all, advance=advance)
         return samples if measured is None else replace(samples, measured=run.measured(measured))

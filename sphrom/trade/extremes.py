@@ -168,7 +168,8 @@ class Maps:
         self.default = own.projection, own.size
         sections = candidates(case, (self.point,), basis, own.size)
         self.workspace = prepared(context, sections)
-        self.case, self.grid = case, probes_of(case).grid
+        self.case = case
+        self.grid = probes_of(case).grid
         self.trained = case.plan.bases[basis]
         self.models = [FastModel(self.workspace, section) for section in sections]
         self._galerkin = [each for each in sections if each.projection == "galerkin"]
@@ -200,7 +201,8 @@ class Maps:
     # Maps
 
     def _steps(self) -> Iterator[ExtremeRun]:
-        truth, plan = self._truth(self.point), self.case.plan
+        truth = self._truth(self.point)
+        plan = self.case.plan
         limits = plan.step_limits(self.point)
         begin = start(self.workspace, self.point).state
         for factor in self.factors[STEP]:
@@ -239,7 +241,8 @@ class Maps:
                 continue
             for value in self._extreme_values(name):
                 point = self.case.plan.point(at | {name: value})
-                truth, coarse = self._truth(point), self._truth(point, coarse=True)
+                truth = self._truth(point)
+                coarse = self._truth(point, coarse=True)
                 if truth is not None and coarse is not None:
                     run = self._described(name, value, point, "full", f", {HALF}")
                     yield _compared(run, coarse.samples, truth.samples)
@@ -266,7 +269,8 @@ class Maps:
 
     def _one_training_run(self) -> Iterator[ExtremeRun]:
         """Yield the runs of models whose only training run is the first one."""
-        case, only = self.case, self.trained[0]
+        case = self.case
+        only = self.trained[0]
         others = [point for point in case.plan.points if point != only]
         if not others:
             return
@@ -300,7 +304,8 @@ class Maps:
 
     def _full_models(self) -> Iterator[ExtremeRun]:
         """Yield the runs of varied full models, and of reduced models that are trained on them."""
-        own, coarse = self._truth(self.point), self._truth(self.point, coarse=True)
+        own = self._truth(self.point)
+        coarse = self._truth(self.point, coarse=True)
         for varied, value, variant in varied_models(
             self.case, (self.trained, self.point), self._galerkin
         ):
@@ -334,7 +339,9 @@ class Maps:
         resolution = coarser_resolution(case) if coarse else case.discretization.resolution
         if not case.trade.full_runs or resolution is None:
             return None
-        changes, steps, stride = {}, case.plan.steps, 1
+        changes = {}
+        steps = case.plan.steps
+        stride = 1
         if until > 1.0:
             stride = max(1, min(SPARSER, (steps.n_snapshots - 1) // SPARSER))
             end = case.time.spin_up + until * case.plan.recorded_time
@@ -393,7 +400,8 @@ class Maps:
         """Run a fast model with steps `factor` times as long as the automatic ones."""
         basis = model.at_point(point)
         row = self._described(varied, value, point, "fast", method)
-        row.projection, row.n_modes = basis.section.projection, basis.section.size
+        row.projection = basis.section.projection
+        row.n_modes = basis.section.size
         try:
             reduced = model.at(point)
             times = reduced.output_times
@@ -407,10 +415,13 @@ class Maps:
             run = self.integrated(row, model, reduced, integrator)
         except CaseError as refused:  # it would need too many steps
             return _failed(row, refused)
-        row.time_step, row.memory_length = run.time_step, reduced.memory_length
-        row.extrapolated, row.end_time = bool(run.outside), float(run.time[-1])
+        row.time_step = run.time_step
+        row.memory_length = reduced.memory_length
+        row.extrapolated = bool(run.outside)
+        row.end_time = float(run.time[-1])
         if run.failure is not None:
-            row.state, row.diverged_at = "unstable", run.diverged_at
+            row.state = "unstable"
+            row.diverged_at = run.diverged_at
             row.mechanism = cause_of_divergence(run, integrator)
             row.reason = f"{str(run.failure).partition(';')[0]}: {row.mechanism}"
             return row
@@ -434,10 +445,12 @@ class Maps:
 
     def _on_particles(self, factor: float, truth: Truth | None) -> Iterator[ExtremeRun]:
         """Run models on particles with steps `factor` times as long as those of the full model."""
-        plan, own = self.case.plan.steps, self.default[1]
+        plan = self.case.plan.steps
+        own = self.default[1]
         for section in (model.section for model in self.models if model.section.size == own):
             row = self._described(STEP, factor, self.point, "particles")
-            row.projection, row.n_modes = section.projection, own
+            row.projection = section.projection
+            row.n_modes = own
             row.told = "; ".join(doubts_of_step(factor))
             moving = section.model_copy(update={"evaluation": "particles"})
             model, state = build_model(self.workspace, moving, self.point)
@@ -455,13 +468,16 @@ class Maps:
         self, row: ExtremeRun, model: Model, state: Array, truth: Truth | None, factor: float
     ) -> ExtremeRun:
         """Run a model of particles with steps over those of the full model, without artifacts."""
-        plan, fields = self.case.plan.steps, []
+        plan = self.case.plan.steps
+        fields = []
         ratio = Fraction(factor).limit_denominator(1000) / plan.every
         n_kept = (plan.n_snapshots - 1) // ratio.numerator
-        row.time_step, every = factor * plan.time_step, ratio.denominator
+        row.time_step = factor * plan.time_step
+        every = ratio.denominator
         n_steps = max(1, n_kept * every)
         steps = TimeSteps(row.time_step, n_steps, every, plan.start_time, every)
-        sample, density = particles.sampler(self.case, self.grid), self.case.fluid.reference_density
+        sample = particles.sampler(self.case, self.grid)
+        density = self.case.fluid.reference_density
         try:
             with np.errstate(all="ignore"):
                 for _, kept in march(model, state, steps, density, Clock(), lambda done: None):
@@ -492,7 +508,8 @@ def _compared(
 def _failed(row: ExtremeRun, error: Exception) -> ExtremeRun:
     """Set the state of a run that was refused or became unstable."""
     refused = isinstance(error, CaseError | ResourceError)
-    row.state, row.reason = "refused" if refused else "unstable", str(error)
+    row.state = "refused" if refused else "unstable"
+    row.reason = str(error)
     return row
 
 
@@ -516,7 +533,8 @@ def varied_models(
             resolution = coarser_resolution(case) or case.discretization.resolution
             changes = {section: getattr(case, section).model_copy(update={key: value})}
             if varied == RESOLUTION:
-                resolution, changes = int(value), {}
+                resolution = int(value)
+                changes = {}
                 if value >= case.discretization.resolution:
                     continue
             name = f"{key}-{exact(value)}"

@@ -355,7 +355,8 @@ def publish(
 ) -> None:
     """Judge the runs, write their tables and maps, and show the ranges of the models."""
     judge(runs, default, own)
-    ranges, report = list(ranges_in(runs, default, own)), workspace.context.report
+    ranges = list(ranges_in(runs, default, own))
+    report = workspace.context.report
     write_csv(workspace.folder(FOLDER) / "extremes.csv", runs)
     about = {"basis": workspace.basis().inputs_digest}
     tables: dict[str, Sequence[Any]] = {"extremes": runs, "ranges": ranges}
@@ -386,7 +387,8 @@ def publish(
 
 
 def _cells(each: StableRange, run: ExtremeRun) -> tuple[str, ...]:
-    right, stable = _span(each.right_from, each.right_to), _span(each.stable_from, each.stable_to)
+    right = _span(each.right_from, each.right_to)
+    stable = _span(each.stable_from, each.stable_to)
     predicted = ""
     if each.predicted is not None:
         predicted = f"{format_figure(each.predicted)} ({each.predicted_by})"

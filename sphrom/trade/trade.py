@@ -81,11 +81,13 @@ class _Trade:
     """Runs all models one after the other, and compares them with the case's own full runs."""
 
     def __init__(self, context: StageContext) -> None:
-        self.workspace, self.case = Workspace(context), context.case
+        self.workspace = Workspace(context)
+        self.case = context.case
         points = context.chosen(trade_points(self.case))
         self.models = candidates(self.case, points, first_model(self.case).basis)
         self.wider = weighed_models.prepared(context, self.models)
-        self.probes, self.measured = probes_of(self.case), self.case.trade.measure
+        self.probes = probes_of(self.case)
+        self.measured = self.case.trade.measure
         self.oscillating = self.case.plan.oscillations.get(self.measured or "")
         if self.oscillating is not None:
             self.measured = self.oscillating.measure
@@ -105,7 +107,8 @@ class _Trade:
 
     def results(self) -> Results:
         """Run all models, and return their rows, with the case's own full run first."""
-        first, step = next(iter(self.full)), costs.largest_step(self.case)
+        first = next(iter(self.full))
+        step = costs.largest_step(self.case)
         with self.workspace.open(self.workspace.full_run(first)) as artifact:
             imported = costs.is_imported(artifact)
         # Only times that were measured alike are divided, so its steps are timed now, too.
@@ -134,7 +137,8 @@ class _Trade:
     def _full(self, label: str, variant: Case) -> Rows:
         workspace = weighed_models.workspace_of(self.workspace, variant)
         unstable = weighed_models.make(workspace, label, list(self.full))
-        runs, step = [], variant.plan.steps.time_step
+        runs = []
+        step = variant.plan.steps.time_step
         seconds = None if unstable else self._full_seconds(workspace, step)
         for point in self.full:
             samples = None if point in unstable else self._sampled(workspace, point)
@@ -179,7 +183,8 @@ class _Trade:
     def _fast(
         self, fast: FastModel | SurfaceModel, label: str, point: ParameterPoint
     ) -> weighing.RunRow:
-        measure, role = self.measured, role_of(self.case, fast.basis_at(point), point)
+        measure = self.measured
+        role = role_of(self.case, fast.basis_at(point), point)
         run, seconds = fast.timed(point, self.case.trade.repeats)
         samples = None
         if run.failure is None:
@@ -220,7 +225,8 @@ class _Trade:
         return {**errors_of(history), **self._measured_errors(point, samples)}
 
     def _measured_errors(self, point: ParameterPoint, samples: Samples) -> Errors:
-        errors, full = dict(weighing.NO_MEASURED), self.full[point]
+        errors = dict(weighing.NO_MEASURED)
+        full = self.full[point]
         if (of := self.oscillating) is not None:
             figures = of.of(samples.time, samples.measured, full.measured)
             names = {
@@ -242,8 +248,11 @@ class _Trade:
 
 def publish(workspace: Workspace, results: Results, tolerance: weighing.Tolerance | None) -> None:
     """Write tables and the plot, and show the table and its conclusions."""
-    report, folder = workspace.context.report, workspace.folder(FOLDER)
-    rows, without, measure = results.rows, results.without, results.measure
+    report = workspace.context.report
+    folder = workspace.folder(FOLDER)
+    rows = results.rows
+    without = results.without
+    measure = results.measure
     tables: dict[str, Sequence[Any]]
     tables = {"models": rows, "runs": results.runs, "doing_nothing": without}
     for name, each in tables.items():
@@ -258,7 +267,9 @@ def publish(workspace: Workspace, results: Results, tolerance: weighing.Toleranc
         if ranges := "; ".join(each.words for each in maps.get(advice["model"], ())):
             words += f". Its maps of extremes: {ranges}"
         tables["recommendation"] = rows_of_columns(dict.fromkeys(advice), [advice])
-    case, path, seconds = workspace.case, folder / "trade.json", timed_words(workspace.case)
+    case = workspace.case
+    path = folder / "trade.json"
+    seconds = timed_words(workspace.case)
     words_of = {"seconds": seconds, "judged_by": measure.words}
     write_json(path, tables, case.name, workspace.threads, **words_of)
     save(draw_trade(results), folder / "trade.png")
@@ -354,18 +365,21 @@ def draw_trade(results: Results) -> Figure:
     figure = draw_grid([panels], title=results.measure.words)
     for axes, quantity in zip(figure.axes, quantities, strict=True):
         axes.margins(x=MARGIN, y=MARGIN)
-        shares, last = axes.transScale + axes.transLimits, np.full(2, np.inf)
+        shares = axes.transScale + axes.transLimits
+        last = np.full(2, np.inf)
         for seconds, error, row in _front(results, quantity)[::-1]:
             at = shares.transform((seconds, error))
             if (np.abs(at - last) > APART).any():
-                last, name = at, row.model.removeprefix(f"{row.family}, ")
+                last = at
+                name = row.model.removeprefix(f"{row.family}, ")
                 where: Any = {"textcoords": "offset points", "fontsize": 7.5}
                 axes.annotate(name, (seconds, error), (4, 4), **where)
     return figure
 
 
 def _panel(results: Results, quantity: str) -> Panel:
-    measure, places = results.measure, _places(results, quantity)
+    measure = results.measure
+    places = _places(results, quantity)
     own_seconds = results.rows[0].online_seconds
     curves = []
     for k, family in enumerate(dict.fromkeys(row.family for row in results.rows[1:])):

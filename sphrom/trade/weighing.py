@@ -207,7 +207,8 @@ def alternatives(
 
     def interpolated(point: ParameterPoint) -> Samples:
         places = scaled_parameters(case, others[point]), scaled_parameters(case, [point])[0]
-        weights, runs = spline_weights(*places), [run_at(each) for each in others[point]]
+        weights = spline_weights(*places)
+        runs = [run_at(each) for each in others[point]]
 
         def mixed(values: list[np.ndarray]) -> np.ndarray:
             return np.tensordot(weights, values, 1)

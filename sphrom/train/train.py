@@ -158,7 +158,8 @@ def publish(
 
     `kept` are the names of files of the case that still belong to other training points.
     """
-    report, folder = workspace.context.report, workspace.folder(FOLDER)
+    report = workspace.context.report
+    folder = workspace.folder(FOLDER)
     points = outcome.stages[-1].points
     names = [f"{QUANTITIES[k]}_{figure}" for k in range(2) for figure in FIGURES]
     units = {"full_runs": None, "worst_estimate": "%", "factor": None, "floor": "%"}
@@ -250,7 +251,8 @@ def _statement(outcome: Outcome) -> str:
 
 def draw_training(outcome: Outcome) -> Figure:
     """Draw the worst estimate over the runs, and for one parameter the estimates beside it."""
-    error, stages = f"error of {outcome.quantity} [%]", outcome.stages
+    error = f"error of {outcome.quantity} [%]"
+    stages = outcome.stages
     candidates = stages[0].candidates
     estimates = [stage.judged(outcome.fields) for stage in stages]
     estimates = [np.where(np.isfinite(each), each, np.nan) for each in estimates]
@@ -271,7 +273,8 @@ def draw_training(outcome: Outcome) -> Figure:
             for k in dict.fromkeys((0, len(stages) - 1))
         ]
         curves += _known_errors(outcome, held_out, values)
-        label, log = LABELS.get(names[0], names[0]), names[0] in LABELS
+        label = LABELS.get(names[0], names[0])
+        log = names[0] in LABELS
         beside = Panel("", label, error, curves, "both logarithmic" if log else "logarithmic")
         panels.insert(0, beside)
     return draw_grid([panels])
@@ -279,7 +282,8 @@ def draw_training(outcome: Outcome) -> Figure:
 
 def _known_errors(outcome: Outcome, at: Array, range_of: Array) -> list[Curve]:
     """Return curves of the true errors of held-out runs, and of the tolerance over a range."""
-    ends, errors = np.array([range_of.min(), range_of.max()]), np.array(outcome.errors)
+    ends = np.array([range_of.min(), range_of.max()])
+    errors = np.array(outcome.errors)
     finite = np.where(np.isfinite(errors), errors, np.nan)
     return [
         Curve("true error, held out", at, finite, "reference"),
@@ -346,7 +350,8 @@ class _Training:
 
     def __init__(self, context: StageContext, workers: int | None, scheduler: str | None) -> None:
         """Choose the first points. Raises CaseError."""
-        self.context, self.case = context, context.case
+        self.context = context
+        self.case = context.case
         self._at_once, self._scheduler = workers, scheduler
         self.section = self.case.training
         model = fast_section(self.case, self.section.model)
@@ -360,7 +365,8 @@ class _Training:
                 "training: the case has no region of parameters; give ranges, such as --set "
                 "'training.reynolds=[50, 1000]'"
             )
-        self.model, self.region = model, Region(self.case)
+        self.model = model
+        self.region = Region(self.case)
         self.workspace = Workspace(context)
         self.starts = tuple(self.region.starts(self._existing()))
         tested = self.case.plan.test_points
@@ -402,7 +408,9 @@ class _Training:
                 f"{point.label}, a corner of the region: the full run became unstable: {reason}; "
                 "try a smaller region"
             )
-        points, stages, earlier = self.starts, list[Stage](), tuple[HeldOut, ...]()
+        points = self.starts
+        stages = list[Stage]()
+        earlier = tuple[HeldOut, ...]()
         fields = self.section.fields
         while True:
             model = StageModel(self.context, self.model, points)
@@ -525,7 +533,8 @@ class StageModel:
         for stage in (pod, fit_psi, operators):
             stage.run(context)
         self.workspace = Workspace(context)
-        self._points, self._fast = points, FastModel(self.workspace, model)
+        self._points = points
+        self._fast = FastModel(self.workspace, model)
 
     def estimate(self, point: ParameterPoint) -> Array:
         """Return the estimated errors (2,) of the model at a point, infinite if there are none."""

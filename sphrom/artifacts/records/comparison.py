@@ -18,23 +18,30 @@ class Series(Record):
 
     time: Array = dataset("snapshot", "s", "time of each snapshot", "t", "Eq. 2.18")
     relative_l2: Mapping[str, Array] = dataset(
-        "snapshot", "%", "relative L2 error of %s",
+        "snapshot",
+        "%",
+        "relative L2 error of %s",
         names={
             f"{quantity}_{place}_relative_l2": f"{norm}, {where}"
             for quantity, norm in _NORMS.items()
             for place, where in _PLACES.items()
         },
-        at="*", default_factory=dict,
+        at="*",
+        default_factory=dict,
     )
     eq41: Mapping[str, Array] = dataset(
-        "snapshot", "%", "relative discrepancy of %s", equation="Eq. 4.1",
+        "snapshot",
+        "%",
+        "relative discrepancy of %s",
+        equation="Eq. 4.1",
         names={
             f"{quantity}_{place}_eq41_by_{over}_range": f"{value}, {where}, over the range {of}"
             for quantity, value in _VALUES.items()
             for place, where in _PLACES.items()
             for over, of in _RANGES.items()
         },
-        at="*", default_factory=dict,
+        at="*",
+        default_factory=dict,
     )
     status: str | None = attribute("", "how the run ended", default=None)
     figures: Mapping[str, float] = attribute(

@@ -20,7 +20,8 @@ class FittedHistory(Record):
     fitted: Array = dataset("measurement", "of the quantity", "values of the fitted model")
     curve: Array = dataset("snapshot", "of the quantity", "the fitted model at its snapshots")
     half_width: Array = dataset(
-        "snapshot", "of the quantity",
+        "snapshot",
+        "of the quantity",
         "half-width about the curve of the 95 % interval for the flow's own history",
     )
     name: str = attribute("", "measurement, with its place if the case does not name it")

@@ -25,19 +25,29 @@ class Basis(Medium, kind="sphrom/basis"):
     reference_position: Array = dataset("particle component", *REFERENCE_POSITION)
     volume: Array = dataset("particle", "m2", "area represented by each point", "V", "Eq. 3.15")
     mean_density_fluctuation: Mapping[str, Array] = dataset(
-        "snapshot", "kg/m3",
+        "snapshot",
+        "kg/m3",
         "spatial mean of each snapshot of a training run, if it is subtracted as a separate "
-        "variable", default_factory=dict,
+        "variable",
+        default_factory=dict,
     )
     bases: Mapping[str, StoredBasis] = part()
     train: Mapping[str, Array] = dataset(
-        "training_run parameter", "of the parameters", "parameter values of the training runs",
-        "mu", "Eq. 2.17", at="bases/*/train",
+        "training_run parameter",
+        "of the parameters",
+        "parameter values of the training runs",
+        "mu",
+        "Eq. 2.17",
+        at="bases/*/train",
     )
     lagrangian: Mapping[str, Modes] = part(default_factory=dict)
     lagrangian_position: Array | None = dataset(
-        "particle component", "m", "start positions of the particles of the Lagrangian modes", "x",
-        "Eq. 3.13", default=None,
+        "particle component",
+        "m",
+        "start positions of the particles of the Lagrangian modes",
+        "x",
+        "Eq. 3.13",
+        default=None,
     )
     inner_product: str = attribute("", "inner product of the modes")
 
@@ -46,7 +56,8 @@ class WallForce(ReducedForce):
     """A projected force, and the recorded forces of training runs."""
 
     training_loads: Array = dataset(
-        "run snapshot part load", "N/m, N of the torque",
+        "run snapshot part load",
+        "N/m, N of the torque",
         "pressure and viscous force in the full training runs, for corrections",
     )
 
@@ -70,7 +81,8 @@ class Estimate(FieldProducts):
 
     unheld: UnheldShares = part()
     start: Array = dataset(
-        "training_run mode", "of the inner product",
+        "training_run mode",
+        "of the inner product",
         "coordinates at the start of each training run",
     )
 
@@ -79,12 +91,14 @@ class HeldOut(Record):
     """Numbers of modes chosen by held-out training runs, for calibrated Galerkin models."""
 
     integrated: Indices = dataset(
-        "size", "1",
+        "size",
+        "1",
         "number of modes to integrate in models with 1, 2, ... modes; training runs predict the "
         "others",
     )
     error: Array = dataset(
-        "size field", "1",
+        "size field",
+        "1",
         "expected relative error of such models between training runs" + OF_FIELDS,
     )
 
@@ -94,14 +108,19 @@ class BasisOperators(Record):
 
     rates: ReducedOperators = part(at="")
     states: Array = dataset(
-        "state mode", "of the inner product",
-        "coordinates of some training snapshots, around which steps must be stable", "omega-hat",
+        "state mode",
+        "of the inner product",
+        "coordinates of some training snapshots, around which steps must be stable",
+        "omega-hat",
         "Eq. 3.11",
     )
     training_runs: Array | None = dataset(
-        "run snapshot mode", "of the inner product",
+        "run snapshot mode",
+        "of the inner product",
         "coordinates of all training snapshots of the basis, for calibration and correction",
-        "omega-hat", "Eq. 3.11", default=None,
+        "omega-hat",
+        "Eq. 3.11",
+        default=None,
     )
     residual: ResidualFactor | None = part(default=None)
     estimate: Estimate | None = part(default=None)
@@ -115,9 +134,7 @@ class BasisOperators(Record):
 class Starts(Record):
     """Starts of runs, mapped onto the reference points."""
 
-    parameters: Array = dataset(
-        "start parameter", "1", "parameter values of each start"
-    )
+    parameters: Array = dataset("start parameter", "1", "parameter values of each start")
     density_fluctuation: Array = dataset(
         "start particle", "kg/m3", "density minus the reference density", "rho'", "Eq. 3.15"
     )

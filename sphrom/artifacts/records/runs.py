@@ -110,7 +110,10 @@ class Snapshots(Record):
 
     time: Array = dataset("snapshot", *TIME)
     step: Indices = dataset(
-        "snapshot", "1", "steps taken up to each snapshot, without those of a spin-up", "n",
+        "snapshot",
+        "1",
+        "steps taken up to each snapshot, without those of a spin-up",
+        "n",
         "Eq. 2.18",
     )
     position: Array = dataset(
@@ -120,12 +123,18 @@ class Snapshots(Record):
     density_fluctuation: Array = dataset("snapshot particle", *DENSITY)
     pressure: Array = dataset("snapshot particle", *PRESSURE)
     generalized_coordinates: Array | None = dataset(
-        "snapshot mode", "of the inner product", "coordinates of a reduced run in its basis",
-        "omega-hat", "Eq. 3.11", default=None,
+        "snapshot mode",
+        "of the inner product",
+        "coordinates of a reduced run in its basis",
+        "omega-hat",
+        "Eq. 3.11",
+        default=None,
     )
     mean_density_fluctuation: Array | None = dataset(
-        "snapshot", "kg/m3",
-        "separate mean of a reduced run, in closed boxes", default=None,
+        "snapshot",
+        "kg/m3",
+        "separate mean of a reduced run, in closed boxes",
+        default=None,
     )
     force: Mapping[str, Force] = part(default_factory=dict)
     measure: Mapping[str, Measured] = part(default_factory=dict)
@@ -135,12 +144,22 @@ class Trajectory(Snapshots, Settings, kind="sphrom/trajectory"):
     """The time series of a full or reduced run."""
 
     ghost_position: Array | None = dataset(
-        "ghost component", "m", "ghost particles of walls", "x", "Eq. 2.15", at="ghost/position",
+        "ghost component",
+        "m",
+        "ghost particles of walls",
+        "x",
+        "Eq. 2.15",
+        at="ghost/position",
         default=None,
     )
     ghost_wall_velocity: Array | None = dataset(
-        "ghost component", "m/s", "velocity of each ghost's wall at full speed", "U_wall",
-        "Eq. 2.15", at="ghost/wall_velocity", default=None,
+        "ghost component",
+        "m/s",
+        "velocity of each ghost's wall at full speed",
+        "U_wall",
+        "Eq. 2.15",
+        at="ghost/wall_velocity",
+        default=None,
     )
     status: Status = attribute("", "how the run ended")
     status_detail: str | None = attribute("", "reason, place and time of a failure", default=None)
@@ -168,12 +187,15 @@ class ReferenceSnapshots(Medium, kind="sphrom/reference-snapshots"):
     velocity: Array = dataset("snapshot particle component", *VELOCITY)
     parameters: Mapping[str, float] = attribute(*PARAMETERS, default_factory=dict)
     map_error: Mapping[str, float] = attribute(
-        "%", "relative L2 error of the map on the exact solution, by field", default_factory=dict,
+        "%",
+        "relative L2 error of the map on the exact solution, by field",
+        default_factory=dict,
     )
     round_trip_error: Mapping[str, float] = attribute(
         "%",
         "relative L2 loss of the last snapshot by the map and back, by field, where no exact "
-        "solution is known", default_factory=dict,
+        "solution is known",
+        default_factory=dict,
     )
 
 
@@ -181,13 +203,19 @@ class Checkpoint(Record, kind="sphrom/checkpoint"):
     """The state of an unfinished run, on which its next step depends."""
 
     state: Array = dataset(
-        "row entry", "of each row", "the full or reduced state after the step, as the run holds it",
-        "w", "Eq. 2.17",
+        "row entry",
+        "of each row",
+        "the full or reduced state after the step, as the run holds it",
+        "w",
+        "Eq. 2.17",
     )
     neighbours_at: Array | None = dataset(
-        "component particle", "m",
-        "positions at which the neighbour list was built, unless it must be built again", "x",
-        "Alg. 3.2", default=None,
+        "component particle",
+        "m",
+        "positions at which the neighbour list was built, unless it must be built again",
+        "x",
+        "Alg. 3.2",
+        default=None,
     )
     step: int = attribute("", "number of steps taken")
     n_steps: int = attribute("", "number of steps of the whole run")
@@ -197,7 +225,8 @@ class Checkpoint(Record, kind="sphrom/checkpoint"):
     seconds: float = attribute("s", "time spent on the steps", at="timing/integration")
     wall_seconds: float = attribute("s", "time spent on the artifact", at="timing/wall")
     continued: str | None = attribute(
-        "", "digest of the finished run whose snapshots come first; absent without one",
+        "",
+        "digest of the finished run whose snapshots come first; absent without one",
         default=None,
     )
 
@@ -232,7 +261,8 @@ class ErrorEstimate(Record):
     velocity: Array = dataset("snapshot", *VELOCITY_ERROR)
     pressure: Array = dataset("snapshot", *PRESSURE_ERROR)
     change: Array = dataset(
-        "snapshot cause", "of the inner product",
+        "snapshot cause",
+        "of the inner product",
         "distance of coordinates from those that training runs predict: due to the parameters, and "
         "since the training runs ended",
     )
@@ -253,18 +283,22 @@ class Steady(Record):
     """A steady state, found from the end of a run."""
 
     coordinates: Array = dataset(
-        "mode", "of the inner product",
+        "mode",
+        "of the inner product",
         "zero of the rates, or the closest state that was found, from the end of the run",
-        "omega-hat", "Eq. 3.11",
+        "omega-hat",
+        "Eq. 3.11",
     )
     status: Converged = attribute("", "whether a steady state was found")
     residual: float = attribute("of the modes, /s", "norm of its rates")
     training_distance: float | None = attribute(
-        "1", "distance from the nearest of some training states, over the norm of the steady state",
+        "1",
+        "distance from the nearest of some training states, over the norm of the steady state",
         default=None,
     )
     residual_left_out: float | None = attribute(
-        "of the inner product, /s", "norm of the residual of the full rates there",
+        "of the inner product, /s",
+        "norm of the residual of the full rates there",
         default=None,
     )
     velocity_error_estimate: float | None = attribute(*VELOCITY_ERROR, default=None)
@@ -284,24 +318,34 @@ class Coordinates(Settings, kind="sphrom/coordinates"):
         "snapshot mode", "of the inner product", "coordinates in the basis", "omega-hat", "Eq. 3.11"
     )
     correction: Array | None = dataset(
-        "snapshot mode", "of the inner product",
-        "the part of the coordinates that is a correction by training runs", default=None,
+        "snapshot mode",
+        "of the inner product",
+        "the part of the coordinates that is a correction by training runs",
+        default=None,
     )
     integrated_modes: int | None = attribute(
-        "1", "number of leading modes that are integrated within the trained time; training runs "
-        "predict the others", default=None,
+        "1",
+        "number of leading modes that are integrated within the trained time; training runs "
+        "predict the others",
+        default=None,
     )
     force: Mapping[str, Force] = part(default_factory=dict)
     measure: Mapping[str, Measured] = part(default_factory=dict)
     residual: Array | None = dataset(
-        "snapshot", "of the inner product, /s", "norm of the residual of the model's rates",
+        "snapshot",
+        "of the inner product, /s",
+        "norm of the residual of the model's rates",
         default=None,
     )
     error_estimate: ErrorEstimate | None = part(default=None)
     steady: Steady | None = part(default=None)
     reference_position: Array | None = dataset(
-        "particle component", "m", "points of the reference space, where fields are stored", "x_G",
-        "Eq. 3.14", default=None,
+        "particle component",
+        "m",
+        "points of the reference space, where fields are stored",
+        "x_G",
+        "Eq. 3.14",
+        default=None,
     )
     density_fluctuation: Array | None = dataset("snapshot particle", *DENSITY, default=None)
     velocity: Array | None = dataset("snapshot particle component", *VELOCITY, default=None)
@@ -314,7 +358,8 @@ class Coordinates(Settings, kind="sphrom/coordinates"):
     memory_length: float | None = attribute("s", "tau of Eq. 3.22", default=None)
     mean_density_fluctuation: float = attribute("kg/m3", "separate mean, constant")
     integrator: Literal["runge-kutta", "exponential"] | None = attribute(
-        "", "kind of steps: Runge-Kutta (Eq. 2.18), or exponential, with an exact linear part",
+        "",
+        "kind of steps: Runge-Kutta (Eq. 2.18), or exponential, with an exact linear part",
         default=None,
     )
     step_limit: float | None = attribute(

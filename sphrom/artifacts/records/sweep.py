@@ -17,24 +17,31 @@ class Estimates(Record):
         "estimated_run", "1", "indices of the runs with estimated errors, from zero"
     )
     velocity: Array = dataset(
-        "estimated_run", "%",
+        "estimated_run",
+        "%",
         "estimated error of the velocity, over its root mean square over the run",
     )
     pressure: Array = dataset(
-        "estimated_run", "%",
+        "estimated_run",
+        "%",
         "estimated error of the pressure less its mean, over its root mean square over the run",
     )
     extrapolated: Indices = dataset(
-        "estimated_run", "1",
+        "estimated_run",
+        "1",
         "one if a run is outside the training of its model, else zero",
     )
     measured: Array | None = dataset(
-        "estimated_run column", "of the columns",
-        "estimated errors of measurements, in the order of the table's columns", default=None,
+        "estimated_run column",
+        "of the columns",
+        "estimated errors of measurements, in the order of the table's columns",
+        default=None,
     )
     change: Array | None = dataset(
-        "estimated_run column", "of the columns",
-        "root mean squares of the changes over time, zero for only noise", default=None,
+        "estimated_run column",
+        "of the columns",
+        "root mean squares of the changes over time, zero for only noise",
+        default=None,
     )
     velocity_over_time: Array | None = dataset(
         "estimated_run snapshot", *VELOCITY_ERROR, default=None
@@ -101,11 +108,13 @@ class Sweep(Record, kind="sphrom/sweep"):
         "run parameter", "of the parameters", "parameter values of each run", "mu", "Eq. 2.17"
     )
     status: Indices = dataset(
-        "run", "1",
+        "run",
+        "1",
         "status of each run: 0 complete, 1 unstable, 2 failed for another reason, 3 not run yet",
     )
     complete: Indices = dataset(
-        "complete_run", "1",
+        "complete_run",
+        "1",
         "indices of the complete runs, from zero; the other datasets are of these runs",
     )
     time_step: Array = dataset("complete_run", "s", "time step of each run")
@@ -118,14 +127,20 @@ class Sweep(Record, kind="sphrom/sweep"):
     )
     time: Array | None = dataset("snapshot", *TIME, default=None)
     generalized_coordinates: Array | None = dataset(
-        "complete_run snapshot mode", "of the inner product", "coordinates of reduced runs",
-        "omega-hat", "Eq. 3.11", default=None,
+        "complete_run snapshot mode",
+        "of the inner product",
+        "coordinates of reduced runs",
+        "omega-hat",
+        "Eq. 3.11",
+        default=None,
     )
     measure: Mapping[str, Measured] = part(default_factory=dict)
     error_estimate: Estimates | None = part(default=None)
     derivatives: Array | None = dataset(
-        "complete_run derivative", "of the figures, per unit of the parameter",
-        "derivatives of figures at the end by parameters", default=None,
+        "complete_run derivative",
+        "of the figures, per unit of the parameter",
+        "derivatives of figures at the end by parameters",
+        default=None,
     )
     statistics: Statistics | None = part(default=None)
     model: str = attribute("", "model of the runs, full or a reduced model's name")
