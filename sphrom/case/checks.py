@@ -32,7 +32,6 @@ from sphrom.case.study_sections import FULL, ErrorFigure, FieldFigure, ModeFigur
 from sphrom.case.yaml_reader import Problem
 from sphrom.errors import CaseError, SphromError
 from sphrom.kernels import SUPPORT_RATIO
-from sphrom.metrics.elevation import find_elevation
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import ROUNDING
 from sphrom.sph.polygons import periodic_shifts
@@ -564,6 +563,8 @@ def _start_problem(case: Case, point: ParameterPoint) -> str | None:
     scene = case.scene
     if math.isfinite(scene.level_at(point.factors)) or not plan.n_particles:
         return None
+    from sphrom.metrics.elevation import find_elevation  # few cases need its slow imports
+
     position = scene.fill(plan.particle_spacing, point.factors)
     space = plan.stream_space
     volume = np.full(len(position), plan.particle_spacing**2)
