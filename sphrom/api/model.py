@@ -204,7 +204,7 @@ class Model:
         step_factor : length of the time steps over that of automatic ones.
         """
         case = self._workspace.case
-        (fast, reduced) = self._by_operators("sensitivities")
+        fast, reduced = self._by_operators("sensitivities")
         self._require_names(names)
         if step_factor < LEAST_STEP:
             raise CaseError(f"step_factor: must be {LEAST_STEP:g} or more; got {step_factor:g}")

@@ -16,6 +16,7 @@ from sphrom.artifacts.records.reduced_models import TrainedModel
 from sphrom.artifacts.records.runs import TrainedSurfaceModel
 from sphrom.case.loader import case_of_text, load_case
 from sphrom.case.models import Case
+from sphrom.case.tables import remember
 from sphrom.console import Reporter
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.signals import guarded
@@ -186,6 +187,8 @@ def load(path: str | os.PathLike[str]) -> Model:
             stored = read_record(artifact, TrainedSurfaceModel)
         else:
             raise ArtifactError(f"{path} is a {kind}, no model; `{made_by}` writes model-NAME.h5")
+    for history in stored.histories.values():
+        remember(**vars(history))
     try:
         case = case_of_text(text)
     except CaseError as error:

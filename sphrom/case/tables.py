@@ -92,6 +92,11 @@ class TableSection(Section):
         return _TABLES[self.sha256, *chosen]
 
 
+def remember(rows: Array, sha256: str, time: str | None, value: str | None) -> None:
+    """Keep the rows (2, n_rows + 2) of a `HistorySection` whose file may be missing."""
+    _TABLES[sha256, time, value] = rows
+
+
 class HistorySection(TableSection):
     """A measured history: a column of a table over time, linear between rows."""
 

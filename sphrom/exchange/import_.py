@@ -354,7 +354,7 @@ def _doubts(
     plan = workspace.case.plan
     report = workspace.context.report
     first = kept[0][1]
-    (time, state) = kept[begin]
+    time, state = kept[begin]
     last = max(kept)
     every = plan.steps.every
     crossing, slow = case.scene.length_scale / plan.max_speed, LEAST_SPEED * plan.max_speed

@@ -10,13 +10,15 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from sphrom.arrays import Array, Indices
 from sphrom.artifacts import Artifact, read_record, write_record
 from sphrom.artifacts.records.reduced_models import TrainedModel
-from sphrom.artifacts.records.runs import TrainedSurfaceModel
+from sphrom.artifacts.records.runs import HistoryTable, TrainedSurfaceModel
+from sphrom.case.models import Case
 from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import COEFFICIENT, Quantities
@@ -87,9 +89,7 @@ def write_surface_model(workspace: Workspace, section: ReducedModelSection) -> N
     stored = TrainedSurfaceModel(
         basis=model.basis,
         graph=model.trained,
-        model=section.name,
-        reference_density=workspace.case.fluid.reference_density,
-        sound_speed=workspace.case.plan.sound_speed,
+        **_of_case(workspace.case, section),
     )
     with workspace.create(workspace.model(section)) as artifact:
         write_record(artifact, stored)
@@ -113,13 +113,22 @@ def write_model(workspace: Workspace, section: ReducedModelSection) -> None:
         volume=volume,
         reference_position=points,
         starts=starts,
-        model=section.name,
-        reference_density=case.fluid.reference_density,
-        sound_speed=case.plan.sound_speed,
+        **_of_case(case, section),
     )
     with workspace.create(workspace.model(section)) as artifact:
         write_record(artifact, stored)
         artifact.annotate("timing/training", time.perf_counter() - started)
+
+
+def _of_case(case: Case, section: ReducedModelSection) -> dict[str, Any]:
+    """Return the fields that files of all models have."""
+    histories = getattr(case.scene, "histories", {}).items()
+    return {
+        "model": section.name,
+        "reference_density": case.fluid.reference_density,
+        "sound_speed": case.plan.sound_speed,
+        "histories": {name: HistoryTable.of(history) for name, history in histories},
+    }
 
 
 def train(

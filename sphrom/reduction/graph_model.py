@@ -142,7 +142,7 @@ class GraphModel:
         The pressure is the integral up to the surface of weight, acceleration and viscosity.
         """
         rates = self.rates(times, coordinates)
-        (nodes, weights) = gauss_points(N_BELOW)
+        nodes, weights = gauss_points(N_BELOW)
         degrees = np.arange(N_BELOW)
         to_series = legvander(2.0 * nodes - 1.0, N_BELOW - 1) * weights[:, None] * (2 * degrees + 1)
         out = np.empty((len(times), len(points)))
@@ -209,7 +209,7 @@ class GraphModel:
     def kinetic_energy(self, coordinates: Array) -> Array:
         """Return the kinetic energy (n_times,) over the density [m4/s2]."""
         space = self.basis.space
-        (nodes, weights) = gauss_points(N_HEIGHTS)
+        nodes, weights = gauss_points(N_HEIGHTS)
         columns, widths = integration_columns(space)
         modes = self.basis.stream_modes
         heights = self.elevation(coordinates, columns) - space.bottom

@@ -94,8 +94,8 @@ def fit_lattice_splines(points: ArrayLike, values: ArrayLike, domain: Domain) ->
 
 
 def _cells(domain: Domain, shape: tuple[int, ...]) -> bspline.Lattice:
-    (n_columns, n_rows) = shape
-    (along_x, along_y) = domain.periodic
+    n_columns, n_rows = shape
+    along_x, along_y = domain.periodic
     x_spacing, y_spacing = domain.lengths[0] / n_columns, domain.lengths[1] / n_rows
     return bspline.Lattice(
         x_origin=domain.lower[0] + 0.5 * x_spacing,

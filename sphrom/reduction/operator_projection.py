@@ -554,7 +554,7 @@ class _Rates:
 
     def _products(self, carrier: _States, carried: _States) -> Array:
         """Return B of a carrier, which advects and is compressed, and of the carried states."""
-        (u, v) = carrier.velocity
+        u, v = carrier.velocity
         q = carrier.scaled_density
         terms = carried.terms
         out = -u * carried.slopes[:, 0] - v * carried.slopes[:, 1]

@@ -113,7 +113,7 @@ def solids_within(domain: Domain, frame: panels.Extent) -> panels.Solids:
 
 def _draw_points(axes: Axes, position: Array, size: float, colour: str, label: str) -> None:
     """Draw points (n_points, 2) as dots of a size [points squared]."""
-    (x, y) = position.T
+    x, y = position.T
     many = len(position) > VECTORS_BELOW
     label = f"{label}, {len(position)}"
     axes.scatter(x, y, s=size, color=colour, linewidths=0.0, label=label, rasterized=many)
@@ -216,7 +216,7 @@ def _draw_measured(axes: Axes, case: Case, arrow: float) -> None:
     for name, measure in case.scene.measured_fields.items():
         ends = np.array(measure.segment or (measure.probe,) * 2)
         middle = ends.mean(axis=0)
-        (dx, dy) = ends[1] - ends[0]
+        dx, dy = ends[1] - ends[0]
         if measure.segment is None:
             look: dict[str, Any] = {"marker": "o", "ls": "none", "ms": 6.0, "label": "probes"}
         elif measure.flow_rate is None:

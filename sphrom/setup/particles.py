@@ -211,7 +211,7 @@ class MeasuredFields:
         places = np.concatenate([measure.position for measure in measures.values()])
         distance, normal = case.scene.domain.distance_and_normal(places)
         spacing = case.plan.particle_spacing
-        (at_rest, per_unit) = case.plan.rest_and_units
+        at_rest, per_unit = case.plan.rest_and_units
         integrals = [np.full(len(m.position), m.normal is not None) for m in measures.values()]
         near = self._near = np.flatnonzero((distance < spacing) & ~np.concatenate(integrals))
         on_walls = places[near] - distance[near, None] * normal[near]

@@ -252,8 +252,8 @@ class Rectangle:
 
     def shifted(self, x: float, y: float) -> Rectangle:
         """Return the rectangle moved along both axes [m]."""
-        (left, low) = self.lower
-        (right, high) = self.upper
+        left, low = self.lower
+        right, high = self.upper
         return Rectangle((left + x, low + y), (right + x, high + y))
 
     def contains(self, position: Array) -> Mask:

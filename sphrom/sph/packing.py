@@ -116,8 +116,8 @@ def _box_around(position: Array, domain: Domain) -> BoxDomain:
     every = np.column_stack((domain.lower, domain.upper, position))
     lower = np.where(domain.periodic, domain.lower, every.min(axis=1))
     upper = np.where(domain.periodic, domain.upper, every.max(axis=1))
-    (left, low) = lower.tolist()
-    (right, high) = upper.tolist()
+    left, low = lower.tolist()
+    right, high = upper.tolist()
     return BoxDomain((left, low), (right, high), domain.periodic)
 
 

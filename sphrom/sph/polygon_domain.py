@@ -328,7 +328,7 @@ def ghost_rows(fluid: BaseGeometry, frame: BaseGeometry, spacing: float, n_layer
     frame : the part of the plane in which ghosts are needed: one period of the fluid.
     """
     found = [np.empty((0, 2))]
-    (lower, upper) = np.reshape(shapely.bounds(frame), (2, 2))
+    lower, upper = np.reshape(shapely.bounds(frame), (2, 2))
     for layer in range(n_layers):
         depth = (layer + 0.5) * spacing
         grown = shapely.buffer(fluid, depth, join_style="mitre", mitre_limit=MITRE_LIMIT)

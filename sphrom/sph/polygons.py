@@ -91,8 +91,8 @@ def jutting_corners(shape: BaseGeometry, reach: float) -> tuple[Array, Array]:
             np.stack([np.interp(along[own] + way, along, axis) for axis in line.T], axis=1)
             for way in (-reach, reach)
         )
-        (a, b) = (line[own] - before).T
-        (c, d) = (after - line[own]).T
+        a, b = (line[own] - before).T
+        c, d = (after - line[own]).T
         places.append(line[own])
         # The shape is on the left; the outline of a jutting corner turns right.
         turns.append(np.arctan2(b * c - a * d, a * c + b * d))

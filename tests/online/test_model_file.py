@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import sphrom
+from sphrom.case import tables
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.online.fast_model import FastModel
 from sphrom.store.workspace import Workspace
@@ -41,7 +42,8 @@ TANK: dict[str, Any] = {
         "fluid": {"level": 0.5, "gravity": 1.0},
         "slip": "free",
         "constants": {"ratio": 0.9},
-        "body_force": ["0.02*sin(1.7*ratio*t)", 0],
+        "histories": {"sway": {"file": "sway.csv"}},
+        "body_force": ["0.02*ratio*sway(t)", 0],
         "reference_length": 0.5,
         "measure": {"gauge": {"elevation": 0}, "side": {"force_on": "left"}},
     },
@@ -114,15 +116,25 @@ def test_many_runs_of_a_file_are_those_of_its_study(study: sphrom.Study, alone: 
     assert sphrom.load(alone).run_many(points).identical(own)
 
 
-def test_a_tank_s_file_alone_answers_like_its_study(tmp_path: Path) -> None:
-    study = sphrom.Study(TANK, out=tmp_path / "runs", threads=1, quiet=True)
+def test_a_tank_s_file_alone_answers_like_its_study(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The file has the measured history that shakes the tank, too."""
+    monkeypatch.chdir(tmp_path)
+    times = np.arange(0.0, 2.3, 0.1)
+    np.savetxt("sway.csv", np.column_stack([times, np.sin(1.5 * times)]), "%.6f", ",", header="t,a")
+    Path("sway.csv").write_text(Path("sway.csv").read_text().removeprefix("# "))
+    study = sphrom.Study(TANK, out="runs", threads=1, quiet=True)
     study.run(until="operators")
-    alone = Path(shutil.copy(study.folder / "model-fast.h5", tmp_path))
     own = study.model("fast", reynolds=250, ratio=0.95).run()
+    own_measures, own_fields = own.measures, own.fields([[0.3, 0.2]])
+    alone = Path(shutil.copy(study.folder / "model-fast.h5", tmp_path))
+    Path("sway.csv").unlink()
+    tables._TABLES.clear()
     loaded = sphrom.load(alone).at(reynolds=250, ratio=0.95).run()
     np.testing.assert_array_equal(loaded.coordinates, own.coordinates)
-    assert loaded.measures.identical(own.measures)
-    assert loaded.fields([[0.3, 0.2]]).identical(own.fields([[0.3, 0.2]]))
+    assert loaded.measures.identical(own_measures)
+    assert loaded.fields([[0.3, 0.2]]).identical(own_fields)
 
 
 def test_a_file_is_still_checked(alone: Path) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from sphrom.arrays import Array, Indices
-from sphrom.artifacts.records.runs import REFERENCE_POSITION, Medium
+from sphrom.artifacts.records.runs import REFERENCE_POSITION, Medium, ModelFile
 from sphrom.declaration import Record, attribute, dataset, part
 from sphrom.reduction.held_out import OF_FIELDS, FieldProducts, UnheldShares
 from sphrom.reduction.mode_splines import CellSplines, LatticeCoefficients
@@ -149,7 +149,7 @@ class Operators(Record, kind="sphrom/operators"):
     walls_driven: int = attribute("", "1 if the amplitude is that of the walls' speed, else 0")
 
 
-class TrainedModel(Medium, kind="sphrom/model"):
+class TrainedModel(ModelFile, kind="sphrom/model"):
     """A trained model, with all that its runs need at any parameters."""
 
     bases: Mapping[str, TrainedBasis] = part()
@@ -157,7 +157,6 @@ class TrainedModel(Medium, kind="sphrom/model"):
     volume: Array = dataset("particle", "m2", "area represented by each point", "V", "Eq. 3.15")
     reference_position: Array = dataset("particle component", *REFERENCE_POSITION)
     starts: Starts | None = part(default=None)
-    model: str = attribute("", "name of the model")
 
 
 class Spline(Record, kind="sphrom/spline"):

@@ -406,12 +406,31 @@ class SurfaceModels(Record, kind="sphrom/surface-operators"):
     sizes: Mapping[str, TrainedGraph] = part(at="sizes/*")
 
 
-class TrainedSurfaceModel(Medium, kind="sphrom/surface-model"):
+class HistoryTable(Record):
+    """A measured history of a case, identified by its file's digest and its columns' names."""
+
+    rows: Array = dataset(
+        "column row",
+        "s, of the history",
+        "times and values, with a row before the first and after the last",
+    )
+    sha256: str = attribute("", "digest of the file")
+    time: str | None = attribute("", "column of the times, if the case names one", default=None)
+    value: str | None = attribute("", "column of the values, if the case names one", default=None)
+
+
+class ModelFile(Medium):
+    """Data of a case that its trained models need, too."""
+
+    model: str = attribute("", "name of the model")
+    histories: Mapping[str, HistoryTable] = part(default_factory=dict)
+
+
+class TrainedSurfaceModel(ModelFile, kind="sphrom/surface-model"):
     """A trained model of a flow with a free surface, with all that its runs need."""
 
     basis: SurfaceBasis = part()
     graph: TrainedGraph = part()
-    model: str = attribute("", "name of the model")
 
 
 class SurfaceRun(Settings, kind="sphrom/surface-run"):
