@@ -87,10 +87,10 @@ def fit_psi(options: Options) -> None:
 
 @stage_command(stages, "operators")
 def operators(options: Options) -> None:
-    """Project the equations on the reference points onto the basis: operators.h5.
+    """Project the equations on the reference points, and train models: operators.h5, model-*.h5.
 
     Reduced models with `evaluation: operators` need this stage. Their cost does not depend on the
-    number of particles.
+    number of particles. From Python, `sphrom.load` needs only the file of a model.
 
     \b
     Example:
