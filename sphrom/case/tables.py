@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import hashlib
+from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -44,9 +45,9 @@ class TableSection(Section):
         sha256: str | None
 
     @classmethod
+    @abstractmethod
     def parsed(cls, text: str, *chosen: str | None) -> Any:
         """Return the content of a table from its text. Raises ValueError."""
-        raise NotImplementedError
 
     @model_validator(mode="before")
     @classmethod
