@@ -70,8 +70,9 @@ class Field:
     equation: str = ""
     allowed: tuple[str, ...] = ()
     """The allowed texts of an attribute; if empty, any."""
-    names: Mapping[str, str] | None = None
-    """The texts that may replace `*` in its name, each with the text for `%s` in its meaning."""
+    names: Mapping[str, str | Mapping[str, Any]] | None = None
+    """The texts that may replace `*` in its name, each with the text for `%s` in its meaning, or
+    with the parts of its own declaration."""
     is_mapping: bool = False
     record: type[Record] | None = None
     """The record of a group."""
@@ -94,7 +95,7 @@ def dataset(
     symbol: str = "",
     equation: str = "",
     *,
-    names: Mapping[str, str] | None = None,
+    names: Mapping[str, str | Mapping[str, Any]] | None = None,
     **place: Any,
 ) -> Any:
     """Declare a dataset with axes such as `snapshot particle`; `names` lists a mapping's keys.
@@ -121,9 +122,15 @@ def tensors(
     return dataset(axes, units, meaning, symbols, equation, names=names, **place)
 
 
-def attribute(units: str, meaning: str, **place: Any) -> Any:
+def attribute(
+    units: str,
+    meaning: str,
+    *,
+    names: Mapping[str, Mapping[str, Any]] | None = None,
+    **place: Any,
+) -> Any:
     """Declare an attribute."""
-    return _declared(place, units=units, meaning=meaning)
+    return _declared(place, units=units, meaning=meaning, names=names)
 
 
 def part(**place: Any) -> Any:
@@ -234,11 +241,11 @@ def fields_of(record: type[Record], group: str = "", optional: bool = False) -> 
                     symbol=field.symbol[degree].strip(), meaning=f"{name} {field.meaning}",
                 )  # fmt: skip
         elif field.names is not None:
-            for name, meaning in field.names.items():
-                meant = field.meaning.replace("%s", meaning)
-                yield replace(
-                    field, name=path.removesuffix("*") + name, meaning=meant, required=required
-                )
+            for name, declared in field.names.items():
+                if isinstance(declared, str):
+                    declared = {"meaning": field.meaning.replace("%s", declared)}
+                named = path.removesuffix("*") + name
+                yield replace(field, name=named, required=required, **declared)
         else:
             yield replace(field, name=path, required=required)
 

@@ -20,7 +20,7 @@ from sphrom.artifacts.reader import Artifact, open_artifact
 from sphrom.artifacts.records import SCHEMAS
 from sphrom.declaration import Field
 from sphrom.errors import CaseError
-from sphrom.metrics.measures import AXES
+from sphrom.metrics.quantities import AXES
 
 _MEASURED = re.compile("((?:error_estimate|steady)/)?(measure|force)/([^/]+)/([^/]+)")
 """The path of a measured quantity: a prefix, the kind, the measurement and the quantity."""

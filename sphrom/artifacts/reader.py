@@ -366,13 +366,15 @@ def _stored(artifact: Artifact, path: str) -> Any:
 
 def _mapping(artifact: Artifact, record: type[Record], field: Field, path: str) -> dict[str, Any]:
     """Read the items of a mapping, except those that are other fields of the record."""
-    depth = path.count("/") + 1
     names = artifact.datasets if field.axes or field.record else artifact.attributes
+    if field.names is not None:
+        begin = path.removesuffix("*")
+        existing = [name for name in field.names if begin + name in names]
+        return {name: _read(artifact, field, begin + name) for name in existing}
+    depth = path.count("/") + 1
     heads = {"/".join(name.split("/")[:depth]) for name in names}
     parent = path.rpartition("/")[0]
     heads -= {joined(parent, other.name) for other in fields_of_record(record).values()} - {path}
-    if field.names is not None:
-        heads &= {path.removesuffix("*") + name for name in field.names}
     items = {}
     for head in sorted(head for head in heads if matches(path, head)):
         pairs = zip(path.split("/"), head.split("/"), strict=True)

@@ -10,7 +10,7 @@ import numpy as np
 import shapely
 
 from sphrom.arrays import Array
-from sphrom.case.custom_sections import SurfaceForce
+from sphrom.case.custom_sections import ShapedFluid, SurfaceForce
 from sphrom.case.driving import (
     BODY_FORCE,
     INFLOW,
@@ -78,7 +78,7 @@ def check_surface(driving: Driving) -> None:
     if scene.fluid is None or force is None:
         return
     low, high = scene.domain.lower[1], scene.domain.upper[1]
-    if scene.fluid.level is None:
+    if isinstance(scene.fluid, ShapedFluid):
         if not scene.domain.fluid.buffer(TOUCHING).contains(scene.fluid.geometry()):
             raise ValueError("fluid: must lie within the box and outside of solids")
     elif not low < level < high:

@@ -22,9 +22,9 @@ from sphrom.arrays import Array
 from sphrom.case import custom_checks
 from sphrom.case.custom_sections import (
     InflowSection,
-    PorousSection,
+    Porous,
     Rate,
-    SurfaceFluidSection,
+    SurfaceFluid,
     Value,
     Vector,
 )
@@ -38,9 +38,10 @@ from sphrom.case.driving import (
 )
 from sphrom.case.expressions import CALLED, CONSTANTS, FUNCTIONS
 from sphrom.case.fields import Coordinate, Place, Positive, SafeName, Section, key
+from sphrom.case.measure_sections import MEASURE, Measures
 from sphrom.case.points import REYNOLDS
-from sphrom.case.scene_section import MEASURE, OF_WALLS, Defaults, Measures, SceneSection, Settings
-from sphrom.case.shapes import ShapeSection
+from sphrom.case.scene_section import OF_WALLS, Defaults, SceneSection, Settings
+from sphrom.case.shapes import Shape, ShapeSection
 from sphrom.case.tables import HistorySection, InitialSection
 from sphrom.metrics.measures import midpoints
 from sphrom.scenes.flows import CustomFlow, Scales, Scene
@@ -103,7 +104,7 @@ class CustomScene(SceneSection):
 
     kind: Literal["custom"] = key(..., "kind of flow")
     box: BoxSection = key(BoxSection(), "the box that contains the flow")
-    solids: dict[SafeName, ShapeSection] = key({}, "solids in the box, by name")
+    solids: dict[SafeName, Shape] = key({}, "solids in the box, by name")
     walls: dict[SafeName, MovingWallSection] = key(
         {}, "moving walls: sides of the box (left, right, bottom, top) and solids, by name"
     )
@@ -114,14 +115,14 @@ class CustomScene(SceneSection):
     body_force: Vector = key(
         (0.0, 0.0), "acceleration, numbers or expressions in x, y, t", unit="m/s2"
     )
-    fluid: SurfaceFluidSection | None = key(
+    fluid: SurfaceFluid | None = key(
         None, "the part of the box that fluid with a free surface fills; null fills all of it"
     )
     slip: Literal["none", "free"] = key("none", "whether fluid sticks to the walls or slips freely")
     resistance: Rate = key(
         0.0, "rate of resistance to the flow, a number or an expression in x, y", unit="1/s"
     )
-    porous: dict[SafeName, PorousSection] = key({}, "porous bodies in the box, by name")
+    porous: dict[SafeName, Porous] = key({}, "porous bodies in the box, by name")
     inflow: InflowSection | None = key(None, "inflow of an open box")
     initial: InitialSection = key(InitialSection(), "initial fields of runs")
     reference_length: Positive | None = key(

@@ -19,6 +19,7 @@ import shapely
 
 from sphrom.arrays import Array, Mask
 from sphrom.case.fields import LARGEST
+from sphrom.case.measure_sections import ForceMeasure, FrequencyMeasure
 from sphrom.case.points import REYNOLDS, ParameterPoint, Values, nearest_point
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection, SubsetSection
 from sphrom.errors import CaseError
@@ -496,9 +497,9 @@ class Plan:
         columns = self._case.scene.columns
         found = Oscillations()
         for name, measure in self._case.scene.measure.items():
-            if (section := measure.frequency) is not None:
-                column = columns[section.of]
-                begin = section.from_time
+            if isinstance(measure, FrequencyMeasure):
+                column = columns[measure.frequency.of]
+                begin = measure.since
                 begin = self.means_from[column.measure] if begin is None else begin
                 found[name] = Oscillating(**vars(column), from_time=begin)
         return found
@@ -507,8 +508,8 @@ class Plan:
     def coefficients(self) -> dict[str, float]:
         """The ratios of coefficients to forces [m/N], by the names of the measurements."""
         density = self._case.fluid.reference_density
-        measures = self._case.scene.measure
-        scales = ((name, each.coefficient) for name, each in measures.items())
+        measures = self._case.scene.measure.items()
+        scales = ((n, m.coefficient) for n, m in measures if isinstance(m, ForceMeasure))
         return {n: 2.0 / (density * c.speed**2 * c.length) for n, c in scales if c is not None}
 
     def model_steps(self, model: ReducedModelSection) -> TimeSteps:

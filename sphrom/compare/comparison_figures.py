@@ -22,7 +22,8 @@ from sphrom.case.study_sections import FULL
 from sphrom.compare.comparison_tables import BEST, SpectrumRow, Tables
 from sphrom.compare.stored_comparison import StoredComparison
 from sphrom.metrics.histories import cumulative_singular_value_share, energy, without_mean
-from sphrom.metrics.measures import UNITS, Samples, components
+from sphrom.metrics.measures import Samples
+from sphrom.metrics.quantities import MEASURABLE, components
 from sphrom.plots.panels import Curve, Field, Frame, Panel, Role, draw_grid, save
 from sphrom.scenes.flows import TaylorGreen
 from sphrom.setup.assembly import field_measures
@@ -132,8 +133,7 @@ class _PointFigures:
         if self.references:
             yield "profiles", self._profiles
         for name, measured in self.case.scene.recorded.items():
-            kind = "measure" if measured.force_on is None else "force"
-            yield f"{kind}-{name}", partial(self._measured, name)
+            yield f"{measured.folder}-{name}", partial(self._measured, name)
         if len(self.probes.stations):
             yield "history", self._history
 
@@ -227,7 +227,7 @@ class _PointFigures:
         x_label = "time [s]"
         x = self.time
         measure = field_measures(self.case).get(name)
-        is_line = measure is not None and measure.normal is None and len(measure.position) > 1
+        is_line = measure is not None and not measure.is_integral and len(measure.position) > 1
         if measure is not None and is_line:
             title, x_label = f"{title}, t = {x[-1]:.4g} s", "along the line [m]"
             x = np.hypot(*(measure.position - measure.position[0]).T)
@@ -237,7 +237,7 @@ class _PointFigures:
                 quantities = run.measured(name)
             for quantity, values in quantities.items():
                 for component, one in components(quantity, values).items():
-                    label = f"{component.replace('_', ' ')} [{UNITS[quantity]}]"
+                    label = f"{component.replace('_', ' ')} [{MEASURABLE[quantity].unit}]"
                     # Flow rates and probes have a single place.
                     shown = one[-1] if is_line else one.reshape(len(x))
                     curve = _curve(self.case, FULL if model is None else model.name, x, shown)

@@ -21,7 +21,8 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import Box, Ranges
 from sphrom.errors import CaseError, UnstableError
 from sphrom.fit.measurements import UNNAMED, History
-from sphrom.metrics.measures import PLACED, FieldMeasure, Quantities, combined, items
+from sphrom.metrics.measures import FieldMeasure, Quantities, combined, items
+from sphrom.metrics.quantities import MEASURABLE, PLACED
 from sphrom.online.basis_model import quantities_of
 from sphrom.online.fast_model import FastModel
 from sphrom.online.sensitivities import STEP, tangents
@@ -261,8 +262,9 @@ def error_samples(model: FittedModel, place: Array, known: TrainingDifferences) 
     if not len(differences):
         return None
     ratios = np.sqrt(np.mean(estimate.errors**2, axis=0) / np.mean(sizes**2, axis=1))
-    of_fields = {"velocity": ratios[:, 0], "flow_rate": ratios[:, 0], "pressure": ratios[:, 1]}
-    factors = [of_fields.get(h.quantity, ratios.max(axis=1)) for h in model.histories]
+    of_fields = {"velocity": ratios[:, 0], "pressure": ratios[:, 1]}
+    found = (MEASURABLE.get(h.quantity) for h in model.histories)
+    factors = [of_fields.get(q.of_field if q else "", ratios.max(axis=1)) for q in found]
     scaled = differences * np.stack(factors, axis=1)[:, None]
     steps = case.plan.steps
     time = steps.start_time + steps.snapshot_interval * compared_snapshots(steps.n_snapshots)

@@ -27,12 +27,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sphrom.arrays import Array
-from sphrom.case.checks import outside_fluid
 from sphrom.case.fields import LARGEST
+from sphrom.case.measure_sections import outside_fluid
 from sphrom.case.models import Case
 from sphrom.case.plan import TimeSteps
 from sphrom.errors import CaseError
-from sphrom.metrics.measures import PLACED, Column
+from sphrom.metrics.quantities import PLACED, Column
 from sphrom.metrics.series import OSCILLATION
 from sphrom.text import nearest, quoted, repeated, shortened, table_rows, visible
 from sphrom.whole_files import read_whole
@@ -178,7 +178,9 @@ def _entries(text: str, case: Case) -> dict[Key, list[Entry]]:
     if sum(map(len, entries.values())) > MOST_VALUES:
         raise ValueError(f"has more than {MOST_VALUES} values; keep fewer times")
     places = list(dict.fromkeys(place for _, _, place in entries if place is not None))
-    if places and (problem := outside_fluid(case, np.array(places))) is not None:
+    spacing = case.plan.particle_spacing
+    problem = outside_fluid(case.scene.domain, np.array(places).reshape(-1, 2), spacing)
+    if problem is not None:
         raise ValueError(problem.partition(";")[0])
     return entries
 

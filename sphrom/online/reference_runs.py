@@ -16,7 +16,8 @@ from sphrom.artifacts.records.runs import Converged, Steady
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.machine import seconds_of
-from sphrom.metrics.measures import UNITS, Quantities, components
+from sphrom.metrics.measures import Quantities
+from sphrom.metrics.quantities import MEASURABLE, components
 from sphrom.online.basis_model import forces_of
 from sphrom.online.error_estimates import (
     distance_from,
@@ -102,7 +103,8 @@ def seek_steady_state(run: FastRun, artifact: ArtifactWriter) -> None:
 def _figures(quantities: Quantities) -> str:
     """Return the measurements in one state, in words; lines are left out."""
     return ", ".join(
-        f"{component.replace('_', ' ')} {format_figure(float(values.item()))} {UNITS[quantity]}"
+        f"{component.replace('_', ' ')} {format_figure(float(values.item()))} "
+        f"{MEASURABLE[quantity].unit}"
         for quantity, vectors in quantities.items()
         for component, values in components(quantity, vectors).items()
         if values.size == 1

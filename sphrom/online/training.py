@@ -21,7 +21,8 @@ from sphrom.artifacts.records.runs import HistoryTable, TrainedSurfaceModel
 from sphrom.case.models import Case
 from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.errors import CaseError
-from sphrom.metrics.measures import COEFFICIENT, Quantities
+from sphrom.metrics.measures import Quantities
+from sphrom.metrics.quantities import COEFFICIENT
 from sphrom.metrics.series import smoothed
 from sphrom.offline import operators
 from sphrom.online.basis_model import BasisModel, Start, forces_of, quantities_of
@@ -409,5 +410,5 @@ class _Training:
                 for q, each in full.items()
                 if q != COEFFICIENT
             }
-            found[name] = Differences(**quantities)
+            found[name] = Differences(quantities=quantities)
         return found

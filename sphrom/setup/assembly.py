@@ -14,7 +14,6 @@ from sphrom.arrays import Array
 from sphrom.case.custom_sections import SurfaceForce
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.scene_section import MeasureSection
 from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.measures import FieldMeasure
 from sphrom.metrics.series import hat
@@ -63,16 +62,7 @@ def run_attributes(case: Case, point: ParameterPoint, time_step: float) -> dict[
 def field_measures(case: Case) -> dict[str, FieldMeasure]:
     """Return the places and sections of measured fields, by name of the measurement."""
     spacing = case.plan.particle_spacing
-    return {name: _measure(m, spacing) for name, m in case.scene.measured_fields.items()}
-
-
-def _measure(section: MeasureSection, spacing: float) -> FieldMeasure:
-    if section.segment is None:
-        return FieldMeasure(np.array([section.probe]))
-    start, end = np.array(section.segment)
-    if section.line is not None:
-        return FieldMeasure.line(start, end, section.line.points)
-    return FieldMeasure.section(start, end, longest=spacing)
+    return {name: m.fields(spacing) for name, m in case.scene.measured_fields.items()}
 
 
 def amplitude_of(case: Case, point: ParameterPoint) -> Amplitude | None:

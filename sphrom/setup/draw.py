@@ -214,17 +214,15 @@ def _draw_compared(axes: Axes, case: Case) -> None:
 def _draw_measured(axes: Axes, case: Case, arrow: float) -> None:
     """Draw probes, lines and sections; an arrow [m] shows the positive direction of flow."""
     for name, measure in case.scene.measured_fields.items():
-        ends = np.array(measure.segment or (measure.probe,) * 2)
+        ends = np.array(measure.ends)
         middle = ends.mean(axis=0)
         dx, dy = ends[1] - ends[0]
-        if measure.segment is None:
-            look: dict[str, Any] = {"marker": "o", "ls": "none", "ms": 6.0, "label": "probes"}
-        elif measure.flow_rate is None:
-            look = {"ls": "-.", "lw": 1.8, "label": "lines"}
-        else:
-            look = {"ls": "-", "lw": 1.8, "label": "sections"}
+        look: dict[str, Any] = {"ls": "-." if not measure.is_flow else "-", "lw": 1.8}
+        if not np.hypot(dx, dy):
+            look = {"marker": "o", "ls": "none", "ms": 6.0}
+        if measure.is_flow:
             way = arrow * np.array([[dy, -dx]]) / np.hypot(dx, dy)
             _draw_arrows(axes, middle[None], way, MEASURED)
-        axes.plot(*ends.T, **look, color=MEASURED, zorder=5)
+        axes.plot(*ends.T, **look, label=measure.title, color=MEASURED, zorder=5)
         beside: Any = {"xytext": (5.0, 5.0), "textcoords": "offset points", **NAME}
         axes.annotate(name, 0.75 * ends[0] + 0.25 * ends[1], color=MEASURED, **beside)

@@ -199,8 +199,8 @@ def read_wall_force(
 def read_recorded(case: Case, artifact: Artifact, basis: str) -> dict[str, Quantities]:
     """Read the measurements (n_runs, n_snapshots, ...) of a basis's full training runs."""
     group, recorded = f"bases/{basis}", {}
-    for name, section in case.scene.recorded.items():
-        if section.force_on is not None:
+    for name in case.scene.recorded:
+        if name in case.scene.measured_walls:
             recorded[name] = totals(artifact.read(f"{group}/wall_force/{name}/training_loads"))
         else:
             recorded[name] = read_by_quantity(artifact, f"{group}/measure/{name}/training_")

@@ -23,7 +23,8 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import sweep_model, sweep_name
 from sphrom.case.study_sections import FULL
 from sphrom.errors import ArtifactError, SphromError, UnstableError
-from sphrom.metrics.measures import PLACED, Quantities, components, of_a_run
+from sphrom.metrics.measures import Quantities, of_a_run
+from sphrom.metrics.quantities import PLACED, components
 from sphrom.metrics.series import kinetic_energy
 from sphrom.offline import fom
 from sphrom.online import rom

@@ -23,7 +23,8 @@ from sphrom.case.points import outside
 from sphrom.case.studies import sweep_model
 from sphrom.console import Reporter
 from sphrom.metrics.draws import Along, fewest_runs, sobol_indices, spread
-from sphrom.metrics.measures import PLACED, UNITS, Oscillating, components
+from sphrom.metrics.measures import Oscillating
+from sphrom.metrics.quantities import MEASURABLE, PLACED, components
 from sphrom.metrics.series import OSCILLATION
 from sphrom.plots.panels import Curve, Panel, draw_grid, save
 from sphrom.plots.tables import format_figure, rows_of_columns, write_csv
@@ -143,7 +144,7 @@ def _outputs(
         mass, error = case.plan.mass * case.plan.n_particles, over_fluid[..., 0]
         wrong = mass * (np.sqrt(2.0 * energies / mass) * error + 0.5 * error**2)
     yield Output(f"kinetic_energy{ending}", "J/m", along, energies, wrong)
-    for name, head, quantity in product(case.scene.measure, ("", FINAL), UNITS):
+    for name, head, quantity in product(case.scene.measure, ("", FINAL), MEASURABLE):
         if (path := f"measure/{name}/{head}{quantity}") not in runs:
             continue
         parts: Mapping[str, Array] = {}
@@ -156,7 +157,7 @@ def _outputs(
             parts = components(quantity, errors[:, 0] if head else errors)
         for component, each in components(quantity, runs[path]).items():
             column, where = f"{name}_{head}{component}{ending}", LINE if head else along
-            yield Output(column, UNITS[quantity], where, each, parts.get(component))
+            yield Output(column, MEASURABLE[quantity].unit, where, each, parts.get(component))
 
 
 def statistics_of(workspace: Workspace, records: Sequence[RunRecord]) -> Statistics | None:

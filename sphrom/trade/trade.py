@@ -19,8 +19,9 @@ from sphrom.case.study_sections import FULL
 from sphrom.compare import costs
 from sphrom.errors import CaseError
 from sphrom.metrics.histories import EXACT, Errors, compare, errors_of
-from sphrom.metrics.measures import Samples, parts, since, variations, without_weight
+from sphrom.metrics.measures import Samples, since, variations, without_weight
 from sphrom.metrics.measures import errors_of as relative_errors
+from sphrom.metrics.quantities import parts
 from sphrom.metrics.series import NO_OSCILLATION
 from sphrom.online.error_estimates import measured_errors, measured_shares
 from sphrom.online.fast_model import FastModel, fast_model

@@ -21,7 +21,8 @@ from sphrom.case.studies import percent
 from sphrom.compare.costs import break_even
 from sphrom.errors import CaseError
 from sphrom.metrics.histories import ERRORS, NO_ERRORS, QUANTITIES, Errors, mean_errors
-from sphrom.metrics.measures import COEFFICIENT, UNITS, VECTORS, Samples, component_names
+from sphrom.metrics.measures import Samples
+from sphrom.metrics.quantities import COEFFICIENT, MEASURABLE, component_names, is_vector
 from sphrom.plots.tables import columns, format_figure
 from sphrom.reduction.correction import spline_weights
 from sphrom.setup.assembly import scaled_parameters
@@ -33,11 +34,11 @@ SECONDS = {"unit": "s"}
 ESTIMATE = "measured_estimate"
 OSCILLATION = ("frequency", "amplitude")
 """The quantities that rank models when the trade's measurement is an oscillation."""
-PARTS = tuple(part for quantity in VECTORS for part in component_names(quantity))
+PARTS = tuple(part for q in MEASURABLE if is_vector(q) for part in component_names(q))
 MEASURED = (
     *(
         f"measured_{q}_relative_l2{p}"
-        for q in (*UNITS, *PARTS, *OSCILLATION)
+        for q in (*MEASURABLE, *PARTS, *OSCILLATION)
         for p in ("", "_peak")
     ),
     ESTIMATE,
@@ -50,7 +51,7 @@ UNSTABLE: Errors = {**NO_ERRORS, **NO_MEASURED}
 FRONTS = {
     "velocity": "velocity_front",
     "pressure": "pressure_front",
-    **dict.fromkeys(UNITS.keys() - {"velocity", "pressure"}, "measured_front"),
+    **dict.fromkeys(MEASURABLE.keys() - {"velocity", "pressure"}, "measured_front"),
     **{name: f"{name}_front" for name in OSCILLATION},
 }
 """Columns for membership of the Pareto front, by quantity."""
@@ -158,7 +159,7 @@ class Measure:
         """The components of measured vectors, which a tolerance includes, too."""
         if self.measured is None:
             return ()
-        return tuple(p for q in self.quantities if q in VECTORS for p in component_names(q))
+        return tuple(p for q in self.quantities if is_vector(q) for p in component_names(q))
 
     def of(self, errors: Errors, quantity: str, *, peak: bool = False) -> float | None:
         """Return the error of a quantity [%], overall or at the worst time."""
