@@ -37,17 +37,6 @@ from sphrom.text import exact, nearest, repeated
 
 Found = Iterator[tuple[str, str]]
 
-SURFACE_KEYS: Mapping[str, tuple[object, ...]] = {
-    "evaluation": ("operators",),
-    "projection": ("galerkin",),
-    "time_step": (AUTO,),
-    "calibrated": (AUTO, True, False),
-    "corrected": (AUTO, False),
-    "integrated_modes": (AUTO,),
-    "output": ("none",),
-    "steady": (False,),
-}
-"""The values of keys that reduced models of a free surface may have."""
 MOST_REFINED = 4
 """Largest factor of the resolution that is a remedy for a narrow place."""
 COARSEST = 8
@@ -485,11 +474,6 @@ def _check_surface(case: Case) -> Found:
         yield "training", f"needs estimates of errors, which {reason} don't have; leave it out"
     if case.sweep.sensitivities:
         yield "sweep.sensitivities", f"{plain} {reason}; set false"
-    for i, model in enumerate(case.rom):
-        for key, usual in SURFACE_KEYS.items():
-            if (value := getattr(model, key)) not in usual:
-                needed = " or ".join(map(_yaml, usual))
-                yield f"rom.{i}.{key}", f"must be {needed} for {reason}; got {_yaml(value)}"
 
 
 def _start_problem(case: Case, point: ParameterPoint) -> str | None:

@@ -7,7 +7,7 @@ do not. Their bounds keep all derived quantities finite.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, Generic, TypeVar
 
 from pydantic import (
     BaseModel,
@@ -46,7 +46,10 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class OneOf:
+S = TypeVar("S", bound=Section)
+
+
+class OneOf(Generic[S]):
     """The annotation of a section of several kinds, each a class with its own keys.
 
     A union of pydantic's would report the errors of all kinds. Here the keys choose one kind, which
@@ -57,11 +60,11 @@ class OneOf:
     kinds : the classes by the key that only sections of this kind have.
     """
 
-    def __init__(self, **kinds: type[Section]) -> None:
+    def __init__(self, **kinds: type[S]) -> None:
         self.kinds = kinds
-        self._described = set[type[Section]]()
+        self._described = set[type[S]]()
 
-    def choose(self, given: Mapping[str, Any], earlier: Mapping[str, Any]) -> type[Section]:
+    def choose(self, given: Mapping[str, Any], earlier: Mapping[str, Any]) -> type[S]:
         """Return the kind of given keys; `earlier` are the sections before it in the case.
 
         Raises ValueError if the keys are those of no kind, or of several.
@@ -75,7 +78,7 @@ class OneOf:
             raise ValueError(f"must be exactly one of {', '.join(self.kinds)}; got {got}")
         return self.kinds[chosen[0]]
 
-    def refusal(self, name: str, kind: type[Section]) -> str:
+    def refusal(self, name: str, kind: type[S]) -> str:
         """Return why a kind does not have a key of other kinds."""
         own = self.kind_of(kind)
         if name in getattr(kind.model_fields[own].annotation, "model_fields", ()):
@@ -83,22 +86,28 @@ class OneOf:
         having = (one for one, other in self.kinds.items() if name in other.model_fields)
         return f"is only for {', '.join(having)}, not for {own}"
 
-    def kind_of(self, section: Section | type[Section]) -> str:
+    def kind_of(self, section: Section | type[S]) -> str:
         """Return the key that only sections of the kind of a section have."""
         kind = section if isinstance(section, type) else type(section)
         return next(name for name, other in self.kinds.items() if other is kind)
 
-    def validated(self, value: Any, info: ValidationInfo) -> Section:
+    def validated(self, value: Any, info: ValidationInfo) -> S:
         """Return the section of some keys.
 
         Keys of other kinds are left out if they are switched off or have their defaults, because
         earlier versions resolved cases with them. Raises ValueError if they have other values.
         """
         if isinstance(value, Section):
-            return value
+            return value  # type: ignore[return-value]
         if not isinstance(value, Mapping):
             return next(iter(self.kinds.values())).model_validate(value)
-        kind = self.choose(value, info.data or {})
+        return self.section(value, info.data or {}, info.context)
+
+    def section(
+        self, value: Mapping[str, Any], earlier: Mapping[str, Any], context: Any = None
+    ) -> S:
+        """Return the section of some keys; `earlier` are the sections before it in the case."""
+        kind = self.choose(value, earlier)
         fields = {
             name: f for other in self.kinds.values() for name, f in other.model_fields.items()
         }
@@ -108,7 +117,7 @@ class OneOf:
                 given[name] = one
             elif one is not None and one is not False and one != fields[name].default:
                 raise ValueError(f"{name}: {self.refusal(name, kind)}")
-        return kind.model_validate(given, context=info.context)
+        return kind.model_validate(given, context=context)
 
     def __get_pydantic_core_schema__(self, _: Any, __: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.with_info_plain_validator_function(self.validated)

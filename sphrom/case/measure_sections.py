@@ -190,7 +190,7 @@ class FlowRateMeasure(FieldsMeasure):
         return ("flow_rate",)
 
     def fields(self, particle_spacing: float) -> FieldMeasure:
-        return FlowRate(*np.array(self.ends), particle_spacing)
+        return FlowRate(np.array(self.ends), particle_spacing)
 
 
 class IntegralMeasure(FieldsMeasure):
@@ -211,7 +211,7 @@ class IntegralMeasure(FieldsMeasure):
         return ("velocity_integral", "pressure_integral")
 
     def fields(self, particle_spacing: float) -> FieldMeasure:
-        return Integral(*np.array(self.ends), particle_spacing)
+        return Integral(np.array(self.ends), particle_spacing)
 
 
 class ProbeMeasure(FieldsMeasure):
@@ -248,7 +248,7 @@ class LineMeasure(FieldsMeasure):
         return self.line.start, self.line.end
 
     def fields(self, particle_spacing: float) -> FieldMeasure:
-        return FieldMeasure.line(*np.array(self.ends), self.line.points)
+        return FieldMeasure.line(np.array(self.ends), self.line.points)
 
 
 class FluidWithSurface(Protocol):

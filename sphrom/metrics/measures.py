@@ -56,8 +56,9 @@ class FieldMeasure:
         self.position = position
 
     @classmethod
-    def line(cls, start: Array, end: Array, n_places: int) -> FieldMeasure:
-        """Return equally spaced places from start to end (2,) [m], both included."""
+    def line(cls, ends: Array, n_places: int) -> FieldMeasure:
+        """Return equally spaced places between two ends (2, 2) [m], both included."""
+        start, end = ends
         along = np.linspace(0.0, 1.0, n_places)[:, None]
         return cls((1.0 - along) * start + along * end)
 
@@ -67,11 +68,12 @@ class FieldMeasure:
 
 
 class SegmentMeasure(FieldMeasure):
-    """An integral along the segment from start to end (2,) [m], in pieces of limited length [m]."""
+    """An integral along the segment between two ends (2, 2) [m], in pieces of limited length [m]."""
 
     is_integral = True
 
-    def __init__(self, start: Array, end: Array, longest: float) -> None:
+    def __init__(self, ends: Array, longest: float) -> None:
+        start, end = ends
         self.vector = np.subtract(end, start)
         n_pieces = max(1, math.ceil(float(np.hypot(*self.vector)) / longest))
         along = (np.arange(n_pieces)[:, None] + 0.5 * (1.0 + NODES)).ravel() / n_pieces
@@ -82,8 +84,8 @@ class SegmentMeasure(FieldMeasure):
 class FlowRate(SegmentMeasure):
     """The integral of the velocity's component to the right of a segment."""
 
-    def __init__(self, start: Array, end: Array, longest: float) -> None:
-        super().__init__(start, end, longest)
+    def __init__(self, ends: Array, longest: float) -> None:
+        super().__init__(ends, longest)
         to_the_right = np.array([self.vector[1], -self.vector[0]])
         self._weights = self.share[:, None] * to_the_right
 

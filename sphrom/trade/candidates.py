@@ -17,7 +17,7 @@ from types import MappingProxyType
 from sphrom.case.checks import coarser_resolution
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ALL, LOCAL, ReducedModelSection
+from sphrom.case.sections import ALL, LOCAL, MODELS, ReducedModelSection
 from sphrom.case.studies import at_resolution
 from sphrom.case.study_sections import TradeSection
 from sphrom.errors import CaseError, UnstableError
@@ -88,7 +88,7 @@ def candidates(
             if first.settles_on_cycles and projection == "galerkin":
                 keys["calibrated"] = "cycle"
             named = {**keys, "name": name, "n_modes": size}
-            sections.append(ReducedModelSection.model_validate(named))
+            sections.append(MODELS.section(named, {"scene": case.scene}))
     return sections
 
 

@@ -23,7 +23,7 @@ from sphrom.arrays import Array, Indices
 from sphrom.case.checks import case_problems, coarser_resolution
 from sphrom.case.models import Case
 from sphrom.case.points import REYNOLDS, ParameterPoint, TestValues
-from sphrom.case.sections import ALL, ReducedModelSection
+from sphrom.case.sections import ALL, PointModelSection, ReducedModelSection
 from sphrom.case.studies import trained_at
 from sphrom.errors import CaseError, ResourceError, UnstableError
 from sphrom.metrics.histories import relative_l2, without_mean
@@ -452,7 +452,8 @@ class Maps:
             row.projection = section.projection
             row.n_modes = own
             row.told = "; ".join(doubts_of_step(factor))
-            moving = section.model_copy(update={"evaluation": "particles"})
+            assert isinstance(section, PointModelSection)
+            moving = section.on_particles
             model, state = build_model(self.workspace, moving, self.point)
             jacobian = reduced_jacobian(model, state, plan.start_time)
             close(self.case, moving, model, state, plan.start_time)

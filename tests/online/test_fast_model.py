@@ -9,12 +9,12 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from sphrom.case.sections import ReducedModelSection
+from sphrom.case.sections import PointModelSection
 from sphrom.metrics.series import kinetic_energy
 from sphrom.online.fast_model import FastRun, fast_model
 from sphrom.reduction.polynomial_model import Run
 
-SECTION = ReducedModelSection(name="quick", evaluation="operators")
+SECTION = PointModelSection(name="quick", evaluation="operators")
 
 
 def workspace_with(*, surface: bool) -> Mock:

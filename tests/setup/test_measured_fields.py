@@ -156,7 +156,7 @@ def test_a_void_at_a_probe_ends_a_run() -> None:
 
 
 def test_a_section_is_summed_up_within_its_ends() -> None:
-    measure = FlowRate(np.array([0.0, 0.0]), np.array([0.0, 1.0]), longest=0.3)
+    measure = FlowRate(np.array([[0.0, 0.0], [0.0, 1.0]]), longest=0.3)
     assert len(measure.position) == 12
     unit = np.broadcast_to([1.0, 0.0], (12, 2))
     assert measure.of(unit, unit[:, 0])["flow_rate"] == pytest.approx(1.0, abs=1e-15)

@@ -9,7 +9,7 @@ import pytest
 from sphrom.case.checks import case_problems
 from sphrom.case.models import Case
 from sphrom.case.points import REYNOLDS
-from sphrom.case.sections import ReducedModelSection
+from sphrom.case.sections import PointModelSection
 from sphrom.online.stable_ranges import MEMORY, STEP, TIME, StableRange
 from sphrom.plots.panels import save
 from sphrom.reduction.polynomial_model import OutputTimes
@@ -225,7 +225,7 @@ def test_a_variant_is_the_case_but_for_one_thing(monkeypatch, what, value, resol
     for name, (section, key, _) in extremes.FULL_MODEL.items():
         values = (value,) if name == what else ()
         monkeypatch.setitem(extremes.FULL_MODEL, name, (section, key, values))
-    own, models = case(), [ReducedModelSection(name="one", evaluation="operators", n_modes=3)]
+    own, models = case(), [PointModelSection(name="one", evaluation="operators", n_modes=3)]
     points = own.plan.bases["low"], own.plan.test_points[0]
     ((varied, at, other),) = varied_models(own, points, models)
     assert (varied, at, other.discretization.resolution) == (what, value, resolution)

@@ -254,8 +254,8 @@ class MeasuredOnce(Record):
     @property
     def quantities(self) -> dict[str, Array]:
         """The values by quantity, with an axis of one snapshot where there are no others."""
-        values = {**self.arrays, **self.numbers}
-        return {name: np.atleast_1d(value) for name, value in values.items()}
+        numbers = {name: np.array([value]) for name, value in self.numbers.items()}
+        return {**self.arrays, **numbers}
 
 
 class ErrorEstimate(Record):
