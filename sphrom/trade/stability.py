@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from sphrom.arrays import Array
+from sphrom.errors import CaseError, ResourceError
 from sphrom.online.fast_model import FastRun
 from sphrom.online.stable_ranges import FILE, MEMORY, MOST_ERROR, STEP, TIME, UNITS, StableRange
 from sphrom.plots.panels import new_figure, save, styled
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-ONE_RUN, RESOLUTION = "reynolds, one training run", "resolution"
+ONE_RUN = "reynolds, one training run"
 COARSE = ("Mach number", "h/dx")
 """Quantities that vary in full models of half the resolution."""
 HALF = "half as fine"
@@ -95,6 +96,13 @@ class ExtremeRun:
     """Whether it is outside of the trained values or times."""
     told: str = ""
     """Warnings of the run itself about its result."""
+
+    def failed(self, error: Exception) -> ExtremeRun:
+        """Set the state of a run that was refused, or became unstable."""
+        refused = isinstance(error, CaseError | ResourceError)
+        self.state = "refused" if refused else "unstable"
+        self.reason = str(error)
+        return self
 
     @property
     def model(self) -> str:

@@ -35,9 +35,8 @@ from sphrom.store.stored_run import probes_of
 from sphrom.store.trajectory import require_complete
 from sphrom.store.workspace import Workspace
 from sphrom.text import counted
-from sphrom.trade import candidates as weighed_models
-from sphrom.trade import weighing
-from sphrom.trade.candidates import FOLDER, candidates, first_model, trade_points
+from sphrom.trade import full_models, weighing
+from sphrom.trade.candidates import FOLDER, candidates, first_model, prepared, trade_points
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -85,7 +84,7 @@ class _Trade:
         self.case = context.case
         points = context.chosen(trade_points(self.case))
         self.models = candidates(self.case, points, first_model(self.case).basis)
-        self.wider = weighed_models.prepared(context, self.models)
+        self.wider = prepared(context, self.models)
         self.probes = probes_of(self.case)
         self.measured = self.case.trade.measure
         self.oscillating = self.case.plan.oscillations.get(self.measured or "")
@@ -98,7 +97,7 @@ class _Trade:
             self.full[point] = self._sampled(self.workspace, point)
 
     def _sampled(self, workspace: Workspace, point: ParameterPoint) -> Samples:
-        return weighed_models.sampled(workspace, point, self.probes, self.measured)
+        return full_models.sampled(workspace, point, self.probes, self.measured)
 
     def _full_seconds(self, workspace: Workspace, step: float) -> float:
         """Return the measured time of a full run on this machine [s], with a time step [s]."""
@@ -123,7 +122,7 @@ class _Trade:
             online_seconds=own_seconds,
             errors={**EXACT, **self._measured_errors(first, self.full[first])},
         )
-        each = [self._full(*variant) for variant in weighed_models.variants(self.case).items()]
+        each = [self._full(*variant) for variant in full_models.variants(self.case).items()]
         each += self._reduced()
 
         def trained(point: ParameterPoint) -> Samples:
@@ -135,8 +134,9 @@ class _Trade:
         return Results(rows, without, [run for _, runs in each for run in runs], measure)
 
     def _full(self, label: str, variant: Case) -> Rows:
-        workspace = weighed_models.workspace_of(self.workspace, variant)
-        unstable = weighed_models.make(workspace, label, list(self.full))
+        made = full_models.variant_of(self.workspace.context, variant)
+        unstable = full_models.make_runs(made, label, list(self.full))
+        workspace = made.workspace
         runs = []
         step = variant.plan.steps.time_step
         seconds = None if unstable else self._full_seconds(workspace, step)

@@ -17,8 +17,7 @@ from sphrom.reduction.reduced_operators import Polynomial
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis
 from sphrom.sph.fluid import COURANT_LIMIT
-from sphrom.trade import extremes
-from sphrom.trade.extremes import varied_models
+from sphrom.trade.full_models import FULL_MODEL, varied_models
 from sphrom.trade.stability import (
     ExtremeRun,
     draw_maps,
@@ -222,9 +221,9 @@ def case() -> Case:
      ("resolution", 20.0, 20)],
 )  # fmt: skip
 def test_a_variant_is_the_case_but_for_one_thing(monkeypatch, what, value, resolution):
-    for name, (section, key, _) in extremes.FULL_MODEL.items():
+    for name, (section, key, _) in FULL_MODEL.items():
         values = (value,) if name == what else ()
-        monkeypatch.setitem(extremes.FULL_MODEL, name, (section, key, values))
+        monkeypatch.setitem(FULL_MODEL, name, (section, key, values))
     own, models = case(), [ReducedModelSection(name="one", evaluation="operators", n_modes=3)]
     points = own.plan.bases["low"], own.plan.test_points[0]
     ((varied, at, other),) = varied_models(own, points, models)
