@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -54,7 +54,7 @@ class Variant:
         """Its artifacts."""
         return Workspace(self.context)
 
-    def made(self, *stages: Stage) -> Workspace:
+    def made(self, stages: Iterable[Stage]) -> Workspace:
         """Make its artifacts by some stages, in order, and return them."""
         for stage in stages:
             stage(self.context)

@@ -96,7 +96,7 @@ def prepared(context: StageContext, models: Sequence[ReducedModelSection]) -> Wo
     wider = changed(case, rom=(*case.rom, *models))
     parts = ("reference_bases", "memory_models", "corrected_bases", "surface_sizes")
     if any(getattr(wider.plan, part) != getattr(case.plan, part) for part in parts):
-        return Variant(context, wider, FOLDER, only=OPERATORS).made(operators.run)
+        return Variant(context, wider, FOLDER, only=OPERATORS).made([operators.run])
     workspace = Variant(context, wider).workspace
     workspace.require(workspace.operators())
     return workspace

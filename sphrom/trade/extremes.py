@@ -245,13 +245,13 @@ class Maps:
         n_modes = min(plan.n_modes, plan.steps.n_snapshots)
         variant = changed(
             # The points stay the same, so that existing full runs and their maps are used.
-            of_full_model(self.case, (first,), *others),
+            of_full_model(self.case, [first], others),
             name="extreme-one-training-run",
             basis={"subsets": {}, "lagrangian": False, "n_modes": n_modes},
             rom=in_all([section for section in self._galerkin if section.size <= n_modes]),
         )
         try:
-            made = self._trained(variant, *SHARED)
+            made = self._trained(variant, SHARED)
         except (UnstableError, CaseError, ResourceError) as error:
             self.notes.append(f"{ONE_RUN}: {error}")
             return
@@ -279,12 +279,12 @@ class Maps:
                 trial = Trial(varied, value, self.point, truth)
                 yield self._fast(FastModel(made, section), trial)
 
-    def _trained(self, variant: Case, *shared: str) -> Workspace:
+    def _trained(self, variant: Case, shared: tuple[str, ...] = ()) -> Workspace:
         """Make the full runs and the reduced models of a variant; return their workspace."""
         for problem in case_problems(variant):
             raise CaseError(str(problem))
         stages = (fom.run, mapping.run, pod.run, fit_psi.run, operators.run)
-        return variant_of(self.context, variant, *shared).made(*stages)
+        return variant_of(self.context, variant, shared).made(stages)
 
     # Runs
 

@@ -98,12 +98,14 @@ def varied_models(
                 changes = {}
                 if value >= case.discretization.resolution:
                     continue
-            other = changed(of_full_model(case, trained, judged), **changes)
+            other = changed(of_full_model(case, trained, [judged]), **changes)
             variant = extreme(other, f"{key}-{exact(value)}", resolution, case.plan.steps)
             yield varied, value, changed(variant, rom=in_all(sections))
 
 
-def of_full_model(case: Case, points: Sequence[ParameterPoint], *tested: ParameterPoint) -> Case:
+def of_full_model(
+    case: Case, points: Sequence[ParameterPoint], tested: Sequence[ParameterPoint] = ()
+) -> Case:
     """Return the full model at training points, with one basis of them, and at others to test."""
     others = [point for point in tested if point not in points]
     test = values_at(others) if others else TestValues()
@@ -130,7 +132,7 @@ def in_all(models: Sequence[ReducedModelSection]) -> tuple[ReducedModelSection, 
     return tuple(model.model_copy(update={"basis": ALL}) for model in models)
 
 
-def variant_of(context: StageContext, case: Case, *shared: str) -> Variant:
+def variant_of(context: StageContext, case: Case, shared: tuple[str, ...] = ()) -> Variant:
     """Return the variant with its artifacts, except `shared` kinds, in a folder of the trade."""
     return Variant(context, case, f"{FOLDER}/{case.name}", shared)
 

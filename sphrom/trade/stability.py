@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -115,6 +115,11 @@ class ExtremeRun:
         return f"{name}, M = {self.n_modes}{on}{scheme}"
 
     @property
+    def of_model(self) -> tuple[str, str, int | None]:
+        """The kind of the model, its projection and its size."""
+        return self.kind, self.projection, self.n_modes
+
+    @property
     def errors(self) -> Errors | None:
         """Errors of velocity and pressure [%]."""
         return _both(self.velocity_error, self.pressure_error)
@@ -140,19 +145,22 @@ def limiting_step(reduced: ReferenceModel) -> tuple[str, float]:
     mechanism is sound if pressure has more than a share SOUND of its energy, else viscosity if it
     decays faster than it oscillates, else convection.
     """
-    values, vectors = np.linalg.eig(
-        reduced.polynomial.jacobians(_around_which(reduced), reduced.strongest)
-    )
-    limits = stability_limits(values.ravel().astype(np.complex128))
+    values, vectors = _spectrum(reduced, _around_which(reduced))
+    limits = stability_limits(values.astype(np.complex128))
     worst = int(limits.argmin())
-    vector = vectors.transpose(0, 2, 1).reshape(limits.size, -1)[worst]
-    return kind_of(reduced.basis, values.ravel()[worst], vector), float(limits[worst])
+    return kind_of(reduced.basis, values[worst], vectors[worst]), float(limits[worst])
 
 
 def _around_which(reduced: ReferenceModel) -> Array:
     """Return the states (n_states, n_modes) around which the model must be stable."""
     start = reduced.start[None]
     return start if reduced.states is None else np.vstack((start, reduced.states))
+
+
+def _spectrum(reduced: ReferenceModel, states: Array) -> tuple[Array, Array]:
+    """Return the eigenvalues (n,) and eigenvectors (n, n_modes) of Jacobians around states."""
+    values, vectors = np.linalg.eig(reduced.polynomial.jacobians(states, reduced.strongest))
+    return values.ravel(), vectors.transpose(0, 2, 1).reshape(values.size, -1)
 
 
 def kind_of(basis: TrialBasis, value: complex, vector: Array) -> str:
@@ -170,11 +178,11 @@ def growth(reduced: ReferenceModel, states: Array) -> tuple[float, str]:
     Growth mainly in the last half of the modes is due to their noise. Growth in the first half is
     due to energy that would go to the truncated modes.
     """
-    values, vectors = np.linalg.eig(reduced.polynomial.jacobians(states, reduced.strongest))
+    values, vectors = _spectrum(reduced, states)
     worst = int(values.real.argmax())
-    vector = np.abs(vectors.transpose(0, 2, 1).reshape(values.size, -1)[worst]) ** 2
-    last = float(vector[len(vector) // 2 :].sum() / vector.sum())
-    return float(values.real.ravel()[worst]), "noise modes" if last > 0.5 else "aliasing"
+    energy = np.abs(vectors[worst]) ** 2
+    last = float(energy[len(energy) // 2 :].sum() / energy.sum())
+    return float(values.real[worst]), "noise modes" if last > 0.5 else "aliasing"
 
 
 def longest_memory(near: ReferenceModel, far: ReferenceModel) -> float | None:
@@ -226,7 +234,7 @@ def judge(runs: Sequence[ExtremeRun], default: tuple[str, int], own: Mapping[str
     own : the case's own values of the varied quantities.
     """
     by_default = {
-        (run.varied, run.kind, run.projection, run.n_modes): run
+        (run.varied, run.of_model): run.errors
         for run in runs
         if run.value == 1.0 and run.steps != RUNGE_KUTTA
     }
@@ -240,19 +248,18 @@ def judge(runs: Sequence[ExtremeRun], default: tuple[str, int], own: Mapping[str
         elif run.varied in COARSE:
             # Models of half the resolution are judged by the default model at that resolution.
             of_map = (r for r in runs if r.varied == run.varied and r.errors)
-            same = [r for r in of_map if (r.kind, r.projection, r.n_modes) == ("fast", *default)]
+            same = [r for r in of_map if r.of_model == standard.of_model]
             nearest = min(same, key=lambda r: abs(r.value - own[r.varied]), default=standard)
             allowed = nearest.errors
         run.state = run.state or _state(run, allowed)
         if run.state == "stable":
-            key = run.varied, run.kind, run.projection, run.n_modes
-            is_right = key in by_default and _within(by_default[key].errors, allowed)
-            run.mechanism = _cause(run, allowed, is_right)
+            usual = by_default.get((run.varied, run.of_model))
+            run.mechanism = _cause(run, allowed, _within(usual, allowed))
 
 
 def _default_of(runs: Sequence[ExtremeRun], default: tuple[str, int]) -> ExtremeRun:
     usual = (r for r in runs if (r.varied, r.value, r.steps) == (STEP, 1.0, EXPONENTIAL))
-    return next(r for r in usual if (r.projection, r.n_modes) == default)
+    return next(r for r in usual if r.of_model == ("fast", *default))
 
 
 def _within(errors: Errors | None, allowed: Errors | None) -> bool:
@@ -331,12 +338,8 @@ def _around(k: int, good: Sequence[bool]) -> tuple[int, int] | None:
     """Return the first and last index of the good values around index k; None if k is not good."""
     if not good[k]:
         return None
-    low = high = k
-    while low > 0 and good[low - 1]:
-        low -= 1
-    while high + 1 < len(good) and good[high + 1]:
-        high += 1
-    return low, high
+    bad = np.flatnonzero(np.logical_not(good))
+    return int(bad[bad < k].max(initial=-1)) + 1, int(bad[bad > k].min(initial=len(good))) - 1
 
 
 def _predicted(series: Sequence[ExtremeRun], own: ExtremeRun) -> tuple[float | None, str]:
@@ -366,13 +369,17 @@ def publish(
     ranges = list(ranges_in(runs, default, own))
     report = workspace.context.report
     write_csv(workspace.folder(FOLDER) / "extremes.csv", runs)
-    about = {"basis": workspace.basis().inputs_digest}
-    tables: dict[str, Sequence[Any]] = {"extremes": runs, "ranges": ranges}
-    write_json(workspace.out / FILE, tables, workspace.case.name, workspace.threads, **about)
+    write_json(
+        workspace.out / FILE,
+        {"extremes": runs, "ranges": ranges},
+        workspace.case.name,
+        workspace.threads,
+        basis=workspace.basis().inputs_digest,
+    )
     save(draw_maps(runs), workspace.folder(FOLDER) / "extremes.png")
     rows: dict[str, list[tuple[str, ...]]] = {}
-    for each, series in zip(ranges, _series(runs), strict=True):
-        rows.setdefault(each.varied, []).append(_cells(each, series[0]))
+    for found, series in zip(ranges, _series(runs), strict=True):
+        rows.setdefault(found.varied, []).append(_cells(found, series[0].model))
     for varied, cells in rows.items():
         report.table(f"{varied}{UNITS.get(varied, '')}", HEADINGS, cells)
     if (own_run := _default_of(runs, default)).errors is not None:
@@ -394,13 +401,13 @@ def publish(
     report.result(f"extremes.csv, extremes.json and extremes.png are in {workspace.out / FOLDER}")
 
 
-def _cells(each: StableRange, run: ExtremeRun) -> tuple[str, ...]:
-    right = _span(each.right_from, each.right_to)
-    stable = _span(each.stable_from, each.stable_to)
+def _cells(found: StableRange, model: str) -> tuple[str, ...]:
+    right = _span(found.right_from, found.right_to)
+    stable = _span(found.stable_from, found.stable_to)
     predicted = ""
-    if each.predicted is not None:
-        predicted = f"{format_figure(each.predicted)} ({each.predicted_by})"
-    return run.model, right, stable, each.below, each.above, predicted
+    if found.predicted is not None:
+        predicted = f"{format_figure(found.predicted)} ({found.predicted_by})"
+    return model, right, stable, found.below, found.above, predicted
 
 
 def _span(low: float | None, high: float | None) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
@@ -23,7 +22,7 @@ from sphrom.store.stored_run import StoredRun
 from sphrom.store.workspace import Workspace
 from sphrom.text import exact
 from sphrom.trade.full_models import extreme, make_runs, of_full_model, variant_of
-from sphrom.trade.stability import ExtremeRun
+from sphrom.trade.stability import Errors, ExtremeRun
 
 SPARSER = 10
 """A longer full run keeps at most one in so many snapshots, and at least so many per part."""
@@ -129,8 +128,8 @@ def compared(
     return row
 
 
-def _errors_of(*runs: Samples) -> Sequence[float]:
+def _errors_of(run: Samples, full: Samples) -> Errors:
     """Return the relative L2 errors [%] of the velocity, and of the pressure less its mean."""
-    velocities = [run.velocity for run in runs]
-    pressures = [without_mean(run.pressure)[..., None] for run in runs]
-    return [float(relative_l2(*fields, field_axes=3)) for fields in (velocities, pressures)]
+    pressures = (without_mean(samples.pressure)[..., None] for samples in (run, full))
+    velocity = float(relative_l2(run.velocity, full.velocity, field_axes=3))
+    return velocity, float(relative_l2(*pressures, field_axes=3))

@@ -126,7 +126,7 @@ class Surrogate:
         existing = (t for t in (here.basis(), here.splines(), here.operators()) if t.path.exists())
         kept = [target.path.name for target in existing if here.reason_to_make(target) is not None]
         if not kept:
-            variant.made(*STAGES)
+            variant.made(STAGES)
         return kept
 
 
@@ -184,7 +184,7 @@ class StageModel:
         """Make the bases, splines and operators for the points, unless they are up to date."""
         case = trained_at(context.case, points)
         variant = Variant(replace(context, force=False), case, FOLDER, only=MADE_HERE)
-        self.workspace = variant.made(*STAGES)
+        self.workspace = variant.made(STAGES)
         self._points = points
         self._fast = FastModel(self.workspace, model)
 
