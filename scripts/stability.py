@@ -46,8 +46,8 @@ from sphrom.setup.context import StageContext
 from sphrom.sph.time_loop import Clock, TimeSteps, march
 from sphrom.store.trained_models import scene_start
 from sphrom.store.workspace import Workspace
+from sphrom.trade.candidates import FULL_MODEL
 from sphrom.trade.extremes import Maps
-from sphrom.trade.full_models import FULL_MODEL
 from sphrom.trade.stability import COLOURS, ExtremeRun, draw_maps, publish
 
 CASES, FIGURES = (Path(__file__).parents[1] / name for name in ("cases", "docs/figures"))

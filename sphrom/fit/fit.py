@@ -150,9 +150,9 @@ class Fit(records.Fit):
         for history in self.histories[:MOST_SHOWN]:
             curve = history.curve
             ends = np.stack([curve - history.half_width, curve + history.half_width])
-            name = "fitted model and 95 % interval"
+            fitted = "fitted model and 95 % interval"
             curves = [
-                Curve(name, self.time, curve, interval=ends, place=place),
+                Curve(fitted, self.time, curve, interval=ends, place=place),
                 Curve("measured", history.instant, history.measured, "reference"),
             ]
             panels.append(Panel(history.name, "time [s]", f"[{history.units}]", curves))
@@ -359,8 +359,7 @@ def _histories(
     found = model.over_time(best.place)
     assert found is not None  # the search has evaluated this place
     _, curves, slopes = found
-    if samples is None:
-        samples = np.zeros((0, *curves.shape))
+    samples = np.zeros((0, *curves.shape)) if samples is None else samples
     ends = np.cumsum([len(history.time) for history in model.histories])
     parts = np.split(best.values, ends[:-1])
     for k, (history, fitted) in enumerate(zip(model.histories, parts, strict=True)):

@@ -290,7 +290,6 @@ def write_sweep(
 ) -> None:
     """Write the records of a sweep, replacing an earlier file."""
     model = sweep_model(workspace.case)
-    over = Workspace(replace(workspace.context, force=True))
-    with over.create(target) as artifact:
+    with workspace.create(target, over=True) as artifact:
         name = FULL if model is None else model.name
         write_records(artifact, name, records, statistics)

@@ -20,7 +20,7 @@ from sphrom.artifacts.records.sweep import Statistics
 from sphrom.case.hints import slow_sweep, sweep_beyond_training
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.studies import sweep_model, sweep_name, sweep_points
+from sphrom.case.studies import changed, sweep_model, sweep_name, sweep_points
 from sphrom.console import Reporter
 from sphrom.errors import ArtifactError, CaseError, UnstableError
 from sphrom.metrics import measures
@@ -161,9 +161,7 @@ def _make(
     n_tasks = math.ceil(len(points) / (SMALLEST_BATCH if in_batches else 1))
     number = min(number or runs_that_fit(case, "fom" if model is None else "rom"), n_tasks)
     # The case of a task has no values, because each process would parse a long list again.
-    bare = replace(
-        workspace.context, case=case.model_copy(update={"sweep": case.sweep.of_any_values})
-    )
+    bare = replace(workspace.context, case=changed(case, sweep=case.sweep.of_any_values))
     with start_workers(number, scheduler, report) as workers:
         size = 1
         if in_batches:

@@ -1,22 +1,32 @@
-"""The reduced models of a trade, of several sizes.
+"""The models of a trade: reduced models of several sizes, and variants of the full model.
 
-A trade may include models for which the case has no operators. Their operators are kept in the
-trade's own folder.
+A trade may include models for which the case has no operators. Their operators, and further full
+runs with the models that are trained on them, are kept in the trade's own folder.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from fractions import Fraction
+from itertools import product
 
+from sphrom.case.checks import coarser_resolution
 from sphrom.case.models import Case
-from sphrom.case.points import ParameterPoint
+from sphrom.case.points import ParameterPoint, TestValues
 from sphrom.case.sections import ALL, LOCAL, ReducedModelSection
-from sphrom.case.studies import changed
-from sphrom.errors import CaseError
-from sphrom.offline import operators
+from sphrom.case.studies import at_resolution, changed, values_at
+from sphrom.case.study_sections import FitSection, SweepSection, TradeSection, TrainingSection
+from sphrom.errors import CaseError, UnstableError
+from sphrom.metrics.measures import Probes, Samples
+from sphrom.offline import fom, operators
 from sphrom.setup.context import StageContext
+from sphrom.sph.time_loop import TimeSteps
+from sphrom.store.stored_run import StoredRun
 from sphrom.store.variants import Variant
 from sphrom.store.workspace import Workspace
+from sphrom.text import exact
 
 FOLDER = "trade"
 """Folder of a trade, within that of the case's artifacts."""
@@ -26,6 +36,17 @@ MOST_CLOSED_MODES = 20
 """Default limit of the modes of APG, whose cost grows with their fourth power."""
 OPERATORS = ("operators", "surface-operators")
 """Kinds of artifacts that the models of a trade have of their own."""
+COURANT_NUMBERS = (0.75, 1.5)
+"""Approximate c0 dt / h of further full runs (Eq. 2.19)."""
+SAME_STEP = 1e-9
+"""Relative difference below which time steps are equal."""
+RESOLUTION = "resolution"
+FULL_MODEL: dict[str, tuple[str, str, tuple[float, ...]]] = {
+    "Mach number": ("fluid", "mach_number", (0.05, 0.1, 0.2, 0.3, 0.4)),
+    "h/dx": ("discretization", "smoothing_length_ratio", (1.2, 1.5, 2.0, 3.0, 4.0)),
+    RESOLUTION: ("discretization", "resolution", (10, 14, 20, 28, 40)),
+}
+"""Properties of the full model, with their section, key and values at extremes."""
 
 
 def trade_points(case: Case) -> tuple[ParameterPoint, ...]:
@@ -100,3 +121,124 @@ def prepared(context: StageContext, models: Sequence[ReducedModelSection]) -> Wo
     workspace = Variant(context, wider).workspace
     workspace.require(workspace.operators())
     return workspace
+
+
+def variants(case: Case) -> dict[str, Case]:
+    """Return the full model at other resolutions and Courant numbers, by label."""
+    own = case.discretization.resolution
+    resolutions = case.trade.resolutions or (own, coarser_resolution(case) or own)
+    cases: dict[tuple[int, int], Case] = {}
+    courant_numbers = COURANT_NUMBERS if case.trade.full_runs else ()
+    for resolution, courant in product(resolutions, courant_numbers):
+        variant = with_steps(case, resolution, courant)
+        cases.setdefault((resolution, variant.plan.steps.every), variant)
+    usual = case.plan.steps.every
+    cases.pop((own, usual), None)
+    return {f"full, {n} across, {usual / every:.2g} dt": v for (n, every), v in cases.items()}
+
+
+def with_steps(
+    case: Case, resolution: int, courant: float, snapshots: TimeSteps | None = None
+) -> Case:
+    """Return the full model at a resolution and at most a Courant number.
+
+    Steps are shortened so that whole ones fit between snapshots: `snapshots`, or the case's.
+    """
+    plan = snapshots or case.plan.steps
+    coarser = at_resolution(case, resolution)
+    automatic = changed(coarser, time={"step": "auto", "courant_number": courant})
+    # The spin-up must be a whole number of steps, too.
+    unit = Fraction(plan.n_spin_up_steps, plan.every).denominator
+    fitting = plan.snapshot_interval / automatic.plan.step_target * (1.0 - SAME_STEP)
+    every = unit * math.ceil(fitting / unit)
+    return changed(
+        coarser,
+        time={"step": plan.snapshot_interval / every},
+        snapshots={"every": every},
+        name=f"full-{resolution}-{every}",
+        rom=(),
+        trade=TradeSection(),
+    )
+
+
+def varied_models(
+    case: Case,
+    points: tuple[Sequence[ParameterPoint], ParameterPoint],
+    sections: Sequence[ReducedModelSection],
+) -> Iterator[tuple[str, float, Case]]:
+    """Yield the full model at half resolution for all values of its properties, with models.
+
+    `points` are the training points, and the point at which models are judged.
+    """
+    trained, judged = points
+    for varied, (section, key, values) in FULL_MODEL.items():
+        for value in values:
+            resolution = coarser_resolution(case) or case.discretization.resolution
+            changes = {section: {key: value}}
+            if varied == RESOLUTION:
+                resolution = int(value)
+                changes = {}
+                if value >= case.discretization.resolution:
+                    continue
+            other = changed(of_full_model(case, trained, [judged]), **changes)
+            variant = extreme(other, f"{key}-{exact(value)}", resolution, case.plan.steps)
+            yield varied, value, changed(variant, rom=in_all(sections))
+
+
+def of_full_model(
+    case: Case, points: Sequence[ParameterPoint], tested: Sequence[ParameterPoint] = ()
+) -> Case:
+    """Return the full model at training points, with one basis of them, and at others to test."""
+    others = [point for point in tested if point not in points]
+    test = values_at(others) if others else TestValues()
+    return changed(
+        case,
+        parameters={"train": values_at(points), "test": test},
+        basis={"subsets": {}, "lagrangian": False},
+        compare={"figures": ()},
+        # Sections of other studies may name models that the variant does not have.
+        sweep=SweepSection(),
+        fit=FitSection(),
+        training=TrainingSection(),
+    )
+
+
+def extreme(case: Case, name: str, resolution: int, snapshots: TimeSteps) -> Case:
+    """Return a variant at a resolution, with the snapshots of other steps."""
+    variant = with_steps(case, resolution, case.time.courant_number, snapshots)
+    return changed(variant, name=f"extreme-{resolution}-{name}")
+
+
+def in_all(models: Sequence[ReducedModelSection]) -> tuple[ReducedModelSection, ...]:
+    """Return models in the basis of all training runs."""
+    return tuple(model.model_copy(update={"basis": ALL}) for model in models)
+
+
+def variant_of(context: StageContext, case: Case, shared: tuple[str, ...] = ()) -> Variant:
+    """Return the variant with its artifacts, except `shared` kinds, in a folder of the trade."""
+    return Variant(context, case, f"{FOLDER}/{case.name}", shared)
+
+
+def make_runs(
+    variant: Variant, label: str, points: Sequence[ParameterPoint]
+) -> list[ParameterPoint]:
+    """Make the missing full runs of a variant; return and warn of unstable points."""
+    unstable = []
+    for point in points:
+        try:
+            fom.run(replace(variant.context, only=(point,)))
+        except UnstableError as error:
+            variant.context.report.warn(f"{label}, {point.label}: {error}")
+            unstable.append(point)
+    return unstable
+
+
+def sampled(
+    workspace: Workspace, point: ParameterPoint, probes: Probes, measured: str | None = None
+) -> Samples:
+    """Sample a full run at the probes, with the measurement named `measured`."""
+    report = workspace.context.report
+    text = f"sample full run, {point.label}"
+    with StoredRun.opened(workspace, point) as run, report.progress(text, len(run.time)) as advance:
+        samples = run.sampled(probes.all, advance=advance)
+        return samples if measured is None else replace(samples, measured=run.measured(measured))

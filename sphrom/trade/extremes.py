@@ -1,10 +1,10 @@
 """Stage `trade --extremes`: map where full and reduced models are stable and accurate.
 
 Models run at several values of each property, and are compared with full runs at these values.
-`sphrom.trade.stability` judges the runs, finds the causes of limits, and draws the maps. Mach
-number, h/dx and resolution are properties of the full model, which a reduced model inherits from
-its training runs. Therefore each of their values has full runs, a basis and operators in a folder
-of its own. Runs on particles with other time steps leave no artifacts.
+`sphrom.trade.causes` finds the causes of limits, and `sphrom.trade.stability` judges the runs and
+draws the maps. Mach number, h/dx and resolution are properties of the full model, which a reduced
+model inherits from its training runs. Therefore each of their values has full runs, a basis and
+operators in a folder of its own. Runs on particles with other time steps leave no artifacts.
 """
 
 from __future__ import annotations
@@ -41,24 +41,25 @@ from sphrom.sph.time_loop import Clock, Model, TimeSteps, march
 from sphrom.store.stored_run import probes_of
 from sphrom.store.trained_models import sized_in, start
 from sphrom.store.workspace import Workspace
-from sphrom.trade.candidates import candidates, first_model, global_basis, prepared, trade_points
-from sphrom.trade.full_models import (
+from sphrom.trade.candidates import (
     FULL_MODEL,
     RESOLUTION,
+    candidates,
+    first_model,
+    global_basis,
     in_all,
     of_full_model,
+    prepared,
+    trade_points,
     variant_of,
     varied_models,
 )
+from sphrom.trade.causes import cause_of_divergence, kind_of, limiting_step, longest_memory
 from sphrom.trade.stability import (
     HALF,
     ONE_RUN,
     ExtremeRun,
     Kind,
-    cause_of_divergence,
-    kind_of,
-    limiting_step,
-    longest_memory,
     publish,
 )
 from sphrom.trade.truth import GridModes, Truth, Truths, compared

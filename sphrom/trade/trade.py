@@ -35,8 +35,18 @@ from sphrom.store.stored_run import probes_of
 from sphrom.store.trajectory import require_complete
 from sphrom.store.workspace import Workspace
 from sphrom.text import counted
-from sphrom.trade import full_models, weighing
-from sphrom.trade.candidates import FOLDER, candidates, first_model, prepared, trade_points
+from sphrom.trade import weighing
+from sphrom.trade.candidates import (
+    FOLDER,
+    candidates,
+    first_model,
+    make_runs,
+    prepared,
+    sampled,
+    trade_points,
+    variant_of,
+    variants,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -98,7 +108,7 @@ class _Trade:
             self.full[point] = self._sampled(self.workspace, point)
 
     def _sampled(self, workspace: Workspace, point: ParameterPoint) -> Samples:
-        return full_models.sampled(workspace, point, self.probes, self.measured)
+        return sampled(workspace, point, self.probes, self.measured)
 
     def _full_seconds(self, workspace: Workspace, step: float) -> float:
         """Return the measured time of a full run on this machine [s], with a time step [s]."""
@@ -122,8 +132,7 @@ class _Trade:
             online_seconds=full_seconds,
             errors={**EXACT, **self._measured_errors(first, self.full[first])},
         )
-        variants = full_models.variants(self.case).items()
-        found = [self._full(label, variant) for label, variant in variants]
+        found = [self._full(label, other) for label, other in variants(self.case).items()]
         with self.workspace.context.report.progress("reduced models", len(self.models)) as advance:
             for section in self.models:
                 found.append(self._reduced(section, full_seconds))
@@ -138,8 +147,8 @@ class _Trade:
         return Results(rows, without, [run for _, runs in found for run in runs], measure)
 
     def _full(self, label: str, variant: Case) -> Rows:
-        made = full_models.variant_of(self.workspace.context, variant)
-        unstable = full_models.make_runs(made, label, list(self.full))
+        made = variant_of(self.workspace.context, variant)
+        unstable = make_runs(made, label, list(self.full))
         workspace = made.workspace
         step = variant.plan.steps.time_step
         described = {

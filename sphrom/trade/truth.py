@@ -21,7 +21,7 @@ from sphrom.sph.fluid import fluctuation_of, pressure_of
 from sphrom.store.stored_run import StoredRun
 from sphrom.store.workspace import Workspace
 from sphrom.text import exact
-from sphrom.trade.full_models import extreme, make_runs, of_full_model, variant_of
+from sphrom.trade.candidates import extreme, make_runs, of_full_model, variant_of
 from sphrom.trade.stability import Errors, ExtremeRun
 
 SPARSER = 10

@@ -11,7 +11,7 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
-from sphrom.trade.full_models import FULL_MODEL, variants, varied_models
+from sphrom.trade.candidates import FULL_MODEL, variants, varied_models
 
 CLOSE = (100.0, 100.0000001)
 

@@ -17,17 +17,9 @@ from sphrom.reduction.reduced_operators import Polynomial
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis
 from sphrom.sph.fluid import COURANT_LIMIT
-from sphrom.trade.full_models import FULL_MODEL, varied_models
-from sphrom.trade.stability import (
-    ExtremeRun,
-    draw_maps,
-    growth,
-    judge,
-    kind_of,
-    limiting_step,
-    longest_memory,
-    ranges_in,
-)
+from sphrom.trade.candidates import FULL_MODEL, varied_models
+from sphrom.trade.causes import growth, kind_of, limiting_step, longest_memory
+from sphrom.trade.stability import ExtremeRun, draw_maps, judge, ranges_in
 
 
 def fast(
