@@ -22,6 +22,7 @@ from sphrom.errors import CaseError, UnstableError
 from sphrom.reduction.greedy import Ending, choose, ending
 from sphrom.setup.context import StageContext
 from sphrom.store.variants import Variant
+from sphrom.store.workspace import Workspace
 from sphrom.sweep.workers import check_options
 from sphrom.text import exact
 from sphrom.train.outcome import FOLDER, HeldOut, Outcome, Stage, publish
@@ -66,8 +67,7 @@ def run(
     starts = region.starts(_existing(context, region))
     candidates = [p for p in region.candidates() if p not in case.plan.test_points]
     _check_starts(context, model, starts, candidates)
-    folder = Variant(context, case).workspace.folder(FOLDER)
-    path = write_case or folder / CASE_FILE
+    path = write_case or Workspace(context).folder(FOLDER) / CASE_FILE
     if not path.parent.is_dir():
         raise CaseError(f"--write-case: {path.parent} is not a folder")
     require_writable(path)
