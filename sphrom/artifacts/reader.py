@@ -51,13 +51,12 @@ from sphrom.machine import available_ram
 from sphrom.text import data_size, shortened
 
 SMALL_BYTES = 2**20
-"""Datasets up to this size are verified when an artifact is opened [bytes]."""
+"""Datasets up to this size are verified when an artifact is opened, and read without checking the
+available memory, because the check takes longer [bytes]."""
 MOST_KNOWN = 256
 """Number of files whose contents are remembered; the last ones opened are kept."""
 BLOCK_BYTES = 2**23
 """Approximate size of the blocks in which values are verified [bytes]."""
-ALWAYS_FITS = 2**16
-"""Largest size read without checking the available memory; the check takes longer [bytes]."""
 SHOWN_KEYS = 4
 """Number of differing keys of two cases that a message names."""
 MOST_CHARACTERS = 60
@@ -166,18 +165,27 @@ class Artifact:
 
         Raises ArtifactError if damaged, ResourceError without memory for it, KeyError if absent.
         """
-        dataset = self._file[name]
-        needed: int = dataset.nbytes
-        available = available_ram() if needed > ALWAYS_FITS else None
+        needed = self._size(name)
+        available = available_ram() if needed > SMALL_BYTES else None
         if available is not None and needed > available:
             raise ResourceError(
                 f"{name} of {self.path} needs {data_size(needed)} of memory, "
                 f"{data_size(available)} are available; use fewer snapshots or particles"
             )
         with explained_faults(self.path, self.made_by), damage(name):
-            values = np.asarray(dataset[...])
-            self._verify(name, (values,))  # without reading them twice
-            return values
+            return self._read(name)
+
+    def _size(self, name: str) -> int:
+        shape, dtype = self.form(name)
+        return dtype.itemsize * math.prod(shape)
+
+    def _read(self, name: str) -> NDArray[Any]:
+        """Return a whole dataset, verified. Raises Fault."""
+        values = np.empty(*self.form(name))
+        dataset = h5py.h5d.open(self._file.id, name.encode())
+        dataset.read(h5py.h5s.ALL, h5py.h5s.ALL, values)
+        self._verify(name, (values,))
+        return values
 
     def dataset(self, name: str) -> h5py.Dataset:
         """Return a verified dataset, to be read by slices.
@@ -225,9 +233,11 @@ class Artifact:
 
     def verify_datasets(self, up_to_bytes: float = math.inf) -> None:
         """Verify the datasets up to a size [bytes]; raise Fault if one is damaged."""
-        for name in self._contents.digests:
-            shape, dtype = self._contents.datasets[name]
-            if dtype.itemsize * math.prod(shape) <= up_to_bytes:
+        for name in self._contents.digests.keys() - self._contents.verified:
+            if self._size(name) <= min(up_to_bytes, SMALL_BYTES):
+                with damage(name):
+                    self._read(name)
+            elif self._size(name) <= up_to_bytes:
                 self._verified(name)
 
 
