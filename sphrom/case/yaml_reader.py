@@ -78,7 +78,7 @@ class Loader(yaml.SafeLoader):
 class StoredLoader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
     """A loader of texts that `dump_yaml` wrote: in C, where there is such a loader."""
 
-    yaml_implicit_resolvers = {}  # noqa: RUF012
+    yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012
 
 
 class Dumper(yaml.SafeDumper):
