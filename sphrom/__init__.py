@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from sphrom.artifacts.records.fit import FittedHistory as FittedHistory
     from sphrom.fit.fit import Estimate as Estimate
     from sphrom.fit.fit import Fit as Fit
-    from sphrom.online.error_estimates import ErrorEstimate as ErrorEstimate
+    from sphrom.models.points.error_estimates import ErrorEstimate as ErrorEstimate
 
 FROM_API = {
-    "ErrorEstimate": "online.error_estimates",
+    "ErrorEstimate": "models.points.error_estimates",
     "Estimate": "fit.fit",
     "Fit": "fit.fit",
     "FittedHistory": "artifacts.records.fit",
