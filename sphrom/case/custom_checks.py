@@ -153,7 +153,7 @@ def problems(
 def _problems_at(driving: Driving, final_time: float, fluid: Fluid) -> Found:
     times = np.linspace(0.0, final_time, N_CHECKED)
     sound_speed = fluid.sound_speed
-    for key, signal in driving.signals().items():
+    for key, signal in driving.signals():
         if (pole := pole_of(signal, times)) is not None:
             yield key, f"is not finite at t = {pole:.4g} s"
             return
