@@ -18,4 +18,4 @@ from sphrom.api.study import open as open
 from sphrom.artifacts.records.fit import FittedHistory as FittedHistory
 from sphrom.fit.fit import Estimate as Estimate
 from sphrom.fit.fit import Fit as Fit
-from sphrom.online.error_estimates import ErrorEstimate as ErrorEstimate
+from sphrom.models.points.error_estimates import ErrorEstimate as ErrorEstimate

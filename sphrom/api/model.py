@@ -29,11 +29,11 @@ from sphrom.errors import CaseError, UnstableError
 from sphrom.fit.fit import Fit, fit
 from sphrom.fit.forward_model import TrainingDifferences, box_of
 from sphrom.fit.measurements import read_measurements
-from sphrom.online import rom
-from sphrom.online.basis_model import quantities_of
-from sphrom.online.fast_model import FastModel, fast_model
-from sphrom.online.sensitivities import tangents
-from sphrom.online.surface_model import SurfaceModel
+from sphrom.models import rom
+from sphrom.models.points.basis_model import quantities_of
+from sphrom.models.points.fast_model import FastModel, fast_model
+from sphrom.models.points.sensitivities import tangents
+from sphrom.models.surface.model import SurfaceModel
 from sphrom.reduction.polynomial_model import SteadyState, steady_state
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup.context import StageContext

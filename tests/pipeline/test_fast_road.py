@@ -15,7 +15,7 @@ import pytest
 from sphrom.artifacts import open_artifact, read_record
 from sphrom.case.loader import load_case
 from sphrom.case.points import ParameterPoint
-from sphrom.online.fast_model import FastModel
+from sphrom.models.points.fast_model import FastModel
 from sphrom.reduction.memory_projection import project_memory
 from sphrom.reduction.reduced_operators import MemoryOperators
 from sphrom.reduction.reference_model import automatic, step_tolerance

@@ -26,7 +26,7 @@ from sphrom.case.plan import LEAST_SNAPSHOTS, MAX_STEPS
 from sphrom.case.sections import AUTO
 from sphrom.machine import computing_seconds
 from sphrom.metrics.series import smoothed
-from sphrom.offline import surfaces
+from sphrom.models.surface import training as surfaces
 from sphrom.plots.tables import format_figure
 from sphrom.reduction import held_out, reference_model
 from sphrom.reduction.decomposition import N_FIELD_VALUES
