@@ -16,7 +16,7 @@ contains L e_l, and with k = l = 0 the source. The products of b are the monomia
 
 Forms have four rows: the continuity equation (from which the mean may be subtracted) without
 advection, the advection of q, and two components of the velocity. Forms that concern the velocity
-only have two. Rows are (n, ...) at n points.
+only have two. A form is (n_rows, n_fields, n) at n points.
 """
 
 from __future__ import annotations
@@ -36,25 +36,28 @@ from sphrom.sph.fixed_points import FixedPoints, Terms
 
 @dataclass(frozen=True, kw_only=True)
 class LocalFields(Terms):
-    """Some fields at some points, with all that forms need of them."""
+    """Some fields at some points, with all that forms need of them.
+
+    Points are the last axis here, also of the terms: products of fields are faster then.
+    """
 
     rows: slice
     """The points."""
     everywhere: Array
-    """q (n_points, n_fields) at all points [m/s]."""
+    """q (n_fields, n_points) at all points [m/s]."""
     scaled_density: Array
-    """q (n, n_fields) [m/s]."""
+    """q (n_fields, n) [m/s]."""
     velocity: Array
-    """(2, n, n_fields) [m/s]."""
+    """(2, n_fields, n) [m/s]."""
     slopes: Array
-    """(3, 2, n, n_fields), the gradients of q and of the velocity [1/s]."""
+    """(3, 2, n_fields, n), the gradients of q and of the velocity [1/s]."""
     diffusion: Array
-    """delta h c0 L q (n, n_fields) [m/s2]."""
+    """delta h c0 L q (n_fields, n) [m/s2]."""
 
     def some(self, first: int, last: int) -> LocalFields:
         """Return some successive fields."""
         arrays: dict[str, Any] = {
-            name: values[..., first : last + 1]
+            name: values[..., first : last + 1, :]
             for name, values in vars(self).items()
             if isinstance(values, np.ndarray)
         }
@@ -110,15 +113,15 @@ class PointFields:
     def at(self, rows: slice) -> LocalFields:
         """Return the fields at some points."""
         terms = self._points.terms(self._density, self._velocity, rows, self._divergence)
-        return LocalFields(
-            **vars(terms),
-            rows=rows,
-            everywhere=self._density,
-            scaled_density=self._density[rows],
-            velocity=self._velocity[:, rows],
-            slopes=self._slopes(rows),
-            diffusion=self._diffusion[rows],
-        )
+        arrays: dict[str, Any] = {
+            "scaled_density": self._density[rows],
+            "velocity": self._velocity[:, rows],
+            "slopes": self._slopes(rows),
+            "diffusion": self._diffusion[rows],
+            **{name: term for name, term in vars(terms).items() if term is not None},
+        }
+        turned = {name: np.ascontiguousarray(x.swapaxes(-1, -2)) for name, x in arrays.items()}
+        return LocalFields(rows=rows, everywhere=self._density.T, **turned)
 
 
 class Part:
@@ -150,7 +153,7 @@ class Part:
         return pairs if self.is_quadratic else pairs[:n_fields]
 
     def columns(self, fields: LocalFields, pairs: Pairs) -> Array:
-        """Return F (2 or 4, n, n_pairs) of successive pairs of fields."""
+        """Return F (2 or 4, n_pairs, n) of successive pairs of fields."""
         columns = []
         for k, run in groupby(pairs, key=lambda pair: pair[0]):
             seconds = [l for _, l in run]
@@ -160,13 +163,13 @@ class Part:
             if self.is_quadratic:
                 rows = self.products(first, others)
                 if seconds[0] == k:
-                    rows[..., 0] *= 0.5
+                    rows[:, 0] *= 0.5
             if k == 0:
                 rows = rows + self.linear(others)
                 if self.source is not None and seconds[0] == 0:
-                    rows[-2:, :, 0] += self.source[:, fields.rows]
+                    rows[-2:, 0] += self.source[:, fields.rows]
             columns.append(np.asarray(rows))
-        return np.concatenate(columns, axis=-1)
+        return np.concatenate(columns, axis=1)
 
 
 class Sound(Part):
@@ -226,7 +229,7 @@ class MovingWalls(Part):
     def linear(self, of: LocalFields) -> Array:
         """Return -q/c0 w."""
         assert self.source is not None
-        return -self.source[:, of.rows, None] * (of.scaled_density / self.sound_speed)
+        return -self.source[:, None, of.rows] * (of.scaled_density / self.sound_speed)
 
 
 class BodyForce(Part):
@@ -239,8 +242,8 @@ class BodyForce(Part):
 
     def linear(self, of: LocalFields) -> Array:
         """Return K (q/c0 b) - q/c0 K b."""
-        push = self.points.head_push(self._force[..., None] * of.everywhere, of.rows)
-        push = push - self._head[:, of.rows, None] * of.scaled_density
+        push = self.points.head_push(self._force[..., None] * of.everywhere.T, of.rows)
+        push = push.swapaxes(1, 2) - self._head[:, None, of.rows] * of.scaled_density
         return push / self.sound_speed
 
 
@@ -265,7 +268,16 @@ def _rows(continuity: Array, velocity: Array) -> Array:
     return np.concatenate((continuity[None], np.zeros_like(continuity)[None], velocity))
 
 
+def weighted(weights: Array, rows: Array) -> Array:
+    """Return sums (n_weights, n_fields) over the points of the rows of a form, or of rates.
+
+    Weights are (n_weights, n_rows, n); of a form with fewer rows, they have the others too.
+    """
+    used = weights[:, -len(rows) :].swapaxes(0, 1)
+    return np.asarray(sum(w @ row.T for w, row in zip(used, rows, strict=True)))
+
+
 def rates_of(rows: Array) -> Array:
-    """Return the rates (3, n, ...) of q and the velocity from the rows of a form."""
+    """Return the rates (3, ...) of q and the velocity from the rows of a form."""
     first = rows[0] + rows[1] if len(rows) > 2 else np.zeros_like(rows[0])
     return np.concatenate((first[None], rows[-2:]))

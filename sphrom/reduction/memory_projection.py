@@ -23,7 +23,7 @@ import numpy as np
 from sphrom.arrays import Array
 from sphrom.declaration import Tensors
 from sphrom.reduction.affine import AMPLITUDE, VISCOSITY, factor_of
-from sphrom.reduction.forms import LocalFields, Pairs, PointFields, parts_of, rates_of
+from sphrom.reduction.forms import LocalFields, Pairs, PointFields, parts_of, rates_of, weighted
 from sphrom.reduction.mode_fields import (
     BLOCK_VALUES,
     blocks,
@@ -84,32 +84,28 @@ class _Rates:
     def __init__(self, points: FixedPoints, basis: TrialBasis) -> None:
         self._points = points
         self._modes = mode_fields(basis, points)
-        weights = weighted_rows(basis, self._modes, EVERYWHERE)
-        self._weights = weights.reshape(basis.n_modes, -1)
+        self._weights = weighted_rows(basis, self._modes, EVERYWHERE)
 
     def projected(self, rows: Array) -> Array:
         """Return the coordinates (n_modes, n_fields) of forms."""
-        return self._coordinates(self._rates(rows))
+        return weighted(self._weights, self._rates(rows))
 
     def residuals(self, rows: Array) -> LocalFields:
         """Return R = Pi' F as fields (Alg. 3.5)."""
         rates = self._rates(rows)
-        coordinates = self._coordinates(rates)
+        coordinates = weighted(self._weights, rates)
         modes = slice(self._modes.n_modes)
-        q = rates[0] - self._modes.scaled_density[:, modes] @ coordinates
-        velocity = rates[1:] - self._modes.velocity[..., modes] @ coordinates
+        q = rates[0].T - self._modes.scaled_density[:, modes] @ coordinates
+        velocity = rates[1:].swapaxes(1, 2) - self._modes.velocity[..., modes] @ coordinates
         slopes = summed_gradients(self._points, q, velocity)
         return PointFields(self._points, q, velocity, slopes).at(EVERYWHERE)
 
     def _rates(self, rows: Array) -> Array:
-        """Return rates (3, n_points, n_fields), less the mean if the volume is fixed."""
+        """Return rates (3, n_fields, n_points), less the mean if the volume is fixed."""
         rates = rates_of(rows)
         if self._points.fixed_volume and len(rows) > 2:
-            rates[0] -= rows[0].mean(axis=0)
+            rates[0] -= rows[0].mean(axis=1, keepdims=True)
         return rates
-
-    def _coordinates(self, rates: Array) -> Array:
-        return self._weights @ rates.reshape(self._weights.shape[1], -1)
 
 
 def _tensors(sums: Array, pairs: Pairs) -> Tensors:

@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from sphrom.arrays import Array
-from sphrom.reduction.forms import Part, PointFields, Sound, parts_of, rates_of
+from sphrom.reduction.forms import Part, PointFields, Sound, parts_of, rates_of, weighted
 from sphrom.reduction.mode_fields import BLOCK_VALUES, blocks, mode_fields, weighted_rows
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.reduced_operators import (
@@ -128,7 +128,7 @@ def _residual_columns(
     states = PointFields.of_states(points, basis, splines)
     parts = parts_of(points)
     density_ratio = mode_fields(basis, points).density_ratio
-    means = np.zeros(projected.shape[1])
+    means = np.zeros((projected.shape[1], 1))
     if points.fixed_volume:
 
         def share(rows: slice) -> Array:
@@ -136,17 +136,17 @@ def _residual_columns(
             weights[:, 0] = 1.0 / points.n_points
             return weights
 
-        means = np.concatenate(list(_weighted_sums(states, parts, share).values()), axis=1)
+        means = np.concatenate(list(_weighted_sums(states, parts, share).values()), axis=1).T
 
     def columns(rows: slice) -> Array:
         fields = states.at(rows)
         by_part = [part.columns(fields, part.pairs(states.n_fields)) for part in parts.values()]
-        rates = np.concatenate([rates_of(forms) for forms in by_part], axis=2)
+        rates = np.concatenate([rates_of(forms) for forms in by_part], axis=1)
         rates[0] = (rates[0] - means) / density_ratio
-        rates[0] -= basis.density_modes[:, rows].T @ projected
-        rates[1:] -= basis.velocity_modes[:, rows].transpose(2, 1, 0) @ projected
-        rates *= np.sqrt(basis.weights[rows])[:, None]
-        return rates.reshape(-1, projected.shape[1])
+        rates[0] -= projected.T @ basis.density_modes[:, rows]
+        rates[1:] -= projected.T @ basis.velocity_modes[:, rows].transpose(2, 0, 1)
+        rates *= np.sqrt(basis.weights[rows])
+        return np.concatenate(rates, axis=1).T
 
     return columns
 
@@ -162,7 +162,6 @@ def _weighted_sums(
         weights = weigh(rows)
         for name, part in parts.items():
             columns = part.columns(fields, part.pairs(states.n_fields))
-            used = weights[:, -len(columns) :].reshape(len(weights), -1)
-            sums[name] = sums[name] + used @ columns.reshape(used.shape[1], -1)
+            sums[name] = sums[name] + weighted(weights, columns)
         advance(rows.stop - rows.start)
     return sums
