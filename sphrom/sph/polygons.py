@@ -110,23 +110,13 @@ def require_few_crossings(shapes: Iterable[BaseGeometry]) -> None:
     every = np.array(list(shapes), dtype=object)
     one, other = shapely.STRtree(every).query(every)
     # Shapes apart from all others do not cross any.
-    start, end = (corners.T for corners in edges_of(every[np.unique(one[one != other])]))
-    chosen = np.random.default_rng(0).permutation(start.shape[1])[:N_EDGES]
-    n_crossings = 0
-    for edge in chosen:
-        one, other = start[:, [edge]], end[:, [edge]]
-        apart = _side(one, other, start) * _side(one, other, end) < 0.0
-        crossed = apart & (_side(start, end, one) * _side(start, end, other) < 0.0)
-        n_crossings += int(np.sum(crossed))
-    crossings = 0.5 * n_crossings * start.shape[1] / max(1, len(chosen))
+    ends = np.stack(edges_of(every[np.unique(one[one != other])]), axis=1)
+    edges = shapely.linestrings(ends)
+    chosen = np.random.default_rng(0).permutation(edges)[:N_EDGES]
+    crossed, _ = shapely.STRtree(edges).query(chosen, predicate="crosses")
+    crossings = 0.5 * len(crossed) * len(edges) / max(1, len(chosen))
     if crossings > MOST_CROSSINGS:
         raise ValueError(f"outlines cross about {crossings:.0e} times; simplify them")
-
-
-def _side(start: Array, end: Array, place: Array) -> Array:
-    """Return 1 for places on the left of edges, -1 on the right; x and y are the first axis."""
-    (a, b), (x, y) = end - start, place - start
-    return np.sign(a * y - b * x)
 
 
 def periodic_shifts(
