@@ -21,8 +21,8 @@ from sphrom.case.driving import (
     largest_norm,
     require_finite,
 )
-from sphrom.case.expressions import MOST_QUOTED
 from sphrom.metrics.series import pole_of
+from sphrom.scenes.expressions import MOST_QUOTED
 from sphrom.sph.fluid import Fluid, Resistance
 from sphrom.sph.places import N_SAMPLES, TOUCHING
 from sphrom.text import shortened

@@ -15,9 +15,9 @@ import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.case.custom_sections import SurfaceForce, ramp_share
-from sphrom.case.expressions import Expression
 from sphrom.case.fields import LARGEST
 from sphrom.metrics.series import shortest_period
+from sphrom.scenes.expressions import Expression
 from sphrom.scenes.flows import Amplitude, BodyForce
 from sphrom.sph.places import N_SAMPLES, Places
 
@@ -324,7 +324,7 @@ class Driving:
     def _pull(self, force: Array) -> Array:
         """Return the largest magnitudes (2,) of a force's components (2, n_samples) [m/s2]."""
         if math.isfinite(self.level) or not self.scene.domain.fills_box:
-            return np.asarray(np.abs(force).max(axis=1))
+            return np.abs(force).max(axis=1)
         # One-way means along lines: forces to a centre press from both sides.
         ways = np.maximum((force, -force), 0.0).reshape(2, 2, N_SAMPLES + 1, -1)
         return np.array([ways[:, axis].mean(axis=-1 - axis).max() for axis in range(2)])

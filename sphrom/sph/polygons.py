@@ -177,7 +177,7 @@ def least_widths(
     slack = SLACK * size
 
     def within(place: Array) -> Mask:
-        return np.asarray(np.all((place >= lower - slack) & (place <= upper + slack), axis=1))
+        return np.all((place >= lower - slack) & (place <= upper + slack), axis=1)
 
     edges = outline_of(fluid)
     wall = is_wall(0.5 * (edges[1] + edges[2])) & within(0.5 * (edges[1] + edges[2]))
@@ -266,8 +266,8 @@ def _ends(edges: Array, wall: Mask, side: int) -> Array:
 def _turn(one: Array, other: Array) -> Array:
     """Return the left turns from vectors (n, 2) to others [rad]."""
     cross = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
-    return np.asarray(np.arctan2(cross, _dot(one, other)))
+    return np.arctan2(cross, _dot(one, other))
 
 
 def _dot(one: Array, other: Array) -> Array:
-    return np.asarray(one[..., 0] * other[..., 0] + one[..., 1] * other[..., 1])
+    return one[..., 0] * other[..., 0] + one[..., 1] * other[..., 1]
