@@ -214,7 +214,9 @@ class Driving:
         places = scene.places
         if scene.fluid is not None:
             parts = [self.expression(BODY_FORCE, v, "x", "y", "t") for v in scene.body_force]
-            return SurfaceForce.of(tuple(parts), scene.fluid.gravity)
+            force = SurfaceForce.of(tuple(parts), scene.fluid.gravity)
+            self._require_finite_force(force.field)
+            return force
         strip = scene.strip
         if not pushes:
             return None
@@ -230,15 +232,12 @@ class Driving:
             ]
             return np.sum(fields, axis=0) if len(fields) > 1 else fields[0]
 
-        for name, push in pushes.items():
-            checked = places.all
-            if name == INFLOW and strip is not None:
-                inside = places.particles[strip.contains(places.particles.T)]
-                checked = np.concatenate([scene.strip_samples, inside])
-            require_finite(push.key, push(checked.T).T, checked)
-        force = pushes.get(BODY_FORCE)
-        if force is not None and not self.values:  # for all values the same peaks
-            finite_peak(KEYS[BODY_FORCE], places, lambda at: np.abs(force(at)).sum(axis=0))
+        if strip is not None:
+            inside = places.particles[strip.contains(places.particles.T)]
+            checked = np.concatenate([scene.strip_samples, inside])
+            require_finite(KEYS[INFLOW], pushes[INFLOW](checked.T).T, checked)
+        if BODY_FORCE in pushes:
+            self._require_finite_force(pushes[BODY_FORCE])
         factor = next((self.values.get(name, 1.0) for name in self.factors), 1.0)
 
         def series(times: Array | float) -> Array:
@@ -246,6 +245,12 @@ class Driving:
                 return factor * ramp_share(scene.ramp, times) * amplitude(t=times)
 
         return BodyForce(field, _remembered(series), series, changes=bool(amplitude.depends_on))
+
+    def _require_finite_force(self, field: Callable[[Array], Array]) -> None:
+        places = self.scene.places
+        require_finite(BODY_FORCE, field(places.all.T).T, places.all)
+        if not self.values:  # for all values the same peaks
+            finite_peak(BODY_FORCE, places, lambda at: np.abs(field(at)).sum(axis=0))
 
     # The driving over time
 

@@ -36,6 +36,7 @@ from sphrom.sph.polygons import (
     digest,
     edges_of,
     joined_areas,
+    left_turn,
     outline_of,
     periodic_shifts,
     require_few_crossings,
@@ -335,9 +336,8 @@ def ghost_rows(fluid: BaseGeometry, frame: BaseGeometry, spacing: float, n_layer
         for ring in shapely.get_rings(shapely.get_parts(grown)):
             place = shapely.get_coordinates(ring)[:-1]
             along = np.roll(place, -1, axis=0) - place
-            heading = np.arctan2(along[:, 1], along[:, 0])
-            turn = np.abs(np.angle(np.exp(1j * (heading - np.roll(heading, 1)))))
-            corners = np.flatnonzero(turn > CORNER)
+            turn = left_turn(np.roll(along, 1, axis=0), along)
+            corners = np.flatnonzero(np.abs(turn) > CORNER)
             # The frame's lower edges belong to it.
             inside = np.all((place >= lower) & (place < upper), axis=1)
             found.append(place[corners][inside[corners]])

@@ -249,8 +249,8 @@ def _circles(
 def _ends(edges: Array, wall: Mask, side: int) -> Array:
     """Return the widths [m] of ends and mouths of the fluid if `side` is 1, of solids if -1."""
     before, along, after = np.diff(edges, axis=0)
-    behind = _turn(before, along)
-    ahead = _turn(along, after)
+    behind = left_turn(before, along)
+    ahead = left_turn(along, after)
     length = np.hypot(*along.T)
     ends = wall & (np.minimum(side * behind, side * ahead) > LEAST_TURN)
     ends &= np.abs(np.abs(behind + ahead) - math.pi) < FACING
@@ -263,7 +263,7 @@ def _ends(edges: Array, wall: Mask, side: int) -> Array:
     return np.concatenate(widths)
 
 
-def _turn(one: Array, other: Array) -> Array:
+def left_turn(one: Array, other: Array) -> Array:
     """Return the left turns from vectors (n, 2) to others [rad]."""
     cross = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
     return np.arctan2(cross, _dot(one, other))
