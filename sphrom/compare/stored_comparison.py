@@ -89,7 +89,8 @@ def group_of(compared: str, against: str = FULL) -> str:
 class StoredComparison:
     """The stored comparisons of a case; runs are selected by name, and None is the full run."""
 
-    def __init__(self, artifact: Artifact) -> None:
+    def __init__(self, workspace: Workspace, artifact: Artifact) -> None:
+        self.workspace = workspace
         self._artifact = artifact
 
     @classmethod
@@ -97,7 +98,7 @@ class StoredComparison:
     def of(cls, workspace: Workspace) -> Iterator[StoredComparison]:
         """Open the comparison of a case. Raises ArtifactError when it is missing or not valid."""
         with workspace.open(workspace.comparison()) as artifact:
-            yield cls(artifact)
+            yield cls(workspace, artifact)
 
     def samples(
         self, run: str | None, point: ParameterPoint, at: Literal["line", "stations"] = "line"

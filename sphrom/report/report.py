@@ -30,7 +30,8 @@ from sphrom.artifacts import open_artifact
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.answer import DIGITS, Answer, find_answer, percent
-from sphrom.compare.comparison_figures import QUANTITIES, frame_of, side_by_side
+from sphrom.compare.basis_figures import frame_of
+from sphrom.compare.comparison_figures import QUANTITIES, side_by_side
 from sphrom.compare.comparison_tables import RECORDS, Tables
 from sphrom.plots.panels import SHOWN, SOLID_COLOUR, colour_scale
 from sphrom.plots.tables import format_figure, read_csv

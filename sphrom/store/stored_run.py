@@ -20,6 +20,7 @@ from sphrom.artifacts import Artifact
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
+from sphrom.case.study_sections import FULL
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.metrics.measures import (
     Probes,
@@ -62,6 +63,7 @@ class StoredRun:
     ) -> None:
         self._workspace, self._run, self._point = workspace, run, point
         self._rebuilt = None if model is None or not model.from_operators else model
+        self.name = FULL if model is None else model.name
         self._has_surface = workspace.case.scene.has_surface
         self.time = run.read("time")
         self.mass = run.number("mass")
