@@ -236,9 +236,11 @@ def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
 
     nearest = rows_of(tables.errors, best)
     estimates = [row.figures for row in rows_of(tables.estimates)]
-    own = (model.name, point.label)
-    timing = next((r for r in tables.timings if (r.model, r.parameters) == own), None)
+    timing = next(
+        (r for r in tables.timings if (r.model, r.parameters) == (model.name, point.label)), None
+    )
     loads = [row for row in tables.measures if row.quantity in LOADS]
+    surface = [row for row in tables.measures if row.measured == SURFACE]
     full_seconds = None if timing is None else timing.full_seconds
     offline, training = offline_seconds(workspace, model, [point], full_seconds)
     return Answer(
@@ -253,7 +255,7 @@ def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
         offline_seconds=offline,
         training_seconds=training,
         n_training=len(plan.bases[basis]),
-        surface=_surface_errors(tables, worst, best),
+        surface=_relative_errors(rows_of(surface), rows_of(surface, best)),
         since=f" from {since:g} s on" if (since := case.compare.from_time) else "",
         doubts=(
             *_doubts(workspace),
@@ -333,14 +335,12 @@ def _doubts(workspace: Workspace) -> Iterator[str]:
         yield f"The run at {first} was imported, and may be of another flow: {doubts}{also}."
 
 
-def _surface_errors(tables: Tables, row: ErrorRow, best: str) -> tuple[float, float | None] | None:
-    errors = {
-        each.compared: each.relative_l2
-        for each in tables.measures
-        if (each.measured, each.parameters) == (SURFACE, row.parameters)
-    }
-    own = errors.get(row.compared)
-    return None if own is None else (own, errors.get(best))
+def _relative_errors(
+    model: Sequence[MeasureRow], nearest: Sequence[MeasureRow]
+) -> tuple[float, float | None] | None:
+    """Return the errors of a model and of the nearest state, if the model has one."""
+    errors = [rows[0].relative_l2 if rows else None for rows in (model, nearest)]
+    return None if errors[0] is None else (errors[0], errors[1])
 
 
 def tell_answer(workspace: Workspace, tables: Tables) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -59,9 +60,10 @@ def _spectra(workspace: Workspace) -> Iterator[tuple[str, str, str, Array]]:
 def spectrum_rows(workspace: Workspace) -> Iterator[SpectrumRow]:
     """Yield the rows of the table of singular values, if the case has reduced models."""
     for space, basis, part, values in _spectra(workspace) if workspace.case.rom else ():
-        each = zip(values, cumulative_singular_value_share(values), energy(values), strict=True)
-        for m, figures in enumerate(each, start=1):
-            yield SpectrumRow(space, basis, part, m, *map(float, figures))
+        shares = cumulative_singular_value_share(values)
+        figures = zip(values.tolist(), shares.tolist(), energy(values).tolist(), strict=True)
+        for m, (value, share, energy_share) in enumerate(figures, start=1):
+            yield SpectrumRow(space, basis, part, m, value, share, energy_share)
 
 
 def draw_spectrum(
@@ -71,21 +73,25 @@ def draw_spectrum(
 
     `marked` numbers of modes have a line and, with `with_shares`, their shares in the legend.
     """
-    values_of, left_out_of = [], []
-    for space, _, part, values in (each for each in _spectra(workspace) if each[1] == basis):
-        name = f"{space} space" + ("" if part == "joint" else f", {part}")
+    ratios = []
+    omitted = []
+    for space, name, part, values in _spectra(workspace):
+        if name != basis:
+            continue
+        label = f"{space} space" + ("" if part == "joint" else f", {part}")
         shares = cumulative_singular_value_share(values)
         if with_shares:
             texts = (f"{_share(shares[m - 1])} % (M = {m})" for m in marked if m <= len(shares))
-            name = f"{name}: {', '.join(texts)}"
+            label = f"{label}: {', '.join(texts)}"
         number = np.arange(1.0, len(values) + 1.0)
-        ratio, left_out = values / values[0], 100.0 - shares
-        values_of.append(Curve(name, number, np.where(ratio > SMALLEST_RATIO, ratio, 0.0)))
+        ratio = values / values[0]
+        left_out = 100.0 - shares
+        ratios.append(Curve(label, number, np.where(ratio > SMALLEST_RATIO, ratio, 0.0)))
         left_out = np.where(left_out > SMALLEST_SHARE, left_out, 0.0)
-        left_out_of.append(Curve(name, number, left_out))
+        omitted.append(Curve(label, number, left_out))
     panels = [
         Panel("", "mode number M [–]", label, curves, "both logarithmic", marked)
-        for label, curves in zip(SPECTRUM, (values_of, left_out_of), strict=True)
+        for label, curves in zip(SPECTRUM, (ratios, omitted), strict=True)
     ]
     return draw_grid([panels])
 
@@ -131,5 +137,5 @@ def draw_modes(workspace: Workspace, basis: str) -> Figure:
     rows = []
     for field in ("density", *COMPONENTS):
         spaces = mode_fields(workspace, basis, field, numbers)
-        rows.append([each for fields in spaces.values() for each in fields])
+        rows.append(list(chain.from_iterable(spaces.values())))
     return draw_grid(rows, frame_of(workspace.case))

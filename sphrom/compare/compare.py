@@ -74,7 +74,9 @@ def run(context: StageContext) -> None:
             for point in case.plan.points:
                 writer = ComparisonWriter(artifact, point, probes)
                 _PointComparison(workspace, writer, tables).compare()
-            tables.decay.extend(_decay(workspace, *pair) for pair in _exact_flows(case))
+            tables.decay.extend(
+                _decay(workspace, point, flow) for point, flow in _exact_flows(case)
+            )
             tables.singular_values.extend(spectrum_rows(workspace))
             tables.timings.extend(run_timings(workspace))
             tables.stages.extend(stage_timings(workspace))
@@ -105,8 +107,8 @@ def _exact_flows(case: Case) -> list[tuple[ParameterPoint, TaylorGreen]]:
 def _decay(workspace: Workspace, point: ParameterPoint, flow: TaylorGreen) -> DecayRow:
     exact = flow.energy_decay_rate
     with StoredRun.opened(workspace, point) as run:
-        each = (kinetic_energy(run.fields(k)[0], run.mass) for k in range(len(run.time)))
-        fitted = exponential_rate(run.time, np.array(list(each)))
+        energy = [kinetic_energy(run.fields(k)[0], run.mass) for k in range(len(run.time))]
+        fitted = exponential_rate(run.time, np.array(energy))
     return DecayRow(point.label, fitted, exact, fitted / exact)
 
 
@@ -195,8 +197,8 @@ class _PointComparison:
             runs[best_name(ALL, size)] = size, fast.nearest
             if model.is_calibrated:
                 plain = model.model_copy(update={"calibrated": False})
-                own = SurfaceModel(self.workspace, plain)
-                runs[f"{model.name}, not calibrated"] = size, own.run
+                uncalibrated = SurfaceModel(self.workspace, plain)
+                runs[f"{model.name}, not calibrated"] = size, uncalibrated.run
         for name, (size, run_at) in runs.items():
             run = run_at(self.point)
             compared = _Run(name, ALL, size, "complete" if run.failure is None else "unstable")

@@ -262,7 +262,7 @@ class _PointFigures(RunFigures):
             for role, (name, series) in limits.items()
             if series is not None
         ]
-        curves += [self.curve(name, each.time, values(each)) for name, each in models.items()]
+        curves += [self.curve(name, series.time, values(series)) for name, series in models.items()]
         return Panel("", "time [s]", label, curves, "logarithmic")
 
     def _profiles(self) -> Figure:

@@ -126,9 +126,9 @@ class _ListedFigures(RunFigures):
         full = [snapshot(None, point) for _, points in rows for point in points]
         scales = {}
         for quantity in figure.quantities:
-            values = np.concatenate([each.values[quantity] for each in full])
+            values = np.concatenate([run.values[quantity] for run in full])
             scales[LABELS[quantity]] = (float(values.min()), float(values.max()))
-        times = {f"{each.time:.4g}" for each in full}
+        times = {f"{run.time:.4g}" for run in full}
         title = f"t = {' and '.join(sorted(times))} s"
         return draw_grid(panels, self.frame, scales=scales, title=title)
 
