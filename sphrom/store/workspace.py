@@ -33,7 +33,7 @@ class Kind:
     sections: tuple[str, ...]
     """The sections of the case that it depends on as a whole."""
     partly: tuple[str, ...] = ()
-    """The sections of which it depends on some keys; they are part of its settings."""
+    """The sections of which it depends on some keys; they are part of its `about`."""
 
 
 KINDS: Mapping[str, Kind] = {
@@ -135,27 +135,27 @@ class Workspace(ArtifactFolder):
     def spin_up(self, point: ParameterPoint) -> Target:
         """The state at the end of a spin-up, at a parameter point."""
         steps = self.case.plan.steps
-        settings = {
+        about = {
             "point": point.as_dict(),
             "time step": steps.time_step,
             "spin-up steps": steps.n_spin_up_steps,
         }
-        return self._target("spin-up", point.file_label, settings, self._packed())
+        return self._target("spin-up", point.file_label, about, self._packed())
 
     def full_run(self, point: ParameterPoint) -> Target:
         """The full-order trajectory at a parameter point."""
-        settings = {"point": point.as_dict(), "steps": self._steps()}
-        return self._target("fom", point.file_label, settings, self._start(point))
+        about = {"point": point.as_dict(), "steps": self._steps()}
+        return self._target("fom", point.file_label, about, self._start(point))
 
     def mapped(self, point: ParameterPoint) -> Target:
         """The reference snapshots at a parameter point."""
         parents = {"trajectory": self.full_run(point)}
-        settings: dict[str, object] = {"point": point.as_dict()}
+        about: dict[str, object] = {"point": point.as_dict()}
         if self.case.scene.has_surface:
-            settings["space"] = vars(self.case.plan.stream_space)
+            about["space"] = vars(self.case.plan.stream_space)
         elif self.case.reference.points == "relaxed":
             parents["points"] = self.full_run(self.case.plan.train_points[0])
-        return self._target(f"map{self._own_kind}", point.file_label, settings, parents)
+        return self._target(f"map{self._own_kind}", point.file_label, about, parents)
 
     def basis(self) -> Target:
         """The trial bases."""
@@ -186,27 +186,27 @@ class Workspace(ArtifactFolder):
         if self.case.scene.measure:
             parents |= self._full_runs(trained)
         parents["splines"] = self.splines()
-        settings = {
+        about = {
             "bases": plan.reference_bases,
             "closures": plan.memory_models,
             "calibrated": plan.corrected_bases,
             "sized": plan.sized_bases,
             "varied": plan.parameter_names[1:],
         }
-        return self._target("operators", "", settings, parents)
+        return self._target("operators", "", about, parents)
 
     def model(self, model: ReducedModelSection) -> Target:
         """A trained model from operators, which runs without them."""
-        settings = _model_settings(model, "parameters")
+        about = _about(model, "parameters")
         made_from = self._trained(model)
-        return self._target(f"model{self._own_kind}", model.name, settings, made_from)
+        return self._target(f"model{self._own_kind}", model.name, about, made_from)
 
     def reduced_run(self, model: ReducedModelSection, point: ParameterPoint) -> Target:
         """The run of a reduced model at a parameter point."""
         kind = f"rom{self._own_kind}" if model.from_operators else "rom on particles"
         parents = self._trained(model) | self._start(self.case.plan.start_point(point))
-        settings = {"point": point.as_dict(), **_model_settings(model, "parameters")}
-        return self._target(kind, f"{model.name}-{point.file_label}", settings, parents)
+        about = {"point": point.as_dict(), **_about(model, "parameters")}
+        return self._target(kind, f"{model.name}-{point.file_label}", about, parents)
 
     def comparison(self) -> Target:
         """The figures of merit of the case."""
@@ -224,28 +224,28 @@ class Workspace(ArtifactFolder):
     def sweep(self) -> Target:
         """The runs of the case's sweep, at any values of the parameters; readers check these."""
         model = sweep_model(self.case)
-        settings: dict[str, object] = {
+        about: dict[str, object] = {
             "sweep": _without(self.case.sweep.of_any_values, "name", "model")
         }
         parents = self._packed() if model is None or self.case.time.spin_up == 0.0 else {}
         if model is None:
-            settings["steps"] = self._steps()
+            about["steps"] = self._steps()
         else:
-            settings |= _model_settings(model, "parameters", "output")
+            about |= _about(model, "parameters", "output")
             parents |= self._trained(model)
-        return self._target("sweep", sweep_name(self.case), settings, parents)
+        return self._target("sweep", sweep_name(self.case), about, parents)
 
     def fit(self, name: str, measurements: str, noise: float | None) -> Target:
         """The parameters estimated from measurements, by the digest of their file."""
         model = fast_section(self.case, self.case.fit.model)
-        settings = {
+        about = {
             "fit": _without(self.case.fit, "model", "noise"),
             "noise": noise,
             "measurements": measurements,
-            **({} if model is None else _model_settings(model, "parameters", "output")),
+            **({} if model is None else _about(model, "parameters", "output")),
         }
         made_from = {"basis": self.basis(), "operators": self.operators()}
-        return self._target("fit", name, settings, made_from)
+        return self._target("fit", name, about, made_from)
 
     def _trained(self, model: ReducedModelSection) -> dict[str, Target]:
         """Return the artifacts from which a reduced model is built."""
@@ -276,14 +276,14 @@ class Workspace(ArtifactFolder):
         self,
         name: str,
         label: str,
-        settings: Mapping[str, object],
+        about: Mapping[str, object],
         parents: Mapping[str, Target],
         at_least: Mapping[str, int] | None = None,
     ) -> Target:
-        """Return a target; `settings` are the dependencies beyond the whole sections."""
+        """Return a target; `about` are the dependencies beyond the whole sections."""
         kind = KINDS[name]
         plan = self.case.plan
-        settings = dict(settings)
+        about = dict(about)
         if name in ("compare", "sweep", "fit", "rom"):
             figures: dict[str, Mapping[str, object]] = {
                 "means from": {n: t for n, t in plan.means_from.items() if t > 0.0}
@@ -291,18 +291,18 @@ class Workspace(ArtifactFolder):
             if name != "rom":
                 figures["oscillations"] = {n: vars(each) for n, each in plan.oscillations.items()}
                 figures["coefficients"] = plan.coefficients
-            settings |= {key: each for key, each in figures.items() if each}
+            about |= {key: each for key, each in figures.items() if each}
         if "fluid" in kind.sections:
-            settings["largest speed"] = plan.max_speed
+            about["largest speed"] = plan.max_speed
             if plan.sound_speed > plan.max_speed / self.case.fluid.mach_number:
-                settings["sound speed"] = plan.sound_speed
+                about["sound speed"] = plan.sound_speed
             if (strip := plan.strip) is not None and strip != self.case.scene.strip:
-                settings["strip speed"] = strip.speed
+                about["strip speed"] = strip.speed
         if name not in self._inputs:
             self._inputs[name] = section_inputs(self._without_figures, kind.sections)
         inputs = {
             "sections": self._inputs[name],
-            "about": stated(settings),
+            "about": stated(about),
             # In their order; they may have been deleted, or be fewer now.
             "inputs": [[role, parent.inputs_digest] for role, parent in parents.items()],
             "schema": kind.schema,
@@ -320,7 +320,7 @@ class Workspace(ArtifactFolder):
         )
 
 
-def _model_settings(model: ReducedModelSection, *names: str) -> dict[str, object]:
+def _about(model: ReducedModelSection, *names: str) -> dict[str, object]:
     """Return the values of a reduced model's section, without some keys, and its version."""
     return {"model": _without(model, *names), "rom version": VERSIONS["rom"]}
 
