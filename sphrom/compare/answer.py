@@ -22,7 +22,7 @@ from sphrom.compare.comparison_tables import ErrorRow, EstimateRow, Tables, best
 from sphrom.compare.costs import N_REPEATS, RunTiming, break_even, offline_seconds
 from sphrom.compare.measured import SURFACE, MeasureRow, OscillationRow
 from sphrom.metrics.measures import ONLY_NOISE
-from sphrom.online.stable_ranges import against
+from sphrom.models.stable_ranges import against
 from sphrom.plots.tables import format_figure
 from sphrom.store.stored_run import inflow_of
 from sphrom.store.trained_models import basis_used

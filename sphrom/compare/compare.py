@@ -43,7 +43,7 @@ from sphrom.errors import CaseError
 from sphrom.metrics.histories import compare
 from sphrom.metrics.measures import Samples, without_weight
 from sphrom.metrics.series import exponential_rate, kinetic_energy
-from sphrom.online.surface_model import SurfaceModel, SurfaceRun
+from sphrom.models.surface.model import SurfaceModel, SurfaceRun
 from sphrom.scenes.flows import TaylorGreen
 from sphrom.setup.assembly import role_of
 from sphrom.setup.context import StageContext

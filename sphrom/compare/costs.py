@@ -21,8 +21,8 @@ from sphrom.case.study_sections import FULL
 from sphrom.kernels import ask_for_threads, asked_for
 from sphrom.machine import seconds_of
 from sphrom.metrics.histories import compression_factors
-from sphrom.online.fast_model import fast_model
-from sphrom.online.particle_runs import build_model, close
+from sphrom.models.particles.runs import build_model, close
+from sphrom.models.points.fast_model import fast_model
 from sphrom.setup import particles
 from sphrom.sph.time_loop import Model, runge_kutta_step
 from sphrom.store.trained_models import basis_used, memory_timing

@@ -37,8 +37,8 @@ from sphrom.metrics.measures import (
     with_coefficients,
 )
 from sphrom.metrics.series import NO_OSCILLATION, dominant_frequency, kinetic_energy
-from sphrom.online.basis_model import quantities_of
-from sphrom.online.fast_model import FastModel
+from sphrom.models.points.basis_model import quantities_of
+from sphrom.models.points.fast_model import FastModel
 from sphrom.reduction.trial_basis import mean_density_fluctuation, project
 from sphrom.setup.particles import MeasuredFields
 from sphrom.store.stored_run import StoredRun

@@ -28,12 +28,15 @@ from sphrom.case.studies import trained_at
 from sphrom.errors import CaseError, ResourceError, UnstableError
 from sphrom.metrics.histories import relative_l2, without_mean
 from sphrom.metrics.measures import Samples
-from sphrom.offline import fit_psi, fom, operators, pod
-from sphrom.offline import map as mapping
-from sphrom.online.basis_model import BasisModel
-from sphrom.online.fast_model import FastModel, FastRun
-from sphrom.online.particle_runs import build_model, close, doubts_of_step
-from sphrom.online.stable_ranges import MEMORY, STEP, TIME
+from sphrom.models import fom
+from sphrom.models.particles.runs import build_model, close, doubts_of_step
+from sphrom.models.points import basis as pod
+from sphrom.models.points import map as map_stage
+from sphrom.models.points import operators
+from sphrom.models.points import splines as fit_psi
+from sphrom.models.points.basis_model import BasisModel
+from sphrom.models.points.fast_model import FastModel, FastRun
+from sphrom.models.stable_ranges import MEMORY, STEP, TIME
 from sphrom.reduction.particle_model import reduced_jacobian
 from sphrom.reduction.polynomial_model import EXPONENTIAL, RUNGE_KUTTA, steps_within
 from sphrom.reduction.reduced_operators import stability_limits
@@ -372,7 +375,7 @@ class Maps:
         context = self.workspace.context
         context = replace(context, only=None, report=context.report.brief(label=variant.name))
         own = workspace_of(Workspace(context), variant, folders)
-        for stage in (fom, mapping, pod, fit_psi, operators):
+        for stage in (fom, map_stage, pod, fit_psi, operators):
             stage.run(own.context)
         return own
 

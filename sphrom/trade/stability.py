@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from sphrom.arrays import Array
-from sphrom.online.fast_model import FastRun
-from sphrom.online.stable_ranges import FILE, MEMORY, MOST_ERROR, STEP, TIME, UNITS, StableRange
+from sphrom.models.points.fast_model import FastRun
+from sphrom.models.stable_ranges import FILE, MEMORY, MOST_ERROR, STEP, TIME, UNITS, StableRange
 from sphrom.plots.panels import new_figure, save, styled
 from sphrom.plots.tables import format_figure, write_csv, write_json
 from sphrom.reduction.polynomial_model import EXPONENTIAL, RUNGE_KUTTA

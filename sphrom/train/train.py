@@ -30,9 +30,12 @@ from sphrom.case.study_sections import percentage
 from sphrom.errors import CaseError, UnstableError
 from sphrom.metrics.histories import QUANTITIES
 from sphrom.metrics.measures import since
-from sphrom.offline import fit_psi, fom, operators, pod
-from sphrom.offline import map as map_stage
-from sphrom.online.fast_model import FastModel, FastRun
+from sphrom.models import fom
+from sphrom.models.points import basis as pod
+from sphrom.models.points import map as map_stage
+from sphrom.models.points import operators
+from sphrom.models.points import splines as fit_psi
+from sphrom.models.points.fast_model import FastModel, FastRun
 from sphrom.plots.panels import Curve, Panel, draw_grid, save
 from sphrom.plots.tables import UNKNOWN, format_figure, rows_of_columns, write_csv, write_json
 from sphrom.reduction.greedy import Ending, choose, ending, safety_factor

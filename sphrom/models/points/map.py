@@ -10,7 +10,7 @@ from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, ArtifactWriter
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
-from sphrom.offline.surfaces import map_point as map_surface
+from sphrom.models.surface.training import map_point as map_surface
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.setup import particles
 from sphrom.setup.assembly import medium

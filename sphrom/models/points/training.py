@@ -23,8 +23,8 @@ from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import COEFFICIENT, Quantities
 from sphrom.metrics.series import smoothed
-from sphrom.offline import operators
-from sphrom.online.basis_model import BasisModel, Start, forces_of, quantities_of
+from sphrom.models.points import operators
+from sphrom.models.points.basis_model import BasisModel, Start, forces_of, quantities_of
 from sphrom.reduction.calibration import (
     Calibration,
     CycleClosure,

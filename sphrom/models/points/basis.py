@@ -12,7 +12,7 @@ from sphrom.artifacts import Artifact, ArtifactWriter, write_record
 from sphrom.case.hints import few_snapshots
 from sphrom.errors import CaseError
 from sphrom.metrics.histories import cumulative_singular_value_share, energy
-from sphrom.offline import surfaces
+from sphrom.models.surface import training as surfaces
 from sphrom.reduction.decomposition import decompose
 from sphrom.reduction.trial_basis import JOINT, Modes, TrialBasis, weighted_mean
 from sphrom.setup.assembly import inner_product, medium

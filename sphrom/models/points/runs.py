@@ -17,15 +17,15 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.machine import seconds_of
 from sphrom.metrics.measures import UNITS, Quantities, components
-from sphrom.online.basis_model import forces_of
-from sphrom.online.error_estimates import (
+from sphrom.models.points.basis_model import forces_of
+from sphrom.models.points.error_estimates import (
     distance_from,
     estimate_errors,
     measured_once,
     steady_errors,
 )
-from sphrom.online.fast_model import FastModel, FastRun
-from sphrom.online.stable_ranges import against
+from sphrom.models.points.fast_model import FastModel, FastRun
+from sphrom.models.stable_ranges import against
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.polynomial_model import EXPONENTIAL, steady_state
 from sphrom.reduction.reduced_operators import largest_growth

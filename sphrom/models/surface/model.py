@@ -1,7 +1,7 @@
 """Models of flows with a free surface at any parameters, and their runs.
 
-`SurfaceModel` and `SurfaceRun` are for such scenes what `sphrom.online.fast_model` has for others,
-with the same members. They have no estimates of errors.
+`SurfaceModel` and `SurfaceRun` have the members of `FastModel` and `FastRun`. They have no estimates
+of errors.
 """
 
 from __future__ import annotations

@@ -12,7 +12,10 @@ import pytest
 from sphrom.case.models import Case
 from sphrom.console import Reporter
 from sphrom.errors import ArtifactError
-from sphrom.offline import fit_psi, fom, map, pod
+from sphrom.models import fom
+from sphrom.models.points import basis as pod
+from sphrom.models.points import map
+from sphrom.models.points import splines as fit_psi
 from sphrom.reduction.mode_splines import basis_columns
 from sphrom.reduction.trial_basis import mean_density_fluctuation, project, weighted_mean
 from sphrom.setup.context import StageContext

@@ -43,8 +43,8 @@ def ensure_run(workspace: Workspace, model: ReducedModelSection, point: Paramete
     """Run a reduced model at a parameter point unless its run is up to date."""
     target = workspace.reduced_run(model, point)
     if workspace.must_make(target):
-        kind = "reference_runs" if model.from_operators else "particle_runs"
+        kind = "points.runs" if model.from_operators else "particles.runs"
         if workspace.case.scene.has_surface:
-            kind = "surface_model"
-        import_module(f"sphrom.online.{kind}").run_point(workspace, model, point)
+            kind = "surface.model"
+        import_module(f"sphrom.models.{kind}").run_point(workspace, model, point)
     return target

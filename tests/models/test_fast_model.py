@@ -11,7 +11,7 @@ import pytest
 
 from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.series import kinetic_energy
-from sphrom.online.fast_model import FastRun, fast_model
+from sphrom.models.points.fast_model import FastRun, fast_model
 from sphrom.reduction.polynomial_model import Run
 
 SECTION = ReducedModelSection(name="quick", evaluation="operators")

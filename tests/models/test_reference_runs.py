@@ -13,8 +13,8 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError
-from sphrom.online.basis_model import steps_of
-from sphrom.online.fast_model import FastRun
+from sphrom.models.points.basis_model import steps_of
+from sphrom.models.points.fast_model import FastRun
 from sphrom.reduction import reference_model
 from sphrom.reduction.polynomial_model import OutputTimes, Run
 from sphrom.reduction.reduced_operators import Polynomial

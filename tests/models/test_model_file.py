@@ -13,7 +13,7 @@ import pytest
 import sphrom
 from sphrom.case import tables
 from sphrom.errors import ArtifactError, CaseError
-from sphrom.online.fast_model import FastModel
+from sphrom.models.points.fast_model import FastModel
 from sphrom.store.workspace import Workspace
 
 CASE: dict[str, Any] = {

@@ -9,7 +9,7 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
-from sphrom.online.stable_ranges import against
+from sphrom.models.stable_ranges import against
 from sphrom.reduction.particle_model import ParticleModel, reduced_jacobian
 from sphrom.reduction.trial_basis import mean_density_fluctuation, project
 from sphrom.setup import assembly, particles

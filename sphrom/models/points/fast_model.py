@@ -1,8 +1,8 @@
 """`FastModel`, a model from operators that runs at any parameters, and its runs with their results.
 
-All commands and the Python interface run models this way. `sphrom.online.basis_model` has the
-equations with one basis, `sphrom.reduction.reference_model` integrates them, and
-`sphrom.online.reference_runs` writes the results of the stage `rom`.
+All commands and the Python interface run models this way. `basis_model` has the equations with one
+basis, `sphrom.reduction.reference_model` integrates them, and `runs` writes the results of the
+stage `rom`.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
 from sphrom.metrics.measures import Quantities, Samples, items
-from sphrom.online.basis_model import BasisModel, quantities_of
-from sphrom.online.error_estimates import ErrorEstimate, estimate
+from sphrom.models.points.basis_model import BasisModel, quantities_of
+from sphrom.models.points.error_estimates import ErrorEstimate, estimate
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.polynomial_model import Run
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, automatic
@@ -40,7 +40,7 @@ from sphrom.store.trained_models import (
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:
-    from sphrom.online.surface_model import SurfaceModel
+    from sphrom.models.surface.model import SurfaceModel
     from sphrom.reduction.mode_splines import ModeSplines
 
 DOUBTFUL = 50.0
@@ -54,7 +54,7 @@ def fast_model(
 ) -> FastModel | SurfaceModel:
     """Return a model that runs without particles, from its artifact if one is `stored`."""
     if workspace.case.scene.has_surface:
-        from sphrom.online.surface_model import SurfaceModel  # it loads kernels
+        from sphrom.models.surface.model import SurfaceModel  # it loads kernels
 
         assert not isinstance(stored, TrainedModel)
         return SurfaceModel(workspace, section, stored)
@@ -94,7 +94,7 @@ class FastModel:
             if self._stored is not None and name in self._stored.bases:
                 self._on_basis[name] = self._opened(self._stored, name)
             else:
-                from sphrom.online.training import train  # models with an artifact need none
+                from sphrom.models.points.training import train  # models with an artifact need none
 
                 self._on_basis[name] = train(self.workspace, self.section, name, self._starts.at)
         return self._on_basis[name]
@@ -115,7 +115,7 @@ class FastModel:
         def splines() -> ModeSplines:
             if not self._is_alone:
                 return read_modes(self.workspace, name, basis.n_modes)[1]
-            from sphrom.offline.fit_psi import fit  # few programs need it
+            from sphrom.models.points.splines import fit  # few programs need it
 
             points = stored.reference_position
             report = self.workspace.context.report

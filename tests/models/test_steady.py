@@ -11,9 +11,9 @@ import pytest
 
 from sphrom.artifacts import ArtifactWriter
 from sphrom.console import Reporter
-from sphrom.online.error_estimates import SteadyErrors, distance_from
-from sphrom.online.fast_model import FastRun
-from sphrom.online.reference_runs import seek_steady_state
+from sphrom.models.points.error_estimates import SteadyErrors, distance_from
+from sphrom.models.points.fast_model import FastRun
+from sphrom.models.points.runs import seek_steady_state
 from sphrom.reduction.reduced_operators import Polynomial
 
 NEAR = np.array([[1.01], [-1.01], [2.01]])
@@ -48,9 +48,9 @@ def sought(
         point=Mock(label="here"),
         reduced=Mock(polynomial=rates, amplitude=driven),
     )
-    quantities = "sphrom.online.fast_model.quantities_of"
+    quantities = "sphrom.models.points.fast_model.quantities_of"
     with (
-        patch("sphrom.online.reference_runs.steady_errors", return_value=estimated),
+        patch("sphrom.models.points.runs.steady_errors", return_value=estimated),
         patch(quantities, lambda case, reduced, time, states: measured(states)),
     ):
         seek_steady_state(run, artifact)

@@ -31,7 +31,7 @@ from sphrom.plots.tables import format_figure
 from sphrom.reduction.correction import interpolation_variance
 
 if TYPE_CHECKING:
-    from sphrom.online.fast_model import FastRun
+    from sphrom.models.points.fast_model import FastRun
 
 
 Pair = tuple[float, float]
