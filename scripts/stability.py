@@ -36,9 +36,9 @@ from sphrom.case.points import REYNOLDS, ParameterPoint
 from sphrom.case.studies import at_resolution
 from sphrom.console import Reporter
 from sphrom.errors import UnstableError
-from sphrom.offline import fom
-from sphrom.online.fast_model import FastModel, FastRun
-from sphrom.online.stable_ranges import FILE, StableRange
+from sphrom.models import fom
+from sphrom.models.points.fast_model import FastModel, FastRun
+from sphrom.models.stable_ranges import FILE, StableRange
 from sphrom.plots.panels import save
 from sphrom.reduction.reference_model import Integrator
 from sphrom.setup import particles

@@ -39,7 +39,7 @@ from sphrom.exchange.foreign_files import (
     snapshots_in,
 )
 from sphrom.exchange.import_options import ImportOptions, pair, place
-from sphrom.offline.fom import ensure_packed
+from sphrom.models.fom import ensure_packed
 from sphrom.plots.tables import format_figure
 from sphrom.setup import assembly, particles
 from sphrom.setup.context import StageContext

@@ -43,8 +43,8 @@ from sphrom.metrics.estimation import (
     undetermined_shares,
 )
 from sphrom.metrics.series import NO_OSCILLATION
-from sphrom.online.fast_model import FastModel, fast_model
-from sphrom.online.surface_model import SurfaceModel
+from sphrom.models.points.fast_model import FastModel, fast_model
+from sphrom.models.surface.model import SurfaceModel
 from sphrom.plots.panels import FORMATS, Curve, Panel, draw_grid, save
 from sphrom.plots.tables import format_figure, write_csv
 from sphrom.setup.context import StageContext

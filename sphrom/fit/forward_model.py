@@ -22,10 +22,10 @@ from sphrom.case.studies import Box, Ranges
 from sphrom.errors import CaseError, UnstableError
 from sphrom.fit.measurements import UNNAMED, History
 from sphrom.metrics.measures import PLACED, FieldMeasure, Quantities, combined, items
-from sphrom.online.basis_model import quantities_of
-from sphrom.online.fast_model import FastModel
-from sphrom.online.sensitivities import STEP, tangents
-from sphrom.online.surface_model import SurfaceModel
+from sphrom.models.points.basis_model import quantities_of
+from sphrom.models.points.fast_model import FastModel
+from sphrom.models.points.sensitivities import STEP, tangents
+from sphrom.models.surface.model import SurfaceModel
 from sphrom.reduction import reference_model
 from sphrom.reduction.error_calibration import compared_snapshots
 from sphrom.reduction.exponential_steps import ExponentialModel

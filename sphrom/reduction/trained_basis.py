@@ -1,9 +1,9 @@
 """A trained model with one basis, as one record: all that its runs need at any parameters.
 
 Training runs determine a model's calibration, the corrections of its coordinates and forces, the
-linear parts of its steps, and the fit of its error estimates. `sphrom.online.training` makes the
-record; `sphrom.online.basis_model` builds models at parameter points from it, without another look
-at training runs.
+linear parts of its steps, and the fit of its error estimates. `sphrom.models.points`
+makes the record, and builds models at parameter points from it, without another look at training
+runs.
 
 A model that integrates only its leading modes has two sets of rates: those of all modes serve runs
 that are longer than the training runs.

@@ -25,12 +25,11 @@ from sphrom.case.study_sections import FULL
 from sphrom.errors import ArtifactError, SphromError, UnstableError
 from sphrom.metrics.measures import PLACED, Quantities, components, of_a_run
 from sphrom.metrics.series import kinetic_energy
-from sphrom.offline import fom
-from sphrom.online import rom
-from sphrom.online.error_estimates import measured_errors, measured_sizes
-from sphrom.online.fast_model import FastRun, fast_model
-from sphrom.online.sensitivities import tangents
-from sphrom.online.surface_model import SurfaceRun
+from sphrom.models import fom, rom
+from sphrom.models.points.error_estimates import measured_errors, measured_sizes
+from sphrom.models.points.fast_model import FastRun, fast_model
+from sphrom.models.points.sensitivities import tangents
+from sphrom.models.surface.model import SurfaceRun
 from sphrom.store.checkpoints import remove_checkpoints
 from sphrom.store.trajectory import field_datasets, measured_of
 from sphrom.store.workspace import Target, Workspace

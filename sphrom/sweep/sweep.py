@@ -27,7 +27,7 @@ from sphrom.metrics import measures
 from sphrom.metrics.draws import fewest_runs
 from sphrom.metrics.measures import DRY, STATISTICS
 from sphrom.metrics.series import NO_OSCILLATION, OSCILLATION
-from sphrom.offline.fom import ensure_packed
+from sphrom.models.fom import ensure_packed
 from sphrom.plots.tables import format_figure, rows_of_columns, write_csv
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import full_seconds, require_room, runs_that_fit

@@ -20,7 +20,8 @@ from sphrom.case.studies import at_resolution, changed, values_at
 from sphrom.case.study_sections import FitSection, SweepSection, TradeSection, TrainingSection
 from sphrom.errors import CaseError, UnstableError
 from sphrom.metrics.measures import Probes, Samples
-from sphrom.offline import fom, operators
+from sphrom.models import fom
+from sphrom.models.points import operators
 from sphrom.setup.context import StageContext
 from sphrom.sph.time_loop import TimeSteps
 from sphrom.store.stored_run import StoredRun

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from sphrom.arrays import Array
-from sphrom.online.fast_model import FastRun
+from sphrom.models.points.fast_model import FastRun
 from sphrom.reduction.polynomial_model import RUNGE_KUTTA
 from sphrom.reduction.reduced_operators import stability_limits
 from sphrom.reduction.reference_model import Integrator, ReferenceModel

@@ -24,12 +24,15 @@ from sphrom.case.points import REYNOLDS, ParameterPoint
 from sphrom.case.studies import changed
 from sphrom.errors import CaseError, ResourceError, UnstableError
 from sphrom.metrics.measures import Samples
-from sphrom.offline import fit_psi, fom, operators, pod
-from sphrom.offline import map as mapping
-from sphrom.online.basis_model import BasisModel
-from sphrom.online.fast_model import FastModel, FastRun
-from sphrom.online.particle_runs import build_model, close, doubts_of_step
-from sphrom.online.stable_ranges import MEMORY, STEP, TIME
+from sphrom.models import fom
+from sphrom.models.particles.runs import build_model, close, doubts_of_step
+from sphrom.models.points import basis as pod
+from sphrom.models.points import map as map_stage
+from sphrom.models.points import operators
+from sphrom.models.points import splines as fit_psi
+from sphrom.models.points.basis_model import BasisModel
+from sphrom.models.points.fast_model import FastModel, FastRun
+from sphrom.models.stable_ranges import MEMORY, STEP, TIME
 from sphrom.reduction.particle_model import reduced_jacobian
 from sphrom.reduction.polynomial_model import EXPONENTIAL, RUNGE_KUTTA, steps_within
 from sphrom.reduction.reduced_operators import stability_limits
@@ -284,7 +287,7 @@ class Maps:
         """Make the full runs and the reduced models of a variant; return their workspace."""
         for problem in case_problems(variant):
             raise CaseError(str(problem))
-        stages = (fom.run, mapping.run, pod.run, fit_psi.run, operators.run)
+        stages = (fom.run, map_stage.run, pod.run, fit_psi.run, operators.run)
         return variant_of(self.context, variant, shared).made(stages)
 
     # Runs

@@ -22,10 +22,10 @@ from sphrom.metrics.histories import EXACT, Errors, compare, errors_of
 from sphrom.metrics.measures import Samples, parts, since, variations, without_weight
 from sphrom.metrics.measures import errors_of as relative_errors
 from sphrom.metrics.series import NO_OSCILLATION
-from sphrom.online.error_estimates import measured_errors, measured_shares
-from sphrom.online.fast_model import FastModel, fast_model
-from sphrom.online.stable_ranges import TIME, StableRange, stable_ranges
-from sphrom.online.surface_model import SurfaceModel, SurfaceRun
+from sphrom.models.points.error_estimates import measured_errors, measured_shares
+from sphrom.models.points.fast_model import FastModel, fast_model
+from sphrom.models.stable_ranges import TIME, StableRange, stable_ranges
+from sphrom.models.surface.model import SurfaceModel, SurfaceRun
 from sphrom.plots.panels import Curve, Panel, draw_grid, save
 from sphrom.plots.tables import UNKNOWN, format_figure, rows_of_columns, write_csv, write_json
 from sphrom.reduction.polynomial_model import EXPONENTIAL

@@ -15,7 +15,7 @@ from sphrom.case.studies import changed
 from sphrom.errors import CaseError, ResourceError
 from sphrom.metrics.histories import relative_l2, without_mean
 from sphrom.metrics.measures import Samples
-from sphrom.online.basis_model import BasisModel
+from sphrom.models.points.basis_model import BasisModel
 from sphrom.setup.context import StageContext
 from sphrom.sph.fluid import fluctuation_of, pressure_of
 from sphrom.store.stored_run import StoredRun

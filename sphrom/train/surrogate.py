@@ -20,9 +20,12 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import trained_at
 from sphrom.errors import CaseError, UnstableError
 from sphrom.metrics.measures import since
-from sphrom.offline import fit_psi, fom, operators, pod
-from sphrom.offline import map as map_stage
-from sphrom.online.fast_model import FastModel, FastRun
+from sphrom.models import fom
+from sphrom.models.points import basis as pod
+from sphrom.models.points import map as map_stage
+from sphrom.models.points import operators
+from sphrom.models.points import splines as fit_psi
+from sphrom.models.points.fast_model import FastModel, FastRun
 from sphrom.reduction.trial_basis import (
     TrialBasis,
     mean_density_fluctuation,

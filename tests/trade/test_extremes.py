@@ -10,7 +10,7 @@ from sphrom.case.checks import case_problems
 from sphrom.case.models import Case
 from sphrom.case.points import REYNOLDS
 from sphrom.case.sections import ReducedModelSection
-from sphrom.online.stable_ranges import MEMORY, STEP, TIME, StableRange
+from sphrom.models.stable_ranges import MEMORY, STEP, TIME, StableRange
 from sphrom.plots.panels import save
 from sphrom.reduction.polynomial_model import OutputTimes
 from sphrom.reduction.reduced_operators import Polynomial
