@@ -126,15 +126,15 @@ def prepared(context: StageContext, models: Sequence[ReducedModelSection]) -> Wo
 
 def variants(case: Case) -> dict[str, Case]:
     """Return the full model at other resolutions and Courant numbers, by label."""
-    own = case.discretization.resolution
-    resolutions = case.trade.resolutions or (own, coarser_resolution(case) or own)
+    resolution = case.discretization.resolution
+    resolutions = case.trade.resolutions or (resolution, coarser_resolution(case) or resolution)
     cases: dict[tuple[int, int], Case] = {}
     courant_numbers = COURANT_NUMBERS if case.trade.full_runs else ()
-    for resolution, courant in product(resolutions, courant_numbers):
-        variant = with_steps(case, resolution, courant)
-        cases.setdefault((resolution, variant.plan.steps.every), variant)
+    for number, courant in product(resolutions, courant_numbers):
+        variant = with_steps(case, number, courant)
+        cases.setdefault((number, variant.plan.steps.every), variant)
     usual = case.plan.steps.every
-    cases.pop((own, usual), None)
+    cases.pop((resolution, usual), None)
     return {f"full, {n} across, {usual / every:.2g} dt": v for (n, every), v in cases.items()}
 
 

@@ -130,14 +130,14 @@ class Maps:
         if case.scene.has_surface:
             raise CaseError("--extremes: maps no models of a free surface")
         basis = global_basis(case)
-        own = sized_in(Workspace(context), first_model(case), basis)
+        first = sized_in(Workspace(context), first_model(case), basis)
         self.context = context
         self.case = case
         self.quick = quick
         self.factors = QUICK if quick else FACTORS
         self.point = context.chosen(trade_points(case))[0]
-        self.default = own.projection, own.size
-        sections = candidates(case, (self.point,), basis, own.size)
+        self.default = first.projection, first.size
+        sections = candidates(case, (self.point,), basis, first.size)
         self.workspace = prepared(context, sections)
         self.grid = probes_of(case).grid
         self.truths = Truths(context, self.grid)
@@ -192,8 +192,8 @@ class Maps:
         for model in self.models:
             if (automatic := model.at(self.point).memory_length) is None:
                 continue
-            near, far = (self._with_memory(model, n * automatic) for n in (1.0, 2.0))
-            longest = longest_memory(near.at(self.point), far.at(self.point))
+            usual, longer = (self._with_memory(model, n * automatic) for n in (1.0, 2.0))
+            longest = longest_memory(usual.at(self.point), longer.at(self.point))
             for factor in self.factors[MEMORY]:
                 trial = Trial(MEMORY, factor, self.point, self.truths.at(self.point))
                 run = self._fast(self._with_memory(model, factor * automatic), trial)
@@ -265,7 +265,7 @@ class Maps:
 
     def _full_models(self) -> Iterator[ExtremeRun]:
         """Yield the runs of varied full models, and of reduced models that are trained on them."""
-        own = self.truths.at(self.point)
+        fine = self.truths.at(self.point)
         coarse = self.truths.at(self.point, coarse=True)
         points = self.trained, self.point
         for varied, value, variant in varied_models(self.case, points, self._galerkin):
@@ -277,7 +277,7 @@ class Maps:
                 yield full.failed(error)
                 continue
             # The reference has the resolution of the variant, unless the resolution varies.
-            if (beside := own if varied == RESOLUTION else coarse or own) is not None:
+            if (beside := fine if varied == RESOLUTION else coarse or fine) is not None:
                 yield compared(full, truth.samples, beside.samples)
             for section in made.case.rom:
                 trial = Trial(varied, value, self.point, truth)

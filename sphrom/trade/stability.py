@@ -99,9 +99,9 @@ class ExtremeRun:
         if self.kind == "full":
             return f"full{self.steps}"
         name = "APG" if self.projection == "apg" else "Galerkin"
-        on = ", on particles" if self.kind == "particles" else ""
+        place = ", on particles" if self.kind == "particles" else ""
         scheme = ", Runge-Kutta" if self.steps == RUNGE_KUTTA else ""
-        return f"{name}, M = {self.n_modes}{on}{scheme}"
+        return f"{name}, M = {self.n_modes}{place}{scheme}"
 
     @property
     def of_model(self) -> tuple[str, str, int | None]:
@@ -204,7 +204,8 @@ def ranges_in(
         stable = _around(k, [run.state in ("right", "stable") for run in series])
         right = _around(k, [run.state == "right" for run in series])
         low, high = right or stable or (k, k)
-        lower = [0.0 if first.varied in FINE_BELOW else values[0], *values[1:]]
+        least = 0.0 if first.varied in FINE_BELOW else values[0]
+        lower = [least, *values[1:]]
         predicted, by = _predicted(series[k:], own_run)
         yield StableRange(
             varied=first.varied,
@@ -216,7 +217,7 @@ def ranges_in(
             right_to=None if right is None else values[high],
             stable_from=None if stable is None else lower[stable[0]],
             stable_to=None if stable is None else values[stable[1]],
-            least=lower[0],
+            least=least,
             greatest=values[-1],
             below=series[low - 1].mechanism if low > 0 else "",
             above=series[high + 1].mechanism if high + 1 < len(series) else "",
@@ -230,7 +231,7 @@ def _series(runs: Sequence[ExtremeRun]) -> list[list[ExtremeRun]]:
     series: dict[tuple[str, str], list[ExtremeRun]] = {}
     for run in runs:
         series.setdefault((run.varied, run.model), []).append(run)
-    return [sorted(each, key=lambda run: run.value) for each in series.values()]
+    return [sorted(found, key=lambda run: run.value) for found in series.values()]
 
 
 def _around(k: int, good: Sequence[bool]) -> tuple[int, int] | None:
@@ -245,11 +246,10 @@ def _predicted(series: Sequence[ExtremeRun], own: ExtremeRun) -> tuple[float | N
     """Return the greatest value that is predicted to be stable or right, and the method."""
     first = series[0]
     if first.predicted is not None:
-        way = "formula" if first.kind == "full" else "eigenvalue"
-        return first.predicted * first.natural / first.value, way
+        method = "formula" if first.kind == "full" else "eigenvalue"
+        return first.predicted * first.natural / first.value, method
     estimates = (_both(run.velocity_estimate, run.pressure_estimate) for run in series)
-    good = [_within(each, own.errors) for each in estimates]
-    last = _around(0, good)
+    last = _around(0, [_within(estimate, own.errors) for estimate in estimates])
     return (None, "") if last is None else (series[last[1]].natural, "estimate")
 
 

@@ -230,7 +230,7 @@ def draw_training(outcome: Outcome) -> Figure:
     stages = outcome.stages
     estimates = [np.where(np.isfinite(s.judged), s.judged, np.nan) for s in stages]
     n_runs = np.array([len(stage.points) for stage in stages])
-    curves = [Curve("worst estimate", n_runs, np.array([each.max() for each in estimates]))]
+    curves = [Curve("worst estimate", n_runs, np.array([found.max() for found in estimates]))]
     n_held_out = [len(s.points) for s in stages for r in s.held_out if r.failure is None]
     curves += _known_errors(outcome, np.array(n_held_out, dtype=int), n_runs)
     panels = [Panel("", "training runs", error, curves, "logarithmic")]
