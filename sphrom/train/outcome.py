@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sphrom.arrays import Array
-from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.study_sections import percentage
+from sphrom.case.study_sections import TrainingSection, percentage
 from sphrom.metrics.histories import QUANTITIES
 from sphrom.plots.panels import Curve, Panel, draw_grid, save
 from sphrom.plots.tables import UNKNOWN, format_figure, rows_of_columns, write_csv, write_json
@@ -103,15 +102,20 @@ class Stage:
 class Outcome:
     """A completed training."""
 
-    case: Case
+    section: TrainingSection
     model: str
     stages: Sequence[Stage]
     ending: Ending
 
     @property
+    def tolerance(self) -> float:
+        """The tolerance [%]."""
+        return percentage(self.section.tolerance)
+
+    @property
     def quantity(self) -> str:
         """The names of the fields that count."""
-        return " and ".join(QUANTITIES[k] for k in self.case.training.fields)
+        return " and ".join(QUANTITIES[k] for k in self.section.fields)
 
     @property
     def held_out(self) -> list[HeldOut]:
@@ -121,7 +125,7 @@ class Outcome:
     @property
     def errors(self) -> list[float]:
         """The true errors of the held-out runs, of the worst field [%]."""
-        return [float(run.error[list(self.case.training.fields)].max()) for run in self.held_out]
+        return [float(run.error[list(self.section.fields)].max()) for run in self.held_out]
 
 
 def publish(
@@ -145,11 +149,11 @@ def publish(
     write_json(
         folder / "training.json",
         {"stages": table},
-        outcome.case.name,
+        context.case.name,
         workspace.threads,
         model=outcome.model,
-        quantity=outcome.case.training.quantity,
-        tolerance_percent=percentage(outcome.case.training.tolerance),
+        quantity=outcome.section.quantity,
+        tolerance_percent=outcome.tolerance,
         ending=outcome.ending,
         trained=[point.as_dict() for point in points],
     )
@@ -208,11 +212,11 @@ def _in_percent(value: float) -> str:
 
 def _statement(outcome: Outcome) -> str:
     """Return a sentence on the accuracy of the model and the end of the training."""
-    last, tolerance = outcome.stages[-1], f"{percentage(outcome.case.training.tolerance):g} %"
+    last, tolerance = outcome.stages[-1], f"{outcome.tolerance:g} %"
     worst, at = last.worst
     ends = {
         "within": f"within {tolerance} everywhere with {len(last.points)} full runs",
-        "budget": f"not within {tolerance}: the budget of {outcome.case.training.budget} full runs "
+        "budget": f"not within {tolerance}: the budget of {outcome.section.budget} full runs "
         "is spent; the same command continues with a larger --budget",
         "floor": f"not within {tolerance}, and further runs would not help; use more modes "
         "(n_modes), or a larger tolerance",
@@ -234,7 +238,7 @@ def draw_training(outcome: Outcome) -> Figure:
     n_held_out = [len(s.points) for s in stages for r in s.held_out if r.failure is None]
     curves += _known_errors(outcome, np.array(n_held_out, dtype=int), n_runs)
     panels = [Panel("", "training runs", error, curves, "logarithmic")]
-    name, *others = outcome.case.training.ranges
+    name, *others = outcome.section.ranges
     if not others:
         held_out = [run.point for run in outcome.held_out]
         values, at = (
@@ -259,5 +263,5 @@ def _known_errors(outcome: Outcome, at: Array, range_of: Array) -> list[Curve]:
     finite = np.where(np.isfinite(errors), errors, np.nan)
     return [
         Curve("true error, held out", at, finite, "reference"),
-        Curve("tolerance", ends, np.full(2, percentage(outcome.case.training.tolerance)), "level"),
+        Curve("tolerance", ends, np.full(2, outcome.tolerance), "level"),
     ]

@@ -74,7 +74,7 @@ def run(
     surrogate = Surrogate(context, model, starts, workers, scheduler)
     stages, ended = greedy(surrogate, region, candidates, case.training)
     write_whole(path, resolved_yaml(trained_at(case, surrogate.points), path.parent).encode())
-    outcome = Outcome(case, model.name, stages, ended)
+    outcome = Outcome(case.training, model.name, stages, ended)
     publish(context, outcome, path, surrogate.share())
     if failed := [run for stage in stages for run in stage.held_out if run.failure]:
         labels = ", ".join(run.point.label for run in failed)
