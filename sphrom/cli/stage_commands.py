@@ -319,16 +319,16 @@ def import_(
       sphrom import vortex.yaml tg/*.hdf5 --only reynolds=100 --origin=-0.25,-0.25
       sphrom import vortex.yaml *.vtp --write-case theirs.yaml --units length=mm
     """
-    about = ImportOptions(**own)
+    fields = ImportOptions(**own)
     if write_case is not None:
-        from sphrom.exchange.import_ import fitted_case
+        from sphrom.exchange.conversion import fitted_case
 
         if write_case.suffix not in (".yaml", ".yml") or write_case.exists() > options.force:
             raise CaseError(f"{write_case}: must be a new .yaml file; --force overwrites one")
         overrides = options.overrides or []
-        text, keys = fitted_case(options.case, overrides, files, about, write_case.parent)
+        text, keys = fitted_case(options.case, overrides, files, fields, write_case.parent)
         options = replace(options, overrides=[*overrides, *keys])
-    missing = ", ".join(run_stage("import", options, files=files, about=about))
+    missing = ", ".join(run_stage("import", options, files=files, fields=fields))
     if write_case is not None:
         run = f"sphrom run {replace(options, case=write_case, overrides=None).words}"
         way = f"import {missing} for {write_case} ({run} would simulate them)" if missing else run
