@@ -123,8 +123,7 @@ def choose(sources: Sequence[Source], steps: TimeSteps, options: ImportOptions) 
         raise CaseError(
             f"the files have {series(sources)}; the case has {len(instants)}, every {interval:g} s "
             f"until {instants[-1]:g} s; check --units time, --time-step and --start, or write a "
-            "fitting case with --write-case FILE"
-            + options.fitting("time", instants[-1] / times[-1])
+            f"fitting case with --write-case FILE{fitting}"
         )
     return choices
 
