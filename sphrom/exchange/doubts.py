@@ -93,11 +93,11 @@ def doubts_about(
         yield _described(case, run, departed, slowed, most)
 
 
-def _difference(own: Array, theirs: Array, least_speed: float) -> tuple[float, float]:
+def _difference(model: Array, files: Array, least_speed: float) -> tuple[float, float]:
     """Return the difference of velocities (n, 2) [m/s], and its part along them [%]."""
-    scale = max(np.sum(theirs**2), np.sum(own**2), len(own) * least_speed**2)
-    along = np.sum((own - theirs) * theirs) / scale
-    return 100.0 * math.sqrt(np.sum((own - theirs) ** 2) / scale), 100.0 * float(along)
+    scale = max(np.sum(files**2), np.sum(model**2), len(files) * least_speed**2)
+    along = np.sum((model - files) * files) / scale
+    return 100.0 * math.sqrt(np.sum((model - files) ** 2) / scale), 100.0 * float(along)
 
 
 def _departures(
@@ -114,17 +114,19 @@ def _departures(
     steps = TimeSteps(plan.steps.time_step, (run.last - run.begin) * every, every, time)
     state = np.vstack((begin.position, begin.density_fluctuation, begin.velocity))
     density = case.fluid.reference_density
+    least_speed = LEAST_SPEED * plan.max_speed
     to = particles.map_onto(case, case.scene.domain.fill(plan.particle_spacing))
+
+    def on_points(snapshot: Snapshot) -> Array:
+        return to(snapshot.position.T, snapshot.density_fluctuation, snapshot.velocity.T)[1]
+
     found = {}
     with context.report.progress(f"{MODEL}, {point.label}", steps.n_steps) as advance:
         for step, full in march(model, state, steps, density, Clock(), advance):
             index = run.begin + step // every
             if index in (run.early, run.last):
-                own, theirs = (
-                    to(s.position.T, s.density_fluctuation, s.velocity.T)[1]
-                    for s in (model.snapshot(full), run.kept[index][1])
-                )
-                found[index] = _difference(own, theirs, LEAST_SPEED * plan.max_speed)
+                in_files = on_points(run.kept[index][1])
+                found[index] = _difference(on_points(model.snapshot(full)), in_files, least_speed)
     seconds = (run.early - run.begin) * plan.steps.snapshot_interval
     return found[run.last][0], found[run.early][1] * crossing_time(case) / seconds
 

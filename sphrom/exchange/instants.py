@@ -147,7 +147,8 @@ def interpolated(
     nearest = int(np.argmax(weights))
     base = given[nearest][1].position
     fastest = max(float(np.hypot(*snapshot.velocity).max()) for _, snapshot in given)
-    length, periodic = (np.array(each)[:, None] for each in (domain.lengths, domain.periodic))
+    length = np.array(domain.lengths)[:, None]
+    periodic = np.array(domain.periodic)[:, None]
     total = np.zeros((5, base.shape[1]))
     for (node, snapshot), weight in zip(given, weights, strict=True):
         offset = snapshot.position - base
