@@ -21,7 +21,7 @@ from sphrom.case.checks import steady_problem
 from sphrom.case.fields import LARGEST
 from sphrom.case.hints import beyond_training, extrapolation
 from sphrom.case.loader import parameter_point
-from sphrom.case.plan import lengthened
+from sphrom.case.plan_times import lengthened
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import fit_ranges, percent, require_basis, trained_ranges

@@ -17,13 +17,12 @@ from sphrom.case.driving import (
     KEYS,
     N_CHECKED,
     Driving,
-    finite_peak,
     largest_norm,
     require_finite,
 )
-from sphrom.case.expressions import MOST_QUOTED
 from sphrom.metrics.series import pole_of
-from sphrom.sph.fluid import Fluid
+from sphrom.scenes.expressions import MOST_QUOTED
+from sphrom.sph.fluid import Fluid, Resistance
 from sphrom.sph.places import N_SAMPLES, TOUCHING
 from sphrom.text import shortened
 
@@ -73,9 +72,8 @@ def check_walls(driving: Driving) -> None:
 def check_surface(driving: Driving) -> None:
     """Raise ValueError unless the fluid with a free surface is in the box, if there is one."""
     scene = driving.scene
-    force = driving.force
     level = driving.level
-    if scene.fluid is None or force is None:
+    if scene.fluid is None:
         return
     low, high = scene.domain.lower[1], scene.domain.upper[1]
     if scene.fluid.level is None:
@@ -83,10 +81,6 @@ def check_surface(driving: Driving) -> None:
             raise ValueError("fluid: must lie within the box and outside of solids")
     elif not low < level < high:
         raise ValueError(f"fluid.level: must be above {low:g} and below {high:g}; got {level:g}")
-    places = scene.places
-    require_finite("body_force", force(places.all.T, 0.0).T, places.all)
-    if not driving.values:  # for all values the same peaks
-        finite_peak("body_force", places, lambda at: np.abs(force(at, 0.0)).sum(axis=0))
 
 
 def parameter_problems(driving: Driving, names: Collection[str]) -> Found:
@@ -153,7 +147,7 @@ def problems(
 def _problems_at(driving: Driving, final_time: float, fluid: Fluid) -> Found:
     times = np.linspace(0.0, final_time, N_CHECKED)
     sound_speed = fluid.sound_speed
-    for key, signal in driving.signals().items():
+    for key, signal in driving.signals():
         if (pole := pole_of(signal, times)) is not None:
             yield key, f"is not finite at t = {pole:.4g} s"
             return
@@ -181,7 +175,7 @@ def _problems_at(driving: Driving, final_time: float, fluid: Fluid) -> Found:
 
 
 def unresolved(
-    driving: Driving, resistance: Callable[[Array], Array] | None, particle_spacing: float
+    driving: Driving, resistance: Resistance | None, particle_spacing: float
 ) -> Iterator[str]:
     """Yield the keys of fields that change within a spacing [m], so that particles miss it."""
     scene = driving.scene
@@ -191,8 +185,8 @@ def unresolved(
     if isinstance(force := driving.force, SurfaceForce):
         weight = np.array([[0.0], [force.gravity]])
         fields[BODY_FORCE] = lambda at: force(at, scene.until) + weight
-    if resistance is not None:
-        fields["resistance"] = resistance
+    if resistance is not None and resistance.own is not None:
+        fields["resistance"] = resistance.own
     for key, field in fields.items():
         at = place
         if key == KEYS[INFLOW] and scene.strip is not None:
