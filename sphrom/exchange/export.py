@@ -20,6 +20,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.arrays import Array
 from sphrom.artifacts.layout import Shape
 from sphrom.artifacts.paraview import View, views
 from sphrom.case.points import ParameterPoint
@@ -141,30 +142,28 @@ def _opened(workspace: Workspace, item: Item) -> Iterator[Source]:
     model = item.model
     with workspace.open(item.target) as artifact:
         shapes = {name: artifact.dataset(name).shape for name in artifact.datasets}
+        computed: dict[str, Callable[[Any], Array]] = {}
+        if model and point and model.from_operators and POINTS not in artifact:
+            run = StoredRun(workspace, artifact, point, model)
+            sound_speed = workspace.case.plan.sound_speed
+            points = run.position(0)
+            state = lru_cache(maxsize=1)(run.rebuilt)
+            computed = {
+                POINTS: points.__getitem__,
+                "density_fluctuation": lambda index: state(index)[0],
+                "velocity": lambda index: state(index)[1],
+                "pressure": lambda index: pressure_of(state(index)[0], sound_speed),
+            }
+            shape = (artifact.length("time"), len(points))
+            shapes |= dict.fromkeys(computed, shape)
+            shapes |= {POINTS: points.shape, "velocity": (*shape, points.shape[1])}
 
         def read(name: str, index: Any) -> NDArray[Any]:
+            if name in computed:
+                return computed[name](index)
             return np.asarray(artifact.dataset(name)[index])
 
-        if not (model and point and model.from_operators) or POINTS in artifact:
-            yield Source(shapes, read)
-            return
-        run = StoredRun(workspace, artifact, point, model)
-        points = run.position(0)
-        rebuilt = lru_cache(maxsize=1)(run.rebuilt)
-        shape = (artifact.length("time"), *points.shape)
-        computed = {"velocity": shape, "density_fluctuation": shape[:2], "pressure": shape[:2]}
-
-        def compute(name: str, index: Any) -> NDArray[Any]:
-            if name == POINTS:
-                return points[index]
-            if name not in computed:
-                return read(name, index)
-            density, velocity = rebuilt(index)
-            if name == "pressure":
-                return pressure_of(density, workspace.case.plan.sound_speed)
-            return velocity if name == "velocity" else density
-
-        yield Source({**shapes, **computed, POINTS: points.shape}, compute)
+        yield Source(shapes, read)
 
 
 def write_vtu(path: Path, source: Source, view: View, *, force: bool) -> None:
