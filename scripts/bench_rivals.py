@@ -37,7 +37,7 @@ from rich.table import Table
 
 from sphrom.artifacts import open_artifact
 from sphrom.case.loader import load_case
-from sphrom.case.plan import lengthened
+from sphrom.case.plan_times import lengthened
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ALL, AUTO, ReducedModelSection
 from sphrom.console import SilentReporter

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -31,7 +32,6 @@ from sphrom.metrics.measures import (
     with_coefficients,
 )
 from sphrom.reduction.mode_splines import ModeSplines
-from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.trial_basis import (
     TrialBasis,
     mean_density_fluctuation,
@@ -39,12 +39,14 @@ from sphrom.reduction.trial_basis import (
     reconstruct,
     truncate,
 )
-from sphrom.setup.particles import sampler
 from sphrom.sph.fluid import fluctuation_of, pressure_of
 from sphrom.store.surfaces import SurfaceModelAt, TrainedSurface
 from sphrom.store.trained_models import basis_used, read_basis, read_modes, read_points
 from sphrom.store.trajectory import read_quantities, snapshot_fields
 from sphrom.store.workspace import Workspace
+
+if TYPE_CHECKING:
+    from sphrom.reduction.reference_space import ReferenceMap
 
 
 class StoredRun:
@@ -212,6 +214,8 @@ def sample_run(
 
     A run that became unstable is sampled as long as there are particles near all points.
     """
+    from sphrom.setup.particles import sampler  # it loads kernels
+
     times = trajectory.read("time")
     sample = sampler(case, points)
     chosen = range(len(times)) if snapshots is None else snapshots

@@ -22,7 +22,8 @@ from sphrom.artifacts.records.reduced_models import (
     TrainedMeasure,
     WallForce,
 )
-from sphrom.case.plan import LEAST_SNAPSHOTS, MAX_STEPS
+from sphrom.case.plan import LEAST_SNAPSHOTS
+from sphrom.case.plan_times import MAX_STEPS
 from sphrom.case.sections import AUTO
 from sphrom.machine import computing_seconds
 from sphrom.metrics.series import smoothed
