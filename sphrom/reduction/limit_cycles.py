@@ -133,7 +133,7 @@ class TrainedCycles(Record):
     amplitude: float = attribute("1", "amplitude of the driving, which does not change")
 
     @classmethod
-    def of(
+    def of_runs(
         cls,
         viscosities: Array,
         factors: Sequence[Factors],
@@ -159,11 +159,10 @@ class TrainedCycles(Record):
     @cached_property
     def points(self) -> list[tuple[float, Factors]]:
         """Viscosity and values of the other parameters of each run."""
-        columns = [values.tolist() for values in self.values.values()]
-        rows = [dict(zip(self.values, row, strict=True)) for row in zip(*columns, strict=True)]
-        return list(
-            zip(self.viscosities.tolist(), rows or [{}] * len(self.viscosities), strict=True)
-        )
+        return [
+            (viscosity, {name: float(values[run]) for name, values in self.values.items()})
+            for run, viscosity in enumerate(self.viscosities.tolist())
+        ]
 
 
 @dataclass(frozen=True)

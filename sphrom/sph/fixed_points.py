@@ -165,12 +165,12 @@ class FixedPoints:
         """Return V (n_points, n_points), alike for both components, without the strip's mean."""
         c = self._viscous
         friction = self._fluid.friction
-        own = c * row_sums(friction) + friction @ c
+        diagonal = c * row_sums(friction) + friction @ c
         if self._ghosts is not None:
-            own += 2.0 * c * row_sums(self._ghosts.friction)
+            diagonal += 2.0 * c * row_sums(self._ghosts.friction)
         factors = sparse.diags_array(c)
         pairs = factors @ friction + friction @ factors
-        return (sparse.diags_array(own) - pairs).tocsr()
+        return (sparse.diags_array(diagonal) - pairs).tocsr()
 
     def _slow_down(self, resistance: Resistance | None) -> None:
         """Store the resistance at the points, and products of the strip's vector."""
@@ -178,13 +178,13 @@ class FixedPoints:
         self._held: _Held | None = None
         if resistance is None:
             return
-        place = self.position.T
+        position = self.position.T
         if resistance.own is not None or resistance.strip is not None:
-            self.slowing_rate = resistance.steady(place)
+            self.slowing_rate = resistance.steady(position)
         if resistance.inverse_permeability is not None:
-            self.inverse_permeability = resistance.inverse_permeability(place)
+            self.inverse_permeability = resistance.inverse_permeability(position)
         if (strip := resistance.strip) is not None:
-            rates = strip.rates(place)
+            rates = strip.rates(position)
             vector = np.zeros((2, self.n_points, 1))
             vector[strip.axis, :, 0] = rates / np.linalg.norm(rates)
             of_density = -self.divergence(vector)[:, 0]

@@ -109,21 +109,21 @@ def _pair_blocks(
     """Find the pairs of targets (n_targets, 2) with sources (n_sources, 2) and their images [m]."""
     reach = discretization.support_radius
     particle, image = periodic_images(sources.T, domain, reach)
-    place = sources[particle] + image.T
-    tree = cKDTree(place)
+    images = sources[particle] + image.T
+    tree = cKDTree(images)
     for first in range(0, len(targets), N_BLOCK_POINTS):
         some = targets[first : first + N_BLOCK_POINTS]
-        near = cKDTree(some).sparse_distance_matrix(tree, reach, output_type="coo_matrix")
-        kernel = np.empty_like(near.data)
-        factor = np.empty_like(near.data)
-        weigh(near.data, 1.0 / discretization.smoothing_length, kernel, factor)
+        found = cKDTree(some).sparse_distance_matrix(tree, reach, output_type="coo_matrix")
+        kernel = np.empty_like(found.data)
+        factor = np.empty_like(found.data)
+        weigh(found.data, 1.0 / discretization.smoothing_length, kernel, factor)
         factor *= discretization.particle_spacing**2
-        offset = np.ascontiguousarray((some[near.row] - place[near.col]).T)
-        square = near.data**2
+        offset = np.ascontiguousarray((some[found.row] - images[found.col]).T)
+        square = found.data**2
         weight = 1.0 - LAPLACIAN_SHAPE * square / discretization.smoothing_length**2
-        column = particle[near.col]
+        column = particle[found.col]
         yield _PairBlock(
-            len(some), first, near.row, column, offset, square, kernel, factor, factor * weight
+            len(some), first, found.row, column, offset, square, kernel, factor, factor * weight
         )
 
 

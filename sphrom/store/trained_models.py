@@ -164,7 +164,7 @@ def cycle_closure(
     viscosities = np.array([case.plan.kinematic_viscosity(point) for point in points])
     pushed = 0.0 if amplitude is None else float(amplitude(times[-1:])[0])
     factors = [point.factors for point in points]
-    return CycleClosure(operators, TrainedCycles.of(viscosities, factors, cycles, pushed))
+    return CycleClosure(operators, TrainedCycles.of_runs(viscosities, factors, cycles, pushed))
 
 
 def snapshot_times(case: Case) -> Array:

@@ -68,7 +68,7 @@ def operators() -> ReducedOperators:
 @pytest.fixture(scope="module")
 def closure(operators: ReducedOperators) -> CycleClosure:
     cycles = [fitted_cycle(*trained(1.0 / nu)) for nu in VISCOSITIES]
-    return CycleClosure(operators, TrainedCycles.of(VISCOSITIES, [{}, {}], cycles, 0.0))
+    return CycleClosure(operators, TrainedCycles.of_runs(VISCOSITIES, [{}, {}], cycles, 0.0))
 
 
 @pytest.mark.parametrize("reynolds", [80.0, 100.0, 120.0, 150.0])
