@@ -86,8 +86,6 @@ class Terms:
     """V u (2, n, n_fields) [1/(m s)]."""
     damping: Array | None = None
     """-alpha h G D u, the damper's part of the pressure gradient; None without a damper."""
-    slowing: Array | None = None
-    """-(1 + K) lambda u (2, n, n_fields) [1/s]; None without resistance."""
 
 
 @dataclass(frozen=True)
@@ -200,13 +198,6 @@ class FixedPoints:
             inverse = rate / viscosity + (0.0 if inverse is None else inverse)
         return inverse, None if self._held is None else self._held.unit > 0.0
 
-    def _slowed(self, rate: Array | None, velocity: Array, rows: Rows) -> Array | None:
-        """Return -(1 + K) rate u (2, n, n_fields) of velocities at some points."""
-        if rate is None:
-            return None
-        slowed = -rate[:, None] * velocity
-        return np.asarray(slowed[:, rows] + self.head_push(slowed, rows))
-
     @property
     def n_points(self) -> int:
         """Number of points."""
@@ -247,10 +238,10 @@ class FixedPoints:
             damping = -self._damping_length * self._pushed(divergence, rows)
             push += damping
         laplacian = self._rubbed(velocity, rows)
-        if (slowed := self._slowed(self.inverse_permeability, velocity, rows)) is not None:
-            laplacian += slowed
-        slowing = self._slowed(self.slowing_rate, velocity, rows)
-        return Terms(divergence[rows], push, laplacian, damping, slowing)
+        if self.inverse_permeability is not None:
+            slowed = self.inverse_permeability[:, None] * velocity
+            laplacian -= slowed[:, rows] + self.head_push(slowed, rows)
+        return Terms(divergence[rows], push, laplacian, damping)
 
     def divergence(self, velocity: Array) -> Array:
         """Return D u (n_points, n_fields) [1/s] of velocities (2, n_points, n_fields) [m/s]."""
