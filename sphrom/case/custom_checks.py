@@ -17,12 +17,11 @@ from sphrom.case.driving import (
     KEYS,
     N_CHECKED,
     Driving,
-    finite_peak,
     largest_norm,
     require_finite,
 )
-from sphrom.case.expressions import MOST_QUOTED
 from sphrom.metrics.series import pole_of
+from sphrom.scenes.expressions import MOST_QUOTED
 from sphrom.sph.fluid import Fluid, Resistance
 from sphrom.sph.places import N_SAMPLES, TOUCHING
 from sphrom.text import shortened
@@ -73,9 +72,8 @@ def check_walls(driving: Driving) -> None:
 def check_surface(driving: Driving) -> None:
     """Raise ValueError unless the fluid with a free surface is in the box, if there is one."""
     scene = driving.scene
-    force = driving.force
     level = driving.level
-    if scene.fluid is None or force is None:
+    if scene.fluid is None:
         return
     low, high = scene.domain.lower[1], scene.domain.upper[1]
     if scene.fluid.level is None:
@@ -83,10 +81,6 @@ def check_surface(driving: Driving) -> None:
             raise ValueError("fluid: must lie within the box and outside of solids")
     elif not low < level < high:
         raise ValueError(f"fluid.level: must be above {low:g} and below {high:g}; got {level:g}")
-    places = scene.places
-    require_finite("body_force", force(places.all.T, 0.0).T, places.all)
-    if not driving.values:  # for all values the same peaks
-        finite_peak("body_force", places, lambda at: np.abs(force(at, 0.0)).sum(axis=0))
 
 
 def parameter_problems(driving: Driving, names: Collection[str]) -> Found:

@@ -32,13 +32,13 @@ from sphrom.case.driving import (
     Driving,
     at_places,
 )
-from sphrom.case.expressions import CALLED, CONSTANTS, FUNCTIONS
 from sphrom.case.fields import Coordinate, Place, Positive, SafeName, Section, key
 from sphrom.case.points import REYNOLDS
 from sphrom.case.scene_section import MEASURE, OF_WALLS, Defaults, Measures, SceneSection, Settings
 from sphrom.case.shapes import ShapeSection
 from sphrom.case.slowing import Slowing
 from sphrom.case.tables import HistorySection, InitialSection
+from sphrom.scenes.expressions import CALLED, CONSTANTS, FUNCTIONS
 from sphrom.scenes.flows import CustomFlow, Scales, Scene
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain

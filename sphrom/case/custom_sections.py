@@ -13,7 +13,6 @@ from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 from shapely.geometry.base import BaseGeometry
 
 from sphrom.arrays import Array
-from sphrom.case.expressions import Expression
 from sphrom.case.fields import (
     LARGEST,
     SMALLEST,
@@ -26,6 +25,7 @@ from sphrom.case.fields import (
     only_one,
 )
 from sphrom.case.shapes import CircleSection, RectangleSection, ShapeSection
+from sphrom.scenes.expressions import Expression
 from sphrom.scenes.flows import BodyForce
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Strip

@@ -181,7 +181,7 @@ def unit_sample(method: str, count: int, seed: int, n_parameters: int) -> NDArra
     with warnings.catch_warnings():
         # Sequences warn if the count is not a power of two; less balance does no harm here.
         warnings.simplefilter("ignore", UserWarning)
-        return np.asarray(kinds[method](n_parameters, rng=seed).random(count))
+        return kinds[method](n_parameters, rng=seed).random(count)
 
 
 class GivenPoints(Section):

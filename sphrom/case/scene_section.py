@@ -24,7 +24,8 @@ from sphrom.case.fields import (
     only_one,
 )
 from sphrom.metrics.measures import COEFFICIENT, Column
-from sphrom.scenes.flows import Channel, ReferenceProfile, Scales, Scene
+from sphrom.scenes.flows import Channel, Scales, Scene
+from sphrom.scenes.reference_profiles import ReferenceProfile
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import NONE, Fluid, Strip
 

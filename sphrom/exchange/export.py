@@ -30,8 +30,9 @@ from sphrom.exchange.import_options import place
 from sphrom.plots.tables import rows_of_columns, write_csv
 from sphrom.setup.context import StageContext
 from sphrom.sph.fluid import pressure_of
+from sphrom.store.artifact_folder import Target, make_folder
 from sphrom.store.stored_run import StoredRun, probes_of
-from sphrom.store.workspace import Target, Workspace, make_folder
+from sphrom.store.workspace import Workspace
 from sphrom.whole_files import replacement
 
 FOLDER = "export"

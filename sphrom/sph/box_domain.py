@@ -92,7 +92,7 @@ class BoxDomain(Domain):
         around = np.stack((np.cos(turns), np.sin(turns)), axis=1)
         in_fluid = [self.contains(place + step * direction) for direction in around]
         way = np.array(in_fluid, dtype=float).T @ around
-        return np.asarray(way / np.linalg.norm(way, axis=1, keepdims=True))
+        return way / np.linalg.norm(way, axis=1, keepdims=True)
 
     def _fluid_images(self) -> list[Rectangle]:
         """Return the rectangles of the fluid, with their images on either side of the box."""
@@ -228,9 +228,8 @@ class BoxDomain(Domain):
         from scipy import ndimage
 
         mode = "wrap" if self.periodic[axis] else "constant"
-        return np.asarray(
-            ndimage.maximum_filter1d(mask, 2 * n_layers + 1, axis=1 - axis, mode=mode, cval=0)
-        )
+        size = 2 * n_layers + 1
+        return ndimage.maximum_filter1d(mask, size, axis=1 - axis, mode=mode, cval=0)
 
 
 @dataclass(frozen=True)
@@ -258,8 +257,7 @@ class Rectangle:
 
     def contains(self, position: Array) -> Mask:
         """Return whether positions (n_points, 2) [m] are in it or on its edges."""
-        inside = (position >= self.lower) & (position <= self.upper)
-        return np.asarray(inside.all(axis=1))
+        return np.all((position >= self.lower) & (position <= self.upper), axis=1)
 
 
 def nearest(position: Array, rectangles: Iterable[Rectangle]) -> tuple[Array, Array]:

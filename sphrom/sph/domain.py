@@ -158,7 +158,7 @@ class Domain(ABC):
         slack = ROUNDING * max(self.lengths)
         lengths = np.array(self.lengths)
         within = (place > self.lower - lengths + slack) & (place < self.upper + lengths - slack)
-        return np.asarray((within | ~np.array(self.periodic)).all(axis=1))
+        return (within | ~np.array(self.periodic)).all(axis=1)
 
     @abstractmethod
     def contains(self, position: Array) -> Mask:
@@ -234,7 +234,7 @@ class Domain(ABC):
         shapely.prepare(self.fluid)
         share = shapely.area(shapely.intersection(cells, self.fluid)) / shapely.area(cells)
         share[share < ROUNDING] = 0.0
-        return np.asarray(share)
+        return share
 
     def fits_lattice(self, particle_spacing: float) -> bool:
         """Whether particles of a spacing [m] fill the domain exactly, as packed ones do."""

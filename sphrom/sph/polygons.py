@@ -110,23 +110,13 @@ def require_few_crossings(shapes: Iterable[BaseGeometry]) -> None:
     every = np.array(list(shapes), dtype=object)
     one, other = shapely.STRtree(every).query(every)
     # Shapes apart from all others do not cross any.
-    start, end = (corners.T for corners in edges_of(every[np.unique(one[one != other])]))
-    chosen = np.random.default_rng(0).permutation(start.shape[1])[:N_EDGES]
-    n_crossings = 0
-    for edge in chosen:
-        one, other = start[:, [edge]], end[:, [edge]]
-        apart = _side(one, other, start) * _side(one, other, end) < 0.0
-        crossed = apart & (_side(start, end, one) * _side(start, end, other) < 0.0)
-        n_crossings += int(np.sum(crossed))
-    crossings = 0.5 * n_crossings * start.shape[1] / max(1, len(chosen))
+    ends = np.stack(edges_of(every[np.unique(one[one != other])]), axis=1)
+    edges = shapely.linestrings(ends)
+    chosen = np.random.default_rng(0).permutation(edges)[:N_EDGES]
+    crossed, _ = shapely.STRtree(edges).query(chosen, predicate="crosses")
+    crossings = 0.5 * len(crossed) * len(edges) / max(1, len(chosen))
     if crossings > MOST_CROSSINGS:
         raise ValueError(f"outlines cross about {crossings:.0e} times; simplify them")
-
-
-def _side(start: Array, end: Array, place: Array) -> Array:
-    """Return 1 for places on the left of edges, -1 on the right; x and y are the first axis."""
-    (a, b), (x, y) = end - start, place - start
-    return np.sign(a * y - b * x)
 
 
 def periodic_shifts(
@@ -187,7 +177,7 @@ def least_widths(
     slack = SLACK * size
 
     def within(place: Array) -> Mask:
-        return np.asarray(np.all((place >= lower - slack) & (place <= upper + slack), axis=1))
+        return np.all((place >= lower - slack) & (place <= upper + slack), axis=1)
 
     edges = outline_of(fluid)
     wall = is_wall(0.5 * (edges[1] + edges[2])) & within(0.5 * (edges[1] + edges[2]))
@@ -259,8 +249,8 @@ def _circles(
 def _ends(edges: Array, wall: Mask, side: int) -> Array:
     """Return the widths [m] of ends and mouths of the fluid if `side` is 1, of solids if -1."""
     before, along, after = np.diff(edges, axis=0)
-    behind = _turn(before, along)
-    ahead = _turn(along, after)
+    behind = left_turn(before, along)
+    ahead = left_turn(along, after)
     length = np.hypot(*along.T)
     ends = wall & (np.minimum(side * behind, side * ahead) > LEAST_TURN)
     ends &= np.abs(np.abs(behind + ahead) - math.pi) < FACING
@@ -273,11 +263,11 @@ def _ends(edges: Array, wall: Mask, side: int) -> Array:
     return np.concatenate(widths)
 
 
-def _turn(one: Array, other: Array) -> Array:
+def left_turn(one: Array, other: Array) -> Array:
     """Return the left turns from vectors (n, 2) to others [rad]."""
     cross = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
-    return np.asarray(np.arctan2(cross, _dot(one, other)))
+    return np.arctan2(cross, _dot(one, other))
 
 
 def _dot(one: Array, other: Array) -> Array:
-    return np.asarray(one[..., 0] * other[..., 0] + one[..., 1] * other[..., 1])
+    return one[..., 0] * other[..., 0] + one[..., 1] * other[..., 1]
