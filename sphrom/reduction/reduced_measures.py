@@ -135,12 +135,12 @@ class ReducedForce(Record):
     def _parts(self, walls_driven: bool) -> Iterator[tuple[Factor, Tensors]]:
         """Yield the six loads by part: factors of the terms, and of products of coordinates."""
         balance = self.balance
-        whole = np.diag(np.zeros(3) if balance is None else balance.follows.astype(float))
+        balancing = np.diag(np.zeros(3) if balance is None else balance.follows.astype(float))
         none = np.zeros((3, 3))
         # A pressure force by the balance of momentum is the whole force less the viscous one.
-        pressure = np.vstack((np.eye(3) - whole, none))
-        viscous = np.vstack((-whole, np.eye(3)))
-        balanced = np.vstack((whole, none))
+        pressure = np.vstack((np.eye(3) - balancing, none))
+        viscous = np.vstack((-balancing, np.eye(3)))
+        balanced = np.vstack((balancing, none))
         onto = {
             "pressure": pressure, "body_force": pressure, "force": pressure,
             "viscous": viscous, "walls": viscous,
@@ -182,13 +182,14 @@ class TimedLoads:
 
         After the last time it is constant: the mean of the later half.
         """
-        whole, after = loads[:, :6] + loads[:, 6:], 2.0 * time[-1] - time[-2]
-        mean = whole[len(whole) // 2 :].mean(axis=0)
-        return cls(np.append(time, after), np.vstack((whole, mean)))
+        total = loads[:, :6] + loads[:, 6:]
+        after = 2.0 * time[-1] - time[-2]
+        mean = total[len(total) // 2 :].mean(axis=0)
+        return cls(np.append(time, after), np.vstack((total, mean)))
 
     def at(self, time: Array) -> Array:
         """Return the loads (n_times, 6) at times [s]."""
-        return np.stack([np.interp(time, self.time, each) for each in self.loads.T], axis=1)
+        return np.stack([np.interp(time, self.time, load) for load in self.loads.T], axis=1)
 
 
 @dataclass(frozen=True)
@@ -285,12 +286,12 @@ def project_measures(
     density, velocity = fields[..., 0] / product.density_scale, fields[..., 1:]
     density[0] = product.density_fluctuation(density[0])
     density[1] = 1.0
-    columns = [measured(*each) for each in zip(density, velocity, strict=True)]
+    columns = list(map(measured, density, velocity))
     offset = measured(0.0 * density[0], velocity[0])
     linear = np.arange(len(columns)) > 0
 
     def terms(name: str, quantity: str) -> Array:
-        values = np.stack([each[name][quantity] for each in columns], -1)
+        values = np.stack([column[name][quantity] for column in columns], -1)
         return np.asarray(values - np.multiply.outer(offset[name][quantity], linear))
 
     return {

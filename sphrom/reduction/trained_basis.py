@@ -21,10 +21,11 @@ import numpy as np
 from sphrom.arrays import Array, Indices
 from sphrom.declaration import Record, attribute, dataset, part
 from sphrom.metrics.measures import Quantities
-from sphrom.reduction.calibration import Calibration, CycleClosure, Harmonics, TrainedCycles
+from sphrom.reduction.calibration import Calibration
 from sphrom.reduction.correction import PLACES, Correction
 from sphrom.reduction.error_calibration import ErrorCalibration
 from sphrom.reduction.held_out import FieldProducts
+from sphrom.reduction.limit_cycles import CycleClosure, Harmonics, TrainedCycles
 from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure
 from sphrom.reduction.reduced_operators import (
     MemoryOperators,
@@ -67,7 +68,7 @@ class TrainedRates(Record):
     def closure(self) -> Calibration | CycleClosure | None:
         """The terms that training runs add to the rates."""
         if self.cycles is not None:
-            return self.cycles.closure(self.operators)
+            return CycleClosure(self.operators, self.cycles)
         return self.calibration
 
     @cached_property

@@ -20,12 +20,12 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import Quantities, Samples, with_coefficients
 from sphrom.reduction import reference_model
-from sphrom.reduction.calibration import CycleClosure
 from sphrom.reduction.error_calibration import (
     LocalErrorCalibration,
     OutputErrors,
     output_errors,
 )
+from sphrom.reduction.limit_cycles import CycleClosure
 from sphrom.reduction.reduced_measures import PointForce, TimedLoads
 from sphrom.reduction.reduced_operators import residual_norm
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps

@@ -25,15 +25,11 @@ from sphrom.metrics.measures import COEFFICIENT, Quantities
 from sphrom.metrics.series import smoothed
 from sphrom.models.points import operators
 from sphrom.models.points.basis_model import BasisModel, Start, forces_of, quantities_of
-from sphrom.reduction.calibration import (
-    Calibration,
-    CycleClosure,
-    TrainedCycles,
-    harmonics_of,
-)
+from sphrom.reduction.calibration import Calibration
 from sphrom.reduction.correction import UNLIMITED, Correction, learn_correction
 from sphrom.reduction.error_calibration import calibrate_errors, compared_snapshots
 from sphrom.reduction.held_out import FieldProducts, UnheldShares
+from sphrom.reduction.limit_cycles import CycleClosure, harmonics_of
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.polynomial_model import Run
 from sphrom.reduction.reduced_measures import ReducedMeasure
@@ -266,7 +262,7 @@ class _Training:
                     raise CaseError(f"rom.calibrated: {error}") from error
             else:
                 if isinstance(closure, CycleClosure):
-                    cycles = TrainedCycles.of_closure(closure)
+                    cycles = closure.trained
                 else:
                     calibration = closure
         return TrainedRates(
@@ -299,7 +295,7 @@ class _Training:
                 harmonics = np.stack(
                     [
                         harmonics_of(self.times, e.reshape(len(self.times), -1), cycle.frequency)
-                        for e, cycle in zip(recorded, closure.cycles, strict=True)
+                        for e, cycle in zip(recorded, closure.trained.cycles, strict=True)
                     ]
                 )
                 on_cycles = CycleLoads(real=harmonics.real, imaginary=harmonics.imag)
