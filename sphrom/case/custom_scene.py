@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache, partial
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import PrivateAttr, model_validator
@@ -188,15 +188,15 @@ class CustomScene(SceneSection):
         upper = self.box.upper
         if not all(low < high for low, high in zip(lower, upper, strict=True)):
             raise ValueError("box: upper must be above lower along both axes")
-        corners = (lower[0], lower[1]), (upper[0], upper[1])
         periodic = ("x" in self.box.periodic, "y" in self.box.periodic)
+        box: dict[str, Any] = {"lower": lower, "upper": upper, "periodic": periodic}
         if not self.solids:
-            return BoxDomain(*corners, periodic, level=self._row_end)
+            return BoxDomain(**box, level=self._row_end)
         # Imported late, because it loads kernels that other scenes do not need.
         from sphrom.sph.polygon_domain import PolygonDomain
 
         try:
-            return PolygonDomain(*corners, periodic, tuple(self.shapes.items()))
+            return PolygonDomain(**box, solids=tuple(self.shapes.items()))
         except ValueError as error:
             hints = (f"; {where} {hint}" for where, hint in custom_checks.odd_units(self))
             raise ValueError(f"{error}{''.join(hints)}") from error

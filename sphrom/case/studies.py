@@ -94,16 +94,20 @@ def require_basis(case: Case, model: ReducedModelSection, point: ParameterPoint)
 
 def fit_ranges(case: Case, model: ReducedModelSection) -> Ranges:
     """Return the ranges of the free parameters of a fit, by name; others do not vary."""
-    varied = {k: ends for k, ends in trained_ranges(case, model).items() if ends[0] < ends[1]}
-    entries = varied | case.fit.parameters
-    return {k: (v[0], v[1]) for k, v in entries.items() if isinstance(v, tuple)}
+    entries = _fit_entries(case, model).items()
+    return {name: (entry[0], entry[1]) for name, entry in entries if isinstance(entry, tuple)}
 
 
 def fit_values(case: Case, model: ReducedModelSection) -> dict[str, float]:
     """Return the values of the fixed parameters of a fit, by name."""
-    fixed = {k: low for k, (low, high) in trained_ranges(case, model).items() if low == high}
-    entries = fixed | case.fit.parameters
-    return {k: float(v) for k, v in entries.items() if not isinstance(v, tuple)}
+    entries = _fit_entries(case, model).items()
+    return {name: float(entry) for name, entry in entries if not isinstance(entry, tuple)}
+
+
+def _fit_entries(case: Case, model: ReducedModelSection) -> dict[str, float | tuple[float, ...]]:
+    """Return the range of each free parameter, and the value of each fixed one."""
+    trained = trained_ranges(case, model)
+    return {k: e if e[0] < e[1] else e[0] for k, e in trained.items()} | case.fit.parameters
 
 
 def trained_ranges(case: Case, model: ReducedModelSection) -> Ranges:
