@@ -257,12 +257,11 @@ class MeasuredFields:
         ends = np.cumsum([len(measure.position) for measure in self.measures.values()])
         corrected[self._near] += self._share * (self._walls - corrected[ends[-1] :])
         # The positions after those of the last measurement are on walls.
-        parts = zip(np.split(corrected, ends), np.split(pressure, ends), strict=True)
+        velocities = np.split(corrected, ends)
+        pressures = np.split(pressure, ends)
         return {
-            name: measure.of(here, pressures)
-            for (name, measure), (here, pressures) in zip(
-                self.measures.items(), parts, strict=False
-            )
+            name: measure.of(velocities[n], pressures[n])
+            for n, (name, measure) in enumerate(self.measures.items())
         }
 
 
