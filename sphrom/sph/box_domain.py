@@ -148,17 +148,21 @@ class BoxDomain(Domain):
 
     def lattice_spacing(self, particle_spacing: float) -> float:
         """Return the square root of the area per point [m] on the lattice nearest to a spacing."""
-        number = self._filled / particle_spacing
-        whole = np.maximum(1.0, np.rint(number))
-        if self.rectangles or np.all(np.abs(number - whole) < WHOLE_TOLERANCE):
+        if self._keeps(particle_spacing):
             return particle_spacing
+        whole = np.maximum(1.0, np.rint(self._filled / particle_spacing))
         return math.sqrt(float(np.prod(self._filled / whole)))
+
+    def _keeps(self, particle_spacing: float) -> bool:
+        """Return whether lattice points are a spacing [m] apart along both axes."""
+        number = self._filled / particle_spacing
+        return bool(self.rectangles) or np.allclose(number, np.rint(number), 0.0, WHOLE_TOLERANCE)
 
     def pitches(self, particle_spacing: float) -> tuple[float, float]:
         """Return the distances of lattice points along x and y [m]; their product is its square."""
-        number = self._filled / particle_spacing
-        if self.rectangles or np.all(np.abs(number - np.rint(number)) < WHOLE_TOLERANCE):
+        if self._keeps(particle_spacing):
             return particle_spacing, particle_spacing
+        number = self._filled / particle_spacing
         # Rounded by itself, the number along the longer side could miss by one or more.
         short = int(np.argmin(number))
         whole = np.rint(number)
