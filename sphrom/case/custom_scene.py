@@ -279,8 +279,8 @@ class CustomScene(SceneSection):
     def parameters(self, reference_speed: float) -> dict[str, float]:
         """Return constants, rates of rotation, and factors of velocities and the body force."""
         rates = ((name, wall.rotation) for name, wall in self.walls.items())
-        own = {name: rate if isinstance(rate, float) else 1.0 for name, rate in rates}
-        return {**self.constants, **own, **dict.fromkeys(self.at().factors, 1.0)}
+        factors = {name: rate if isinstance(rate, float) else 1.0 for name, rate in rates}
+        return {**self.constants, **factors, **dict.fromkeys(self.at().factors, 1.0)}
 
     def driving(self, names: Collection[str]) -> tuple[str, ...]:
         fields = [part for drive in self.at().drives for part in drive.fields]
@@ -310,8 +310,8 @@ class CustomScene(SceneSection):
         timed = [expression for _, expression in self.at().timed()]
         used = [n for n in self.constants if any(one.degree_in([n]) > 0.0 for one in timed)]
         chosen = {tuple(v.get(name, self.constants[name]) for name in used) for v in settings}
-        few = sorted(chosen)[:: math.ceil(len(chosen) / MOST_SETTINGS)]
-        return min(self.at(dict(zip(used, v, strict=True))).shortest_period for v in few)
+        some_values = sorted(chosen)[:: math.ceil(len(chosen) / MOST_SETTINGS)]
+        return min(self.at(dict(zip(used, v, strict=True))).shortest_period for v in some_values)
 
     # Checks
 

@@ -250,8 +250,8 @@ class TrainValues(GivenPoints):
     def own_reynolds(self) -> float | None:
         """The Reynolds number of all points that name one, or of the list; None if they differ."""
         drawn = self.sample.entries if self.sample is not None else {}
-        named = drawn.get(REYNOLDS) or [each[REYNOLDS] for each in self.points if REYNOLDS in each]
-        found = set(named or self.reynolds)
+        listed = [point[REYNOLDS] for point in self.points if REYNOLDS in point]
+        found = set(drawn.get(REYNOLDS) or listed or self.reynolds)
         return found.pop() if len(found) == 1 else None
 
 

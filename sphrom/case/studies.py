@@ -33,7 +33,7 @@ def rows_of(case: Case, figure: OfRuns) -> list[Row]:
     for names in figure.runs:
         row = tuple(None if name == FULL else models[name] for name in names)
         runs = [case.plan.points if model is None else case.plan.rom_points(model) for model in row]
-        points = tuple(p for p in case.plan.points if all(p in some for some in runs))
+        points = tuple(p for p in case.plan.points if all(p in known for known in runs))
         if figure.reynolds is not None:
             points = tuple(p for p in points if p.reynolds in figure.reynolds)
         rows.append((row, points))
@@ -179,8 +179,8 @@ class Region:
     def __init__(self, case: Case) -> None:
         self._case = case
         ranges = case.training.ranges
-        own = {REYNOLDS: case.plan.train_points[0].reynolds}
-        self._box = Box(ranges, {} if REYNOLDS in ranges else own)
+        reynolds = {REYNOLDS: case.plan.train_points[0].reynolds}
+        self._box = Box(ranges, {} if REYNOLDS in ranges else reynolds)
         self.names = tuple(dict.fromkeys((REYNOLDS, *ranges)))
 
     def point(self, place: Array) -> ParameterPoint:
@@ -228,9 +228,9 @@ class Region:
             plan = trained_at(self._case, points).plan
             return plan.steps, plan.sound_speed, plan.strip
 
-        every = [self.point(np.array(place)) for place in product((0.0, 1.0), repeat=number)]
-        everywhere = settings([*points, *every])
-        for corner in every:
+        all_corners = [self.point(np.array(place)) for place in product((0.0, 1.0), repeat=number)]
+        everywhere = settings([*points, *all_corners])
+        for corner in all_corners:
             if settings(points) == everywhere:
                 break
             points = list(dict.fromkeys((*points, corner)))

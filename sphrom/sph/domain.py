@@ -250,8 +250,8 @@ class Domain(ABC):
         Rows begin at the floor, `pitch` apart [m].
         """
         rows = (level - self.lower[1]) / pitch
-        whole = max(1, round(rows))
-        return level if abs(rows - whole) <= WHOLE_TOLERANCE else self.lower[1] + whole * pitch
+        nearest = max(1, round(rows))
+        return level if abs(rows - nearest) <= WHOLE_TOLERANCE else self.lower[1] + nearest * pitch
 
     @abstractmethod
     def fill(self, particle_spacing: float) -> Array:
