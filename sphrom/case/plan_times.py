@@ -135,14 +135,14 @@ class TimesPlan(FlowsPlan):
     @cached_property
     def means_from(self) -> dict[str, float]:
         """The times from which statistics of recorded measurements count [s], by name."""
-        own = {name: each.from_time for name, each in self._scene.recorded.items()}
-        return {name: self.settled_from if t is None else t for name, t in own.items()}
+        asked = {name: measure.from_time for name, measure in self._scene.recorded.items()}
+        return {name: self.settled_from if t is None else t for name, t in asked.items()}
 
     @property
     def times_in_words(self) -> str:
         """The times from which measurements count, in words; empty if all count from the start."""
         late = sorted({t for t in self.means_from.values() if t > 0.0})
-        names = {t: ", ".join(n for n, own in self.means_from.items() if own == t) for t in late}
+        names = {t: ", ".join(n for n, s in self.means_from.items() if s == t) for t in late}
         times = " and ".join(f"from {t:.4g} s on ({names[t]})" for t in late)
         return times and f"means and errors of measurements count {times}"
 
@@ -168,7 +168,7 @@ class TimesPlan(FlowsPlan):
         """The ratios of coefficients to forces [m/N], by the names of the measurements."""
         density = self._fluid.reference_density
         measures = self._scene.measure
-        scales = ((name, each.coefficient) for name, each in measures.items())
+        scales = ((name, measure.coefficient) for name, measure in measures.items())
         return {n: 2.0 / (density * c.speed**2 * c.length) for n, c in scales if c is not None}
 
 

@@ -34,7 +34,7 @@ def rows_of(case: Case, figure: OfRuns) -> list[Row]:
     for names in figure.runs:
         row = tuple(None if name == FULL else models[name] for name in names)
         runs = [case.plan.points if model is None else case.plan.rom_points(model) for model in row]
-        points = tuple(p for p in case.plan.points if all(p in some for some in runs))
+        points = tuple(p for p in case.plan.points if all(p in known for known in runs))
         if figure.reynolds is not None:
             points = tuple(p for p in points if p.reynolds in figure.reynolds)
         rows.append((row, points))
@@ -107,16 +107,20 @@ def require_basis(case: Case, model: ReducedModelSection, point: ParameterPoint)
 
 def fit_ranges(case: Case, model: ReducedModelSection) -> Ranges:
     """Return the ranges of the free parameters of a fit, by name; others do not vary."""
-    varied = {k: ends for k, ends in trained_ranges(case, model).items() if ends[0] < ends[1]}
-    entries = varied | case.fit.parameters
-    return {k: (v[0], v[1]) for k, v in entries.items() if isinstance(v, tuple)}
+    entries = _fit_entries(case, model).items()
+    return {name: (entry[0], entry[1]) for name, entry in entries if isinstance(entry, tuple)}
 
 
 def fit_values(case: Case, model: ReducedModelSection) -> dict[str, float]:
     """Return the values of the fixed parameters of a fit, by name."""
-    fixed = {k: low for k, (low, high) in trained_ranges(case, model).items() if low == high}
-    entries = fixed | case.fit.parameters
-    return {k: float(v) for k, v in entries.items() if not isinstance(v, tuple)}
+    entries = _fit_entries(case, model).items()
+    return {name: float(entry) for name, entry in entries if not isinstance(entry, tuple)}
+
+
+def _fit_entries(case: Case, model: ReducedModelSection) -> dict[str, float | tuple[float, ...]]:
+    """Return the range of each free parameter, and the value of each fixed one."""
+    trained = trained_ranges(case, model)
+    return {k: e if e[0] < e[1] else e[0] for k, e in trained.items()} | case.fit.parameters
 
 
 def trained_ranges(case: Case, model: ReducedModelSection) -> Ranges:
@@ -188,8 +192,8 @@ class Region:
     def __init__(self, case: Case) -> None:
         self._case = case
         ranges = case.training.ranges
-        own = {REYNOLDS: case.plan.train_points[0].reynolds}
-        self._box = Box(ranges, {} if REYNOLDS in ranges else own)
+        reynolds = {REYNOLDS: case.plan.train_points[0].reynolds}
+        self._box = Box(ranges, {} if REYNOLDS in ranges else reynolds)
         self.names = tuple(dict.fromkeys((REYNOLDS, *ranges)))
 
     def point(self, place: Array) -> ParameterPoint:
@@ -237,9 +241,9 @@ class Region:
             plan = trained_at(self._case, points).plan
             return plan.steps, plan.sound_speed, plan.strip
 
-        every = [self.point(np.array(place)) for place in product((0.0, 1.0), repeat=number)]
-        everywhere = settings([*points, *every])
-        for corner in every:
+        all_corners = [self.point(np.array(place)) for place in product((0.0, 1.0), repeat=number)]
+        everywhere = settings([*points, *all_corners])
+        for corner in all_corners:
             if settings(points) == everywhere:
                 break
             points = list(dict.fromkeys((*points, corner)))

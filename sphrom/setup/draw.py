@@ -137,15 +137,15 @@ def _draw_walls(axes: Axes, case: Case, walls: Walls, solids: panels.Solids, arr
         middle = ghosts.mean(axis=0)
         if domain.contains(middle[None])[0] or domain.nearest_wall(middle[None])[0] != index:
             middle = ghosts[np.argmin(np.sum((ghosts - middle) ** 2, axis=1))]
-        first = mine[surface[mine]]
-        own = float(speed[first].max(initial=0.0))
-        text, colour = (f"{name}, {own:.3g} m/s", MOVING) if own else (name, panels.INK)
+        beside_fluid = mine[surface[mine]]
+        largest = float(speed[beside_fluid].max(initial=0.0))
+        text, colour = (f"{name}, {largest:.3g} m/s", MOVING) if largest else (name, panels.INK)
         turned = 90.0 if name in SIDES[0] else 0.0
         axes.text(middle[0], middle[1], text, color=colour, rotation=turned, **CENTRED)
-        if own:
-            some = first[:: -(-len(first) // MOST_ARROWS)]
-            place = domain.on_wall(walls.position[some])
-            arrows = arrow / fastest * walls.velocity[some]
+        if largest:
+            shown = beside_fluid[:: -(-len(beside_fluid) // MOST_ARROWS)]
+            place = domain.on_wall(walls.position[shown])
+            arrows = arrow / fastest * walls.velocity[shown]
             label = f"velocity of walls, at most {fastest:.3g} m/s"
             _draw_arrows(axes, place, arrows, MOVING, label)
 
@@ -182,8 +182,8 @@ def _draw_in_fluid(axes: Axes, case: Case, arrow: float) -> None:
         middle = shapely.get_coordinates(centre)[0]
         along = np.where(np.arange(2) == strip.axis, np.copysign(arrow, strip.speed), 0.0)
         _draw_arrows(axes, (middle - 0.5 * along)[None], along[None], panels.COLOURS[2])
-        beside: Any = {"xytext": (0.0, 12.0), "textcoords": "offset points", **CENTRED}
-        axes.annotate(f"inflow, at most {abs(strip.speed):.3g} m/s", middle, **beside)
+        offset: Any = {"xytext": (0.0, 12.0), "textcoords": "offset points", **CENTRED}
+        axes.annotate(f"inflow, at most {abs(strip.speed):.3g} m/s", middle, **offset)
     if np.isfinite(level):
         ends, label = (domain.lower[0], domain.upper[0]), f"level, y = {level:.4g} m"
         axes.plot(ends, (level, level), color=panels.INK, ls="--", lw=1.2, label=label)
@@ -219,8 +219,8 @@ def _draw_measured(axes: Axes, case: Case, arrow: float) -> None:
             look = {"ls": "-.", "lw": 1.8, "label": "lines"}
         else:
             look = {"ls": "-", "lw": 1.8, "label": "sections"}
-            way = arrow * np.array([[dy, -dx]]) / np.hypot(dx, dy)
-            _draw_arrows(axes, middle[None], way, MEASURED)
+            flow = arrow * np.array([[dy, -dx]]) / np.hypot(dx, dy)
+            _draw_arrows(axes, middle[None], flow, MEASURED)
         axes.plot(*ends.T, **look, color=MEASURED, zorder=5)
-        beside: Any = {"xytext": (5.0, 5.0), "textcoords": "offset points", **NAME}
-        axes.annotate(name, 0.75 * ends[0] + 0.25 * ends[1], color=MEASURED, **beside)
+        offset: Any = {"xytext": (5.0, 5.0), "textcoords": "offset points", **NAME}
+        axes.annotate(name, 0.75 * ends[0] + 0.25 * ends[1], color=MEASURED, **offset)
