@@ -18,12 +18,8 @@ from sphrom.case import studies
 from sphrom.case.custom_sections import SurfaceForce
 from sphrom.case.measure_sections import MEASURES, FrequencyMeasure
 from sphrom.case.models import Case
-from sphrom.case.plan import (
-    LEAST_SNAPSHOTS,
-    MAX_STEPS,
-    STEPS_PER_PERIOD,
-    WHOLE_STEPS_TOLERANCE,
-)
+from sphrom.case.plan import LEAST_SNAPSHOTS
+from sphrom.case.plan_times import MAX_STEPS, STEPS_PER_PERIOD, WHOLE_STEPS_TOLERANCE
 from sphrom.case.points import REYNOLDS, ParameterPoint, nearest_point
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection
 from sphrom.case.study_sections import FULL, ErrorFigure, FieldFigure, ModeFigure, OfModes, OfRuns

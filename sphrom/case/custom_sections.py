@@ -13,7 +13,6 @@ import shapely
 from pydantic import BeforeValidator, ConfigDict, Field
 
 from sphrom.arrays import Array
-from sphrom.case.expressions import Expression
 from sphrom.case.fields import (
     LARGEST,
     SMALLEST,
@@ -25,6 +24,7 @@ from sphrom.case.fields import (
     key,
 )
 from sphrom.case.shapes import ShapeSection, shapes_with
+from sphrom.scenes.expressions import Expression
 from sphrom.scenes.flows import BodyForce
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Strip

@@ -20,7 +20,8 @@ from sphrom.case.measure_sections import (
     SurfaceMeasure,
 )
 from sphrom.metrics.quantities import Column
-from sphrom.scenes.flows import Channel, ReferenceProfile, Scales, Scene
+from sphrom.scenes.flows import Channel, Scales, Scene
+from sphrom.scenes.reference_profiles import ReferenceProfile
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import NONE, Fluid, Strip
 

@@ -68,7 +68,7 @@ class FieldMeasure:
 
 
 class SegmentMeasure(FieldMeasure):
-    """An integral along the segment between two ends (2, 2) [m], in pieces of limited length [m]."""
+    """An integral along the segment between two ends (2, 2) [m], in pieces of limited length."""
 
     is_integral = True
 

@@ -111,9 +111,13 @@ def output_times_of(
     largest = case.plan.largest_values
     beyond = np.divide(values, largest, out=np.ones_like(largest), where=largest > 0.0)
     norm = np.linalg.norm(states, axis=1).max() * max(1.0, beyond.max())
-    trained = case.plan.recorded_time
-    times = (steps.n_snapshots, steps.start_time)
-    return OutputTimes(steps.snapshot_interval, *times, MOST_GROWTH * float(norm), trained)
+    return OutputTimes(
+        interval=steps.snapshot_interval,
+        n_snapshots=steps.n_snapshots,
+        start_time=steps.start_time,
+        largest_norm=MOST_GROWTH * float(norm),
+        trained=case.plan.recorded_time,
+    )
 
 
 def scaled_parameters(case: Case, points: Sequence[ParameterPoint]) -> Array:
@@ -138,6 +142,6 @@ def role_of(case: Case, basis: str, point: ParameterPoint) -> str:
     trained = case.plan.bases[basis]
     if point in trained:
         return "trained"
-    places = scaled_parameters(case, trained), scaled_parameters(case, [point])[0]
-    _, distance = interpolation_weights(*places)
+    place = scaled_parameters(case, [point])[0]
+    _, distance = interpolation_weights(scaled_parameters(case, trained), place)
     return "extrapolated" if distance > 0.0 else "predicted"

@@ -14,7 +14,7 @@ import numpy as np
 from sphrom.arrays import Array
 from sphrom.case.measure_sections import ElevationMeasure
 from sphrom.case.models import Case
-from sphrom.case.plan import BEYOND
+from sphrom.case.plan_flows import BEYOND
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
 from sphrom.kernels import SUPPORT_RATIO
@@ -136,16 +136,15 @@ def drives(case: Case, position: Array) -> dict[str, UnitForcing[Array]]:
     ghosts = walls(case, at_rest)
     forcings = {}
     for name, flow in per_unit.items():
-        velocity = force = None
+        velocity = force = np.zeros(0)
         if ghosts is not None:
             velocity = flow.wall_velocity(ghosts.position) - ghosts.velocity
         if flow.body_force is not None and at_rest.body_force is not None:
-            of_flow = flow.body_force.field
-            of_rest = at_rest.body_force.field
-            force = of_flow(position.T) - of_rest(position.T)
-        some = [part if part is not None and part.any() else None for part in (velocity, force)]
-        if any(part is not None for part in some):
-            forcings[name] = UnitForcing(*some)
+            force = flow.body_force.field(position.T) - at_rest.body_force.field(position.T)
+        if velocity.any() or force.any():
+            forcings[name] = UnitForcing(
+                velocity if velocity.any() else None, force if force.any() else None
+            )
     return forcings
 
 
@@ -178,8 +177,10 @@ def filled(case: Case, points: Array) -> Filled:
     if n_solids := len(domain.solid_names):
         ghosts = domain.ghosts(spacing, case.plan.n_wall_layers)
         solid = ghosts.position[ghosts.wall >= len(domain.wall_names) - n_solids]
-    box, radius = (domain.lower, domain.upper), SUPPORT_RATIO * case.plan.smoothing_length
-    filling = Filling(points, radius, *box, domain.periodic, solid, spacing**2)
+    radius = SUPPORT_RATIO * case.plan.smoothing_length
+    filling = Filling(
+        points, radius, domain.lower, domain.upper, domain.periodic, solid, spacing**2
+    )
     density = case.fluid.reference_density
     mass = case.plan.mass
     return lambda position, excess: filling(position, volume_of(excess, density, mass))
@@ -258,11 +259,12 @@ class MeasuredFields:
         pressure = pressure_of(density_fluctuation, self._sound_speed)
         ends = np.cumsum([len(measure.position) for measure in self.measures.values()])
         corrected[self._near] += self._share * (self._walls - corrected[ends[-1] :])
-        # The remaining positions are on walls.
-        parts = zip(*(np.split(each, ends)[:-1] for each in (corrected, pressure)), strict=True)
+        # The positions after those of the last measurement are on walls.
+        velocities = np.split(corrected, ends)
+        pressures = np.split(pressure, ends)
         return {
-            name: measure.of(*part)
-            for (name, measure), part in zip(self.measures.items(), parts, strict=True)
+            name: measure.of(velocities[n], pressures[n])
+            for n, (name, measure) in enumerate(self.measures.items())
         }
 
 
