@@ -9,9 +9,9 @@ from itertools import chain
 
 import numpy as np
 
+from sphrom.case.model_sections import ALL, ReducedModelSection
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ALL, ReducedModelSection
 from sphrom.case.study_sections import FULL
 from sphrom.compare.answer import tell_answer
 from sphrom.compare.basis_figures import spectrum_rows

@@ -16,9 +16,9 @@ import numpy as np
 from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, read_record
 from sphrom.artifacts.records.runs import MeasuredOnce
+from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.measures import (
     DRY,
     ONLY_NOISE,

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from importlib import import_module
 
+from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import require_room

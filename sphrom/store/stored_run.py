@@ -18,9 +18,9 @@ import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.artifacts import Artifact
+from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
 from sphrom.case.study_sections import FULL
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.metrics.measures import (

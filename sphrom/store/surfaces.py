@@ -12,9 +12,9 @@ import numpy as np
 from sphrom.arrays import Array
 from sphrom.artifacts import read_record
 from sphrom.artifacts.records.runs import SurfaceModels, TrainedSurfaceModel
+from sphrom.case.model_sections import ALL, AUTO, ReducedModelSection
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ALL, AUTO, ReducedModelSection
 from sphrom.metrics.elevation import find_elevation
 from sphrom.metrics.measures import Samples
 from sphrom.reduction.polynomial_model import OutputTimes

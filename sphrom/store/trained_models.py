@@ -18,9 +18,9 @@ from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, read_record
 from sphrom.artifacts.records.reduced_models import Starts, TrainedModel
 from sphrom.artifacts.records.runs import Start
+from sphrom.case.model_sections import AUTO, ReducedModelSection
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.metrics.measures import Quantities, with_coefficients
 from sphrom.reduction.calibration import Calibration, TrainingRun, calibrate
 from sphrom.reduction.held_out import best_size

@@ -9,7 +9,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from sphrom.case.sections import PointModelSection
+from sphrom.case.model_sections import PointModelSection
 from sphrom.metrics.series import kinetic_energy
 from sphrom.models.points.fast_model import FastRun, fast_model
 from sphrom.reduction.polynomial_model import Run

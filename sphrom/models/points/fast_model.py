@@ -19,8 +19,8 @@ from sphrom.arrays import Array
 from sphrom.artifacts.records.reduced_models import TrainedModel
 from sphrom.artifacts.records.runs import TrainedSurfaceModel
 from sphrom.case.hints import beyond_training, extrapolation
+from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
 from sphrom.metrics.measures import Quantities, Samples, items
 from sphrom.models.points.basis_model import BasisModel, quantities_of

@@ -13,8 +13,8 @@ from functools import lru_cache, partial
 
 from sphrom.artifacts import ArtifactWriter, write_record
 from sphrom.artifacts.records.runs import Converged, Steady
+from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
 from sphrom.machine import seconds_of
 from sphrom.metrics.measures import Quantities
 from sphrom.metrics.quantities import MEASURABLE, components

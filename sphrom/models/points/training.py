@@ -18,8 +18,8 @@ from sphrom.arrays import Array, Indices
 from sphrom.artifacts import Artifact, read_record, write_record
 from sphrom.artifacts.records.reduced_models import TrainedModel
 from sphrom.artifacts.records.runs import HistoryTable, TrainedSurfaceModel
+from sphrom.case.model_sections import AUTO, ReducedModelSection
 from sphrom.case.models import Case
-from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import Quantities
 from sphrom.metrics.quantities import COEFFICIENT

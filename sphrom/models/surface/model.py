@@ -16,8 +16,8 @@ import numpy as np
 from sphrom.arrays import Array
 from sphrom.case.hints import beyond_training, extrapolation
 from sphrom.case.measure_sections import ForceMeasure, RecordedMeasure, SurfaceMeasure
+from sphrom.case.model_sections import ALL, ReducedModelSection
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ALL, ReducedModelSection
 from sphrom.errors import UnstableError
 from sphrom.machine import seconds_of
 from sphrom.metrics.measures import Quantities, Samples, grid_points, with_coefficients

@@ -14,8 +14,8 @@ import numpy as np
 
 from sphrom.artifacts import write_record
 from sphrom.artifacts.records.runs import StoredSurfaceBasis, SurfaceModels
+from sphrom.case.model_sections import ALL, AUTO
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ALL, AUTO
 from sphrom.errors import CaseError, SphromError, UnstableError
 from sphrom.metrics.histories import energy
 from sphrom.plots.tables import format_figure
