@@ -26,7 +26,7 @@ from sphrom.case.studies import fit_ranges
 from sphrom.fit.forward_model import FittedModel, TrainingDifferences, box_of, error_samples
 from sphrom.fit.measurements import Measurements, read_measurements
 from sphrom.metrics.estimation import Weights, minima, uncertainty
-from sphrom.online.fast_model import FastModel
+from sphrom.models.points.fast_model import FastModel
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]

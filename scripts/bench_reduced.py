@@ -36,7 +36,7 @@ from sphrom.compare.costs import full_run_timer, largest_step, particle_run_time
 from sphrom.console import SilentReporter
 from sphrom.kernels.jit import set_threads
 from sphrom.machine import one_blas_thread, seconds_of
-from sphrom.online.fast_model import FastModel
+from sphrom.models.points.fast_model import FastModel
 from sphrom.reduction.polynomial_model import OutputTimes
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, automatic
 from sphrom.setup.context import StageContext

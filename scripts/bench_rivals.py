@@ -42,7 +42,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ALL, AUTO, ReducedModelSection
 from sphrom.console import SilentReporter
 from sphrom.kernels.jit import set_threads
-from sphrom.online.fast_model import FastModel, FastRun
+from sphrom.models.points.fast_model import FastModel, FastRun
 from sphrom.reduction.correction import spline_weights
 from sphrom.reduction.trial_basis import project, reconstruct, truncate, weighted_mean
 from sphrom.setup import particles

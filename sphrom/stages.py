@@ -31,12 +31,12 @@ PIPELINE = ("fom", "map", "pod", "fit-psi", "operators", "rom", "compare")
 STAGES = {
     "check": "setup.cost",
     "draw": "setup.draw",
-    "fom": "offline.fom",
-    "map": "offline.map",
-    "pod": "offline.pod",
-    "fit-psi": "offline.fit_psi",
-    "operators": "online.training",
-    "rom": "online.rom",
+    "fom": "models.fom",
+    "map": "models.points.map",
+    "pod": "models.points.basis",
+    "fit-psi": "models.points.splines",
+    "operators": "models.points.training",
+    "rom": "models.rom",
     "compare": "compare.compare",
     "figures": "compare.figures",
     "trade": "trade.trade",
@@ -144,12 +144,12 @@ def _warnings_in_lines(report: Reporter) -> Iterator[None]:
     """
     from sphrom.kernels.code_cache import CodeCacheWarning, CompilingWarning
 
-    def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+    def show(message: Warning | str, category: type[Warning], *where: Any, **details: Any) -> None:
         if issubclass(category, CodeCacheWarning):
             tell = report.note if issubclass(category, CompilingWarning) else report.warn
             tell(str(message))
         elif not issubclass(category, RuntimeWarning):
-            before(message, category, *place, **more)
+            before(message, category, *where, **details)
 
     with warnings.catch_warnings():
         before = warnings.showwarning

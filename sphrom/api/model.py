@@ -26,14 +26,11 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import fit_ranges, percent, require_basis, trained_ranges
 from sphrom.errors import CaseError, UnstableError
-from sphrom.fit.fit import Fit, fit
-from sphrom.fit.forward_model import TrainingDifferences, box_of
-from sphrom.fit.measurements import read_measurements
-from sphrom.online import rom
-from sphrom.online.basis_model import quantities_of
-from sphrom.online.fast_model import FastModel, fast_model
-from sphrom.online.sensitivities import tangents
-from sphrom.online.surface_model import SurfaceModel
+from sphrom.models import rom
+from sphrom.models.points.basis_model import quantities_of
+from sphrom.models.points.fast_model import FastModel, fast_model
+from sphrom.models.points.sensitivities import tangents
+from sphrom.models.surface.model import SurfaceModel
 from sphrom.reduction.polynomial_model import SteadyState, steady_state
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup.context import StageContext
@@ -46,6 +43,9 @@ from sphrom.text import nearest, quoted
 
 if TYPE_CHECKING:
     import xarray
+
+    from sphrom.fit.fit import Fit
+    from sphrom.fit.forward_model import TrainingDifferences
 
 LEAST_STEP = 1e-3
 """Least length of the steps of sensitivities, over the automatic one."""
@@ -116,7 +116,7 @@ class Model:
         """The initial coordinates (n_modes,) of runs."""
         return self._without_particles("start")[1].start.copy()
 
-    @guarded()
+    @guarded(solves=False)
     def at(self, **parameters: float) -> Model:
         """Return the same model at other parameter values, without reading files again.
 
@@ -251,6 +251,10 @@ class Model:
         Estimates with 95 % intervals that include the noise and the model's own errors, such as
         `fit["reynolds"].value`, `.low` and `.high`; read the warnings `fit.problems` first.
         """
+        from sphrom.fit.fit import fit
+        from sphrom.fit.forward_model import box_of
+        from sphrom.fit.measurements import read_measurements
+
         case = self._workspace.case
         section = self._section
         fast, _ = self._without_particles("fit")

@@ -13,15 +13,14 @@ from sphrom.arguments import finite_array
 from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
-from sphrom.metrics.measures import AXES, PLACED, UNITS, VECTORS, Quantities, since
+from sphrom.metrics.measures import AXES, PLACED, UNITS, VECTORS, Quantities, Samples, since
 from sphrom.metrics.series import NO_OSCILLATION
-from sphrom.online.error_estimates import ErrorEstimate, measured_errors
-from sphrom.online.fast_model import FastRun
-from sphrom.online.sensitivities import Tangents
-from sphrom.online.surface_model import SurfaceRun
+from sphrom.models.points.error_estimates import ErrorEstimate, measured_errors
+from sphrom.models.points.fast_model import FastRun
+from sphrom.models.points.sensitivities import Tangents
+from sphrom.models.surface.model import SurfaceRun
 from sphrom.setup.assembly import field_measures
 from sphrom.signals import guarded
-from sphrom.store.stored_run import Samples
 
 if TYPE_CHECKING:
     import xarray

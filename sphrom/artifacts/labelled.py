@@ -49,8 +49,8 @@ def open_labelled(path: str | Path, group: str = "") -> xarray.Dataset:
         for wall in {name.split("/")[1] for name in fields if name.startswith("force/")}:
             for load in ("force", "torque"):
                 one, other = (variables[f"{wall}_{p}_{load}"] for p in ("pressure", "viscous"))
-                variables[f"{wall}_{load}"] = whole = one + other
-                whole.attrs = {"units": one.attrs["units"], "long_name": f"{load} on the wall"}
+                variables[f"{wall}_{load}"] = total = one + other
+                total.attrs = {"units": one.attrs["units"], "long_name": f"{load} on the wall"}
         others = tuple(f"{other}/" for other in (*groups, "lineage") if other != group)
         attributes: dict[str, Any] = {
             _short(name, group): value

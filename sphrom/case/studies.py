@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -40,10 +41,22 @@ def rows_of(case: Case, figure: OfRuns) -> list[Row]:
     return rows
 
 
+def changed(case: Case, **sections: Any) -> Case:
+    """Return a case with other sections, or with sections whose keys change; unchecked.
+
+    The value of a section is the section itself, or a dict of the keys that change.
+    """
+    return case.model_copy(
+        update={
+            name: getattr(case, name).model_copy(update=value) if type(value) is dict else value
+            for name, value in sections.items()
+        }
+    )
+
+
 def at_resolution(case: Case, resolution: int) -> Case:
     """Return a case with another resolution."""
-    section = case.discretization.model_copy(update={"resolution": resolution})
-    return case.model_copy(update={"discretization": section})
+    return changed(case, discretization={"resolution": resolution})
 
 
 def fast_section(case: Case, name: str | None = None) -> ReducedModelSection | None:
@@ -239,9 +252,11 @@ class Region:
 
 def trained_at(case: Case, points: Sequence[ParameterPoint]) -> Case:
     """Return a case with other training points, unchecked."""
+    return changed(case, parameters={"train": values_at(points)})
+
+
+def values_at(points: Sequence[ParameterPoint]) -> TrainValues:
+    """Return the section of parameters that names points."""
     if points[0].others:
-        train = TrainValues(points=tuple(point.as_dict() for point in points))
-    else:
-        train = TrainValues(reynolds=tuple(point.reynolds for point in points))
-    parameters = case.parameters.model_copy(update={"train": train})
-    return case.model_copy(update={"parameters": parameters})
+        return TrainValues(points=tuple(point.as_dict() for point in points))
+    return TrainValues(reynolds=tuple(point.reynolds for point in points))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,8 +21,8 @@ from sphrom.case.study_sections import FULL
 from sphrom.kernels import ask_for_threads, asked_for
 from sphrom.machine import seconds_of
 from sphrom.metrics.histories import compression_factors
-from sphrom.online.fast_model import fast_model
-from sphrom.online.particle_runs import build_model, close
+from sphrom.models.particles.runs import build_model, close
+from sphrom.models.points.fast_model import fast_model
 from sphrom.setup import particles
 from sphrom.sph.time_loop import Model, runge_kutta_step
 from sphrom.store.trained_models import basis_used, memory_timing
@@ -87,7 +87,7 @@ def taking_turns(timed: Mapping[Any, Callable[[], float]], repeats: int) -> dict
     threads = asked_for()
     ask_for_threads(1)
     try:
-        rounds = np.array([[each() for each in timed.values()] for _ in range(repeats + 1)])
+        rounds = np.array([[timer() for timer in timed.values()] for _ in range(repeats + 1)])
     finally:
         ask_for_threads(threads)
     return dict(zip(timed, rounds[1:].T, strict=True))
@@ -99,12 +99,22 @@ def full_run_timer(workspace: Workspace, point: ParameterPoint, step: float) -> 
     It times some of the case's own steps in the middle of a run, because the cost of a step depends
     neither on its length nor on parameters.
     """
+    case = workspace.case
     with workspace.open(workspace.full_run(point)) as run:
-        position, *fields = snapshot_fields(run, run.length("time") // 2)
-    state = np.vstack((position.T, fields[0], fields[1].T))
-    model = particles.functional(workspace.case, point)
-    own = workspace.case.plan.steps.time_step
-    return _steps_timer(workspace.case, model, state, own, step)
+        position, density, velocity = snapshot_fields(run, run.length("time") // 2)
+    state = np.vstack((position.T, density, velocity.T))
+    model = particles.functional(case, point)
+    return _steps_timer(case, model, state, case.plan.steps.time_step, step)
+
+
+def particle_run_timer(
+    workspace: Workspace, model: ReducedModelSection, point: ParameterPoint, step: float
+) -> Callable[[], float]:
+    """Return a function that measures the seconds of a reduced run on particles."""
+    case = workspace.case
+    reduced, state = build_model(workspace, model, point)
+    close(case, model, reduced, state, case.plan.steps.start_time)
+    return _steps_timer(case, reduced, state, step, step)
 
 
 def _steps_timer(
@@ -129,13 +139,14 @@ def run_timings(workspace: Workspace) -> Iterator[RunTiming]:
     Steps on particles cost the same at all points, so they are timed once per model.
     """
     case = workspace.case
-    plan = workspace.case.plan
-    runs = []
+    plan = case.plan
+    rows: list[tuple[RunTiming, object]] = []
     timers: dict[object, Callable[[], float]] = {}
     fast = {m.name: fast_model(workspace, m) for m in case.rom if m.from_operators}
     for point, model in ((p, m) for p in plan.points for m in plan.compared_at(p)):
         with workspace.open(workspace.full_run(point)) as run:
-            stated = known_seconds(run) if (imported := is_imported(run)) else None
+            imported = is_imported(run)
+            stated = known_seconds(run) if imported else None
         with workspace.open(workspace.reduced_run(model, point)) as run:
             if run.text("status") != "complete":
                 continue
@@ -144,28 +155,43 @@ def run_timings(workspace: Workspace) -> Iterator[RunTiming]:
             n_modes = int(run.dataset("generalized_coordinates").shape[1])
         if case.scene.has_surface:  # the surface has coordinates, too
             n_modes = basis_used(workspace, model, point)[1]
-        own = (model.name, model.from_operators and point)
+        key = (model.name, model.from_operators and point)
         if not imported and FULL not in timers:
             timers[FULL] = full_run_timer(workspace, point, largest_step(case))
         if (quick := fast.get(model.name)) is not None:
-            timers[own] = partial(seconds_of, quick.runner(point))
-        elif own not in timers:
-            reduced, state = build_model(workspace, model, point)
-            close(case, model, reduced, state, plan.steps.start_time)
-            timers[own] = _steps_timer(case, reduced, state, step, step)
-        factors = compression_factors(plan.n_particles, n_modes)
-        longest = None if imported else largest_step(case)
-        about = model.name, point.label, n_modes, longest, step, memory_length
-        runs.append((about, stated, factors, None if imported else FULL, own))
-    seconds = taking_turns(timers, N_REPEATS) if runs else {}
-    for about, stated, factors, full, own in runs:
-        least = float(seconds[own].min())
-        if full is None:
-            yield RunTiming(*about, stated, least, None, *factors)
-            continue
-        whole = float(seconds[full].min())
-        gains = (seconds[full] / seconds[own]).tolist()
-        yield RunTiming(*about, whole, least, whole / least, *factors, min(gains), max(gains))
+            timers[key] = partial(seconds_of, quick.runner(point))
+        elif key not in timers:
+            timers[key] = particle_run_timer(workspace, model, point, step)
+        compression, field_compression = compression_factors(plan.n_particles, n_modes)
+        row = RunTiming(
+            model=model.name,
+            parameters=point.label,
+            n_modes=n_modes,
+            full_step=None if imported else largest_step(case),
+            reduced_step=step,
+            memory_length=memory_length,
+            full_seconds=stated,
+            reduced_seconds=None,
+            speed_up=None,
+            compression_factor=compression,
+            field_compression_factor=field_compression,
+        )
+        rows.append((row, key))
+    seconds = taking_turns(timers, N_REPEATS) if rows else {}
+    for row, timed in rows:
+        reduced = float(seconds[timed].min())
+        row = replace(row, reduced_seconds=reduced)
+        if row.full_step is not None:
+            full = float(seconds[FULL].min())
+            gains = seconds[FULL] / seconds[timed]
+            row = replace(
+                row,
+                full_seconds=full,
+                speed_up=full / reduced,
+                least_speed_up=float(gains.min()),
+                greatest_speed_up=float(gains.max()),
+            )
+        yield row
 
 
 def _number(run: Artifact, name: str) -> float | None:
@@ -185,17 +211,20 @@ def known_seconds(run: Artifact) -> float | None:
 
 def stage_timings(workspace: Workspace) -> Iterator[StageTiming]:
     """Yield the wall-clock times of all existing artifacts that the comparison depends on."""
-    targets: dict[Path, Target] = {}
+    made: dict[Path, Target] = {}
     left = [workspace.comparison()]
     while left:
-        parents = {each.path: each for each in left.pop().parents.values() if each.path.exists()}
-        left += [each for path, each in parents.items() if path not in targets]
-        targets |= parents
-    for target in targets.values():
+        for parent in left.pop().existing_parents.values():
+            if made.setdefault(parent.path, parent) is parent:
+                left.append(parent)
+    for target in made.values():
         with open_artifact(target.path, target.schema, made_by=target.made_by) as artifact:
-            seconds = artifact.number("wall_seconds")
-            threads = int(artifact.number("threads"))
-            yield StageTiming(target.path.name, artifact.text("stage"), seconds, threads)
+            yield StageTiming(
+                artifact=target.path.name,
+                stage=artifact.text("stage"),
+                seconds=artifact.number("wall_seconds"),
+                threads=int(artifact.number("threads")),
+            )
 
 
 def offline_seconds(
@@ -215,7 +244,8 @@ def offline_seconds(
     names = {plan.basis_for(model, point): None for point in points}
     trained = {point: None for name in names for point in plan.bases[name]}
     n_steps = plan.steps.n_steps + plan.steps.n_spin_up_steps
-    longer, training = n_steps * largest_step(workspace.case) / plan.recorded_time, 0.0
+    longer = n_steps * largest_step(workspace.case) / plan.recorded_time
+    training = 0.0
     for point in trained:
         with workspace.open(workspace.full_run(point)) as run:
             seconds = (
@@ -235,12 +265,11 @@ def offline_seconds(
         with workspace.open(stage) as artifact:
             offline += _computing_seconds(artifact)
     if model.from_operators:
-        own = [(name, model.size) for name in names if model.projection == "apg"]
         with workspace.open(workspace.operators()) as artifact:
             offline += _computing_seconds(artifact) - sum(
-                artifact.number(memory_timing(*closure))
-                for closure in plan.memory_models
-                if closure not in own
+                artifact.number(memory_timing(basis, size))
+                for basis, size in plan.memory_models
+                if model.projection != "apg" or basis not in names or size != model.size
             )
     return offline, training
 

@@ -37,8 +37,8 @@ from sphrom.metrics.measures import (
     with_coefficients,
 )
 from sphrom.metrics.series import NO_OSCILLATION, dominant_frequency, kinetic_energy
-from sphrom.online.basis_model import quantities_of
-from sphrom.online.fast_model import FastModel
+from sphrom.models.points.basis_model import quantities_of
+from sphrom.models.points.fast_model import FastModel
 from sphrom.reduction.trial_basis import mean_density_fluctuation, project
 from sphrom.setup.particles import MeasuredFields
 from sphrom.store.stored_run import StoredRun
@@ -96,10 +96,10 @@ def measured_of_map(case: Case, mapped: Artifact) -> Measured:
         return {}
     position = mapped.read("reference_position")
     states = zip(mapped.dataset("density_fluctuation"), mapped.dataset("velocity"), strict=True)
-    each = [measure(position, *map(np.asarray, state)) for state in states]
+    series = [measure(position, np.asarray(d), np.asarray(v)) for d, v in states]
     return {
-        name: {quantity: np.array([one[name][quantity] for one in each]) for quantity in first}
-        for name, first in each[0].items()
+        name: {quantity: np.array([one[name][quantity] for one in series]) for quantity in first}
+        for name, first in series[0].items()
     }
 
 
@@ -110,9 +110,9 @@ def measured_of_best(
     fast = FastModel(workspace, model)
     time = mapped.read("time")
     reduced = fast.at(point)
-    state = mapped.read("density_fluctuation"), mapped.read("velocity")
-    coordinates = project(reduced.basis, *state)
-    mean = mean_density_fluctuation(reduced.basis, state[0])
+    density = mapped.read("density_fluctuation")
+    coordinates = project(reduced.basis, density, mapped.read("velocity"))
+    mean = mean_density_fluctuation(reduced.basis, density)
     return quantities_of(workspace.case, reduced, time, coordinates, mean)
 
 

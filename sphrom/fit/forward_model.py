@@ -22,10 +22,10 @@ from sphrom.case.studies import Box, Ranges
 from sphrom.errors import CaseError, UnstableError
 from sphrom.fit.measurements import UNNAMED, History
 from sphrom.metrics.measures import PLACED, FieldMeasure, Quantities, combined, items
-from sphrom.online.basis_model import quantities_of
-from sphrom.online.fast_model import FastModel
-from sphrom.online.sensitivities import STEP, tangents
-from sphrom.online.surface_model import SurfaceModel
+from sphrom.models.points.basis_model import quantities_of
+from sphrom.models.points.fast_model import FastModel
+from sphrom.models.points.sensitivities import STEP, tangents
+from sphrom.models.surface.model import SurfaceModel
 from sphrom.reduction import reference_model
 from sphrom.reduction.error_calibration import compared_snapshots
 from sphrom.reduction.exponential_steps import ExponentialModel
@@ -132,12 +132,12 @@ class FittedModel:
 
     def __call__(self, place: Array) -> tuple[Array, Array] | None:
         """Return values (n_values,) and derivatives (n_values, n_free) at a place."""
-        if (histories := self.whole(place)) is None:
+        if (histories := self.over_time(place)) is None:
             return None
         time, values, slopes = histories
         return self.at_instants(time, values), self.at_instants(time, slopes)
 
-    def whole(self, place: Array) -> tuple[Array, Array, Array] | None:
+    def over_time(self, place: Array) -> tuple[Array, Array, Array] | None:
         """Return the histories at all snapshots, and their derivatives by the place.
 
         Times are (n_snapshots,), histories (n_snapshots, n_histories) and derivatives
@@ -159,8 +159,8 @@ class FittedModel:
             step = STEP * (abs(point.as_dict()[name]) or 1.0)
             sides = (combined(measured, changes, part * step) for part in (-0.5, 0.5))
             low, high = (oscillations.of(run.time, side) for side in sides)
-            for each, figures in high.items():
-                changes[each] = {q: (v - low[each][q]) / step for q, v in figures.items()}
+            rates = combined(high, low, -1.0)
+            changes |= {n: {q: v / step for q, v in rate.items()} for n, rate in rates.items()}
             slopes.append(self.stacked(changes))
         if not np.isfinite(histories).all():
             return None
@@ -199,7 +199,7 @@ class FittedSurface(FittedModel):
         """Return the model at a point."""
         return self.fast.at(point)
 
-    def whole(self, place: Array) -> tuple[Array, Array, Array] | None:
+    def over_time(self, place: Array) -> tuple[Array, Array, Array] | None:
         """Return the histories at all snapshots, and their derivatives by the place."""
         found = self._histories_at(place)
         slopes = []
@@ -266,8 +266,8 @@ def error_samples(model: FittedModel, place: Array, known: TrainingDifferences) 
     scaled = differences * np.stack(factors, axis=1)[:, None]
     steps = case.plan.steps
     time = steps.start_time + steps.snapshot_interval * compared_snapshots(steps.n_snapshots)
-    each = [[np.interp(run.time, time, h) for h in sample.T] for sample in scaled]
-    return np.stack(each).transpose(0, 2, 1)
+    samples = [[np.interp(run.time, time, h) for h in sample.T] for sample in scaled]
+    return np.array(samples).transpose(0, 2, 1)
 
 
 def _differences(model: FittedModel, name: str) -> tuple[Array, Array]:
@@ -284,20 +284,22 @@ def _differences(model: FittedModel, name: str) -> tuple[Array, Array]:
     oscillations = workspace.case.plan.oscillations
     if (errors := trained.errors) is None or (known := errors.held_out) is None:
         return np.zeros(0), np.zeros(0)
-    for row, (k, reduced, own) in enumerate(trained.held_out()):
+    for row, (k, reduced, coordinates) in enumerate(trained.held_out()):
         change = items(trained.differences, row)
         time = reduced.output_times.time
-        predicted = quantities_of(workspace.case, reduced, time, own)
+        predicted = quantities_of(workspace.case, reduced, time, coordinates)
         full = oscillations.of(time, combined(predicted, change, 1.0))
         change = items(change | combined(full, oscillations.of(time, predicted), -1.0), compared)
         if (fields := model.unnamed) is not None:
             measure = model.reduced(points[k], name).measures[UNNAMED]
-            there = measure.at(own[compared], reduced.mean_density_fluctuation)
+            model_fields = measure.at(coordinates[compared], reduced.mean_density_fluctuation)
             with workspace.open(workspace.full_run(points[k])) as run:
-                each = [fields(*snapshot_fields(run, s))[UNNAMED] for s in compared]
-            change[UNNAMED] = {q: np.stack([one[q] for one in each]) - there[q] for q in PLACED}
-        if not np.isfinite(model.stacked(change)).all():
-            continue  # the run does not oscillate
-        differences.append(model.stacked(change))
-        sizes.append(known.errors[row])
+                full_fields = [fields(*snapshot_fields(run, s))[UNNAMED] for s in compared]
+            change[UNNAMED] = {
+                q: np.stack([f[q] for f in full_fields]) - model_fields[q] for q in PLACED
+            }
+        histories = model.stacked(change)
+        if np.isfinite(histories).all():  # otherwise the run does not oscillate
+            differences.append(histories)
+            sizes.append(known.errors[row])
     return np.array(differences), np.array(sizes)

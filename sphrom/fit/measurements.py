@@ -147,7 +147,7 @@ def _text(source: Source) -> tuple[str, str]:
     rows = io.StringIO()
     writer = csv.writer(rows, lineterminator="\n")
     writer.writerow(columns)
-    writer.writerows(zip(*(each.tolist() for each in columns.values()), strict=True))
+    writer.writerows(zip(*(values.tolist() for values in columns.values()), strict=True))
     return "measurements", rows.getvalue()
 
 
@@ -165,8 +165,7 @@ def _entries(text: str, case: Case) -> dict[Key, list[Entry]]:
     columns = {n: column_of(case, n) for n in names if n not in AXES and not n.endswith(NOISE)}
     entries: dict[Key, list[Entry]] = {}
     for line, row in rows:
-        each = zip(names, row, strict=True)
-        cells = {name: _number(cell, name, line) for name, cell in each}
+        cells = {n: _number(cell, n, line) for n, cell in zip(names, row, strict=True)}
         for name, column in columns.items():
             if math.isnan(value := cells[name]):
                 continue
@@ -213,10 +212,10 @@ def _name_and_unit(cell: str) -> tuple[str, str | None]:
 def column_of(case: Case, name: str) -> Column:
     """Return the column with a name. Raises ValueError if the case has no such measurement."""
     known = AT_PLACE | case.scene.columns
-    for measured, each in case.plan.oscillations.items():
-        known |= {
-            f"{measured}_{f}": Column(measured, f, None, each.units_of(f)) for f in OSCILLATION[:3]
-        }
+    for measured, oscillating in case.plan.oscillations.items():
+        for figure in OSCILLATION[:3]:
+            units = oscillating.units_of(figure)
+            known[f"{measured}_{figure}"] = Column(measured, figure, None, units)
     if name not in known:
         raise ValueError(
             f"column {quoted(name)} is not a measurement of the case over time; "

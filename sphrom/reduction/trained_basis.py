@@ -1,9 +1,9 @@
 """A trained model with one basis, as one record: all that its runs need at any parameters.
 
 Training runs determine a model's calibration, the corrections of its coordinates and forces, the
-linear parts of its steps, and the fit of its error estimates. `sphrom.online.training` makes the
-record; `sphrom.online.basis_model` builds models at parameter points from it, without another look
-at training runs.
+linear parts of its steps, and the fit of its error estimates. `sphrom.models.points`
+makes the record, and builds models at parameter points from it, without another look at training
+runs.
 
 A model that integrates only its leading modes has two sets of rates: those of all modes serve runs
 that are longer than the training runs.
@@ -21,10 +21,11 @@ import numpy as np
 from sphrom.arrays import Array, Indices
 from sphrom.declaration import Record, attribute, dataset, part
 from sphrom.metrics.measures import Quantities
-from sphrom.reduction.calibration import Calibration, CycleClosure, Harmonics, TrainedCycles
+from sphrom.reduction.calibration import Calibration
 from sphrom.reduction.correction import PLACES, Correction
 from sphrom.reduction.error_calibration import ErrorCalibration
 from sphrom.reduction.held_out import FieldProducts
+from sphrom.reduction.limit_cycles import CycleClosure, Harmonics, TrainedCycles
 from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure
 from sphrom.reduction.reduced_operators import (
     MemoryOperators,
@@ -67,7 +68,7 @@ class TrainedRates(Record):
     def closure(self) -> Calibration | CycleClosure | None:
         """The terms that training runs add to the rates."""
         if self.cycles is not None:
-            return self.cycles.closure(self.operators)
+            return CycleClosure(self.operators, self.cycles)
         return self.calibration
 
     @cached_property

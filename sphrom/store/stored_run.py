@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from sphrom.artifacts import Artifact
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
+from sphrom.case.study_sections import FULL
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.metrics.measures import (
     Probes,
@@ -31,7 +33,6 @@ from sphrom.metrics.measures import (
     with_coefficients,
 )
 from sphrom.reduction.mode_splines import ModeSplines
-from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.trial_basis import (
     TrialBasis,
     mean_density_fluctuation,
@@ -39,12 +40,14 @@ from sphrom.reduction.trial_basis import (
     reconstruct,
     truncate,
 )
-from sphrom.setup.particles import sampler
 from sphrom.sph.fluid import fluctuation_of, pressure_of
 from sphrom.store.surfaces import SurfaceModelAt, TrainedSurface
 from sphrom.store.trained_models import basis_used, read_basis, read_modes, read_points
 from sphrom.store.trajectory import read_quantities, snapshot_fields
 from sphrom.store.workspace import Workspace
+
+if TYPE_CHECKING:
+    from sphrom.reduction.reference_space import ReferenceMap
 
 
 class StoredRun:
@@ -60,8 +63,12 @@ class StoredRun:
         point: ParameterPoint,
         model: ReducedModelSection | None = None,
     ) -> None:
-        self._workspace, self._run, self._point = workspace, run, point
+        self._workspace = workspace
+        self._case = workspace.case
+        self._run = run
+        self._point = point
         self._rebuilt = None if model is None or not model.from_operators else model
+        self.name = FULL if model is None else model.name
         self._has_surface = workspace.case.scene.has_surface
         self.time = run.read("time")
         self.mass = run.number("mass")
@@ -84,7 +91,7 @@ class StoredRun:
     def measured(self, name: str) -> Quantities:
         """Return a measurement of the case over time, by quantity (n_snapshots, ...)."""
         measured = {name: read_quantities(self._run, name)}
-        return with_coefficients(measured, self._workspace.case.plan.coefficients)[name]
+        return with_coefficients(measured, self._case.plan.coefficients)[name]
 
     @cached_property
     def _used(self) -> tuple[str, int]:
@@ -108,16 +115,12 @@ class StoredRun:
     @property
     def elevation(self) -> Array:
         """The height y of a reduced model's free surface (n_snapshots, n_columns) [m]."""
-        return self._graph.graph.elevation(
-            self._coordinates, self._workspace.case.plan.surface_columns
-        )
+        return self._graph.graph.elevation(self._coordinates, self._case.plan.surface_columns)
 
     def position(self, snapshot: int) -> Array:
         """Return the run's own points (n, 2) [m]."""
         if self._rebuilt is not None and self._has_surface:
-            return self._workspace.case.scene.domain.fill(
-                self._workspace.case.plan.particle_spacing
-            )
+            return self._case.scene.domain.fill(self._case.plan.particle_spacing)
         if self._rebuilt is not None:
             return read_points(self._workspace)
         return np.asarray(self._run.dataset("position")[snapshot])
@@ -126,7 +129,7 @@ class StoredRun:
         """Return density fluctuation (n,) [kg/m3] and velocity (n, 2) [m/s] from coordinates."""
         if self._has_surface:
             samples = self.sampled(self.position(snapshot), [snapshot])
-            sound_speed = self._workspace.case.plan.sound_speed
+            sound_speed = self._case.plan.sound_speed
             return fluctuation_of(samples.pressure[0], sound_speed), samples.velocity[0]
         mean = self._run.number("mean_density_fluctuation")
         return reconstruct(self._basis, self._coordinates[snapshot], mean)
@@ -138,7 +141,7 @@ class StoredRun:
             velocity, pressure = map(np.asarray, stored)
             return velocity, pressure
         density, velocity = self.rebuilt(snapshot)
-        return velocity, pressure_of(density, self._workspace.case.plan.sound_speed)
+        return velocity, pressure_of(density, self._case.plan.sound_speed)
 
     def sampled(
         self,
@@ -150,23 +153,19 @@ class StoredRun:
 
         A run that became unstable is sampled as long as there are particles near all points.
         """
-        case = self._workspace.case
-        run = self._run
         chosen = range(len(self.time)) if snapshots is None else snapshots
         if self._rebuilt is None:
-            return sample_run(case, run, points, advance, chosen)
+            return sample_run(self._case, self._run, points, advance, chosen)
         if self._has_surface:
             return self._graph.sampled(points, self.time[chosen], self._coordinates[chosen])
         basis, splines = read_modes(self._workspace, *self._used)
-        means = np.full(len(chosen), run.number("mean_density_fluctuation"))
+        means = np.full(len(chosen), self._run.number("mean_density_fluctuation"))
         coordinates = self._coordinates[chosen]
-        return expand(case, basis, splines, points, self.time[chosen], coordinates, means)
+        return expand(self._case, basis, splines, points, self.time[chosen], coordinates, means)
 
 
 ON_WALL = 1e-6
 """Points closer to a wall than this share of the spacing are on it."""
-N_INFLOWS, N_CHANGING = 10, 40
-"""Number of instants at which a steady and a changing inflow of a run are sampled."""
 MISSED_INFLOW, WRONG_INFLOW = 0.02, 0.2
 """Differences from the target inflow, relative, that are told, and that make a run fail."""
 LEAST_SHARE = 1e-10
@@ -212,6 +211,8 @@ def sample_run(
 
     A run that became unstable is sampled as long as there are particles near all points.
     """
+    from sphrom.setup.particles import sampler  # it loads kernels
+
     times = trajectory.read("time")
     sample = sampler(case, points)
     chosen = range(len(times)) if snapshots is None else snapshots
@@ -263,41 +264,34 @@ def inflow_of(case: Case, point: ParameterPoint, trajectory: Artifact) -> Inflow
     if strip is None or force is None:
         return None
     domain = case.scene.domain
-    across = 1 - strip.axis
+    along = strip.axis
+    across = 1 - along
     n_places = max(2, round(domain.lengths[across] / case.plan.particle_spacing))
     points = np.empty((n_places, 2))
     points[:, across] = midpoints(domain.lower[across], domain.upper[across], n_places)
-    points[:, strip.axis] = 0.5 * (strip.start + strip.end)
+    points[:, along] = 0.5 * (strip.start + strip.end)
     points = points[domain.contains(points)]
     profile = (force.field(points.T) / strip.rates(points.T)).T
-    points[:, strip.axis] = strip.end if strip.speed > 0.0 else strip.start
-    width = domain.lengths[across] * len(points) / n_places  # solids may cross the strip
+    points[:, along] = strip.end if strip.speed > 0.0 else strip.start
     times = trajectory.read("time")
     later = np.arange(len(times) // 2, len(times))
-    later = later[times[later] >= case.plan.scene.ramp]
-    later = later if later.size else np.array([len(times) - 1])
-    # At equal distances the instants could all be at one phase of an oscillation.
-    count = N_CHANGING if force.changes else N_INFLOWS
-    shares = (np.arange(count) + np.random.default_rng(0).random(count)) / count
-    spread_out = shares if force.changes else np.linspace(0.0, 1.0, count)
-    chosen = np.unique(later[(spread_out * (later.size - 1)).astype(int)])
-    sampled = sample_run(case, trajectory, points, snapshots=chosen.tolist())
+    driven = later[times[later] >= case.plan.scene.ramp]
+    snapshots = driven if driven.size else later[-1:]
+    sampled = sample_run(case, trajectory, points, snapshots=snapshots.tolist())
     wanted = np.array([force.amplitude(t) for t in sampled.time])[:, None, None] * profile
-    rates = [width * v[..., strip.axis].mean(axis=1) for v in (wanted, sampled.velocity)]
-    flows = [float(rate.mean()) for rate in rates]
-    if force.changes:  # few instants do not have the mean of an oscillation
-        steps = np.arange(times[later[0]], times[-1], case.plan.steps.time_step)
-        amplitude = float(np.mean([force.amplitude(t) for t in steps]))
-        mean = amplitude * width * float(profile[:, strip.axis].mean())
-        flows = [mean, mean + flows[1] - flows[0]]
-    if not (size := math.sqrt(float(np.mean(rates[0] ** 2)))) > 0.0:
+    width = domain.lengths[across] * len(points) / n_places  # solids may cross the strip
+    target = width * wanted[..., along].mean(axis=1)
+    size = math.sqrt(float(np.mean(target**2)))
+    if not size > 0.0:
         return None  # a constant of zero stops the inflow
+    wanted_rate = float(target.mean())
+    actual_rate = width * float(sampled.velocity[..., along].mean())
+    miss = (actual_rate - wanted_rate) / size
     off = np.linalg.norm(sampled.velocity.mean(axis=0) - wanted.mean(axis=0), axis=1)
     fastest = float(np.linalg.norm(wanted, axis=2).max())
-    miss = (flows[1] - flows[0]) / size
     text = (
-        f"{point.label}: target inflow {flows[0]:.4g} m2/s, actual inflow {flows[1]:.4g} m2/s "
-        f"({100.0 * math.copysign(miss, miss * flows[0]):+.2f} %); the profile differs by "
+        f"{point.label}: target inflow {wanted_rate:.4g} m2/s, actual inflow {actual_rate:.4g} "
+        f"m2/s ({100.0 * math.copysign(miss, miss * wanted_rate):+.2f} %); the profile differs by "
         f"{100.0 * math.sqrt(np.mean(off**2)) / fastest:.2g} % of its largest speed"
     )
     return Inflow(text, abs(miss))
@@ -332,11 +326,11 @@ def sample_best(
     alone = [np.linalg.lstsq(gram, part.T, LEAST_SHARE)[0].T for gram, part in shares]
     means = np.array([mean_density_fluctuation(basis, density) for density in densities])
     times = mapped.read("time")
-    both, density, velocity = (
-        expand(case, basis, splines, probes.all, times, each, means)
-        for each in (by_density + by_velocity, *alone)
+    states, density, velocity = (
+        expand(case, basis, splines, probes.all, times, coordinates, means)
+        for coordinates in (by_density + by_velocity, *alone)
     )
-    return both, replace(density, velocity=velocity.velocity)
+    return states, replace(density, velocity=velocity.velocity)
 
 
 def expand(

@@ -148,9 +148,12 @@ class TrajectoryWriter:
             for name, loads in self._forces(state, time).items():
                 values |= force_datasets(name, loads)
         if self._fields is not None:
-            fields = snapshot.position.T, snapshot.density_fluctuation, snapshot.velocity.T
             try:
-                values |= field_datasets(self._fields(*fields))
+                values |= field_datasets(
+                    self._fields(
+                        snapshot.position.T, snapshot.density_fluctuation, snapshot.velocity.T
+                    )
+                )
             except UnstableError as error:
                 raise UnstableError(f"{error}, at t = {time:.6g} s") from error
         item = {name: values[name] for name in self._streams}
@@ -167,8 +170,9 @@ class TrajectoryWriter:
         for name, stream in self._streams.items():
             stream.append(item[name])
         if self._watch is not None:
-            fields = (item[name] for name in ("position", "velocity", "density_fluctuation"))
-            self._watch.see(float(item["time"]), *fields)
+            self._watch.see(
+                float(item["time"]), item["position"], item["velocity"], item["density_fluctuation"]
+            )
 
     def finish(
         self, failure: UnstableError | None, seconds: float | None, checkpoint_seconds: float = 0.0

@@ -15,7 +15,7 @@ from sphrom.errors import ArtifactError, CaseError
 from sphrom.fit.fit import Fit
 from sphrom.fit.forward_model import Box, FittedModel
 from sphrom.fit.measurements import read_measurements
-from sphrom.online.fast_model import FastModel
+from sphrom.models.points.fast_model import FastModel
 from sphrom.store.workspace import Workspace
 
 CASE: dict[str, Any] = {

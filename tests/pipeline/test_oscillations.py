@@ -13,7 +13,7 @@ import yaml
 import sphrom as package
 from sphrom.fit.forward_model import Box, FittedModel
 from sphrom.fit.measurements import read_measurements
-from sphrom.online.fast_model import FastModel
+from sphrom.models.points.fast_model import FastModel
 from sphrom.store.workspace import Workspace
 from sphrom.sweep import batches, statistics
 
