@@ -63,6 +63,11 @@ class WallSearch:
         return distance
 
 
+def lattice_points(x: Array, y: Array) -> Array:
+    """Return the points (n_points, 2) of a lattice with columns at x and rows at y, row by row."""
+    return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+
+
 def first_of(particles: Indices, position: Array) -> str:
     """Describe the first of some particles at positions (2, n_particles) [m], in words."""
     x, y = position[:, particles[0]]
