@@ -358,26 +358,6 @@ def mean_row(
 
 
 @term
-def head_row(
-    total: float,
-    place: Vector,
-    target: None,
-    source: Array,
-    columns: slice,
-    force: Array,
-    inverse_length: float,
-) -> float:
-    """Add a row of fluid for `ghost_fields.ghost_heads`."""
-    places = vector_at(source, X, columns)
-    forces = vector_at(force, 0, columns)
-    head = 0.0
-    for k in range(places[0].size):
-        offset = minus(place, element(places, k))
-        head += dot(element(forces, k), offset) * kernel_of(offset, inverse_length)
-    return total + head
-
-
-@term
 def damping_row(
     total: float,
     place: Vector,
