@@ -49,7 +49,7 @@ class Walls:
 
 @dataclass(frozen=True)
 class WallSearch:
-    """Distances from walls at every substep; sources are laid out as in `sphrom.kernels.sweeps`."""
+    """Distances from walls at every substep; sources are laid out as in `sphrom.kernels.fields`."""
 
     kernels: Any
     """The compiled module for walls of this kind."""
