@@ -373,7 +373,7 @@ class CustomScene(SceneSection):
 
     @cached_property
     def slowing(self) -> Slowing:
-        """What slows the fluid."""
+        """The resistance to the flow."""
         return Slowing(self, _geometries("porous", self.porous))
 
     def largest_resistance(self, viscosity: float) -> float:

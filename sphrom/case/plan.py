@@ -2,8 +2,8 @@
 
 Each part depends only on those before it: the parameter points (`plan_points`), the particles and
 flows (`plan_flows`), the time steps (`plan_times`), and here the bases and reduced models. A
-quantity is computed at its first use, so checks of a case can use those that do not depend on a
-wrong key.
+quantity is computed at its first use, so checks of a case can use quantities that do not depend on
+a wrong key.
 """
 
 from __future__ import annotations

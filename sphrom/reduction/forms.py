@@ -36,7 +36,7 @@ from sphrom.sph.fixed_points import FixedPoints, Terms
 
 @dataclass(frozen=True, kw_only=True)
 class LocalFields(Terms):
-    """Some fields at some points, with all that forms need of them.
+    """Some fields at some points, as arguments of forms.
 
     Points are the last axis here, also of the terms: products of fields are faster then.
     """
@@ -71,7 +71,7 @@ Pairs = list[tuple[int, int]]
 
 
 class PointFields:
-    """Some fields at all points; `at` computes what forms need in blocks of points.
+    """Some fields at all points; `at` computes the arguments of forms in blocks of points.
 
     Parameters
     ----------

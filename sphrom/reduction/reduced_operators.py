@@ -378,12 +378,8 @@ class ResidualFactor(_Parts):
             parts.append(np.concatenate((columns[:, used], others[:, used])))
         triangle = np.linalg.qr(np.hstack(parts), mode="r")
         ends = np.cumsum([part.shape[1] for part in parts])
-        folded = np.split(triangle, ends[:-1], axis=1)
-        return self.of_parts(
-            dict(zip(self.by_part, folded, strict=True)),
-            self.drives,
-            walls_driven=self.walls_driven,
-        )
+        folded = dict(zip(self.by_part, np.split(triangle, ends[:-1], axis=1), strict=True))
+        return self.of_parts(folded, self.drives, walls_driven=self.walls_driven)
 
     def at(self, kinematic_viscosity: float, factors: Factors = NONE) -> tuple[Array, ...]:
         """Return F (n_directions, n_monomials) by power of the amplitude."""

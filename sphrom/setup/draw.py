@@ -14,7 +14,7 @@ from sphrom.errors import CaseError
 from sphrom.plots import panels
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
-from sphrom.sph.domain import SIDES, Domain, Walls
+from sphrom.sph.domain import SIDES, Domain, Walls, lattice_points
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -107,8 +107,7 @@ def solids_within(domain: Domain, frame: panels.Extent) -> panels.Solids:
     nx, ny = (max(2, round(length / width)) for length in (right - left, upper - lower))
     x = np.linspace(left, right, nx)
     y = np.linspace(lower, upper, ny)
-    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    return x, y, domain.distance_and_normal(points)[0].reshape(ny, nx)
+    return x, y, domain.distance_and_normal(lattice_points(x, y))[0].reshape(ny, nx)
 
 
 def _draw_points(axes: Axes, position: Array, size: float, colour: str, label: str) -> None:

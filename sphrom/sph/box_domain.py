@@ -13,7 +13,15 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from sphrom.arrays import Array, Indices, Mask
-from sphrom.sph.domain import ROUNDING, SIDES, WHOLE_TOLERANCE, Domain, Walls, WallSearch
+from sphrom.sph.domain import (
+    ROUNDING,
+    SIDES,
+    WHOLE_TOLERANCE,
+    Domain,
+    Walls,
+    WallSearch,
+    lattice_points,
+)
 from sphrom.sph.polygons import periodic_shifts
 
 MOST_UNEVEN = 5e-3
@@ -172,15 +180,14 @@ class BoxDomain(Domain):
 
     def fill(self, particle_spacing: float) -> Array:
         """Return the cell centres (n_particles, 2) [m] of a lattice in the fluid."""
-        x, y = np.meshgrid(*self._axes(particle_spacing, 0))
-        points = np.stack((x.ravel(), y.ravel()), axis=1)
+        points = lattice_points(*self._axes(particle_spacing, 0))
         return points[self.contains(points)] if self.has_walls else points
 
     def ghosts(self, particle_spacing: float, n_layers: int) -> Walls:
         """Return the lattice points (n_ghosts, 2) [m] within some layers outside the fluid."""
-        x, y = np.meshgrid(*self._axes(particle_spacing, n_layers))
-        position = np.stack((x.ravel(), y.ravel()), axis=1)
-        fluid = self.contains(position).reshape(x.shape)
+        x, y = self._axes(particle_spacing, n_layers)
+        position = lattice_points(x, y)
+        fluid = self.contains(position).reshape(y.size, x.size)
         beside, above = (self._dilated(fluid, axis, n_layers) for axis in range(2))
         ghost = (self._dilated(beside, 1, n_layers) & ~fluid).ravel()
         # A ghost diagonally behind a corner belongs to both walls that meet there.

@@ -49,7 +49,7 @@ class Walls:
 
 @dataclass(frozen=True)
 class WallSearch:
-    """Distances from walls at every substep; sources are laid out as in `sphrom.kernels.sweeps`."""
+    """Distances from walls at every substep; sources are laid out as in `sphrom.kernels.fields`."""
 
     kernels: Any
     """The compiled module for walls of this kind."""
@@ -61,6 +61,11 @@ class WallSearch:
         distance = np.empty(targets.size)
         self.kernels.wall_distances(targets, source, *self.lists, distance)
         return distance
+
+
+def lattice_points(x: Array, y: Array) -> Array:
+    """Return the points (n_points, 2) of a lattice with columns at x and rows at y, row by row."""
+    return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
 
 
 def first_of(particles: Indices, position: Array) -> str:

@@ -139,7 +139,7 @@ class FixedPoints:
     ) -> None:
         self.position = domain.wrap(position)
         self.sound_speed = fluid.sound_speed
-        self.reference_density = fluid.reference_density
+        self.fluid = fluid
         self.density_scale = fluid.sound_speed / fluid.reference_density
         self.fixed_volume = discretization.fixed_volume
         self.body_force = body_force

@@ -29,7 +29,7 @@ from shapely.geometry.base import BaseGeometry
 from sphrom.arrays import Array, Indices, Mask
 from sphrom.kernels import segments as segment_sweeps
 from sphrom.kernels.cells import Grid
-from sphrom.sph.domain import ROUNDING, SIDES, Domain, Walls, WallSearch
+from sphrom.sph.domain import ROUNDING, SIDES, Domain, Walls, WallSearch, lattice_points
 from sphrom.sph.packing import NEAREST, off_walls
 from sphrom.sph.polygons import (
     CORNER,
@@ -439,5 +439,5 @@ def _shifted(domain: Domain, particle_spacing: float, shift: Array) -> Array:
         number = domain.lengths[axis] / pitch
         last = round(number) if domain.periodic[axis] else math.ceil(number - shift[axis])
         axes.append(domain.lower[axis] + (np.arange(last) + shift[axis]) * pitch)
-    x, y = np.meshgrid(*axes)
-    return np.stack((x.ravel(), y.ravel()), axis=1)
+    x, y = axes
+    return lattice_points(x, y)
