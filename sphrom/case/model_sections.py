@@ -154,20 +154,31 @@ _EVALUATION = (
     "evaluation of its rates: on moving particles, at the cost of a full run; or from operators "
     "that are projected once on the fixed points of the reference space"
 )
-_PROJECTION = "Galerkin (Alg. 3.4) or adjoint Petrov-Galerkin (Alg. 3.5)"
-_MEMORY_LENGTH = "tau of Eq. 3.22, for projection: apg"
-_TIME_STEP = (
-    "time step; fom means the step of the full model. auto means the same on particles; with "
-    "operators it takes exponential steps, which sound doesn't limit, fine enough to add little to "
-    "the error of the basis"
-)
 _UNTIL = (
     "time at which its runs end, for evaluation: operators; null is time.final_time. Runs that end "
     "at another time are not compared; after time.final_time they extrapolate"
 )
 
 
-class ParticleModelSection(ReducedModelSection):
+class ProjectedModelSection(ReducedModelSection):
+    """The keys of models whose equations are projected (Alg. 3.4 and 3.5)."""
+
+    projection: ProjectionName = key(
+        "galerkin", "Galerkin (Alg. 3.4) or adjoint Petrov-Galerkin (Alg. 3.5)"
+    )
+    memory_length: Duration | Literal["auto"] = key(
+        AUTO, "tau of Eq. 3.22, for projection: apg", unit="s"
+    )
+    time_step: Positive | Literal["auto", "fom"] = key(
+        AUTO,
+        "time step; fom means the step of the full model. auto means the same on particles; with "
+        "operators it takes exponential steps, which sound doesn't limit, fine enough to add "
+        "little to the error of the basis",
+        unit="s",
+    )
+
+
+class ParticleModelSection(ProjectedModelSection):
     """A reduced model on moving particles (Alg. 3.4 and 3.5)."""
 
     family: ClassVar[Literal["particles"]] = "particles"
@@ -180,26 +191,20 @@ class ParticleModelSection(ReducedModelSection):
     steady: ClassVar[bool] = False
 
     evaluation: Literal["particles"] = key("particles", _EVALUATION)
-    projection: ProjectionName = key("galerkin", _PROJECTION)
     advection: Literal["consistent", "paper"] = key(
         "consistent",
         "advection of modes, for evaluation: particles: consistent, also by shifting, or as in "
         "Eq. 3.5-3.6",
     )
-    memory_length: Duration | Literal["auto"] = key(AUTO, _MEMORY_LENGTH, unit="s")
-    time_step: Positive | Literal["auto", "fom"] = key(AUTO, _TIME_STEP, unit="s")
 
 
-class PointModelSection(ReducedModelSection):
+class PointModelSection(ProjectedModelSection):
     """A reduced model from operators that are projected on fixed points."""
 
     family: ClassVar[Literal["points"]] = "points"
     refusal: ClassVar[str] = "is only for evaluation: particles"
 
     evaluation: Literal["operators"] = key(..., _EVALUATION)
-    projection: ProjectionName = key("galerkin", _PROJECTION)
-    memory_length: Duration | Literal["auto"] = key(AUTO, _MEMORY_LENGTH, unit="s")
-    time_step: Positive | Literal["auto", "fom"] = key(AUTO, _TIME_STEP, unit="s")
     calibrated: Flag | Literal["auto", "cycle"] = key(
         AUTO,
         "whether to add to its rates a constant and a linear part that are fitted to the training "
