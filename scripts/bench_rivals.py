@@ -47,7 +47,7 @@ from sphrom.reduction.correction import spline_weights
 from sphrom.reduction.trial_basis import project, reconstruct, truncate, weighted_mean
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
-from sphrom.store.trained_models import read_basis, read_points
+from sphrom.models.reference.stored import read_basis, read_points
 from sphrom.store.trajectory import snapshot_fields
 from sphrom.store.workspace import Workspace
 

@@ -44,7 +44,7 @@ from sphrom.reduction.reference_model import Integrator, ReferenceModel
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.sph.time_loop import Clock, TimeSteps, march
-from sphrom.store.trained_models import scene_start
+from sphrom.models.starts import scene_start
 from sphrom.store.workspace import Workspace
 from sphrom.trade.extremes import FULL_MODEL, Maps
 from sphrom.trade.stability import COLOURS, ExtremeRun, draw_maps, publish

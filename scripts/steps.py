@@ -32,7 +32,7 @@ from sphrom.setup.particles import sampler
 from sphrom.sph.fluid import pressure_of
 from sphrom.sph.time_loop import Clock, TimeSteps, march
 from sphrom.store.stored_run import probes_of
-from sphrom.store.trained_models import start
+from sphrom.models.starts import start
 from sphrom.store.trajectory import snapshot_fields
 from sphrom.store.workspace import Workspace
 

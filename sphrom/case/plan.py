@@ -311,11 +311,26 @@ class Plan:
             n_rows=n_rows,
         )
 
+    @property
+    def map_settings(self) -> dict[str, object]:
+        """What maps of full runs depend on, besides keys of the case."""
+        return {"space": vars(self.stream_space)} if self._case.scene.has_surface else {}
+
+    @property
+    def relaxed_points(self) -> bool:
+        """Whether the points of the reference space are the last particles of a full run."""
+        return self._case.reference.points == "relaxed" and not self._case.scene.has_surface
+
     @cached_property
     def surface_columns(self) -> Array:
         """The midpoints (n_columns,) [m] of the columns where surfaces are looked for."""
         space = self.stream_space
         return midpoints(space.left, space.right, COLUMNS_A_CELL * space.n_columns)
+
+    @property
+    def with_weight(self) -> bool:
+        """Whether pressures have a hydrostatic part, which is no flow, and places may fall dry."""
+        return self._case.scene.has_surface
 
     def weight_at(self, point: ParameterPoint, position: Array) -> Array | None:
         """Return the pressure at rest (n_positions,) [Pa] below a level; None without a surface."""
@@ -670,6 +685,12 @@ class Plan:
         return wanted
 
     # Reduced runs
+
+    def family(self, model: ReducedModelSection | None = None) -> str:
+        """Return the name of a reduced model's family; without one, that of the case's stages."""
+        if self._case.scene.has_surface:
+            return "surface"
+        return "points" if model is None or model.from_operators else "particles"
 
     def rom_points(self, model: ReducedModelSection) -> tuple[ParameterPoint, ...]:
         """Return the points at which a reduced model is run."""

@@ -19,16 +19,17 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import Row, place_of
 from sphrom.case.study_sections import FULL
-from sphrom.compare.comparison_tables import BEST, SpectrumRow, Tables
+from sphrom.compare.comparison_tables import SpectrumRow, Tables
 from sphrom.compare.stored_comparison import StoredComparison
 from sphrom.metrics.histories import cumulative_singular_value_share, energy, without_mean
 from sphrom.metrics.measures import UNITS, Samples, components
+from sphrom.models.contract import BEST, Ability, basis_used, family_of
+from sphrom.models.stored_run import StoredRun
 from sphrom.plots.panels import Curve, Field, Frame, Panel, Role, draw_grid, save
 from sphrom.scenes.flows import TaylorGreen
 from sphrom.setup.assembly import field_measures
 from sphrom.setup.draw import solids_within
-from sphrom.store.stored_run import StoredRun, probes_of
-from sphrom.store.trained_models import basis_used
+from sphrom.store.stored_run import probes_of
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:
@@ -95,7 +96,7 @@ def _figures(
     for basis in case.plan.bases if case.rom else ():
         sizes = model_sizes(workspace, basis)
         yield f"singular-values-{basis}", partial(draw_spectrum, workspace, basis, sizes)
-        if not case.scene.has_surface:
+        if Ability.MODE_FIELDS in family_of(case).abilities:
             yield f"modes-{basis}", partial(draw_modes, workspace, basis)
 
 

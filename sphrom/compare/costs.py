@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -19,21 +18,16 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.study_sections import FULL
 from sphrom.kernels import ask_for_threads, asked_for
-from sphrom.machine import seconds_of
 from sphrom.metrics.histories import compression_factors
-from sphrom.models.particles.runs import build_model, close
-from sphrom.models.points.fast_model import fast_model
+from sphrom.models.contract import basis_used, family_of, model_of
+from sphrom.models.fom import seconds_of_steps
 from sphrom.setup import particles
-from sphrom.sph.time_loop import Model, runge_kutta_step
-from sphrom.store.trained_models import basis_used, memory_timing
 from sphrom.store.trajectory import snapshot_fields
 from sphrom.store.workspace import Target, Workspace
 
 SECONDS = {"unit": "s"}
 N_REPEATS = 5
 """Number of timings of each run, in turns; the least counts, and all give the spread."""
-N_TIMED_STEPS = 10
-"""Number of steps per timing, because only some steps search for neighbours."""
 
 
 @dataclass(frozen=True)
@@ -100,27 +94,11 @@ def full_run_timer(workspace: Workspace, point: ParameterPoint, step: float) -> 
     neither on its length nor on parameters.
     """
     with workspace.open(workspace.full_run(point)) as run:
-        position, *fields = snapshot_fields(run, run.length("time") // 2)
-    state = np.vstack((position.T, fields[0], fields[1].T))
+        position, density, velocity = snapshot_fields(run, run.length("time") // 2)
+    state = np.vstack((position.T, density, velocity.T))
     model = particles.functional(workspace.case, point)
     own = workspace.case.plan.steps.time_step
-    return _steps_timer(workspace.case, model, state, own, step)
-
-
-def _steps_timer(
-    case: Case, model: Model, state: Array, step: float, counted: float
-) -> Callable[[], float]:
-    begin = case.plan.steps.start_time
-    n_steps = case.plan.recorded_time / counted
-
-    def seconds() -> float:
-        now = model.wrapped(state)
-        started = time.process_time()
-        for number in range(N_TIMED_STEPS):
-            now = runge_kutta_step(model.rates, now, begin + number * step, step)
-        return (time.process_time() - started) / N_TIMED_STEPS * n_steps
-
-    return seconds
+    return partial(seconds_of_steps, workspace.case, model, state, own, step)
 
 
 def run_timings(workspace: Workspace) -> Iterator[RunTiming]:
@@ -132,7 +110,7 @@ def run_timings(workspace: Workspace) -> Iterator[RunTiming]:
     plan = workspace.case.plan
     runs = []
     timers: dict[object, Callable[[], float]] = {}
-    fast = {m.name: fast_model(workspace, m) for m in case.rom if m.from_operators}
+    models = {section.name: model_of(workspace, section) for section in case.rom}
     for point, model in ((p, m) for p in plan.points for m in plan.compared_at(p)):
         with workspace.open(workspace.full_run(point)) as run:
             stated = known_seconds(run) if (imported := is_imported(run)) else None
@@ -141,18 +119,13 @@ def run_timings(workspace: Workspace) -> Iterator[RunTiming]:
                 continue
             step = run.number("time_step")
             memory_length = _number(run, "memory_length")
-            n_modes = int(run.dataset("generalized_coordinates").shape[1])
-        if case.scene.has_surface:  # the surface has coordinates, too
-            n_modes = basis_used(workspace, model, point)[1]
-        own = (model.name, model.from_operators and point)
+        n_modes = basis_used(workspace, model, point)[1]
+        timed = models[model.name]
+        own = (model.name, None if timed.family.costs_alike else point)
         if not imported and FULL not in timers:
             timers[FULL] = full_run_timer(workspace, point, largest_step(case))
-        if (quick := fast.get(model.name)) is not None:
-            timers[own] = partial(seconds_of, quick.runner(point))
-        elif own not in timers:
-            reduced, state = build_model(workspace, model, point)
-            close(case, model, reduced, state, plan.steps.start_time)
-            timers[own] = _steps_timer(case, reduced, state, step, step)
+        if own not in timers:
+            timers[own] = timed.timer(point, step)
         factors = compression_factors(plan.n_particles, n_modes)
         longest = None if imported else largest_step(case)
         about = model.name, point.label, n_modes, longest, step, memory_length
@@ -227,21 +200,11 @@ def offline_seconds(
     if plan.packed and workspace.packing().path.exists():
         with workspace.open(workspace.packing()) as packing:
             training += _computing_seconds(packing)
-    offline = training
-    stages = [*map(workspace.mapped, trained), workspace.basis()]
-    if not workspace.case.scene.has_surface:
-        stages.append(workspace.splines())
-    for stage in stages:
+    family = family_of(workspace.case, model)
+    offline = training - family.others_seconds(workspace, model, list(names))
+    for stage in (*map(workspace.mapped, trained), *family.made_from(workspace)):
         with workspace.open(stage) as artifact:
             offline += _computing_seconds(artifact)
-    if model.from_operators:
-        own = [(name, model.size) for name in names if model.projection == "apg"]
-        with workspace.open(workspace.operators()) as artifact:
-            offline += _computing_seconds(artifact) - sum(
-                artifact.number(memory_timing(*closure))
-                for closure in plan.memory_models
-                if closure not in own
-            )
     return offline, training
 
 
