@@ -37,17 +37,17 @@ from rich.table import Table
 
 from sphrom.artifacts import open_artifact
 from sphrom.case.loader import load_case
-from sphrom.case.plan import lengthened
+from sphrom.case.plan_times import lengthened
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ALL, AUTO, ReducedModelSection
 from sphrom.console import SilentReporter
 from sphrom.kernels.jit import set_threads
 from sphrom.models.points.fast_model import FastModel, FastRun
+from sphrom.models.reference.stored import read_basis, read_points
 from sphrom.reduction.correction import spline_weights
 from sphrom.reduction.trial_basis import project, reconstruct, truncate, weighted_mean
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
-from sphrom.models.reference.stored import read_basis, read_points
 from sphrom.store.trajectory import snapshot_fields
 from sphrom.store.workspace import Workspace
 

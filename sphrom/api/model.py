@@ -20,14 +20,11 @@ from sphrom.case.checks import steady_problem
 from sphrom.case.fields import LARGEST
 from sphrom.case.hints import beyond_training, extrapolation
 from sphrom.case.loader import parameter_point
-from sphrom.case.plan import lengthened
+from sphrom.case.plan_times import lengthened
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import fit_ranges, percent, require_basis, trained_ranges
 from sphrom.errors import CaseError, UnstableError
-from sphrom.fit.fit import Fit, fit
-from sphrom.fit.forward_model import TrainingDifferences, box_of
-from sphrom.fit.measurements import read_measurements
 from sphrom.models.contract import Ability, family_of
 from sphrom.reduction.polynomial_model import SteadyState, steady_state
 from sphrom.setup.context import StageContext
@@ -37,6 +34,9 @@ from sphrom.text import nearest, quoted
 
 if TYPE_CHECKING:
     import xarray
+
+    from sphrom.fit.fit import Fit
+    from sphrom.fit.forward_model import TrainingDifferences
 
 LEAST_STEP = 1e-3
 """Least length of the steps of sensitivities, over the automatic one."""
@@ -104,7 +104,7 @@ class Model:
         self._require(Ability.RUNS_ALONE, "start")
         return np.array(self._reduced.start)
 
-    @guarded()
+    @guarded(solves=False)
     def at(self, **parameters: float) -> Model:
         """Return the same model at other parameter values, without reading files again.
 
@@ -224,6 +224,10 @@ class Model:
         Estimates with 95 % intervals that include the noise and the model's own errors, such as
         `fit["reynolds"].value`, `.low` and `.high`; read the warnings `fit.problems` first.
         """
+        from sphrom.fit.fit import fit
+        from sphrom.fit.forward_model import box_of
+        from sphrom.fit.measurements import read_measurements
+
         case = self._workspace.case
         section = self._section
         self._require(Ability.RUNS_ALONE, "fit")

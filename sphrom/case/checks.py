@@ -19,12 +19,8 @@ from sphrom.case import studies
 from sphrom.case.custom_sections import SurfaceForce
 from sphrom.case.fields import only_one
 from sphrom.case.models import Case
-from sphrom.case.plan import (
-    LEAST_SNAPSHOTS,
-    MAX_STEPS,
-    STEPS_PER_PERIOD,
-    WHOLE_STEPS_TOLERANCE,
-)
+from sphrom.case.plan import LEAST_SNAPSHOTS
+from sphrom.case.plan_times import MAX_STEPS, STEPS_PER_PERIOD, WHOLE_STEPS_TOLERANCE
 from sphrom.case.points import REYNOLDS, ParameterPoint, nearest_point
 from sphrom.case.scene_section import KINDS, MeasureSection
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection

@@ -23,7 +23,7 @@ from sphrom.case.driving import (
 )
 from sphrom.case.expressions import MOST_QUOTED
 from sphrom.metrics.series import pole_of
-from sphrom.sph.fluid import Fluid
+from sphrom.sph.fluid import Fluid, Resistance
 from sphrom.sph.places import N_SAMPLES, TOUCHING
 from sphrom.text import shortened
 
@@ -153,7 +153,7 @@ def problems(
 def _problems_at(driving: Driving, final_time: float, fluid: Fluid) -> Found:
     times = np.linspace(0.0, final_time, N_CHECKED)
     sound_speed = fluid.sound_speed
-    for key, signal in driving.signals().items():
+    for key, signal in driving.signals():
         if (pole := pole_of(signal, times)) is not None:
             yield key, f"is not finite at t = {pole:.4g} s"
             return
@@ -181,7 +181,7 @@ def _problems_at(driving: Driving, final_time: float, fluid: Fluid) -> Found:
 
 
 def unresolved(
-    driving: Driving, resistance: Callable[[Array], Array] | None, particle_spacing: float
+    driving: Driving, resistance: Resistance | None, particle_spacing: float
 ) -> Iterator[str]:
     """Yield the keys of fields that change within a spacing [m], so that particles miss it."""
     scene = driving.scene
@@ -191,8 +191,8 @@ def unresolved(
     if isinstance(force := driving.force, SurfaceForce):
         weight = np.array([[0.0], [force.gravity]])
         fields[BODY_FORCE] = lambda at: force(at, scene.until) + weight
-    if resistance is not None:
-        fields["resistance"] = resistance
+    if resistance is not None and resistance.own is not None:
+        fields["resistance"] = resistance.own
     for key, field in fields.items():
         at = place
         if key == KEYS[INFLOW] and scene.strip is not None:

@@ -10,11 +10,9 @@ import math
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache, partial
-from itertools import combinations
 from typing import ClassVar, Literal
 
 import numpy as np
-import shapely
 from pydantic import PrivateAttr, model_validator
 from shapely.geometry.base import BaseGeometry
 
@@ -33,21 +31,19 @@ from sphrom.case.driving import (
     INFLOW,
     Driving,
     at_places,
-    finite_peak,
-    require_finite,
 )
 from sphrom.case.expressions import CALLED, CONSTANTS, FUNCTIONS
 from sphrom.case.fields import Coordinate, Place, Positive, SafeName, Section, key
 from sphrom.case.points import REYNOLDS
 from sphrom.case.scene_section import MEASURE, OF_WALLS, Defaults, Measures, SceneSection, Settings
 from sphrom.case.shapes import ShapeSection
+from sphrom.case.slowing import Slowing
 from sphrom.case.tables import HistorySection, InitialSection
-from sphrom.metrics.measures import midpoints
 from sphrom.scenes.flows import CustomFlow, Scales, Scene
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
-from sphrom.sph.fluid import NONE, Fluid, Resistance, Strip
-from sphrom.sph.places import N_SAMPLES, Places
+from sphrom.sph.fluid import NONE, Fluid, Strip
+from sphrom.sph.places import Places
 from sphrom.sph.polygons import connects_images
 
 MOST_PLACES = 200_000
@@ -243,22 +239,14 @@ class CustomScene(SceneSection):
 
         Expressions are also checked at the places of particles with a spacing [m], and between.
         """
-        other = self.model_copy()
-        for built in (
-            "places",
-            "strip",
-            "strip_samples",
-            "ramp",
-            "_resistance",
-            "_slowest",
-            "_known",
-        ):
-            other.__dict__.pop(built, None)
         given = (*self.body_force, self.resistance)
         varied = bool(self.porous) or any(isinstance(value, str) for value in given)
         found = [np.empty((0, 2)), *self._beside_jumps()]
         if varied and MOST_PLACES * particle_spacing**2 > math.prod(self.domain.lengths):
             found += [self.domain.fill(part * particle_spacing) for part in (1.0, 0.5)]
+        keys = {name: getattr(self, name) for name in type(self).model_fields}
+        other = self.model_construct(self.model_fields_set, **keys)
+        other.__dict__.update(shapes=self.shapes, domain=self.domain)
         other._runs = Runs(settings, until, np.concatenate(found))
         return other
 
@@ -273,8 +261,7 @@ class CustomScene(SceneSection):
                 yield self.places.beside(partial(at_places, difference))
 
     def unresolved(self, particle_spacing: float) -> Iterator[str]:
-        own = None if self._resistance is None else self._resistance.own
-        return custom_checks.unresolved(self.at(), own, particle_spacing)
+        return custom_checks.unresolved(self.at(), self._slowing.resistance, particle_spacing)
 
     def flow(self, scales: Scales) -> Scene:
         here = self.at(scales.values)
@@ -283,7 +270,7 @@ class CustomScene(SceneSection):
             {name: here.wall_velocity(name) for name in self.walls},
             here.begin(scales.density),
             here.force,
-            self._resistance,
+            self._slowing.resistance,
             here.wall_amplitudes,
         )
 
@@ -334,7 +321,7 @@ class CustomScene(SceneSection):
     def check_at(self, values: Mapping[str, float]) -> None:
         here = self.at(values)
         custom_checks.check_walls(here)
-        _ = here.force, here.initial, self._resistance
+        _ = here.force, here.initial, self._slowing.resistance
         custom_checks.check_surface(here)
 
     def parameter_problems(self, names: Collection[str]) -> Iterator[tuple[str, str]]:
@@ -388,91 +375,19 @@ class CustomScene(SceneSection):
     # The resistance, which does not depend on parameters
 
     @cached_property
-    def _resistance(self) -> Resistance | None:
-        """The resistance to the flow."""
-        own = None
-        shapes = _geometries("porous", self.porous)
-        solid = shapely.union_all(list(self.shapes.values()))
-        fluid = shapely.box(*self.box.lower, *self.box.upper).difference(solid)
-        for name, shape in shapes.items():
-            if not fluid.intersection(shape).area > 0.0:
-                raise ValueError(
-                    f"porous.{name}: contains no fluid; it is in solids or out of the box"
-                )
-        if self.resistance != 0.0:
-            expression = self.at().expression("resistance", self.resistance, "x", "y")
-
-            def own(at: Array) -> Array:
-                return expression(x=at[0], y=at[1])
-
-            places = self.places.all
-            rate = own(places.T)
-            require_finite("resistance", rate, places)
-            finite_peak("resistance", self.places, own)
-            least, (x, y) = finite_peak("resistance", self.places, lambda at: -own(at))
-            if rate.min() < 0.0:
-                x, y = places[np.argmin(rate)]
-            if min(rate.min(), -least) < 0.0:
-                raise ValueError(f"resistance: is negative at ({x:g}, {y:g}) m")
-
-        if own is None and not shapes and self.strip is None:
-            return None
-        shapely.prepare(list(shapes.values()))
-        bodies = [(1.0 / self.porous[name].permeability, shape) for name, shape in shapes.items()]
-
-        def inverse(position: Array) -> Array:
-            return sum(factor * shapely.contains_xy(shape, *position) for factor, shape in bodies)
-
-        return Resistance(own, inverse if bodies else None, self.strip, self.places.wrapped)
+    def _slowing(self) -> Slowing:
+        return Slowing(self, _geometries("porous", self.porous))
 
     def largest_resistance(self, viscosity: float) -> float:
-        resistance = self._resistance
-        if resistance is None:
-            return 0.0
-        return resistance.largest(self._slowest.T, viscosity)
+        return self._slowing.largest(viscosity)
 
-    @cached_property
-    def _slowest(self) -> Array:
-        """Places (n_places, 2) [m] that include those with the largest resistance."""
-        places = [self.places.all]
-        if self._resistance is not None and self._resistance.own is not None:
-            places.append(self.places.peak(self._resistance.own)[1][None])
-        # Samples miss thin bodies.
-        parts = list(self._porous_parts.values())
-        shared = (one.intersection(other) for one, other in combinations(parts, 2))
-        inside = [part.representative_point() for part in (*parts, *shared) if part.area > 0.0]
-        return np.concatenate([*places, shapely.get_coordinates(inside)])
-
-    @cached_property
-    def _porous_parts(self) -> dict[str, BaseGeometry]:
-        """The parts of porous bodies in the fluid, by name."""
-        shapes = _geometries("porous", self.porous)
-        return {name: self.domain.fluid.intersection(shape) for name, shape in shapes.items()}
-
-    @cached_property
+    @property
     def porous_way(self) -> float:
-        """The least integral of 1/k along lines through the box [1/m], the larger of x and y."""
-        shapes = self._porous_parts
-        ways = [0.0]
-        lower = self.domain.lower
-        upper = self.domain.upper
-        for axis in range(2) if shapes else ():
-            middles = midpoints(lower[axis], upper[axis], N_SAMPLES)
-            lines = shapely.intersection(self.domain.fluid, self.places.lines(axis, middles))
-            lines = lines[shapely.length(lines) > 0.0]
-            parts = (
-                shapely.length(shapely.intersection(shape, lines)) / self.porous[name].permeability
-                for name, shape in shapes.items()
-            )
-            ways.append(float(sum(parts).min(initial=math.inf)))
-        return max(ways)
+        return self._slowing.way
 
     @property
     def porous_widths(self) -> dict[str, float]:
-        """The width [m] of each porous body, the diameter of the largest circle in it."""
-        parts = self._porous_parts.items()
-        circles = {name: shapely.maximum_inscribed_circle(part) for name, part in parts}
-        return {name: 2.0 * float(circle.length) for name, circle in circles.items()}
+        return self._slowing.widths
 
 
 def _geometries(where: str, sections: Mapping[str, ShapeSection]) -> dict[str, BaseGeometry]:

@@ -10,7 +10,7 @@ import itertools
 import math
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping
-from functools import cached_property, reduce
+from functools import cached_property, lru_cache, reduce
 from types import MappingProxyType
 from typing import Any
 
@@ -30,6 +30,8 @@ FUNCTIONS = {
 """Functions that numexpr evaluates, with their numbers of arguments."""
 CALLED = ("interp", "max", "min")
 """Functions that are evaluated before the others, because numexpr lacks them."""
+MOST_COMPILED = 1000
+"""Most texts whose trees and compiled forms are kept, because points of a case share them."""
 MOST_INPUTS = 30
 """Most variables and calls of those functions that numexpr can take."""
 CONSTANTS = {"pi": math.pi}
@@ -69,11 +71,10 @@ class Expression:
         self._variables, self._histories = variables, histories
         self._constants = {**CONSTANTS, **(constants or {})}
         self._tree = _parsed(text)
-        _check(self._tree.body, (*variables, *self._constants), self._histories)
-        used = {node.id for node in ast.walk(self._tree) if isinstance(node, ast.Name)}
-        self.depends_on = frozenset(used.intersection(variables))
+        _check(self._tree, (*variables, *self._constants), self._histories)
+        self.depends_on = _names(self._tree) & frozenset(variables)
         plain = _Plain(self._constants, (*CALLED, *histories))
-        self._text = ast.unparse(plain.visit(_parsed(text)))
+        self._plain = plain.visit(ast.parse(text.strip(), mode="eval").body)
         self._names = sorted(plain.names)
         self._calls = [self._call(node) for node in plain.calls.values()]
 
@@ -81,7 +82,7 @@ class Expression:
         """Return a function for the values of a call, given those of the variables."""
         name = _name(node)
         parts = [self._like(ast.unparse(part)) for part in node.args]
-        _ = [part.compiled for part in parts]
+        _ = [part.compiled if part.depends_on else part._fixed for part in parts]
         if name in self._histories:
             return lambda given: self._histories[name](parts[0]._of(given))
         if name != "interp":
@@ -89,7 +90,7 @@ class Expression:
             return lambda given: reduce(chosen, [part._of(given) for part in parts])
         if any(place.depends_on for place in parts[1::2]):
             raise ValueError(f"the places in '{_short(node)}' must be numbers or constants")
-        places = [float(place()) for place in parts[1::2]]
+        places = [float(place._fixed) for place in parts[1::2]]
         if not all(low < high for low, high in itertools.pairwise(places)):
             raise ValueError(f"the places in '{_short(node)}' must increase")
 
@@ -110,7 +111,8 @@ class Expression:
 
     @cached_property
     def _fixed(self) -> Array:
-        return self()
+        plain = self._plain  # a knot's value is often one constant, which need not be compiled
+        return np.asarray(plain.value) if isinstance(plain, ast.Constant) else self()
 
     def _like(self, text: str, variables: tuple[str, ...] | None = None) -> Expression:
         """Return another expression of the same names, or of other variables."""
@@ -133,19 +135,13 @@ class Expression:
     @cached_property
     def compiled(self) -> Callable[..., Any]:
         """The compiled expression. Raises ValueError where it can't be evaluated."""
-        import numexpr  # late, because few scenes need it
-
-        numexpr.set_num_threads(1)
-        names = [(name, np.float64) for name in self._names]
         try:
-            if len(names) > MOST_INPUTS:
+            if len(self._names) > MOST_INPUTS:
                 raise ValueError(f"it calls {', '.join(CALLED)} or histories too often")
-            with np.errstate(all="ignore"):
-                compiled: Callable[..., Any] = numexpr.NumExpr(self._text, names)
+            return _compiled(ast.unparse(self._plain), tuple(self._names))
         except (OverflowError, ZeroDivisionError, ValueError, TypeError) as error:
             reason = error.args[-1]
             raise ValueError(f"{_quoted(self.text)} can't be evaluated: {reason}") from error
-        return compiled
 
     def __call__(self, **variables: Array | float) -> Array:
         """Return the values, in the shape to which the variables broadcast."""
@@ -164,7 +160,7 @@ class Expression:
 
         Degree one means affine in these names, and degree zero independent of them.
         """
-        return _degree(self._tree.body, names)
+        return _degree(self._tree, names)
 
     def separated(self, variable: str) -> tuple[Expression, Expression]:
         """Split the expression into a factor without a variable and one with this variable alone.
@@ -173,8 +169,8 @@ class Expression:
         """
         without: list[str] = []
         alone: list[str] = []
-        for factor, inverse in _factors(self._tree.body):
-            used = self.depends_on & {n.id for n in ast.walk(factor) if isinstance(n, ast.Name)}
+        for factor, inverse in _factors(self._tree):
+            used = self.depends_on & _names(factor)
             if variable in used and used != {variable}:
                 raise ValueError(
                     f"{_quoted(self.text)} must be a field times an amplitude, such as "
@@ -255,8 +251,21 @@ class _Plain(ast.NodeTransformer):
         return ast.Constant(float(node.value))  # type: ignore[arg-type]
 
 
-def _parsed(text: str) -> ast.Expression:
-    """Return the syntax tree of a text, with at most MAX_DEPTH levels, safe for recursion."""
+@lru_cache(MOST_COMPILED)
+def _compiled(text: str, names: tuple[str, ...]) -> Callable[..., Any]:
+    import numexpr  # late, because few scenes need it
+
+    numexpr.set_num_threads(1)
+    with np.errstate(all="ignore"):
+        return numexpr.NumExpr(text, [(name, np.float64) for name in names])
+
+
+@lru_cache(MOST_COMPILED)
+def _parsed(text: str) -> ast.expr:
+    """Return the syntax tree of a text, with at most MAX_DEPTH levels, safe for recursion.
+
+    It must not be changed, because expressions of the same text share it.
+    """
     try:
         tree = ast.parse(text.strip(), mode="eval")
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
@@ -266,7 +275,11 @@ def _parsed(text: str) -> ast.Expression:
         level = [part for node in level for part in ast.iter_child_nodes(node)]
     if level:
         raise ValueError(f"an expression may have at most {MAX_DEPTH} nested levels")
-    return tree
+    return tree.body
+
+
+def _names(node: ast.expr) -> frozenset[str]:
+    return frozenset(part.id for part in ast.walk(node) if isinstance(part, ast.Name))
 
 
 def _name(call: ast.Call) -> str:
@@ -310,7 +323,7 @@ def _arguments(node: ast.Call, histories: Collection[str]) -> list[ast.expr]:
     name = _name(node)
     number = len(node.args)
     if name in histories:
-        used = {part.id for part in ast.walk(node) if isinstance(part, ast.Name)}
+        used = _names(node)
         if number != 1 or "t" not in used or used & {"x", "y"}:
             raise ValueError(f"{name} is a history, which takes a time, such as {name}(t)")
         return node.args

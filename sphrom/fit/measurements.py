@@ -30,10 +30,10 @@ from sphrom.arrays import Array
 from sphrom.case.checks import outside_fluid
 from sphrom.case.fields import LARGEST
 from sphrom.case.models import Case
-from sphrom.case.plan import TimeSteps
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import PLACED, Column
 from sphrom.metrics.series import OSCILLATION
+from sphrom.sph.time_loop import TimeSteps
 from sphrom.text import nearest, quoted, repeated, shortened, table_rows, visible
 from sphrom.whole_files import read_whole
 

@@ -51,8 +51,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.arrays import Array
-from sphrom.declaration import Record, attribute, dataset, part
+from sphrom.declaration import Record, Tensors, attribute, dataset, part
 from sphrom.metrics.series import dominant_frequency, hat, moving_average
+from sphrom.reduction.affine import VISCOSITY, Affine
 from sphrom.reduction.correction import spline_weights
 from sphrom.reduction.reduced_measures import PointForce
 from sphrom.reduction.reduced_operators import Polynomial, ReducedOperators
@@ -98,12 +99,12 @@ class CorrectedRates(Record):
     constant: Array = dataset("mode", "of the modes, /s", "constant rate", "c")
     linear: Array = dataset("mode mode", "of the modes, /s", "linear rate", "A")
 
-    def polynomial(self, energy: float | None) -> Polynomial:
+    def tensors(self, energy: float | None) -> Tensors:
         """Return the rates; with `energy`, the constant is multiplied by energy |a|^2."""
         if energy is None:
-            return Polynomial(((self.constant, self.linear),))
+            return self.constant, self.linear
         quadratic = energy * self.constant[:, None, None] * np.eye(len(self.constant))
-        return Polynomial(((np.zeros_like(self.constant), self.linear, quadratic),))
+        return np.zeros_like(self.constant), self.linear, quadratic
 
 
 class Slope(CorrectedRates):
@@ -133,13 +134,12 @@ class Calibration(Record):
         self, kinematic_viscosity: float, factors: Mapping[str, float] | None = None
     ) -> Polynomial:
         """Return the correction at a viscosity [m2/s] and at values of the other parameters."""
-        excess = kinematic_viscosity / self.mean_viscosity - 1.0
-        slope = self.slope.polynomial(self.energy)
-        correction = self.at_mean.polynomial(self.energy).plus(slope, excess)
+        offsets = {VISCOSITY: kinematic_viscosity / self.mean_viscosity - 1.0}
         for name, other in self.others.items():
-            offset = ((factors or {})[name] - other.mean) / other.largest
-            correction = correction.plus(other.polynomial(self.energy), offset)
-        return correction
+            offsets[name] = ((factors or {})[name] - other.mean) / other.largest
+        slopes = {VISCOSITY: self.slope, **self.others}
+        parts = [((name,), slope.tensors(self.energy)) for name, slope in slopes.items()]
+        return Polynomial(Affine([((), self.at_mean.tensors(self.energy)), *parts]).at(offsets))
 
 
 def calibrate(

@@ -20,7 +20,6 @@ from functools import partial
 import numpy as np
 
 from sphrom.arrays import Array
-from sphrom.kernels import exponential as kernels
 from sphrom.reduction.polynomial_model import (
     EXPONENTIAL,
     Amplitude,
@@ -190,6 +189,8 @@ class ExponentialModel(PolynomialModel):
     def _integrate(
         self, n_steps: int, output_times: OutputTimes, driven: Driven, out: Array
     ) -> int:
+        from sphrom.kernels import exponential as kernels  # only runs need compiled code
+
         matrices, ratio = self._method(n_steps, output_times)
         return kernels.integrate(
             *driven, *matrices, ratio.n_steps(len(out) - 1),

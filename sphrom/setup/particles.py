@@ -12,7 +12,7 @@ import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.case.models import Case
-from sphrom.case.plan import BEYOND
+from sphrom.case.plan_flows import BEYOND
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
 from sphrom.kernels import SUPPORT_RATIO

@@ -18,7 +18,6 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.metrics.measures import Probes, Samples, grid_points, midpoints, spread
-from sphrom.setup.particles import sampler
 from sphrom.sph.fluid import pressure_of
 from sphrom.store.trajectory import snapshot_fields
 
@@ -69,6 +68,8 @@ def sample_run(
 
     A run that became unstable is sampled as long as there are particles near all points.
     """
+    from sphrom.setup.particles import sampler  # it loads kernels
+
     times = trajectory.read("time")
     sample = sampler(case, points)
     chosen = range(len(times)) if snapshots is None else snapshots

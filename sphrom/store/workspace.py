@@ -20,7 +20,7 @@ from sphrom.artifacts import (
     open_artifact,
     probe,
 )
-from sphrom.artifacts.reader import Fault, inspect, open_file
+from sphrom.artifacts.contents import Fault, inspect, open_file
 from sphrom.case.fields import Section
 from sphrom.case.loader import case_of_text
 from sphrom.case.models import VERSIONS, inputs_digest, section_inputs, stated

@@ -13,10 +13,10 @@ from sphrom.case.models import Case
 from sphrom.console import Reporter
 from sphrom.errors import ArtifactError
 from sphrom.models import fom, stages
+from sphrom.models.reference.stored import read_basis, read_splines
 from sphrom.reduction.mode_splines import basis_columns
 from sphrom.reduction.trial_basis import mean_density_fluctuation, project, weighted_mean
 from sphrom.setup.context import StageContext
-from sphrom.models.reference.stored import read_basis, read_splines
 from sphrom.store.workspace import Workspace
 
 SECTIONS = {

@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sphrom.models.reference.stored import read_basis, read_points, read_splines
 
 from sphrom.artifacts import open_artifact, read_record
 from sphrom.case.loader import load_case
 from sphrom.case.points import ParameterPoint
 from sphrom.models.points.fast_model import FastModel
+from sphrom.models.reference.stored import read_basis, read_points, read_splines
 from sphrom.models.stored_run import StoredRun
-from sphrom.reduction.operator_projection import project_memory
+from sphrom.reduction.memory_projection import project_memory
 from sphrom.reduction.reduced_operators import MemoryOperators
 from sphrom.reduction.reference_model import automatic, step_tolerance
 from sphrom.setup import particles
@@ -178,8 +178,7 @@ def test_closures_at_any_viscosity_are_those_assembled_there(made, workspace_of,
         particles.fixed_points(workspace.case, read_points(workspace)),
         read_basis(workspace, "all"),
         read_splines(workspace, "all"),
-        kinematic_viscosity=viscosity,
-    )
+    ).at(viscosity)
     assert len(stored.powers) == len(direct.powers)
     for found, expected in zip(stored.powers, direct.powers, strict=True):
         for one, other in zip(found, expected, strict=True):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.reduction.operator_projection import project_forces
+from sphrom.reduction.force_projection import project_forces
 from sphrom.reduction.reduced_measures import TimedLoads
 from sphrom.reduction.stokes_fields import StokesFields
 from sphrom.sph.functional import MeasuredWall

@@ -14,7 +14,7 @@ import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.case.models import Case
-from sphrom.case.plan import MAX_STEPS
+from sphrom.case.plan_times import MAX_STEPS
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError

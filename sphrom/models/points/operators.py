@@ -22,7 +22,8 @@ from sphrom.artifacts.records.reduced_models import (
     TrainedMeasure,
     WallForce,
 )
-from sphrom.case.plan import LEAST_SNAPSHOTS, MAX_STEPS
+from sphrom.case.plan import LEAST_SNAPSHOTS
+from sphrom.case.plan_times import MAX_STEPS
 from sphrom.case.sections import AUTO
 from sphrom.machine import computing_seconds
 from sphrom.metrics.series import smoothed
@@ -38,13 +39,10 @@ from sphrom.plots.tables import format_figure
 from sphrom.reduction import held_out, reference_model, trial_basis
 from sphrom.reduction.decomposition import N_FIELD_VALUES
 from sphrom.reduction.error_calibration import LEFT_OUT, compared_snapshots
+from sphrom.reduction.force_projection import project_forces
+from sphrom.reduction.memory_projection import project_memory
 from sphrom.reduction.mode_fields import BLOCK_VALUES, FieldProjections, blocks, mode_fields
-from sphrom.reduction.operator_projection import (
-    project_forces,
-    project_memory_operators,
-    project_operators,
-    residual_factor,
-)
+from sphrom.reduction.operator_projection import project_operators, residual_factor
 from sphrom.reduction.polynomial_model import step_limit
 from sphrom.reduction.reduced_measures import project_measures
 from sphrom.reduction.reduced_operators import (
@@ -138,11 +136,8 @@ class _Projection:
         with self.report.progress(f"memory operators, basis {self.name}", len(sizes)) as advance:
             for n_modes in sizes:
                 started = computing_seconds()
-                closures[str(n_modes)] = project_memory_operators(
-                    self.points,
-                    truncate(self.basis, n_modes),
-                    self.splines.first(n_modes),
-                    largest_viscosity=self.case.plan.largest_viscosity,
+                closures[str(n_modes)] = project_memory(
+                    self.points, truncate(self.basis, n_modes), self.splines.first(n_modes)
                 )
                 taken = computing_seconds() - started
                 artifact.annotate(memory_timing(self.name, n_modes), taken)
