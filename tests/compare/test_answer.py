@@ -109,4 +109,4 @@ def test_the_recommended_model_is_the_fastest_of_the_most_accurate() -> None:
     names = [model.name for model in _by_preference(case, tables)]
     assert names == ["quick", "slow", "coarse", "particles"]
     tables.errors.append(replace(tables.errors[4], status="unstable", errors=NO_ERRORS))
-    assert _by_preference(SimpleNamespace(rom=rom), tables)[0].name == "slow"
+    assert _by_preference(case, tables)[0].name == "slow"
