@@ -1,8 +1,8 @@
-"""What a reduced model is: a family of models, a model at any parameters, and its runs.
+"""The contract of reduced models: a family, a model at any parameters, and its runs.
 
 A family makes its models in stages (map, basis, splines, training), and opens them. Users of models
-ask for an `Ability`, and `Family.require` refuses by name what a family lacks; nothing outside of a
-family's room depends on the kind of a model. The plan of a case names the family of its models, and
+ask for an `Ability`, and `Family.require` refuses by name each one that a family lacks; nothing outside
+of a family's room depends on the kind of a model. The plan of a case names the family of its models, and
 `FAMILIES` is the list of all.
 """
 
@@ -44,7 +44,7 @@ At = TypeVar("At")
 
 
 class Ability(Enum):
-    """What some families of models can do, and others cannot."""
+    """An ability of some families of models, which others lack."""
 
     RUNS_ALONE = "runs in memory, from coordinates"
     OTHER_TIMES = "runs with other final times"
@@ -99,8 +99,7 @@ class Family:
         - `run_point(workspace, section, point)` runs a model, and writes its artifact.
         - `sized(workspace, section, basis)` returns a section with its number of modes in a basis.
         - `stored_run` is the class of its stored runs, a `StoredRun`.
-        - `limits(workspace, sections, point, probes)` yields what models are compared with, each a
-          `Limit`.
+        - `limits(workspace, sections, point, probes)` yields each `Limit` of the models at a point.
         - `measured_at(workspace, point)` returns measurements of a mapped full run that are not
           among those of the case.
         """
@@ -112,7 +111,7 @@ class Family:
         return ability not in self.lacks
 
     def require(self, ability: Ability, asked: str, model: str = "") -> None:
-        """Raise CaseError that names what was asked for if the family lacks an ability."""
+        """Raise CaseError that names the request if the family lacks an ability."""
         if ability in self.lacks:
             raise CaseError(f"{asked}: {self.lacks[ability].format(model=model)}")
 

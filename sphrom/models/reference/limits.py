@@ -1,4 +1,4 @@
-"""What models on the reference space are compared with: the map, and the best states of a basis."""
+"""Limits of models on the reference space: the map, and the best states of a basis."""
 
 from __future__ import annotations
 
