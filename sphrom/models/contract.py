@@ -1,9 +1,9 @@
 """The contract of reduced models: a family, a model at any parameters, and its runs.
 
 A family makes its models in stages (map, basis, splines, training), and opens them. Users of models
-ask for an `Ability`, and `Family.require` refuses by name each one that a family lacks; nothing outside
-of a family's room depends on the kind of a model. The plan of a case names the family of its models, and
-`FAMILIES` is the list of all.
+ask for an `Ability`, and `Family.require` refuses by name each one that a family lacks; nothing
+outside of a family's room depends on the kind of a model. The plan of a case names the family of
+its models, and `FAMILIES` is the list of all.
 """
 
 from __future__ import annotations
