@@ -25,7 +25,7 @@ from sphrom.models.contract import (
     ModelRun,
     best_name,
 )
-from sphrom.models.starts import start
+from sphrom.models.starts import RunStarts, start
 from sphrom.models.stored_run import ComputedRun
 from sphrom.models.surface.stored import elevation_of, trained_size
 from sphrom.reduction.graph_model import GraphModel, GraphRun, calibrated_model
@@ -75,7 +75,13 @@ class SurfaceModel(Model[SurfaceModelAt]):
             self.trained = stored.graph
         sized = section.model_copy(update={"n_modes": self.trained.n_modes})
         super().__init__(workspace, sized)
-        self._starts: dict[object, Array] = {}
+        known = stored.starts if stored is not None else None
+        if known is None:
+            self._starts = RunStarts(workspace, self.start_from)
+        else:
+            self._starts = RunStarts(
+                workspace, self.start_from, known.parameters, known.coordinates
+            )
 
     def at(self, point: ParameterPoint) -> SurfaceModelAt:
         """Return the model at a parameter point."""
@@ -92,27 +98,21 @@ class SurfaceModel(Model[SurfaceModelAt]):
         steps = case.plan.model_steps(self.section)
         density = case.fluid.reference_density
         times = OutputTimes(steps.snapshot_interval, steps.n_snapshots, steps.start_time)
-        return SurfaceModelAt(graph, density, self._start(point), times)
+        return SurfaceModelAt(graph, density, self._starts.at(point), times)
 
-    def _start(self, point: ParameterPoint) -> Array:
-        """Return the coordinates that runs at a point start from."""
+    def start_from(self, begin: ParameterPoint) -> Array:
+        """Return the coordinates of the state from which a run at a point starts."""
         case = self.workspace.case
-        spun_up = self.workspace.case.time.spin_up > 0.0
-        begin = case.plan.start_point(point)
-        own = ((n, v) for n, v in begin.factors.items() if case.scene.starts_by(n))
-        key = begin if spun_up else tuple(own)
-        if key not in self._starts:
-            state = start(self.workspace, begin)
-            columns = case.plan.surface_columns
-            level = case.scene.level_at(begin.factors)
-            elevation = np.full_like(columns, level)
-            if spun_up or not math.isfinite(level):
-                elevation = elevation_of(case, self.basis.space, columns)(
-                    state.position, state.density_fluctuation
-                )
-            coefficients, _ = self.basis.space.fit(state.position, state.velocity)
-            self._starts[key] = self.basis.project(coefficients[None], elevation[None])[0]
-        return self._starts[key]
+        state = start(self.workspace, begin)
+        columns = case.plan.surface_columns
+        level = case.scene.level_at(begin.factors)
+        elevation = np.full_like(columns, level)
+        if case.time.spin_up > 0.0 or not math.isfinite(level):
+            elevation = elevation_of(case, self.basis.space, columns)(
+                state.position, state.density_fluctuation
+            )
+        coefficients, _ = self.basis.space.fit(state.position, state.velocity)
+        return self.basis.project(coefficients[None], elevation[None])[0]
 
     def run(self, point: ParameterPoint, reduced: SurfaceModelAt | None = None) -> SurfaceRun:
         """Run the model at a parameter point; `reduced` may have other output times."""
