@@ -14,7 +14,6 @@ from sphrom.artifacts.records.runs import TrainedSurfaceModel
 from sphrom.case.points import ParameterPoint
 from sphrom.case.scene_section import MeasureSection
 from sphrom.case.sections import ALL, ReducedModelSection
-from sphrom.errors import UnstableError
 from sphrom.metrics.measures import Probes, Quantities, Samples, grid_points, with_coefficients
 from sphrom.models.contract import (
     N_TIMED,
@@ -131,6 +130,7 @@ class SurfaceModel(Model[SurfaceModelAt]):
 
     def _run_of(self, point: ParameterPoint, reduced: SurfaceModelAt, run: GraphRun) -> SurfaceRun:
         interval = reduced.output_times.interval
+        where = f"t = {run.end_time:.6g} s, x = {run.end_place:.4g} m"
         return SurfaceRun(
             model=self,
             point=point,
@@ -138,7 +138,7 @@ class SurfaceModel(Model[SurfaceModelAt]):
             time=run.times,
             coordinates=run.coordinates,
             time_step=interval / math.ceil(interval / reduced.graph.time_step),
-            ending=run,
+            ended=None if run.ended is None else f"ended at {where}: {run.ended}",
         )
 
 
@@ -148,18 +148,6 @@ class SurfaceRun(ModelRun):
 
     model: SurfaceModel
     reduced: SurfaceModelAt
-    ending: GraphRun
-    """Its time, place and reason, if it ended early."""
-
-    @property
-    def failure(self) -> UnstableError | None:
-        """Why the run ended early; None where it didn't."""
-        run = self.ending
-        if run.ended is None:
-            return None
-        return UnstableError(
-            f"ended at t = {run.end_time:.6g} s, x = {run.end_place:.4g} m: {run.ended}"
-        )
 
     @property
     def kinetic_energy(self) -> Array:
