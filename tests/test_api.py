@@ -163,7 +163,7 @@ def test_points_along_periodic_axes_may_be_anywhere(model):
 
 def test_a_model_moves_to_other_values_without_reading_again(study, model, monkeypatch):
     there = study.model("fast", reynolds=120).run()
-    monkeypatch.setattr("sphrom.store.workspace.open_artifact", None)
+    monkeypatch.setattr("sphrom.store.artifact_folder.open_artifact", None)
     again = model.at(reynolds=120)
     assert again.parameters == {"reynolds": 120.0}
     np.testing.assert_array_equal(again.run().coordinates, there.coordinates)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from dataclasses import dataclass
 from itertools import chain
 
 from sphrom.case.models import Case
@@ -10,7 +11,8 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.study_sections import FULL
 from sphrom.compare.answer import tell_answer
-from sphrom.compare.comparison_figures import draw_comparison, exact_samples, spectrum_rows
+from sphrom.compare.basis_figures import spectrum_rows
+from sphrom.compare.comparison_figures import draw_comparison, exact_samples
 from sphrom.compare.comparison_tables import (
     DecayRow,
     Tables,
@@ -63,7 +65,9 @@ def run(context: StageContext) -> None:
             for point in case.plan.points:
                 writer = ComparisonWriter(artifact, point, probes)
                 _PointComparison(workspace, writer, tables).compare()
-            tables.decay.extend(_decay(workspace, *pair) for pair in _exact_flows(case))
+            tables.decay.extend(
+                _decay(workspace, point, flow) for point, flow in _exact_flows(case)
+            )
             tables.singular_values.extend(spectrum_rows(workspace))
             tables.timings.extend(run_timings(workspace))
             tables.stages.extend(stage_timings(workspace))
@@ -74,6 +78,16 @@ def run(context: StageContext) -> None:
         draw_comparison(workspace, tables, again=is_new)
     show(context.report, tables)
     tell_answer(workspace, tables)
+
+
+@dataclass(frozen=True)
+class _Run:
+    """What is compared: its name, its basis and its number of modes, if any, and how it ended."""
+
+    name: str
+    basis: str | None = None
+    n_modes: int | None = None
+    status: str = "complete"
 
 
 def _exact_flows(case: Case) -> list[tuple[ParameterPoint, TaylorGreen]]:
@@ -105,13 +119,11 @@ class _PointComparison:
     def __init__(self, workspace: Workspace, writer: ComparisonWriter, tables: Tables) -> None:
         self.workspace = workspace
         self.case = workspace.case
-        self.point = writer.point
-        self.probes = writer.probes
         self.writer = writer
         self.tables = tables
+        self.point = point = writer.point
+        self.probes = probes = writer.probes
         plan = self.case.plan
-        point = writer.point
-        probes = writer.probes
         self.models = plan.compared_at(point)
         with workspace.open(workspace.full_run(point)) as trajectory:
             require_complete(trajectory)
@@ -133,9 +145,10 @@ class _PointComparison:
 
     def compare(self) -> None:
         """Add all comparisons at this point to the artifact and the tables."""
-        self._measure(FULL, self.measured)
+        full = _Run(FULL)
+        self._measure(full, self.measured)
         if "exact" in self.references:
-            self._add(self.full, FULL, against="exact")
+            self._add(full, self.full, "exact")
         if self.models:
             self._compare_limits()
         for model in self.models:
@@ -146,32 +159,35 @@ class _PointComparison:
         """Compare the best that models can be, and simpler models."""
         limits = self.family.part("limits")
         for best in limits(self.workspace, self.models, self.point, self.probes):
-            self._add(best.samples, best.name, FULL, best.basis, best.n_modes, best.status)
+            compared = _Run(best.name, best.basis, best.n_modes, best.status)
+            self._add(compared, best.samples)
             if best.measured is not None:
-                self._measure(best.name, best.measured, best.basis, best.n_modes)
+                self._measure(compared, best.measured)
 
     def _compare_model(self, model: ReducedModelSection) -> None:
         workspace = self.workspace
         case = self.case
-        point = self.point
-        target = workspace.reduced_run(model, point)
-        basis, size = basis_used(workspace, model, point)
-        with workspace.open(target) as trajectory:
-            status = trajectory.text("status")
-            run = StoredRun.of(workspace, trajectory, point, model)
+        basis, size = basis_used(workspace, model, self.point)
+        with workspace.open(workspace.reduced_run(model, self.point)) as trajectory:
+            compared = _Run(model.name, basis, size, trajectory.text("status"))
+            run = StoredRun.of(workspace, trajectory, self.point, model)
             reduced = self._sampled(model.name, run)
             self._describe_flow(model.name, run, reduced)
-            if status == "complete":  # a run that stopped early has no estimates and no speed-up
-                about = self._described(model.name, basis)
-                begin = case.compare.from_time
-                estimate = estimate_row(trajectory, reduced, self.full, self.probes, begin, **about)
-                if estimate is not None:
-                    self.tables.estimates.append(estimate)
-                estimates = measured_estimates(case, trajectory)
+            # A run that stopped early has no estimates and no speed-up.
+            if compared.status == "complete":
+                estimate = estimate_row(
+                    trajectory,
+                    reduced,
+                    self.full,
+                    self.probes,
+                    case.compare.from_time,
+                    **self._described(compared),
+                )
+                self.tables.estimates.extend(filter(None, [estimate]))
                 measured = {**measured_of(case, trajectory), **run.whole}
-                self._measure(model.name, measured, basis, size, estimates)
+                self._measure(compared, measured, measured_estimates(case, trajectory))
         for against in self.references:
-            self._add(reduced, model.name, against, basis, size, status)
+            self._add(compared, reduced, against)
 
     def _sampled(self, name: str, run: StoredRun) -> Samples:
         text = f"sample {name}, {self.point.label}"
@@ -185,56 +201,58 @@ class _PointComparison:
             self.tables.flow.append(row)
 
     def _measure(
-        self,
-        name: str,
-        measured: Measured,
-        basis: str | None = None,
-        n_modes: int | None = None,
-        estimates: Measured | None = None,
+        self, compared: _Run, measured: Measured, estimates: Measured | None = None
     ) -> None:
+        """Add the rows of a run's measurements, grouped by quantity."""
         since = self.case.compare.from_time
         plan = self.case.plan
-        rows = measure_rows(
+        for row in measure_rows(
             measured,
             self.measured,
             self.full.time,
-            lambda each: max(since, plan.means_from.get(each, plan.settled_from)),
+            lambda name: max(since, plan.means_from.get(name, plan.settled_from)),
             estimates or {},
-            with_weight=plan.with_weight,
-            n_modes=n_modes,
-            **self._described(name, basis),
-        )
-        runs = self.full.time, measured, self.measured
-        self.tables.oscillations.extend(oscillation_rows(self.case, *runs, name, self.point.label))
-        for row in rows:  # grouped by quantity
+            with_weight=self.case.plan.with_weight,
+            n_modes=compared.n_modes,
+            **self._described(compared),
+        ):
             self.measures[row.measured, row.quantity].append(row)
+        self.tables.oscillations.extend(
+            oscillation_rows(
+                self.case,
+                self.full.time,
+                measured,
+                self.measured,
+                compared=compared.name,
+                parameters=self.point.label,
+            )
+        )
 
-    def _described(self, name: str, basis: str | None) -> dict[str, str]:
+    def _described(self, compared: _Run) -> dict[str, str]:
+        basis = compared.basis
         role = "" if basis is None else role_of(self.case, basis, self.point)
-        return {"compared": name, "parameters": self.point.label, "role": role}
+        return {"compared": compared.name, "parameters": self.point.label, "role": role}
 
-    def _add(
-        self,
-        samples: Samples,
-        compared: str,
-        against: str = FULL,
-        basis: str | None = None,
-        n_modes: int | None = None,
-        status: str = "complete",
-    ) -> None:
+    def _add(self, compared: _Run, samples: Samples, against: str = FULL) -> None:
+        """Add the errors of a run, and its samples."""
+        run = samples
+        reference = self.references[against]
+        plan = self.case.plan
+        if (weight := plan.weight_at(self.point, self.probes.all)) is not None:
+            run, reference = without_weight(run, reference, weight)
         begin = self.case.compare.from_time
-        period = self.case.plan.longest_sound_period
-        both = samples, self.references[against]
-        if (weight := self.case.plan.weight_at(self.point, self.probes.all)) is not None:
-            both = without_weight(*both, weight)
-        history = compare(*both, self.probes, begin, period)
-        if status == "complete" and len(history.time) == 0:
+        history = compare(run, reference, self.probes, begin, plan.longest_sound_period)
+        if compared.status == "complete" and len(history.time) == 0:
             raise CaseError(
                 "compare.line_points, compare.grid, compare.from_time: the "
                 f"{against} solution is constant over the probes at all snapshots"
             )
         row = error_row(
-            history, status, n_modes, against=against, **self._described(compared, basis)
+            history,
+            compared.status,
+            compared.n_modes,
+            against=against,
+            **self._described(compared),
         )
         self.tables.errors.append(row)
         self.writer.run(row, history, samples)

@@ -188,9 +188,9 @@ def estimate_row(
 def show(report: Reporter, tables: Tables) -> None:
     """Show errors, estimates and measurements, and other tables as details."""
     errors = [r for r in tables.errors if "full" in (r.against, r.compared)]
-    _show(report, errors, *NORMS)
-    _show(report, tables.estimates, *ESTIMATES)
-    _show(report, tables.measures, *MEASURES)
+    _show(report, errors, NORMS)
+    _show(report, tables.estimates, ESTIMATES)
+    _show(report, tables.measures, MEASURES)
     unsettled = [r for r in tables.reference if not r.settled]
     if unsettled:
         where = ", ".join(dict.fromkeys(r.parameters for r in unsettled))
@@ -201,7 +201,7 @@ def show(report: Reporter, tables: Tables) -> None:
         )
     settled = [r for r in tables.reference if r.settled]
     oscillations = sorted(tables.oscillations, key=lambda row: row.measured)
-    whole: tuple[tuple[str, Sequence[DataclassInstance]], ...] = (
+    complete: tuple[tuple[str, Sequence[DataclassInstance]], ...] = (
         ("oscillations, with errors, and phases at the end, relative to full runs", oscillations),
         ("full runs and reference solutions, means over a time window", settled),
         ("flow of each run", tables.flow),
@@ -212,16 +212,18 @@ def show(report: Reporter, tables: Tables) -> None:
             tables.timings,
         ),
     )
-    for title, rows in whole:  # with all columns of their files
+    for title, rows in complete:  # with all columns of their files
         if rows:
             names = (heading.replace("_", " ") for heading in headings(type(rows[0])))
             shown = report if rows is oscillations else report.details
-            _show(shown, rows, title, [*zip(names, flat(rows[0]), strict=True)])
+            _show(shown, rows, (title, tuple(zip(names, flat(rows[0]), strict=True))))
 
 
 def _show(
-    report: Reporter, rows: Sequence[DataclassInstance], title: str, columns: Sequence[Column]
+    report: Reporter, rows: Sequence[DataclassInstance], described: tuple[str, tuple[Column, ...]]
 ) -> None:
+    """Show rows, if there are any, with a title and columns."""
+    title, columns = described
     if rows:
         cells = [
             [cell(r) if callable(cell) else format_figure(r[cell]) for _, cell in columns]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -82,7 +82,7 @@ def taking_turns(timed: Mapping[Any, Callable[[], float]], repeats: int) -> dict
     threads = asked_for()
     ask_for_threads(1)
     try:
-        rounds = np.array([[each() for each in timed.values()] for _ in range(repeats + 1)])
+        rounds = np.array([[timer() for timer in timed.values()] for _ in range(repeats + 1)])
     finally:
         ask_for_threads(threads)
     return dict(zip(timed, rounds[1:].T, strict=True))
@@ -94,12 +94,12 @@ def full_run_timer(workspace: Workspace, point: ParameterPoint, step: float) -> 
     It times some of the case's own steps in the middle of a run, because the cost of a step depends
     neither on its length nor on parameters.
     """
+    case = workspace.case
     with workspace.open(workspace.full_run(point)) as run:
         position, density, velocity = snapshot_fields(run, run.length("time") // 2)
     state = np.vstack((position.T, density, velocity.T))
-    model = particles.functional(workspace.case, point)
-    own = workspace.case.plan.steps.time_step
-    return partial(seconds_of_steps, workspace.case, model, state, own, step)
+    model = particles.functional(case, point)
+    return partial(seconds_of_steps, case, model, state, case.plan.steps.time_step, step)
 
 
 def run_timings(workspace: Workspace) -> Iterator[RunTiming]:
@@ -108,38 +108,56 @@ def run_timings(workspace: Workspace) -> Iterator[RunTiming]:
     Steps on particles cost the same at all points, so they are timed once per model.
     """
     case = workspace.case
-    plan = workspace.case.plan
-    runs = []
+    plan = case.plan
+    rows: list[tuple[RunTiming, object]] = []
     timers: dict[object, Callable[[], float]] = {}
     models = {section.name: model_of(workspace, section) for section in case.rom}
     for point, model in ((p, m) for p in plan.points for m in plan.compared_at(p)):
         with workspace.open(workspace.full_run(point)) as run:
-            stated = known_seconds(run) if (imported := is_imported(run)) else None
+            imported = is_imported(run)
+            stated = known_seconds(run) if imported else None
         with workspace.open(workspace.reduced_run(model, point)) as run:
             if run.text("status") != "complete":
                 continue
             step = run.number("time_step")
             memory_length = _number(run, "memory_length")
         n_modes = basis_used(workspace, model, point)[1]
-        timed = models[model.name]
-        own = (model.name, None if timed.family.costs_alike else point)
+        reduced_model = models[model.name]
+        key = (model.name, None if reduced_model.family.costs_alike else point)
         if not imported and FULL not in timers:
             timers[FULL] = full_run_timer(workspace, point, largest_step(case))
-        if own not in timers:
-            timers[own] = timed.timer(point, step)
-        factors = compression_factors(plan.n_particles, n_modes)
-        longest = None if imported else largest_step(case)
-        about = model.name, point.label, n_modes, longest, step, memory_length
-        runs.append((about, stated, factors, None if imported else FULL, own))
-    seconds = taking_turns(timers, N_REPEATS) if runs else {}
-    for about, stated, factors, full, own in runs:
-        least = float(seconds[own].min())
-        if full is None:
-            yield RunTiming(*about, stated, least, None, *factors)
-            continue
-        whole = float(seconds[full].min())
-        gains = (seconds[full] / seconds[own]).tolist()
-        yield RunTiming(*about, whole, least, whole / least, *factors, min(gains), max(gains))
+        if key not in timers:
+            timers[key] = reduced_model.timer(point, step)
+        compression, field_compression = compression_factors(plan.n_particles, n_modes)
+        row = RunTiming(
+            model=model.name,
+            parameters=point.label,
+            n_modes=n_modes,
+            full_step=None if imported else largest_step(case),
+            reduced_step=step,
+            memory_length=memory_length,
+            full_seconds=stated,
+            reduced_seconds=None,
+            speed_up=None,
+            compression_factor=compression,
+            field_compression_factor=field_compression,
+        )
+        rows.append((row, key))
+    seconds = taking_turns(timers, N_REPEATS) if rows else {}
+    for row, timed in rows:
+        reduced = float(seconds[timed].min())
+        row = replace(row, reduced_seconds=reduced)
+        if row.full_step is not None:
+            full = float(seconds[FULL].min())
+            gains = seconds[FULL] / seconds[timed]
+            row = replace(
+                row,
+                full_seconds=full,
+                speed_up=full / reduced,
+                least_speed_up=float(gains.min()),
+                greatest_speed_up=float(gains.max()),
+            )
+        yield row
 
 
 def _number(run: Artifact, name: str) -> float | None:
@@ -159,17 +177,20 @@ def known_seconds(run: Artifact) -> float | None:
 
 def stage_timings(workspace: Workspace) -> Iterator[StageTiming]:
     """Yield the wall-clock times of all existing artifacts that the comparison depends on."""
-    targets: dict[Path, Target] = {}
+    made: dict[Path, Target] = {}
     left = [workspace.comparison()]
     while left:
-        parents = {each.path: each for each in left.pop().parents.values() if each.path.exists()}
-        left += [each for path, each in parents.items() if path not in targets]
-        targets |= parents
-    for target in targets.values():
+        for parent in left.pop().existing_parents.values():
+            if made.setdefault(parent.path, parent) is parent:
+                left.append(parent)
+    for target in made.values():
         with open_artifact(target.path, target.schema, made_by=target.made_by) as artifact:
-            seconds = artifact.number("wall_seconds")
-            threads = int(artifact.number("threads"))
-            yield StageTiming(target.path.name, artifact.text("stage"), seconds, threads)
+            yield StageTiming(
+                artifact=target.path.name,
+                stage=artifact.text("stage"),
+                seconds=artifact.number("wall_seconds"),
+                threads=int(artifact.number("threads")),
+            )
 
 
 def offline_seconds(
@@ -189,7 +210,8 @@ def offline_seconds(
     names = {plan.basis_for(model, point): None for point in points}
     trained = {point: None for name in names for point in plan.bases[name]}
     n_steps = plan.steps.n_steps + plan.steps.n_spin_up_steps
-    longer, training = n_steps * largest_step(workspace.case) / plan.recorded_time, 0.0
+    longer = n_steps * largest_step(workspace.case) / plan.recorded_time
+    training = 0.0
     for point in trained:
         with workspace.open(workspace.full_run(point)) as run:
             seconds = (
@@ -203,7 +225,7 @@ def offline_seconds(
             training += _computing_seconds(packing)
     offline = training
     own = {memory_timing(name, model.size) for name in names if model.has_memory}
-    closures = {memory_timing(*closure) for closure in plan.memory_models}
+    closures = {memory_timing(basis, size) for basis, size in plan.memory_models}
     for stage in (*map(workspace.mapped, trained), *workspace.made_from(model)):
         with workspace.open(stage) as artifact:
             offline += _computing_seconds(artifact)

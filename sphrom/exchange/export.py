@@ -31,8 +31,9 @@ from sphrom.models.stored_run import StoredRun
 from sphrom.plots.tables import rows_of_columns, write_csv
 from sphrom.setup.context import StageContext
 from sphrom.sph.fluid import pressure_of
+from sphrom.store.artifact_folder import Target, make_folder
 from sphrom.store.stored_run import probes_of
-from sphrom.store.workspace import Target, Workspace, make_folder
+from sphrom.store.workspace import Workspace
 from sphrom.whole_files import replacement
 
 FOLDER = "export"
@@ -236,9 +237,11 @@ def _tag(name: str, body: str, **attributes: object) -> str:
 
 def _write_xml(path: Path, kind: str, body: str, force: bool) -> None:
     order = "LittleEndian" if sys.byteorder == "little" else "BigEndian"
-    about = {"type": kind, "version": "1.0", "byte_order": order, "header_type": "UInt64"}
+    attributes = {"type": kind, "version": "1.0", "byte_order": order, "header_type": "UInt64"}
     with replacement(path, force=force) as file:
-        file.write(f'<?xml version="1.0"?>\n{_tag("VTKFile", _tag(kind, body), **about)}'.encode())
+        file.write(
+            f'<?xml version="1.0"?>\n{_tag("VTKFile", _tag(kind, body), **attributes)}'.encode()
+        )
 
 
 def _write_tables(workspace: Workspace, folder: Path, at: Sequence[str]) -> int:

@@ -315,7 +315,7 @@ def _draw_pictures(
             if axes is not first:
                 axes.sharex(first)
                 axes.sharey(first)
-            axes.locator_params(axis="x", nbins=min(X_TICKS, int(AN_INCH * width)))
+            axes.locator_params(axis="x", nbins=max(1, min(X_TICKS, int(AN_INCH * width))))
             largest = rcParams["axes.titlesize"]
             axes.set_title(field.title, fontsize=min(largest, largest * width / PICTURE + 1.5))
             axes.set_xlabel("x [m]")

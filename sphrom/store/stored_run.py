@@ -23,8 +23,6 @@ from sphrom.store.trajectory import snapshot_fields
 
 ON_WALL = 1e-6
 """Points closer to a wall than this share of the spacing are on it."""
-N_INFLOWS, N_CHANGING = 10, 40
-"""Number of instants at which a steady and a changing inflow of a run are sampled."""
 MISSED_INFLOW, WRONG_INFLOW = 0.02, 0.2
 """Differences from the target inflow, relative, that are told, and that make a run fail."""
 
@@ -121,41 +119,34 @@ def inflow_of(case: Case, point: ParameterPoint, trajectory: Artifact) -> Inflow
     if strip is None or force is None:
         return None
     domain = case.scene.domain
-    across = 1 - strip.axis
+    along = strip.axis
+    across = 1 - along
     n_places = max(2, round(domain.lengths[across] / case.plan.particle_spacing))
     points = np.empty((n_places, 2))
     points[:, across] = midpoints(domain.lower[across], domain.upper[across], n_places)
-    points[:, strip.axis] = 0.5 * (strip.start + strip.end)
+    points[:, along] = 0.5 * (strip.start + strip.end)
     points = points[domain.contains(points)]
     profile = (force.field(points.T) / strip.rates(points.T)).T
-    points[:, strip.axis] = strip.end if strip.speed > 0.0 else strip.start
-    width = domain.lengths[across] * len(points) / n_places  # solids may cross the strip
+    points[:, along] = strip.end if strip.speed > 0.0 else strip.start
     times = trajectory.read("time")
     later = np.arange(len(times) // 2, len(times))
-    later = later[times[later] >= case.plan.scene.ramp]
-    later = later if later.size else np.array([len(times) - 1])
-    # At equal distances the instants could all be at one phase of an oscillation.
-    count = N_CHANGING if force.changes else N_INFLOWS
-    shares = (np.arange(count) + np.random.default_rng(0).random(count)) / count
-    spread_out = shares if force.changes else np.linspace(0.0, 1.0, count)
-    chosen = np.unique(later[(spread_out * (later.size - 1)).astype(int)])
-    sampled = sample_run(case, trajectory, points, snapshots=chosen.tolist())
+    driven = later[times[later] >= case.plan.scene.ramp]
+    snapshots = driven if driven.size else later[-1:]
+    sampled = sample_run(case, trajectory, points, snapshots=snapshots.tolist())
     wanted = np.array([force.amplitude(t) for t in sampled.time])[:, None, None] * profile
-    rates = [width * v[..., strip.axis].mean(axis=1) for v in (wanted, sampled.velocity)]
-    flows = [float(rate.mean()) for rate in rates]
-    if force.changes:  # few instants do not have the mean of an oscillation
-        steps = np.arange(times[later[0]], times[-1], case.plan.steps.time_step)
-        amplitude = float(np.mean([force.amplitude(t) for t in steps]))
-        mean = amplitude * width * float(profile[:, strip.axis].mean())
-        flows = [mean, mean + flows[1] - flows[0]]
-    if not (size := math.sqrt(float(np.mean(rates[0] ** 2)))) > 0.0:
+    width = domain.lengths[across] * len(points) / n_places  # solids may cross the strip
+    target = width * wanted[..., along].mean(axis=1)
+    size = math.sqrt(float(np.mean(target**2)))
+    if not size > 0.0:
         return None  # a constant of zero stops the inflow
+    wanted_rate = float(target.mean())
+    actual_rate = width * float(sampled.velocity[..., along].mean())
+    miss = (actual_rate - wanted_rate) / size
     off = np.linalg.norm(sampled.velocity.mean(axis=0) - wanted.mean(axis=0), axis=1)
     fastest = float(np.linalg.norm(wanted, axis=2).max())
-    miss = (flows[1] - flows[0]) / size
     text = (
-        f"{point.label}: target inflow {flows[0]:.4g} m2/s, actual inflow {flows[1]:.4g} m2/s "
-        f"({100.0 * math.copysign(miss, miss * flows[0]):+.2f} %); the profile differs by "
+        f"{point.label}: target inflow {wanted_rate:.4g} m2/s, actual inflow {actual_rate:.4g} "
+        f"m2/s ({100.0 * math.copysign(miss, miss * wanted_rate):+.2f} %); the profile differs by "
         f"{100.0 * math.sqrt(np.mean(off**2)) / fastest:.2g} % of its largest speed"
     )
     return Inflow(text, abs(miss))

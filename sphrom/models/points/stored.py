@@ -20,14 +20,9 @@ from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.metrics.measures import Quantities, with_coefficients
 from sphrom.models.reference.stored import mapped_runs, read_points
 from sphrom.models.starts import RunStarts, start
-from sphrom.reduction.calibration import (
-    Calibration,
-    CycleClosure,
-    TrainingRun,
-    calibrate,
-    fitted_cycle,
-)
+from sphrom.reduction.calibration import Calibration, TrainingRun, calibrate
 from sphrom.reduction.held_out import best_size
+from sphrom.reduction.limit_cycles import CycleClosure, TrainedCycles, fitted_cycle
 from sphrom.reduction.reduced_measures import ReducedMeasure
 from sphrom.reduction.reduced_operators import ReducedOperators
 from sphrom.reduction.trial_basis import TrialBasis, project
@@ -104,7 +99,8 @@ def cycle_closure(
             raise ValueError(f"the training run at {point.label}: {error}; {remedy}") from error
     viscosities = np.array([case.plan.kinematic_viscosity(point) for point in points])
     pushed = 0.0 if amplitude is None else float(amplitude(times[-1:])[0])
-    return CycleClosure(operators, viscosities, [p.factors for p in points], cycles, pushed)
+    factors = [point.factors for point in points]
+    return CycleClosure(operators, TrainedCycles.of_runs(viscosities, factors, cycles, pushed))
 
 
 def snapshot_times(case: Case) -> Array:
