@@ -334,11 +334,11 @@ def measured_wall(
     ----------
     wall_velocity : returns the walls' velocity (n_points, 2) [m/s] at places (n_points, 2) [m].
     """
-    own = np.flatnonzero(walls.wall == domain.wall_names.index(name))
-    x, y = domain.arms(name, domain.on_wall(domain.wrap(walls.position[own]))).T
+    ghosts = np.flatnonzero(walls.wall == domain.wall_names.index(name))
+    x, y = domain.arms(name, domain.on_wall(domain.wrap(walls.position[ghosts]))).T
     weights = np.zeros((3, 2, len(walls.wall)))
-    weights[0, 0, own] = weights[1, 1, own] = 1.0
-    weights[TORQUE][:, own] = -y, x
+    weights[0, 0, ghosts] = weights[1, 1, ghosts] = 1.0
+    weights[TORQUE][:, ghosts] = -y, x
     return MeasuredWall(weights, domain.circulation(name, wall_velocity))
 
 

@@ -117,8 +117,8 @@ class GhostParticles:
         share = np.zeros_like(weights)
         np.divide(weights, self._full_weights, out=share, where=self._full_weights > 0.0)
         rows = self.discretization.smoothing_length / self.discretization.particle_spacing
-        beside = np.clip(0.5 + (share - 0.5) * rows / SHARE_SLOPE, 0.0, 1.0)
-        return np.maximum(beside, np.clip(np.minimum(depth, share / THIN_SHARE), 0.0, 1.0))
+        by_weight = np.clip(0.5 + (share - 0.5) * rows / SHARE_SLOPE, 0.0, 1.0)
+        return np.maximum(by_weight, np.clip(np.minimum(depth, share / THIN_SHARE), 0.0, 1.0))
 
     @property
     def search(self) -> Search:
@@ -153,13 +153,13 @@ class GhostParticles:
             force = density * body_force[:, sources.particle]
             head = np.empty_like(fluctuation)
             ghost_fields.ghost_heads(self._position, source, force, weights, search, head)
-            beside = fluctuation
-            fluctuation = beside + fluctuation_of(head, self.fluid.sound_speed)
+            without_head = fluctuation
+            fluctuation = without_head + fluctuation_of(head, self.fluid.sound_speed)
             if self._full_weights is not None:
                 row = self.discretization.particle_spacing * np.hypot(*force).max(initial=0.0)
                 share = self._below_surface(weights, head / max(row, TINY))
                 # What falls has no such head, which would pull it to the wall.
-                fluctuation = np.maximum(fluctuation, np.minimum(beside, 0.0))
+                fluctuation = np.maximum(fluctuation, np.minimum(without_head, 0.0))
         volume = share * volume_of(fluctuation, self.fluid.reference_density, self._mass)
         ghost = np.zeros((fields.N_GHOST_ROWS, fluctuation.size))
         ghost[:2] = self._position
