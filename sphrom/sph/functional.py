@@ -20,7 +20,6 @@ import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.kernels import advection, fields, sweeps
-from sphrom.kernels.wall_sweeps import BesideWalls
 from sphrom.kernels.wendland import kernel
 from sphrom.metrics.measures import TORQUE
 from sphrom.sph.domain import Domain, Walls
@@ -250,7 +249,7 @@ class Functional:
         near = self.neighbourhood.sources
         out = np.empty((3, density_fluctuation.size))
         nowhere = np.full(near.targets.size, np.inf)
-        particles = BesideWalls(near.particle, near.targets, source, distance=nowhere)
+        particles = fields.BesideWalls(near.particle, near.targets, source, distance=nowhere)
         depth = np.zeros(source.shape[1])
         search = self.neighbourhood.search
         advection.transport(particles, source, search, depth, self.fluid.reference_density, out)

@@ -18,6 +18,7 @@ from sphrom.kernels import advection, fields, ghost_fields, wall_sweeps
 from sphrom.kernels.cells import Search
 from sphrom.kernels.fields import FluidConstants, RegularityConstants
 from sphrom.kernels.pairs import TINY
+from sphrom.kernels.rectangles import Limits
 from sphrom.kernels.sweeps import gather
 from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fluid import Discretization, Fluid, fluctuation_of, volume_of
@@ -234,7 +235,7 @@ class WallTerms:
         distance = ghosts.search_walls.distances(sources.targets, source)
         near = distance < discretization.support_radius
         self._distance = np.maximum(distance, NEAREST * discretization.particle_spacing)
-        self._beside = wall_sweeps.BesideWalls(
+        self._beside = fields.BesideWalls(
             sources.particle, sources.targets[near], source, self._distance[near]
         )
 
@@ -266,11 +267,10 @@ class WallTerms:
         """
         search = self._ghosts.search_walls
         spacing = self._ghosts.discretization.particle_spacing
-        limits = CLOSEST * spacing, TOUCHING * spacing, FELT * spacing
+        limits = Limits(CLOSEST * spacing, TOUCHING * spacing, FELT * spacing, against)
         if not self._ghosts.discretization.shifting:
-            limits = 0.5 * CLOSEST * spacing, CLOSEST * spacing, FELT * spacing
-        fluid = self._beside[:3]
-        search.kernels.hold_back(*fluid, *search.lists, *limits, against, shifting_velocity)
+            limits = limits._replace(closest=0.5 * CLOSEST * spacing, touching=CLOSEST * spacing)
+        search.kernels.hold_back(self._beside, *search.lists, limits, shifting_velocity)
 
     def add_rates(self, fluid: FluidConstants, regular: Array, out: Array) -> None:
         """Add the ghosts' contribution to the acceleration (2, n_particles)."""
