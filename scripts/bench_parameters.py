@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import sphrom
-from sphrom.online.fast_model import FastModel
+from sphrom.models.points.fast_model import FastModel
 from sphrom.reduction import reference_model
 from sphrom.reduction.exponential_steps import Change, ExponentialModel
 from sphrom.store.workspace import Workspace

@@ -31,12 +31,12 @@ from rich.table import Table
 
 from sphrom.case.loader import load_case
 from sphrom.case.models import Case
-from sphrom.case.sections import ReducedModelSection
+from sphrom.case.sections import PointModelSection
 from sphrom.compare.costs import full_run_timer, largest_step, particle_run_timer, taking_turns
 from sphrom.console import SilentReporter
 from sphrom.kernels.jit import set_threads
 from sphrom.machine import one_blas_thread, seconds_of
-from sphrom.online.fast_model import FastModel
+from sphrom.models.points.fast_model import FastModel
 from sphrom.reduction.polynomial_model import OutputTimes
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, automatic
 from sphrom.setup.context import StageContext
@@ -113,7 +113,7 @@ def timers(
 def integrator_of(workspace: Workspace, n_modes: int) -> tuple[ReferenceModel, Integrator]:
     """Return a model on the reference points, and what integrates it over the runs' duration."""
     (point,) = workspace.case.plan.train_points
-    section = ReducedModelSection(
+    section = PointModelSection(
         name="fast", evaluation="operators", n_modes=n_modes, calibrated=True
     )
     reduced = FastModel(workspace, section).at(point)

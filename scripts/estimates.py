@@ -35,7 +35,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.console import SilentReporter
 from sphrom.metrics.histories import effectivity
-from sphrom.online.fast_model import FastModel
+from sphrom.models.points.fast_model import FastModel
 from sphrom.setup.context import StageContext
 from sphrom.sph.time_loop import TimeSteps
 from sphrom.store.stored_run import probes_of, sample_run

@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts.reader import CASE, DIGEST, VIEW
+from sphrom.artifacts.contents import CASE, DIGEST, VIEW
 
 Mutation = Callable[[Path, random.Random], None]
 

@@ -28,7 +28,7 @@ from sphrom.machine import physical_ram
 from sphrom.metrics.histories import compression_factors
 from sphrom.metrics.series import dominant_frequency
 from sphrom.plots.tables import MISSING, format_figure, read_json
-from sphrom.report.report import Html, element, picture, render, table
+from sphrom.report.page import Html, element, picture, render, table
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
 from sphrom.whole_files import write_whole

@@ -1,6 +1,6 @@
 """sphrom: reduced models of smoothed-particle hydrodynamics.
 
-The names are those of `sphrom.api`, which is loaded when one of them is first used.
+Each name is loaded when it is first used; `sphrom.api` has an example.
 """
 
 from __future__ import annotations
@@ -12,27 +12,37 @@ from sphrom import errors
 from sphrom.version import __version__
 
 if TYPE_CHECKING:
-    from sphrom.api import *  # noqa: F403
+    from sphrom.api.model import Model as Model
+    from sphrom.api.result import Result as Result
+    from sphrom.api.result import Sensitivities as Sensitivities
+    from sphrom.api.study import Study as Study
+    from sphrom.api.study import load as load
+    from sphrom.api.study import open as open
+    from sphrom.artifacts.records.fit import FittedHistory as FittedHistory
+    from sphrom.fit.fit import Estimate as Estimate
+    from sphrom.fit.fit import Fit as Fit
+    from sphrom.models.points.error_estimates import ErrorEstimate as ErrorEstimate
 
-FROM_API = (
-    "ErrorEstimate",
-    "Estimate",
-    "Fit",
-    "FittedHistory",
-    "Model",
-    "Result",
-    "Sensitivities",
-    "Study",
-    "load",
-    "open",
-)
+FROM_API = {
+    "ErrorEstimate": "models.points.error_estimates",
+    "Estimate": "fit.fit",
+    "Fit": "fit.fit",
+    "FittedHistory": "artifacts.records.fit",
+    "Model": "api.model",
+    "Result": "api.result",
+    "Sensitivities": "api.result",
+    "Study": "api.study",
+    "load": "api.study",
+    "open": "api.study",
+}
+"""The modules of the names, each of which is loaded when it is first used."""
 __all__ = ["__version__", "errors", *FROM_API]
 
 
 def __getattr__(name: str) -> Any:
     if name not in FROM_API:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module("sphrom.api"), name)
+    return getattr(import_module(f"sphrom.{FROM_API[name]}"), name)
 
 
 def __dir__() -> list[str]:

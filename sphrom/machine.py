@@ -41,12 +41,14 @@ def seconds_of(run: Callable[[], object]) -> float:
 
 
 @contextmanager
-def one_blas_thread() -> Iterator[None]:
+def one_blas_thread(*, solves: bool = True) -> Iterator[None]:
     """Limit libraries of linear algebra to one thread within the block, as in all commands.
 
-    With more threads the last bits of results differ.
+    With more threads the last bits of results differ. A block that `solves` may load scipy, which
+    brings a library of its own; it is loaded first, so that it is limited too.
     """
-    import scipy.linalg  # noqa: F401 - it brings a library of its own, and loads it late
+    if solves:
+        import scipy.linalg  # noqa: F401
 
     with _thread_pools(len(sys.modules)).limit(limits=1, user_api="blas"):
         yield

@@ -70,14 +70,14 @@ def interrupt_behind(error: BaseException | None) -> KeyboardInterrupt | None:
 
 
 @contextmanager
-def guarded(*, computes: bool = True) -> Iterator[None]:
+def guarded(*, computes: bool = True, solves: bool = True) -> Iterator[None]:
     """Within the block, lose no interrupt, raise errors of the project, and use one BLAS thread.
 
     The command line sets the number of threads before it starts. With more threads, the last bits
-    of results would differ from its results.
+    of results would differ from its results. See `one_blas_thread` for `solves`.
     """
     try:
-        with one_blas_thread() if computes else nullcontext(), interrupts_come_again():
+        with one_blas_thread(solves=solves) if computes else nullcontext(), interrupts_come_again():
             yield
     except SystemError as error:
         if (interrupt := interrupt_behind(error)) is not None:

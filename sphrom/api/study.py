@@ -164,7 +164,7 @@ class Study:
         return self._models[key].at(**parameters)
 
 
-@guarded()
+@guarded(solves=False)
 @checked
 def load(path: str | os.PathLike[str]) -> Model:
     """Open a trained model from its artifact, such as `model-fast.h5`, and nothing else.

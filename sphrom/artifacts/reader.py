@@ -5,11 +5,6 @@ Symbolic links to an artifact are followed, since large runs are often kept on a
 HDF5's own checksums are not sufficient: the checksum of zeros is zero, and another program that
 changes a dataset stores a new one. The writer therefore stores a digest of its own. Values are
 compared with it when a dataset is first read, and again if the file has changed since.
-
-The contents of a file are listed before any is used: it may be damaged or foreign. Only groups,
-plain numbers and, in `/case`, one text are allowed. Refused are objects that Python would
-construct, links that lead out of the file, data stored elsewhere, and all filters except the
-checksum, because HDF5 would load and run a plugin for an unknown filter.
 """
 
 from __future__ import annotations
@@ -18,10 +13,8 @@ import contextlib
 import hashlib
 import math
 import os
-import shlex
 import time
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -31,7 +24,18 @@ import yaml
 from numpy.typing import NDArray
 
 from sphrom.artifacts import layout
-from sphrom.artifacts.paraview import VIEW
+from sphrom.artifacts.contents import (
+    CASE,
+    Contents,
+    Fault,
+    Form,
+    attributes_at,
+    damage,
+    explained_faults,
+    inspect,
+    open_file,
+    plain_text,
+)
 from sphrom.artifacts.records import SCHEMAS
 from sphrom.declaration import (
     PROVENANCE,
@@ -47,19 +51,16 @@ from sphrom.machine import available_ram
 from sphrom.text import data_size, shortened
 
 SMALL_BYTES = 2**20
-"""Datasets up to this size are verified when an artifact is opened [bytes]."""
+"""Datasets up to this size are verified when an artifact is opened, and read without checking the
+available memory, because the check takes longer [bytes]."""
 MOST_KNOWN = 256
 """Number of files whose contents are remembered; the last ones opened are kept."""
 BLOCK_BYTES = 2**23
 """Approximate size of the blocks in which values are verified [bytes]."""
-ALWAYS_FITS = 2**16
-"""Largest size read without checking the available memory; the check takes longer [bytes]."""
 SHOWN_KEYS = 4
 """Number of differing keys of two cases that a message names."""
 MOST_CHARACTERS = 60
 """Longest value shown in a message: a foreign file may contain any text."""
-MOST_NESTED = 32
-"""Most groups within each other: the time to follow a path grows with its length."""
 
 SETTLED = 2.0
 """Age [s] from which timestamps reliably show a change of a file: their resolution is coarse."""
@@ -164,18 +165,27 @@ class Artifact:
 
         Raises ArtifactError if damaged, ResourceError without memory for it, KeyError if absent.
         """
-        dataset = self._file[name]
-        needed: int = dataset.nbytes
-        available = available_ram() if needed > ALWAYS_FITS else None
+        needed = self._size(name)
+        available = available_ram() if needed > SMALL_BYTES else None
         if available is not None and needed > available:
             raise ResourceError(
                 f"{name} of {self.path} needs {data_size(needed)} of memory, "
                 f"{data_size(available)} are available; use fewer snapshots or particles"
             )
         with explained_faults(self.path, self.made_by), damage(name):
-            values = np.asarray(dataset[...])
-            self._verify(name, (values,))  # without reading them twice
-            return values
+            return self._read(name)
+
+    def _size(self, name: str) -> int:
+        shape, dtype = self.form(name)
+        return dtype.itemsize * math.prod(shape)
+
+    def _read(self, name: str) -> NDArray[Any]:
+        """Return a whole dataset, verified. Raises Fault."""
+        values = np.empty(*self.form(name))
+        dataset = h5py.h5d.open(self._file.id, name.encode())
+        dataset.read(h5py.h5s.ALL, h5py.h5s.ALL, values)
+        self._verify(name, (values,))
+        return values
 
     def dataset(self, name: str) -> h5py.Dataset:
         """Return a verified dataset, to be read by slices.
@@ -205,7 +215,7 @@ class Artifact:
             raise Fault(f"is damaged: {name} is not what was written")
         self._contents.verified.add(name)
 
-    def form(self, name: str) -> tuple[layout.Shape, np.dtype[np.generic]]:
+    def form(self, name: str) -> Form:
         """Return the shape and the type of a dataset. Raises KeyError if there is none."""
         return self._contents.datasets[name]
 
@@ -223,9 +233,11 @@ class Artifact:
 
     def verify_datasets(self, up_to_bytes: float = math.inf) -> None:
         """Verify the datasets up to a size [bytes]; raise Fault if one is damaged."""
-        for name in self._contents.digests:
-            shape, dtype = self._contents.datasets[name]
-            if dtype.itemsize * math.prod(shape) <= up_to_bytes:
+        for name in self._contents.digests.keys() - self._contents.verified:
+            if self._size(name) <= min(up_to_bytes, SMALL_BYTES):
+                with damage(name):
+                    self._read(name)
+            elif self._size(name) <= up_to_bytes:
                 self._verified(name)
 
 
@@ -247,7 +259,7 @@ def _contents(file: h5py.File) -> Contents:
 
 def _looked_through(file: h5py.File) -> Contents:
     """Read the structure of a file and check it against its kind of artifact. Raises Fault."""
-    root = attributes_at(file, "")
+    root = attributes_at(file.id, "")
     kind = str(root.get("schema"))
     version = str(root.get("schema_version"))
     if kind not in SCHEMAS:
@@ -255,9 +267,9 @@ def _looked_through(file: h5py.File) -> Contents:
     if version.partition(".")[0] != SCHEMA_VERSION.partition(".")[0]:
         raise Fault(f"has schema version {version!r}; this program reads {SCHEMA_VERSION}")
     contents = inspect(file)
-    for own in PROVENANCE:  # not covered by a digest
-        if own.name not in contents.attributes:
-            raise Fault(f"is damaged: attribute {own.name} is missing")
+    for attribute in PROVENANCE:  # not covered by a digest
+        if attribute.name not in contents.attributes:
+            raise Fault(f"is damaged: attribute {attribute.name} is missing")
     with damage("the case"):
         contents.case_text = plain_text(file[CASE][()])
     if contents.digests.pop(CASE, "") != layout.text_digest(contents.case_text):
@@ -307,13 +319,13 @@ def case_differences(made_with: str, asked: str, sections: Collection[str]) -> s
         (key for key in here | there if here.get(key) != there.get(key)),
         key=lambda key: key not in here or key not in there,
     )
-    differences = (
-        (key, *(shortened(case.get(key, "absent"), MOST_CHARACTERS) for case in (there, here)))
-        for key in keys[:SHOWN_KEYS]
-    )
-    return "; ".join(
-        f"{shortened(key)} is {one} there, {other} here" for key, one, other in differences
-    )
+    differences = []
+    for key in keys[:SHOWN_KEYS]:
+        made, wanted = (
+            shortened(case.get(key, "absent"), MOST_CHARACTERS) for case in (there, here)
+        )
+        differences.append(f"{shortened(key)} is {made} there, {wanted} here")
+    return "; ".join(differences)
 
 
 def _values(value: Any, path: str = "") -> Iterator[tuple[str, str]]:
@@ -335,12 +347,12 @@ def read_record(artifact: Artifact, record: type[R], group: str = "", **others: 
     Raises ArtifactError if it is damaged, or lacks a field because an older version wrote it.
     """
     values: dict[str, Any] = {}
-    there = (*artifact.datasets, *artifact.attributes)
+    paths = [f"{path}/" for path in (*artifact.datasets, *artifact.attributes)]
     for name, stored in fields_of_record(record).items():
         path = joined(group, stored.name)
         if stored.is_mapping:
             values[name] = _mapping(artifact, record, stored, path)
-        elif stored.required or any(f"{each}/".startswith(f"{path}/") for each in there):
+        elif stored.required or any(stored_path.startswith(f"{path}/") for stored_path in paths):
             values[name] = _read(artifact, stored, path)
     return record(**values, **others)
 
@@ -366,170 +378,18 @@ def _stored(artifact: Artifact, path: str) -> Any:
 
 def _mapping(artifact: Artifact, record: type[Record], field: Field, path: str) -> dict[str, Any]:
     """Read the items of a mapping, except those that are other fields of the record."""
-    depth = path.count("/") + 1
     names = artifact.datasets if field.axes or field.record else artifact.attributes
+    if field.names is not None:
+        begin = path.removesuffix("*")
+        existing = [name for name in field.names if begin + name in names]
+        return {name: _read(artifact, field, begin + name) for name in existing}
+    depth = path.count("/") + 1
     heads = {"/".join(name.split("/")[:depth]) for name in names}
     parent = path.rpartition("/")[0]
     heads -= {joined(parent, other.name) for other in fields_of_record(record).values()} - {path}
-    if field.names is not None:
-        heads &= {path.removesuffix("*") + name for name in field.names}
     items = {}
     for head in sorted(head for head in heads if matches(path, head)):
         pairs = zip(path.split("/"), head.split("/"), strict=True)
         key = "/".join(segment for expected, segment in pairs if expected == "*")
         items[key] = _read(artifact, field, head)
     return items
-
-
-CASE = "case"
-DIGEST = "sha256"
-"""The attribute with the digest of a dataset's values."""
-LOCKINGS = (None, False, True)
-"""Ways to lock a file. HDF5 refuses any other than the one with which this process has the file
-open, so the default comes first. An artifact never changes, so it can be read without a lock."""
-LEFT_OPEN = "already open for"
-"""HDF5's message for a file whose superblock has the mark of a writer, which it sets since 1.10."""
-# The exceptions that h5py raises for the various damaged structures of a file.
-DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, OverflowError)
-
-
-class Fault(Exception):
-    """Why an artifact cannot be used; the text continues `FILE ...`."""
-
-
-@contextlib.contextmanager
-def explained_faults(path: Path, made_by: str) -> Iterator[None]:
-    """Turn a Fault into the user's error, which names the command that makes the file."""
-    try:
-        yield
-    except Fault as fault:
-        command = f"again with `{made_by} --force`" if path.exists() else f"with `{made_by}`"
-        raise ArtifactError(f"{path} {fault}; make it {command}") from fault
-
-
-@contextlib.contextmanager
-def damage(what: str) -> Iterator[None]:
-    """Turn exceptions of h5py for damaged structures into a Fault."""
-    try:
-        yield
-    except DAMAGE as error:
-        raise Fault(f"is damaged: {what} can't be read") from error
-
-
-def open_file(path: Path) -> h5py.File:
-    """Open a regular HDF5 file for reading. Raises Fault, or ArtifactError if it may be whole."""
-    try:
-        if not path.is_file():  # opening a pipe would block
-            raise Fault("is not a file" if path.exists() else "is missing")
-        path.open("rb").close()
-    except OSError as error:
-        raise Fault(f"can't be read ({error.strerror})") from error
-    for locking in LOCKINGS:
-        try:
-            return h5py.File(path, "r", locking=locking)
-        except (OSError, RuntimeError, ValueError) as error:
-            fault = error
-            if LEFT_OPEN in str(error):
-                raise ArtifactError(
-                    f"{path} is marked as open for writing: another program writes it, or was "
-                    f"killed; if none does, `h5clear -s {shlex.quote(str(path))}` removes the mark"
-                ) from error
-    raise Fault("is damaged, truncated, or not an HDF5 file") from fault
-
-
-@dataclass
-class Contents:
-    """The contents of a file by path: shapes and types of datasets, and attributes of groups."""
-
-    case_text: str = ""
-    datasets: dict[str, tuple[layout.Shape, np.dtype[np.generic]]] = field(default_factory=dict)
-    attributes: dict[str, layout.Value] = field(default_factory=dict)
-    digests: dict[str, str] = field(default_factory=dict)
-    """The stored digests of datasets."""
-    verified: set[str] = field(default_factory=set)
-    """The datasets whose values match their digests."""
-
-
-def inspect(file: h5py.File) -> Contents:
-    """Return the contents of the file. Raises Fault on anything that an artifact never contains."""
-    contents = Contents(attributes=attributes_at(file, ""))
-    # The view is for other programs; this one never uses it.
-    for path, item in items(file, but=VIEW):
-        if isinstance(item, h5py.Group):
-            contents.attributes |= attributes_at(item, path)
-        elif isinstance(item, h5py.Dataset):
-            with damage(f"dataset {path}"):
-                _require_plain(item, path)
-                contents.datasets[path] = item.shape, item.dtype
-                if DIGEST in item.attrs:
-                    contents.digests[path] = str(_value(item.attrs.get_id(DIGEST)))
-    return contents
-
-
-def items(file: h5py.File, but: str = "") -> Iterator[tuple[str, h5py.HLObject]]:
-    """Yield every group and dataset by its path, except those in the group `but`.
-
-    Raises Fault if a link or a dataset may lead out of the file, a name is not UTF-8, or groups
-    are nested too deep.
-    """
-    names: list[bytes] = []
-
-    def is_deep(name: bytes) -> bool | None:
-        names.append(name)
-        return name.count(b"/") >= MOST_NESTED or None
-
-    with damage("its structure"):  # each link once, however many names a group has
-        if file.id.links.visit(is_deep):
-            raise Fault(f"is refused: its groups are nested more than {MOST_NESTED} deep")
-    for name in names:
-        path = name.decode(errors="backslashreplace")
-        if path.encode() != name:
-            raise Fault(f"is refused: the name /{path} is not UTF-8")
-        if path.partition("/")[0] == but:
-            continue
-        with damage(f"/{path}"):
-            if not isinstance(file.get(path, getlink=True), h5py.HardLink):
-                raise Fault(f"is refused: /{path} is a link that may lead out of the file")
-            item = file[path]
-            if isinstance(item, h5py.Dataset):
-                sources = item.virtual_sources() if item.is_virtual else ()
-                if item.external or any(source.file_name != "." for source in sources):
-                    raise Fault(f"is refused: the data of {path} lie in another file")
-        yield path, item
-
-
-def _require_plain(dataset: h5py.Dataset, path: str) -> None:
-    """Raise Fault unless a dataset holds plain numbers, or the case, with checksums at most."""
-    if dataset.dtype.kind not in ("S" if path == CASE else "fiu") or dataset.shape is None:
-        raise Fault(f"is refused: {path} is empty, or of type {dataset.dtype}, not plain numbers")
-    properties = dataset.id.get_create_plist()
-    filters = {properties.get_filter(i)[0] for i in range(properties.get_nfilters())}
-    if filters - {h5py.h5z.FILTER_FLETCHER32}:
-        raise Fault(f"is refused: {path} is compressed or changed by a filter")
-
-
-def attributes_at(item: h5py.HLObject, path: str) -> dict[str, layout.Value]:
-    """Return the attributes of `item` by path, if they are numbers or texts of fixed length.
-
-    Raises Fault if they are damaged.
-    """
-    with damage(f"an attribute of /{path}"):
-        # A name that is not UTF-8 consists of bytes.
-        values = {joined(path, str(key)): _value(item.attrs.get_id(key)) for key in item.attrs}
-    return {name: value for name, value in values.items() if value is not None}
-
-
-def _value(attribute: h5py.h5a.AttrID) -> layout.Value | None:
-    if attribute.shape is None or attribute.dtype.kind not in "fiuS":
-        return None
-    stored = np.empty(attribute.shape, attribute.dtype)
-    attribute.read(stored)
-    if attribute.shape:
-        return tuple(stored.ravel().tolist())
-    value: layout.Value = stored.item()
-    return plain_text(value) if isinstance(value, bytes) else value
-
-
-def plain_text(value: bytes) -> str:
-    """Return a stored text; bytes that are not UTF-8 become escapes."""
-    return value.decode("utf-8", "surrogateescape")

@@ -10,11 +10,9 @@ import math
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache, partial
-from itertools import combinations
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
-import shapely
 from pydantic import PrivateAttr, model_validator
 from shapely.geometry.base import BaseGeometry
 
@@ -22,9 +20,9 @@ from sphrom.arrays import Array
 from sphrom.case import custom_checks
 from sphrom.case.custom_sections import (
     InflowSection,
-    PorousSection,
+    Porous,
     Rate,
-    SurfaceFluidSection,
+    SurfaceFluid,
     Value,
     Vector,
 )
@@ -33,21 +31,20 @@ from sphrom.case.driving import (
     INFLOW,
     Driving,
     at_places,
-    finite_peak,
-    require_finite,
 )
-from sphrom.case.expressions import CALLED, CONSTANTS, FUNCTIONS
 from sphrom.case.fields import Coordinate, Place, Positive, SafeName, Section, key
+from sphrom.case.measure_sections import MEASURE, Measures
 from sphrom.case.points import REYNOLDS
-from sphrom.case.scene_section import MEASURE, OF_WALLS, Defaults, Measures, SceneSection, Settings
-from sphrom.case.shapes import ShapeSection
+from sphrom.case.scene_section import OF_WALLS, Defaults, SceneSection, Settings
+from sphrom.case.shapes import Shape, ShapeSection
+from sphrom.case.slowing import Slowing
 from sphrom.case.tables import HistorySection, InitialSection
-from sphrom.metrics.measures import midpoints
+from sphrom.scenes.expressions import CALLED, CONSTANTS, FUNCTIONS
 from sphrom.scenes.flows import CustomFlow, Scales, Scene
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
-from sphrom.sph.fluid import NONE, Fluid, Resistance, Strip
-from sphrom.sph.places import N_SAMPLES, Places
+from sphrom.sph.fluid import NONE, Strip
+from sphrom.sph.places import Places
 from sphrom.sph.polygons import connects_images
 
 MOST_PLACES = 200_000
@@ -103,7 +100,7 @@ class CustomScene(SceneSection):
 
     kind: Literal["custom"] = key(..., "kind of flow")
     box: BoxSection = key(BoxSection(), "the box that contains the flow")
-    solids: dict[SafeName, ShapeSection] = key({}, "solids in the box, by name")
+    solids: dict[SafeName, Shape] = key({}, "solids in the box, by name")
     walls: dict[SafeName, MovingWallSection] = key(
         {}, "moving walls: sides of the box (left, right, bottom, top) and solids, by name"
     )
@@ -114,14 +111,14 @@ class CustomScene(SceneSection):
     body_force: Vector = key(
         (0.0, 0.0), "acceleration, numbers or expressions in x, y, t", unit="m/s2"
     )
-    fluid: SurfaceFluidSection | None = key(
+    fluid: SurfaceFluid | None = key(
         None, "the part of the box that fluid with a free surface fills; null fills all of it"
     )
     slip: Literal["none", "free"] = key("none", "whether fluid sticks to the walls or slips freely")
     resistance: Rate = key(
         0.0, "rate of resistance to the flow, a number or an expression in x, y", unit="1/s"
     )
-    porous: dict[SafeName, PorousSection] = key({}, "porous bodies in the box, by name")
+    porous: dict[SafeName, Porous] = key({}, "porous bodies in the box, by name")
     inflow: InflowSection | None = key(None, "inflow of an open box")
     initial: InitialSection = key(InitialSection(), "initial fields of runs")
     reference_length: Positive | None = key(
@@ -192,15 +189,15 @@ class CustomScene(SceneSection):
         upper = self.box.upper
         if not all(low < high for low, high in zip(lower, upper, strict=True)):
             raise ValueError("box: upper must be above lower along both axes")
-        corners = (lower[0], lower[1]), (upper[0], upper[1])
         periodic = ("x" in self.box.periodic, "y" in self.box.periodic)
+        box: dict[str, Any] = {"lower": lower, "upper": upper, "periodic": periodic}
         if not self.solids:
-            return BoxDomain(*corners, periodic, level=self._row_end)
+            return BoxDomain(**box, level=self._row_end)
         # Imported late, because it loads kernels that other scenes do not need.
         from sphrom.sph.polygon_domain import PolygonDomain
 
         try:
-            return PolygonDomain(*corners, periodic, tuple(self.shapes.items()))
+            return PolygonDomain(**box, solids=tuple(self.shapes.items()))
         except ValueError as error:
             hints = (f"; {where} {hint}" for where, hint in custom_checks.odd_units(self))
             raise ValueError(f"{error}{''.join(hints)}") from error
@@ -243,22 +240,14 @@ class CustomScene(SceneSection):
 
         Expressions are also checked at the places of particles with a spacing [m], and between.
         """
-        other = self.model_copy()
-        for built in (
-            "places",
-            "strip",
-            "strip_samples",
-            "ramp",
-            "_resistance",
-            "_slowest",
-            "_known",
-        ):
-            other.__dict__.pop(built, None)
         given = (*self.body_force, self.resistance)
         varied = bool(self.porous) or any(isinstance(value, str) for value in given)
         found = [np.empty((0, 2)), *self._beside_jumps()]
         if varied and MOST_PLACES * particle_spacing**2 > math.prod(self.domain.lengths):
             found += [self.domain.fill(part * particle_spacing) for part in (1.0, 0.5)]
+        keys = {name: getattr(self, name) for name in type(self).model_fields}
+        other = self.model_construct(self.model_fields_set, **keys)
+        other.__dict__.update(shapes=self.shapes, domain=self.domain)
         other._runs = Runs(settings, until, np.concatenate(found))
         return other
 
@@ -272,10 +261,6 @@ class CustomScene(SceneSection):
             if difference.depends_on and "t" not in difference.depends_on:
                 yield self.places.beside(partial(at_places, difference))
 
-    def unresolved(self, particle_spacing: float) -> Iterator[str]:
-        own = None if self._resistance is None else self._resistance.own
-        return custom_checks.unresolved(self.at(), own, particle_spacing)
-
     def flow(self, scales: Scales) -> Scene:
         here = self.at(scales.values)
         return CustomFlow(
@@ -283,7 +268,7 @@ class CustomScene(SceneSection):
             {name: here.wall_velocity(name) for name in self.walls},
             here.begin(scales.density),
             here.force,
-            self._resistance,
+            self.slowing.resistance,
             here.wall_amplitudes,
         )
 
@@ -295,8 +280,8 @@ class CustomScene(SceneSection):
     def parameters(self, reference_speed: float) -> dict[str, float]:
         """Return constants, rates of rotation, and factors of velocities and the body force."""
         rates = ((name, wall.rotation) for name, wall in self.walls.items())
-        own = {name: rate if isinstance(rate, float) else 1.0 for name, rate in rates}
-        return {**self.constants, **own, **dict.fromkeys(self.at().factors, 1.0)}
+        factors = {name: rate if isinstance(rate, float) else 1.0 for name, rate in rates}
+        return {**self.constants, **factors, **dict.fromkeys(self.at().factors, 1.0)}
 
     def driving(self, names: Collection[str]) -> tuple[str, ...]:
         fields = [part for drive in self.at().drives for part in drive.fields]
@@ -326,29 +311,28 @@ class CustomScene(SceneSection):
         timed = [expression for _, expression in self.at().timed()]
         used = [n for n in self.constants if any(one.degree_in([n]) > 0.0 for one in timed)]
         chosen = {tuple(v.get(name, self.constants[name]) for name in used) for v in settings}
-        few = sorted(chosen)[:: math.ceil(len(chosen) / MOST_SETTINGS)]
-        return min(self.at(dict(zip(used, v, strict=True))).shortest_period for v in few)
+        some_values = sorted(chosen)[:: math.ceil(len(chosen) / MOST_SETTINGS)]
+        return min(self.at(dict(zip(used, v, strict=True))).shortest_period for v in some_values)
 
     # Checks
 
     def check_at(self, values: Mapping[str, float]) -> None:
         here = self.at(values)
         custom_checks.check_walls(here)
-        _ = here.force, here.initial, self._resistance
+        _ = here.force, here.initial, self.slowing.resistance
         custom_checks.check_surface(here)
 
-    def parameter_problems(self, names: Collection[str]) -> Iterator[tuple[str, str]]:
-        return custom_checks.parameter_problems(self.at(), names)
+    @property
+    def checked_drivings(self) -> Iterator[Driving]:
+        """The driving at some values of the parameters in the runs."""
+        settings = self._runs.settings
+        return map(self.at, settings[:: math.ceil(len(settings) / MOST_SETTINGS)])
 
-    def unknown_times(self, final_time: float) -> Iterator[tuple[str, str]]:
-        return custom_checks.unknown_times(self.at(), final_time)
-
-    def problems(self, final_time: float, fluid: Fluid) -> Iterator[tuple[str, str]]:
-        few = self._runs.settings[:: math.ceil(len(self._runs.settings) / MOST_SETTINGS)]
-        return custom_checks.problems(self, map(self.at, few), final_time, fluid)
-
-    def warnings(self) -> Iterator[tuple[str, str]]:
-        return custom_checks.warnings(self)
+    parameter_problems = custom_checks.parameter_problems
+    problems = custom_checks.problems
+    unknown_times = custom_checks.unknown_times
+    unresolved = custom_checks.unresolved
+    warnings = custom_checks.warnings
 
     # The inflow
 
@@ -388,91 +372,20 @@ class CustomScene(SceneSection):
     # The resistance, which does not depend on parameters
 
     @cached_property
-    def _resistance(self) -> Resistance | None:
+    def slowing(self) -> Slowing:
         """The resistance to the flow."""
-        own = None
-        shapes = _geometries("porous", self.porous)
-        solid = shapely.union_all(list(self.shapes.values()))
-        fluid = shapely.box(*self.box.lower, *self.box.upper).difference(solid)
-        for name, shape in shapes.items():
-            if not fluid.intersection(shape).area > 0.0:
-                raise ValueError(
-                    f"porous.{name}: contains no fluid; it is in solids or out of the box"
-                )
-        if self.resistance != 0.0:
-            expression = self.at().expression("resistance", self.resistance, "x", "y")
-
-            def own(at: Array) -> Array:
-                return expression(x=at[0], y=at[1])
-
-            places = self.places.all
-            rate = own(places.T)
-            require_finite("resistance", rate, places)
-            finite_peak("resistance", self.places, own)
-            least, (x, y) = finite_peak("resistance", self.places, lambda at: -own(at))
-            if rate.min() < 0.0:
-                x, y = places[np.argmin(rate)]
-            if min(rate.min(), -least) < 0.0:
-                raise ValueError(f"resistance: is negative at ({x:g}, {y:g}) m")
-
-        if own is None and not shapes and self.strip is None:
-            return None
-        shapely.prepare(list(shapes.values()))
-        bodies = [(1.0 / self.porous[name].permeability, shape) for name, shape in shapes.items()]
-
-        def inverse(position: Array) -> Array:
-            return sum(factor * shapely.contains_xy(shape, *position) for factor, shape in bodies)
-
-        return Resistance(own, inverse if bodies else None, self.strip, self.places.wrapped)
+        return Slowing(self, _geometries("porous", self.porous))
 
     def largest_resistance(self, viscosity: float) -> float:
-        resistance = self._resistance
-        if resistance is None:
-            return 0.0
-        return resistance.largest(self._slowest.T, viscosity)
+        return self.slowing.largest(viscosity)
 
-    @cached_property
-    def _slowest(self) -> Array:
-        """Places (n_places, 2) [m] that include those with the largest resistance."""
-        places = [self.places.all]
-        if self._resistance is not None and self._resistance.own is not None:
-            places.append(self.places.peak(self._resistance.own)[1][None])
-        # Samples miss thin bodies.
-        parts = list(self._porous_parts.values())
-        shared = (one.intersection(other) for one, other in combinations(parts, 2))
-        inside = [part.representative_point() for part in (*parts, *shared) if part.area > 0.0]
-        return np.concatenate([*places, shapely.get_coordinates(inside)])
-
-    @cached_property
-    def _porous_parts(self) -> dict[str, BaseGeometry]:
-        """The parts of porous bodies in the fluid, by name."""
-        shapes = _geometries("porous", self.porous)
-        return {name: self.domain.fluid.intersection(shape) for name, shape in shapes.items()}
-
-    @cached_property
+    @property
     def porous_way(self) -> float:
-        """The least integral of 1/k along lines through the box [1/m], the larger of x and y."""
-        shapes = self._porous_parts
-        ways = [0.0]
-        lower = self.domain.lower
-        upper = self.domain.upper
-        for axis in range(2) if shapes else ():
-            middles = midpoints(lower[axis], upper[axis], N_SAMPLES)
-            lines = shapely.intersection(self.domain.fluid, self.places.lines(axis, middles))
-            lines = lines[shapely.length(lines) > 0.0]
-            parts = (
-                shapely.length(shapely.intersection(shape, lines)) / self.porous[name].permeability
-                for name, shape in shapes.items()
-            )
-            ways.append(float(sum(parts).min(initial=math.inf)))
-        return max(ways)
+        return self.slowing.way
 
     @property
     def porous_widths(self) -> dict[str, float]:
-        """The width [m] of each porous body, the diameter of the largest circle in it."""
-        parts = self._porous_parts.items()
-        circles = {name: shapely.maximum_inscribed_circle(part) for name, part in parts}
-        return {name: 2.0 * float(circle.length) for name, circle in circles.items()}
+        return self.slowing.widths
 
 
 def _geometries(where: str, sections: Mapping[str, ShapeSection]) -> dict[str, BaseGeometry]:

@@ -12,13 +12,12 @@ from functools import cached_property, lru_cache, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-import shapely
 
 from sphrom.arrays import Array
 from sphrom.case.custom_sections import SurfaceForce, ramp_share
-from sphrom.case.expressions import Expression
 from sphrom.case.fields import LARGEST
 from sphrom.metrics.series import shortest_period
+from sphrom.scenes.expressions import Expression
 from sphrom.scenes.flows import Amplitude, BodyForce
 from sphrom.sph.places import N_SAMPLES, Places
 
@@ -70,7 +69,7 @@ class Driving:
         """Return the expression of a key. Raises ValueError, with the key."""
         text = value if isinstance(value, str) else repr(value)
         scene = self.scene
-        constants = {name: self.values.get(name, own) for name, own in scene.constants.items()}
+        constants = {name: self.values.get(name, usual) for name, usual in scene.constants.items()}
         try:
             expression = Expression(text, variables, constants, scene.histories)
             # Except a force beside a surface, expressions in t are split into factors.
@@ -179,8 +178,7 @@ class Driving:
         for name, drive in self.walls.items():
             for text, amplitude in drive.amplitudes.items():
                 if amplitude.depends_on:
-                    at = lru_cache(MOST_TIMES)(lambda t, value=amplitude: float(value(t=t)))
-                    found[name] = known.setdefault(text, at)
+                    found[name] = known.setdefault(text, _remembered(partial(_at_times, amplitude)))
         return found
 
     @property
@@ -206,18 +204,19 @@ class Driving:
         rate = factor * float(drive.fields[0]())
         if isinstance(wall.rotation, float):
             rate = self.values.get(name, wall.rotation)
-        centre = shapely.get_coordinates(self.scene.shapes[name].centroid)[0]
-        return lambda at: rate * np.stack((centre[1] - at[:, 1], at[:, 0] - centre[0]), axis=1)
+        return lambda at: rate * self.scene.domain.arms(name, at)[:, ::-1] * (-1.0, 1.0)
 
     @cached_property
     def force(self) -> BodyForce | None:
         """The body force: a field times an amplitude, with a factor that may be a parameter."""
         scene = self.scene
         pushes = self.pushes
-        places = self.scene.places
+        places = scene.places
         if scene.fluid is not None:
             parts = [self.expression(BODY_FORCE, v, "x", "y", "t") for v in scene.body_force]
-            return SurfaceForce.of(tuple(parts), scene.fluid.gravity)
+            force = SurfaceForce.of(tuple(parts), scene.fluid.gravity)
+            self._require_finite_force(force.field)
+            return force
         strip = scene.strip
         if not pushes:
             return None
@@ -233,25 +232,25 @@ class Driving:
             ]
             return np.sum(fields, axis=0) if len(fields) > 1 else fields[0]
 
-        for name, push in pushes.items():
-            checked = places.all
-            if name == INFLOW and strip is not None:
-                inside = places.particles[strip.contains(places.particles.T)]
-                checked = np.concatenate([scene.strip_samples, inside])
-            require_finite(push.key, push(checked.T).T, checked)
-        force = pushes.get(BODY_FORCE)
-        if force is not None and not self.values:  # for all values the same peaks
-            finite_peak(KEYS[BODY_FORCE], places, lambda at: np.abs(force(at)).sum(axis=0))
+        if strip is not None:
+            inside = places.particles[strip.contains(places.particles.T)]
+            checked = np.concatenate([scene.strip_samples, inside])
+            require_finite(KEYS[INFLOW], pushes[INFLOW](checked.T).T, checked)
+        if BODY_FORCE in pushes:
+            self._require_finite_force(pushes[BODY_FORCE])
         factor = next((self.values.get(name, 1.0) for name in self.factors), 1.0)
-        share = partial(ramp_share, scene.ramp)
 
-        def series(times: Array) -> Array:
+        def series(times: Array | float) -> Array:
             with np.errstate(invalid="ignore"):  # a check refuses amplitudes that are not finite
-                return factor * (share(times) * amplitude(t=times))
+                return factor * ramp_share(scene.ramp, times) * amplitude(t=times)
 
-        # Cached, because all runs of a case use the same times.
-        one = lru_cache(MOST_TIMES)(lambda t: factor * float(share(t)) * float(amplitude(t=t)))
-        return BodyForce(field, one, series, changes=bool(amplitude.depends_on))
+        return BodyForce(field, _remembered(series), series, changes=bool(amplitude.depends_on))
+
+    def _require_finite_force(self, field: Callable[[Array], Array]) -> None:
+        places = self.scene.places
+        require_finite(BODY_FORCE, field(places.all.T).T, places.all)
+        if not self.values:  # for all values the same peaks
+            finite_peak(BODY_FORCE, places, lambda at: np.abs(field(at)).sum(axis=0))
 
     # The driving over time
 
@@ -262,32 +261,19 @@ class Driving:
         if isinstance(self.force, SurfaceForce):
             yield from ((BODY_FORCE, part) for part in self.force.parts)
 
-    def signals(self) -> dict[str, Callable[[Array], Array]]:
-        """Return functions for the driving (..., n_times) at times (n_times,) [s], by key."""
-        force = self.force
-        signals = dict[str, Callable[[Array], Array]]()
-        for name, drive in self.walls.items():
-            for amplitude in drive.amplitudes.values():
-                if amplitude.depends_on:
-                    signals[f"walls.{name}"] = partial(_at_times, amplitude)
-        if not isinstance(force, SurfaceForce):
-            if force is not None and force.series is not None and force.changes:
-                signals[KEYS[next(iter(self.pushes))]] = force.series
-            return signals
-        moving = [part for part in force.parts if "t" in part.depends_on]
+    def signals(self) -> Iterator[tuple[str, Callable[[Array], Array]]]:
+        """Yield functions for the driving (n_places, n_times) at times (n_times,) [s], by key."""
         samples = self.scene.places.samples
         x, y = samples[:: len(samples) // N_PLACES + 1].T[..., None]
-        if not any(part.depends_on & {"x", "y"} for part in moving):
-            x, y = x[:1], y[:1]
-        if moving:
-            parts = lambda t: np.concatenate([p(x=x, y=y, t=t) for p in moving])  # noqa: E731
-            signals[BODY_FORCE] = parts
-        return signals
+        for key, part in self.timed():
+            n_places = len(x) if part.depends_on & {"x", "y"} else 1
+            if "t" in part.depends_on:
+                yield key, partial(_at_times, part, x=x[:n_places], y=y[:n_places])
 
     @cached_property
     def shortest_period(self) -> float:
         """The shortest period of the driving [s] in the scene's runs; infinite if steady."""
-        periods = (shortest_period(signal, self.scene.until) for signal in self.signals().values())
+        periods = (shortest_period(signal, self.scene.until) for _, signal in self.signals())
         return min(periods, default=math.inf)
 
     def times(self, until: float, number: int = N_CHECKED) -> Array:
@@ -343,7 +329,7 @@ class Driving:
     def _pull(self, force: Array) -> Array:
         """Return the largest magnitudes (2,) of a force's components (2, n_samples) [m/s2]."""
         if math.isfinite(self.level) or not self.scene.domain.fills_box:
-            return np.asarray(np.abs(force).max(axis=1))
+            return np.abs(force).max(axis=1)
         # One-way means along lines: forces to a centre press from both sides.
         ways = np.maximum((force, -force), 0.0).reshape(2, 2, N_SAMPLES + 1, -1)
         return np.array([ways[:, axis].mean(axis=-1 - axis).max() for axis in range(2)])
@@ -375,8 +361,13 @@ def at_places(field: Expression, position: Array) -> Array:
     return field(x=position[0], y=position[1])
 
 
-def _at_times(amplitude: Expression, times: Array) -> Array:
-    return amplitude(t=times)
+def _at_times(part: Expression, times: Array | float, **place: Array) -> Array:
+    return part(t=times, **place)
+
+
+def _remembered(series: Callable[[float], Array | float]) -> Amplitude:
+    """Return a function for one value of a series, cached: all runs of a case have equal times."""
+    return lru_cache(MOST_TIMES)(lambda time: float(series(time)))
 
 
 def _require_one(keys: str, amplitudes: Mapping[str, Expression]) -> None:

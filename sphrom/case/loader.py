@@ -21,7 +21,15 @@ from sphrom.case.scenes import kind_of
 from sphrom.case.schema import MAX_PROBLEMS, problems_of
 from sphrom.case.sections import ALL
 from sphrom.case.studies import Region, trained_at
-from sphrom.case.yaml_reader import MAX_DEPTH, Document, Path, Problem, read_yaml, show_path
+from sphrom.case.yaml_reader import (
+    MAX_DEPTH,
+    Document,
+    Path,
+    Problem,
+    StoredLoader,
+    read_yaml,
+    show_path,
+)
 from sphrom.errors import CaseError
 from sphrom.text import nearest, quoted
 from sphrom.whole_files import read_whole
@@ -90,7 +98,7 @@ def case_of_text(text: str, folder: str | os.PathLike[str] | None = None) -> Cas
 
     Raises CaseError when such a file is missing or has changed.
     """
-    data = read_yaml(text).value
+    data = read_yaml(text, StoredLoader).value
     try:
         return Case.model_validate(data, context=None if folder is None else {"folder": folder})
     except ValidationError as error:

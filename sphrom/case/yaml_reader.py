@@ -75,6 +75,12 @@ class Loader(yaml.SafeLoader):
         return node
 
 
+class StoredLoader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+    """A loader of texts that `dump_yaml` wrote: in C, where there is such a loader."""
+
+    yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012
+
+
 class Dumper(yaml.SafeDumper):
     """A dumper that quotes texts which the loader would read as another type."""
 
@@ -84,7 +90,7 @@ class Dumper(yaml.SafeDumper):
         return True
 
 
-for _class in (Loader, Dumper):
+for _class in (Loader, StoredLoader, Dumper):
     for _name, (_pattern, _first) in _IMPLICIT.items():
         _class.add_implicit_resolver(_TAG + _name, re.compile(f"(?:{_pattern})\\Z"), _first)
 
@@ -101,12 +107,12 @@ def dump_yaml(value: Any) -> str:
     return yaml.dump(value, Dumper=Dumper, sort_keys=False, width=100)
 
 
-def read_yaml(text: str) -> Document:
+def read_yaml(text: str, loader: type[Loader | StoredLoader] = Loader) -> Document:
     """Read one YAML document; its errors are in `problems`."""
     line = None
     document = Document()
     try:
-        if (node := Loader(text).get_single_node()) is not None:
+        if (node := loader(text).get_single_node()) is not None:
             document.value = document.convert(node, ())
         return document
     except _TooLarge as error:

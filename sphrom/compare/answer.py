@@ -12,19 +12,20 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
+from typing import TypeVar
 
 import numpy as np
 
 from sphrom.case.models import Case
 from sphrom.case.sections import ReducedModelSection
-from sphrom.compare.comparison_tables import ErrorRow, Tables, best_name
+from sphrom.compare.comparison_tables import ErrorRow, EstimateRow, Tables
 from sphrom.compare.costs import N_REPEATS, RunTiming, break_even, offline_seconds
-from sphrom.compare.measured import SURFACE, MeasureRow, OscillationRow
+from sphrom.compare.measured import MeasureRow, OscillationRow
 from sphrom.metrics.measures import ONLY_NOISE
-from sphrom.online.stable_ranges import against
+from sphrom.models.contract import SURFACE, Ability, basis_used, best_name, family_of
+from sphrom.models.stable_ranges import against
 from sphrom.plots.tables import format_figure
 from sphrom.store.stored_run import inflow_of
-from sphrom.store.trained_models import basis_used
 from sphrom.store.workspace import Workspace
 from sphrom.text import counted, duration
 
@@ -40,6 +41,7 @@ ROLES = {
 """Phrases for the roles of parameter points."""
 Pair = tuple[float, float]
 """Errors of velocity and pressure [%]."""
+Row = TypeVar("Row", ErrorRow, EstimateRow, MeasureRow, OscillationRow)
 LOADS = "force_x", "force_y", "torque"
 """Components of a measured force, with its torque."""
 
@@ -114,14 +116,13 @@ class Answer:
         yield from self._cost()
 
     def _compared(self) -> Iterator[str]:
-        parts = []
-        if self.best is not None:
-            parts.append(f"the nearest state in its basis: {_both(self.best)}")
-        if self.estimate is not None:
-            parts.append(f"the model's own estimate: {_both(self.estimate)}")
+        beside = {
+            "the nearest state in its basis": self.best,
+            "the model's own estimate": self.estimate,
+        }
+        parts = [f"{words}: {_both(pair)}" for words, pair in beside.items() if pair is not None]
         if parts:
-            text = "; ".join(parts)
-            yield f"{text[0].upper()}{text[1:]}."
+            yield _sentence("; ".join(parts))
         if self.surface is not None:
             error, least = self.surface
             nearest = "" if least is None else f", that of the nearest state by {percent(least)}"
@@ -130,16 +131,16 @@ class Answer:
                 "square of its change."
             )
         if self.times:
-            yield f"{self.times[0].upper()}{self.times[1:]}."
+            yield _sentence(self.times)
         yield from self._loads()
-        for each in self.oscillations:
-            if each.remark:
-                yield f"The oscillation ({each.measured}) has no figures: {each.remark}."
+        for row in self.oscillations:
+            if row.remark:
+                yield f"The oscillation ({row.measured}) has no figures: {row.remark}."
                 continue
-            errors = each.frequency_error, each.amplitude_error, each.phase_error
+            errors = row.frequency_error, row.amplitude_error, row.phase_error
             frequency, amplitude, phase = (format_figure(error, DIGITS) for error in errors)
             yield (
-                f"The oscillation ({each.measured}) differs by {frequency} % in frequency, "
+                f"The oscillation ({row.measured}) differs by {frequency} % in frequency, "
                 f"{amplitude} % in amplitude and, at the end, {phase} degrees in phase; all errors "
                 "over time include this phase."
             )
@@ -147,25 +148,26 @@ class Answer:
 
     def _loads(self) -> Iterator[str]:
         """Yield a sentence per measured force, with the errors of its components."""
-        best = {(row.measured, row.quantity): row for row in self.nearest_loads}
+        nearest = {(row.measured, row.quantity): row.relative_l2 for row in self.nearest_loads}
         for name, of_name in groupby(self.loads, key=lambda row: row.measured):
             rows = list(of_name)
             parts = list[str]()
             for row in rows:
                 words = row.quantity.replace("_", " ")
-                nearest = best.get((name, row.quantity))
-                beside = {"estimate": row.estimated}
-                if nearest is not None:
-                    beside = {"nearest state": nearest.relative_l2, **beside}
-                also = ", ".join(f"{label} {percent(e)}" for label, e in beside.items() if e)
-                part = f"{words} by {percent(row.relative_l2)}" if row.relative_l2 else ""
-                off = f"{format_figure(row.rms_error, DIGITS)} {row.unit}"
-                noise = f"{words}: {ONLY_NOISE} in the full run, the difference is {off}"
-                parts.append(f"{part} ({also})" if part and also else part or noise)
-            whole = rows[0].vector_relative_l2
-            vector = "" if whole is None else f", as a vector by {percent(whole)}"
+                if not row.relative_l2:
+                    off = f"{format_figure(row.rms_error, DIGITS)} {row.unit}"
+                    parts.append(f"{words}: {ONLY_NOISE} in the full run, the difference is {off}")
+                    continue
+                errors = {
+                    "nearest state": nearest.get((name, row.quantity)),
+                    "estimate": row.estimated,
+                }
+                also = ", ".join(f"{label} {percent(e)}" for label, e in errors.items() if e)
+                parts.append(f"{words} by {percent(row.relative_l2)}" + f" ({also})" * bool(also))
+            vector = rows[0].vector_relative_l2
+            as_vector = "" if vector is None else f", as a vector by {percent(vector)}"
             yield (
-                f"The measured force ({name}) differs over time{vector}, and by component, "
+                f"The measured force ({name}) differs over time{as_vector}, and by component, "
                 f"relative to its own change: {'; '.join(parts)}."
             )
 
@@ -174,19 +176,19 @@ class Answer:
         if timing is None or timing.full_seconds is None:
             yield "The time of the full run is unknown, and so is the break-even of the model."
             return
-        own = f"Undisturbed, on one thread, it takes {duration(timing.reduced_seconds or 0.0)}"
+        takes = f"Undisturbed, on one thread, it takes {duration(timing.reduced_seconds or 0.0)}"
         full = duration(timing.full_seconds)
         if timing.speed_up is None:
-            yield f"{own}. The full run took {full}, as stated at its import."
+            yield f"{takes}. The full run took {full}, as stated at its import."
             yield "No speed-up is given, because threads and machines of the two times may differ."
             return
-        took = f"{own}, the full run {full} at its largest stable step."
+        takes = f"{takes}, the full run {full} at its largest stable step."
         if timing.speed_up <= 1.0:
-            yield f"{took} It is not faster; use a model with evaluation: operators."
+            yield f"{takes} It is not faster; use a model with evaluation: operators."
             return
-        yield took
+        yield takes
         gains = timing.speed_up, timing.least_speed_up, timing.greatest_speed_up
-        times, low, high = (format_figure(each, DIGITS) for each in gains)
+        times, low, high = (format_figure(gain, DIGITS) for gain in gains)
         spread = "" if gains[1] is None else f" ({low} to {high} over {N_REPEATS} repeats)"
         yield f"That is {times}{spread} times as long."
         if self.offline_seconds is None or self.pays_from is None:
@@ -209,54 +211,67 @@ def _both(errors: Pair) -> str:
     return f"{percent(errors[0])} and {percent(errors[1])}"
 
 
+def _sentence(text: str) -> str:
+    return f"{text[0].upper()}{text[1:]}."
+
+
 def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
     """Return the answer of a comparison, None if no model ran to its end."""
-    plan = workspace.case.plan
-    for model in _by_preference(workspace.case, tables):
-        points = {point.label: point for point in plan.rom_points(model)}
-        compared = _compared(tables, model.name)
-        judged = _judged(compared)
-        error, worst = max(judged, key=lambda pair: pair[0][0])
-        far = [pair for pair in compared if pair[1].role == "extrapolated" != worst.role]
-        beyond = max(far, key=lambda pair: pair[0][0], default=None)
-        point = points[worst.parameters]
-        basis, n_modes = basis_used(workspace, model, point)
-        best = best_name(basis, n_modes)
-        nearest = [r for r in tables.errors if (r.compared, r.parameters) == (best, point.label)]
-        own = (model.name, point.label)
-        estimates = [r.figures for r in tables.estimates if (r.compared, r.parameters) == own]
-        timings = [r for r in tables.timings if (r.model, r.parameters) == own]
-        loads = [
-            r for r in tables.measures if (r.quantity in LOADS) and r.parameters == point.label
-        ]
-        full_seconds = timings[0].full_seconds if timings else None
-        offline, training = offline_seconds(workspace, model, [point], full_seconds)
-        return Answer(
-            row=worst,
-            n_points=len(judged),
-            error=error,
-            best=nearest[0].in_field if nearest else None,
-            estimate=(estimates[0]["velocity_estimate"], estimates[0]["pressure_estimate"])
-            if estimates
-            else None,
-            timing=timings[0] if timings else None,
-            offline_seconds=offline,
-            training_seconds=training,
-            n_training=len(plan.bases[basis]),
-            surface=_surface_errors(tables, worst, best),
-            since=f" from {since:g} s on" if (since := workspace.case.compare.from_time) else "",
-            doubts=(
-                *_doubts(workspace),
-                *(f"This run is doubtful: {t}." for t in against(workspace, model, point)),
-            ),
-            outside=beyond and (len(far), beyond[1].parameters, beyond[0]),
-            unphysical=tuple(_unphysical(workspace)),
-            oscillations=tuple(r for r in tables.oscillations if (r.compared, r.parameters) == own),
-            times=plan.times_in_words,
-            loads=tuple(row for row in loads if row.compared == model.name),
-            nearest_loads=tuple(row for row in loads if row.compared == best),
-        )
-    return None
+    case = workspace.case
+    plan = case.plan
+    model = next(iter(_by_preference(case, tables)), None)
+    if model is None:
+        return None
+    compared = _compared(tables, model.name)
+    judged = _judged(compared)
+    error, worst = max(judged, key=_velocity_error)
+    far = [pair for pair in compared if pair[1].role == "extrapolated" != worst.role]
+    beyond = max(far, key=_velocity_error, default=None)
+    point = next(p for p in plan.rom_points(model) if p.label == worst.parameters)
+    basis, n_modes = basis_used(workspace, model, point)
+    best = best_name(basis, n_modes)
+
+    def rows_of(rows: Sequence[Row], compared: str = model.name) -> list[Row]:
+        return [r for r in rows if (r.compared, r.parameters) == (compared, point.label)]
+
+    nearest = rows_of(tables.errors, best)
+    estimates = [row.figures for row in rows_of(tables.estimates)]
+    timing = next(
+        (r for r in tables.timings if (r.model, r.parameters) == (model.name, point.label)), None
+    )
+    loads = [row for row in tables.measures if row.quantity in LOADS]
+    surface = [row for row in tables.measures if row.measured == SURFACE]
+    full_seconds = None if timing is None else timing.full_seconds
+    offline, training = offline_seconds(workspace, model, [point], full_seconds)
+    return Answer(
+        row=worst,
+        n_points=len(judged),
+        error=error,
+        best=nearest[0].in_field if nearest else None,
+        estimate=(estimates[0]["velocity_estimate"], estimates[0]["pressure_estimate"])
+        if estimates
+        else None,
+        timing=timing,
+        offline_seconds=offline,
+        training_seconds=training,
+        n_training=len(plan.bases[basis]),
+        surface=_relative_errors(rows_of(surface), rows_of(surface, best)),
+        since=f" from {since:g} s on" if (since := case.compare.from_time) else "",
+        doubts=(
+            *_doubts(workspace),
+            *(f"This run is doubtful: {t}." for t in against(workspace, model, point)),
+        ),
+        outside=beyond and (len(far), beyond[1].parameters, beyond[0]),
+        unphysical=tuple(_unphysical(workspace)),
+        oscillations=tuple(rows_of(tables.oscillations)),
+        times=plan.times_in_words,
+        loads=tuple(rows_of(loads)),
+        nearest_loads=tuple(rows_of(loads, best)),
+    )
+
+
+def _velocity_error(pair: tuple[Pair, ErrorRow]) -> float:
+    return pair[0][0]
 
 
 def _compared(tables: Tables, model: str) -> list[tuple[Pair, ErrorRow]]:
@@ -278,18 +293,21 @@ def _by_preference(case: Case, tables: Tables) -> list[ReducedModelSection]:
     failed = {row.compared for row in tables.errors if row.status != "complete"}
     seconds = {row.model: row.reduced_seconds for row in tables.timings}
     models = [model for model in case.rom if _compared(tables, model.name)]
+
+    def runs_alone(model: ReducedModelSection) -> bool:
+        return family_of(case, model).can(Ability.RUNS_ALONE)
+
     for model in models:
         pairs = _judged(_compared(tables, model.name))
         errors[model.name] = error = float(np.mean([pair[0] for pair in pairs], axis=0).max())
         if model.name not in failed:
-            kind = model.from_operators
+            kind = runs_alone(model)
             least[kind] = min(error, least.get(kind, math.inf))
 
     def key(model: ReducedModelSection) -> tuple[bool, bool, bool, float]:
-        kind = model.from_operators
         name = model.name
-        off = errors[name] > (1.0 + ALIKE) * least.get(kind, math.inf)
-        return not kind, name in failed, off, seconds.get(name) or math.inf
+        off = errors[name] > (1.0 + ALIKE) * least.get(runs_alone(model), math.inf)
+        return not runs_alone(model), name in failed, off, seconds.get(name) or math.inf
 
     return sorted(models, key=key)
 
@@ -306,12 +324,13 @@ def _unphysical(workspace: Workspace) -> Iterator[str]:
 
 def _doubts(workspace: Workspace) -> Iterator[str]:
     """Yield sentences with reasons to doubt that full runs belong to the case, if any."""
-    runs = {p.label: workspace.imported(workspace.full_run(p)) for p in workspace.case.plan.points}
-    for point in workspace.case.plan.points if workspace.case.plan.strip is not None else ():
+    plan = workspace.case.plan
+    for point in plan.points if plan.strip is not None else ():
         with workspace.open(workspace.full_run(point)) as trajectory:
             inflow = inflow_of(workspace.case, point, trajectory)
         if inflow is not None and inflow.problem is not None:
             yield f"Warning: {inflow.problem}."
+    runs = {point.label: workspace.imported(workspace.full_run(point)) for point in plan.points}
     said = {at: of["imported/doubts"] for at, of in runs.items() if of.get("imported/doubts")}
     if said:
         (first, *more) = said
@@ -320,14 +339,12 @@ def _doubts(workspace: Workspace) -> Iterator[str]:
         yield f"The run at {first} was imported, and may be of another flow: {doubts}{also}."
 
 
-def _surface_errors(tables: Tables, row: ErrorRow, best: str) -> tuple[float, float | None] | None:
-    errors = {
-        each.compared: each.relative_l2
-        for each in tables.measures
-        if (each.measured, each.parameters) == (SURFACE, row.parameters)
-    }
-    own = errors.get(row.compared)
-    return None if own is None else (own, errors.get(best))
+def _relative_errors(
+    model: Sequence[MeasureRow], nearest: Sequence[MeasureRow]
+) -> tuple[float, float | None] | None:
+    """Return the errors of a model and of the nearest state, if the model has one."""
+    errors = [rows[0].relative_l2 if rows else None for rows in (model, nearest)]
+    return None if errors[0] is None else (errors[0], errors[1])
 
 
 def tell_answer(workspace: Workspace, tables: Tables) -> None:

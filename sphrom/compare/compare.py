@@ -3,36 +3,30 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import chain
-
-import numpy as np
 
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ALL, ReducedModelSection
+from sphrom.case.sections import ReducedModelSection
 from sphrom.case.study_sections import FULL
 from sphrom.compare.answer import tell_answer
-from sphrom.compare.comparison_figures import draw_comparison, exact_samples, spectrum_rows
+from sphrom.compare.basis_figures import spectrum_rows
+from sphrom.compare.comparison_figures import draw_comparison, exact_samples
 from sphrom.compare.comparison_tables import (
-    ALONE,
     DecayRow,
     Tables,
-    best_name,
     error_row,
     estimate_row,
     show,
 )
 from sphrom.compare.costs import run_timings, stage_timings
 from sphrom.compare.measured import (
-    SURFACE,
     Measured,
     MeasureRow,
     flow_row,
     measure_rows,
     measured_estimates,
-    measured_of_best,
-    measured_of_map,
     oscillation_rows,
 )
 from sphrom.compare.references import compare_with_references
@@ -40,14 +34,13 @@ from sphrom.compare.stored_comparison import ComparisonWriter
 from sphrom.errors import CaseError
 from sphrom.metrics.histories import compare
 from sphrom.metrics.measures import Samples, without_weight
-from sphrom.metrics.series import exponential_rate, kinetic_energy
-from sphrom.online.surface_model import SurfaceModel, SurfaceRun
+from sphrom.metrics.series import exponential_rate
+from sphrom.models.contract import basis_used, family_of
+from sphrom.models.stored_run import StoredRun
 from sphrom.scenes.flows import TaylorGreen
 from sphrom.setup.assembly import role_of
 from sphrom.setup.context import StageContext
-from sphrom.setup.particles import sampler
-from sphrom.store.stored_run import StoredRun, probes_of, sample_best, sample_mapped
-from sphrom.store.trained_models import basis_used, read_modes
+from sphrom.store.stored_run import probes_of
 from sphrom.store.trajectory import measured_of, require_complete
 from sphrom.store.workspace import Workspace
 
@@ -72,7 +65,9 @@ def run(context: StageContext) -> None:
             for point in case.plan.points:
                 writer = ComparisonWriter(artifact, point, probes)
                 _PointComparison(workspace, writer, tables).compare()
-            tables.decay.extend(_decay(workspace, *pair) for pair in _exact_flows(case))
+            tables.decay.extend(
+                _decay(workspace, point, flow) for point, flow in _exact_flows(case)
+            )
             tables.singular_values.extend(spectrum_rows(workspace))
             tables.timings.extend(run_timings(workspace))
             tables.stages.extend(stage_timings(workspace))
@@ -85,6 +80,16 @@ def run(context: StageContext) -> None:
     tell_answer(workspace, tables)
 
 
+@dataclass(frozen=True)
+class _Run:
+    """What is compared: its name, its basis and its number of modes, if any, and how it ended."""
+
+    name: str
+    basis: str | None = None
+    n_modes: int | None = None
+    status: str = "complete"
+
+
 def _exact_flows(case: Case) -> list[tuple[ParameterPoint, TaylorGreen]]:
     flows = ((point, case.plan.flow(point).exact) for point in case.plan.points)
     return [(point, flow) for point, flow in flows if flow is not None and case.compare.exact]
@@ -93,8 +98,7 @@ def _exact_flows(case: Case) -> list[tuple[ParameterPoint, TaylorGreen]]:
 def _decay(workspace: Workspace, point: ParameterPoint, flow: TaylorGreen) -> DecayRow:
     exact = flow.energy_decay_rate
     with StoredRun.opened(workspace, point) as run:
-        each = (kinetic_energy(run.fields(k)[0], run.mass) for k in range(len(run.time)))
-        fitted = exponential_rate(run.time, np.array(list(each)))
+        fitted = exponential_rate(run.time, run.kinetic_energy)
     return DecayRow(point.label, fitted, exact, fitted / exact)
 
 
@@ -115,17 +119,15 @@ class _PointComparison:
     def __init__(self, workspace: Workspace, writer: ComparisonWriter, tables: Tables) -> None:
         self.workspace = workspace
         self.case = workspace.case
-        self.point = writer.point
-        self.probes = writer.probes
         self.writer = writer
         self.tables = tables
+        self.point = point = writer.point
+        self.probes = probes = writer.probes
         plan = self.case.plan
-        point = writer.point
-        probes = writer.probes
         self.models = plan.compared_at(point)
         with workspace.open(workspace.full_run(point)) as trajectory:
             require_complete(trajectory)
-            run = StoredRun(workspace, trajectory, point)
+            run = StoredRun.of(workspace, trajectory, point)
             self.full = self._sampled("the full run", run)
             writer.full_run(self.full)
             for row, profile in compare_with_references(self.case, point, trajectory, probes):
@@ -133,9 +135,9 @@ class _PointComparison:
                 writer.profile(row, profile)
             self._describe_flow(FULL, run, self.full)
             self.measured = measured_of(self.case, trajectory)
-        if self.case.scene.has_surface and self.models:
-            with workspace.open(workspace.mapped(point)) as mapped:
-                self.measured |= {SURFACE: {"elevation": mapped.read("elevation")}}
+        self.family = family_of(self.case)
+        if self.models:
+            self.measured |= self.family.part("measured_at")(workspace, point)
         self.references = {FULL: self.full}
         if (flow := plan.flow(point).exact) is not None and self.case.compare.exact:
             self.references["exact"] = exact_samples(flow, probes.all, self.full.time)
@@ -143,80 +145,49 @@ class _PointComparison:
 
     def compare(self) -> None:
         """Add all comparisons at this point to the artifact and the tables."""
-        self._measure(FULL, self.measured)
+        full = _Run(FULL)
+        self._measure(full, self.measured)
         if "exact" in self.references:
-            self._add(self.full, FULL, against="exact")
-        if self.models and self.case.scene.has_surface:
-            self._compare_surface_limits()
-        elif self.models:
+            self._add(full, self.full, "exact")
+        if self.models:
             self._compare_limits()
         for model in self.models:
             self._compare_model(model)
         self.tables.measures.extend(chain.from_iterable(self.measures.values()))
 
     def _compare_limits(self) -> None:
-        """Compare the mapped snapshots, and the best state in each basis."""
-        workspace = self.workspace
-        case = self.case
-        with workspace.open(workspace.mapped(self.point)) as mapped:
-            self._add(sample_mapped(case, mapped, sampler(case, self.probes.all)), "map")
-            self._measure("map", measured_of_map(case, mapped))
-            # Models with operators compute measurements from their coordinates.
-            last = sorted(self.models, key=lambda model: model.evaluation == "operators")
-            used = {basis_used(workspace, model, self.point): model for model in last}
-            for (name, size), model in sorted(used.items(), key=lambda each: each[0]):
-                best = best_name(name, size)
-                modes = read_modes(workspace, name, size)
-                both, alone = sample_best(case, mapped, *modes, self.probes)
-                self._add(both, best, basis=name, n_modes=size)
-                self._add(alone, f"{ALONE}, {name} M={size}", basis=name, n_modes=size)
-                if model.evaluation == "operators" and case.scene.measure:
-                    measured = measured_of_best(workspace, model, self.point, mapped)
-                    self._measure(best, measured, name, size)
-
-    def _compare_surface_limits(self) -> None:
-        """Compare the nearest states of each basis, and models that are not calibrated."""
-        runs: dict[str, tuple[int, Callable[[ParameterPoint], SurfaceRun]]] = {}
-        for model in self.models:
-            fast = SurfaceModel(self.workspace, model)
-            size = fast.section.size
-            runs[best_name(ALL, size)] = size, fast.nearest
-            if model.is_calibrated:
-                plain = model.model_copy(update={"calibrated": False})
-                own = SurfaceModel(self.workspace, plain)
-                runs[f"{model.name}, not calibrated"] = size, own.run
-        for name, (size, run_at) in runs.items():
-            run = run_at(self.point)
-            status = "complete" if run.failure is None else "unstable"
-            if run.failure is None:
-                measured = {**run.measured, SURFACE: {"elevation": run.elevation}}
-                self._measure(name, measured, ALL, size)
-            self._add(run.sampled(self.probes.all), name, FULL, ALL, size, status)
+        """Compare the best that models can be, and simpler models."""
+        limits = self.family.part("limits")
+        for best in limits(self.workspace, self.models, self.point, self.probes):
+            compared = _Run(best.name, best.basis, best.n_modes, best.status)
+            self._add(compared, best.samples)
+            if best.measured is not None:
+                self._measure(compared, best.measured)
 
     def _compare_model(self, model: ReducedModelSection) -> None:
         workspace = self.workspace
         case = self.case
-        point = self.point
-        target = workspace.reduced_run(model, point)
-        basis, size = basis_used(workspace, model, point)
-        with workspace.open(target) as trajectory:
-            status = trajectory.text("status")
-            run = StoredRun(workspace, trajectory, point, model)
+        basis, size = basis_used(workspace, model, self.point)
+        with workspace.open(workspace.reduced_run(model, self.point)) as trajectory:
+            compared = _Run(model.name, basis, size, trajectory.text("status"))
+            run = StoredRun.of(workspace, trajectory, self.point, model)
             reduced = self._sampled(model.name, run)
             self._describe_flow(model.name, run, reduced)
-            if status == "complete":  # a run that stopped early has no estimates and no speed-up
-                about = self._described(model.name, basis)
-                begin = case.compare.from_time
-                estimate = estimate_row(trajectory, reduced, self.full, self.probes, begin, **about)
-                if estimate is not None:
-                    self.tables.estimates.append(estimate)
-                estimates = measured_estimates(case, trajectory)
-                measured = measured_of(case, trajectory)
-                if case.scene.has_surface:
-                    measured |= {SURFACE: {"elevation": run.elevation}}
-                self._measure(model.name, measured, basis, size, estimates)
+            # A run that stopped early has no estimates and no speed-up.
+            if compared.status == "complete":
+                estimate = estimate_row(
+                    trajectory,
+                    reduced,
+                    self.full,
+                    self.probes,
+                    case.compare.from_time,
+                    **self._described(compared),
+                )
+                self.tables.estimates.extend(filter(None, [estimate]))
+                measured = {**measured_of(case, trajectory), **run.whole}
+                self._measure(compared, measured, measured_estimates(case, trajectory))
         for against in self.references:
-            self._add(reduced, model.name, against, basis, size, status)
+            self._add(compared, reduced, against)
 
     def _sampled(self, name: str, run: StoredRun) -> Samples:
         text = f"sample {name}, {self.point.label}"
@@ -230,56 +201,58 @@ class _PointComparison:
             self.tables.flow.append(row)
 
     def _measure(
-        self,
-        name: str,
-        measured: Measured,
-        basis: str | None = None,
-        n_modes: int | None = None,
-        estimates: Measured | None = None,
+        self, compared: _Run, measured: Measured, estimates: Measured | None = None
     ) -> None:
+        """Add the rows of a run's measurements, grouped by quantity."""
         since = self.case.compare.from_time
         plan = self.case.plan
-        rows = measure_rows(
+        for row in measure_rows(
             measured,
             self.measured,
             self.full.time,
-            lambda each: max(since, plan.means_from.get(each, plan.settled_from)),
+            lambda name: max(since, plan.means_from.get(name, plan.settled_from)),
             estimates or {},
-            with_weight=self.case.scene.has_surface,
-            n_modes=n_modes,
-            **self._described(name, basis),
-        )
-        runs = self.full.time, measured, self.measured
-        self.tables.oscillations.extend(oscillation_rows(self.case, *runs, name, self.point.label))
-        for row in rows:  # grouped by quantity
+            with_weight=self.case.plan.with_weight,
+            n_modes=compared.n_modes,
+            **self._described(compared),
+        ):
             self.measures[row.measured, row.quantity].append(row)
+        self.tables.oscillations.extend(
+            oscillation_rows(
+                self.case,
+                self.full.time,
+                measured,
+                self.measured,
+                compared=compared.name,
+                parameters=self.point.label,
+            )
+        )
 
-    def _described(self, name: str, basis: str | None) -> dict[str, str]:
+    def _described(self, compared: _Run) -> dict[str, str]:
+        basis = compared.basis
         role = "" if basis is None else role_of(self.case, basis, self.point)
-        return {"compared": name, "parameters": self.point.label, "role": role}
+        return {"compared": compared.name, "parameters": self.point.label, "role": role}
 
-    def _add(
-        self,
-        samples: Samples,
-        compared: str,
-        against: str = FULL,
-        basis: str | None = None,
-        n_modes: int | None = None,
-        status: str = "complete",
-    ) -> None:
+    def _add(self, compared: _Run, samples: Samples, against: str = FULL) -> None:
+        """Add the errors of a run, and its samples."""
+        run = samples
+        reference = self.references[against]
+        plan = self.case.plan
+        if (weight := plan.weight_at(self.point, self.probes.all)) is not None:
+            run, reference = without_weight(run, reference, weight)
         begin = self.case.compare.from_time
-        period = self.case.plan.longest_sound_period
-        both = samples, self.references[against]
-        if (weight := self.case.plan.weight_at(self.point, self.probes.all)) is not None:
-            both = without_weight(*both, weight)
-        history = compare(*both, self.probes, begin, period)
-        if status == "complete" and len(history.time) == 0:
+        history = compare(run, reference, self.probes, begin, plan.longest_sound_period)
+        if compared.status == "complete" and len(history.time) == 0:
             raise CaseError(
                 "compare.line_points, compare.grid, compare.from_time: the "
                 f"{against} solution is constant over the probes at all snapshots"
             )
         row = error_row(
-            history, status, n_modes, against=against, **self._described(compared, basis)
+            history,
+            compared.status,
+            compared.n_modes,
+            against=against,
+            **self._described(compared),
         )
         self.tables.errors.append(row)
         self.writer.run(row, history, samples)

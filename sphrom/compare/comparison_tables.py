@@ -48,18 +48,12 @@ Cell = str | Callable[[Cells], str]
 Column = tuple[str, Cell]
 """A heading, with the name of a figure or a function that returns the cell."""
 
-BEST, ALONE = "best possible", "each field alone"
 AT_END = tuple(f"{quantity}_field_relative_l2_end" for quantity in QUANTITIES)
 WITHOUT_SOUND = tuple(
     f"pressure_{where}_without_sound_relative_l2{peak}"
     for where in ("field", "line")
     for peak in ("", "_peak")
 )
-
-
-def best_name(basis: str, n_modes: int) -> str:
-    """Return the name of the projection of full runs onto so many modes of a basis."""
-    return f"{BEST}, {basis} M={n_modes}"
 
 
 @dataclass(frozen=True)
@@ -194,9 +188,9 @@ def estimate_row(
 def show(report: Reporter, tables: Tables) -> None:
     """Show errors, estimates and measurements, and other tables as details."""
     errors = [r for r in tables.errors if "full" in (r.against, r.compared)]
-    _show(report, errors, *NORMS)
-    _show(report, tables.estimates, *ESTIMATES)
-    _show(report, tables.measures, *MEASURES)
+    _show(report, errors, NORMS)
+    _show(report, tables.estimates, ESTIMATES)
+    _show(report, tables.measures, MEASURES)
     unsettled = [r for r in tables.reference if not r.settled]
     if unsettled:
         where = ", ".join(dict.fromkeys(r.parameters for r in unsettled))
@@ -207,7 +201,7 @@ def show(report: Reporter, tables: Tables) -> None:
         )
     settled = [r for r in tables.reference if r.settled]
     oscillations = sorted(tables.oscillations, key=lambda row: row.measured)
-    whole: tuple[tuple[str, Sequence[DataclassInstance]], ...] = (
+    complete: tuple[tuple[str, Sequence[DataclassInstance]], ...] = (
         ("oscillations, with errors, and phases at the end, relative to full runs", oscillations),
         ("full runs and reference solutions, means over a time window", settled),
         ("flow of each run", tables.flow),
@@ -218,16 +212,18 @@ def show(report: Reporter, tables: Tables) -> None:
             tables.timings,
         ),
     )
-    for title, rows in whole:  # with all columns of their files
+    for title, rows in complete:  # with all columns of their files
         if rows:
             names = (heading.replace("_", " ") for heading in headings(type(rows[0])))
             shown = report if rows is oscillations else report.details
-            _show(shown, rows, title, [*zip(names, flat(rows[0]), strict=True)])
+            _show(shown, rows, (title, tuple(zip(names, flat(rows[0]), strict=True))))
 
 
 def _show(
-    report: Reporter, rows: Sequence[DataclassInstance], title: str, columns: Sequence[Column]
+    report: Reporter, rows: Sequence[DataclassInstance], described: tuple[str, tuple[Column, ...]]
 ) -> None:
+    """Show rows, if there are any, with a title and columns."""
+    title, columns = described
     if rows:
         cells = [
             [cell(r) if callable(cell) else format_figure(r[cell]) for _, cell in columns]

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,21 +18,17 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.study_sections import FULL
 from sphrom.kernels import ask_for_threads, asked_for
-from sphrom.machine import seconds_of
 from sphrom.metrics.histories import compression_factors
-from sphrom.online.fast_model import fast_model
-from sphrom.online.particle_runs import build_model, close
+from sphrom.models.contract import basis_used, model_of
+from sphrom.models.fom import seconds_of_steps
+from sphrom.models.points.stored import memory_timing
 from sphrom.setup import particles
-from sphrom.sph.time_loop import Model, runge_kutta_step
-from sphrom.store.trained_models import basis_used, memory_timing
 from sphrom.store.trajectory import snapshot_fields
 from sphrom.store.workspace import Target, Workspace
 
 SECONDS = {"unit": "s"}
 N_REPEATS = 5
 """Number of timings of each run, in turns; the least counts, and all give the spread."""
-N_TIMED_STEPS = 10
-"""Number of steps per timing, because only some steps search for neighbours."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +82,7 @@ def taking_turns(timed: Mapping[Any, Callable[[], float]], repeats: int) -> dict
     threads = asked_for()
     ask_for_threads(1)
     try:
-        rounds = np.array([[each() for each in timed.values()] for _ in range(repeats + 1)])
+        rounds = np.array([[timer() for timer in timed.values()] for _ in range(repeats + 1)])
     finally:
         ask_for_threads(threads)
     return dict(zip(timed, rounds[1:].T, strict=True))
@@ -99,28 +94,12 @@ def full_run_timer(workspace: Workspace, point: ParameterPoint, step: float) -> 
     It times some of the case's own steps in the middle of a run, because the cost of a step depends
     neither on its length nor on parameters.
     """
+    case = workspace.case
     with workspace.open(workspace.full_run(point)) as run:
-        position, *fields = snapshot_fields(run, run.length("time") // 2)
-    state = np.vstack((position.T, fields[0], fields[1].T))
-    model = particles.functional(workspace.case, point)
-    own = workspace.case.plan.steps.time_step
-    return _steps_timer(workspace.case, model, state, own, step)
-
-
-def _steps_timer(
-    case: Case, model: Model, state: Array, step: float, counted: float
-) -> Callable[[], float]:
-    begin = case.plan.steps.start_time
-    n_steps = case.plan.recorded_time / counted
-
-    def seconds() -> float:
-        now = model.wrapped(state)
-        started = time.process_time()
-        for number in range(N_TIMED_STEPS):
-            now = runge_kutta_step(model.rates, now, begin + number * step, step)
-        return (time.process_time() - started) / N_TIMED_STEPS * n_steps
-
-    return seconds
+        position, density, velocity = snapshot_fields(run, run.length("time") // 2)
+    state = np.vstack((position.T, density, velocity.T))
+    model = particles.functional(case, point)
+    return partial(seconds_of_steps, case, model, state, case.plan.steps.time_step, step)
 
 
 def run_timings(workspace: Workspace) -> Iterator[RunTiming]:
@@ -129,43 +108,56 @@ def run_timings(workspace: Workspace) -> Iterator[RunTiming]:
     Steps on particles cost the same at all points, so they are timed once per model.
     """
     case = workspace.case
-    plan = workspace.case.plan
-    runs = []
+    plan = case.plan
+    rows: list[tuple[RunTiming, object]] = []
     timers: dict[object, Callable[[], float]] = {}
-    fast = {m.name: fast_model(workspace, m) for m in case.rom if m.from_operators}
+    models = {section.name: model_of(workspace, section) for section in case.rom}
     for point, model in ((p, m) for p in plan.points for m in plan.compared_at(p)):
         with workspace.open(workspace.full_run(point)) as run:
-            stated = known_seconds(run) if (imported := is_imported(run)) else None
+            imported = is_imported(run)
+            stated = known_seconds(run) if imported else None
         with workspace.open(workspace.reduced_run(model, point)) as run:
             if run.text("status") != "complete":
                 continue
             step = run.number("time_step")
             memory_length = _number(run, "memory_length")
-            n_modes = int(run.dataset("generalized_coordinates").shape[1])
-        if case.scene.has_surface:  # the surface has coordinates, too
-            n_modes = basis_used(workspace, model, point)[1]
-        own = (model.name, model.from_operators and point)
+        n_modes = basis_used(workspace, model, point)[1]
+        reduced_model = models[model.name]
+        key = (model.name, None if reduced_model.family.costs_alike else point)
         if not imported and FULL not in timers:
             timers[FULL] = full_run_timer(workspace, point, largest_step(case))
-        if (quick := fast.get(model.name)) is not None:
-            timers[own] = partial(seconds_of, quick.runner(point))
-        elif own not in timers:
-            reduced, state = build_model(workspace, model, point)
-            close(case, model, reduced, state, plan.steps.start_time)
-            timers[own] = _steps_timer(case, reduced, state, step, step)
-        factors = compression_factors(plan.n_particles, n_modes)
-        longest = None if imported else largest_step(case)
-        about = model.name, point.label, n_modes, longest, step, memory_length
-        runs.append((about, stated, factors, None if imported else FULL, own))
-    seconds = taking_turns(timers, N_REPEATS) if runs else {}
-    for about, stated, factors, full, own in runs:
-        least = float(seconds[own].min())
-        if full is None:
-            yield RunTiming(*about, stated, least, None, *factors)
-            continue
-        whole = float(seconds[full].min())
-        gains = (seconds[full] / seconds[own]).tolist()
-        yield RunTiming(*about, whole, least, whole / least, *factors, min(gains), max(gains))
+        if key not in timers:
+            timers[key] = reduced_model.timer(point, step)
+        compression, field_compression = compression_factors(plan.n_particles, n_modes)
+        row = RunTiming(
+            model=model.name,
+            parameters=point.label,
+            n_modes=n_modes,
+            full_step=None if imported else largest_step(case),
+            reduced_step=step,
+            memory_length=memory_length,
+            full_seconds=stated,
+            reduced_seconds=None,
+            speed_up=None,
+            compression_factor=compression,
+            field_compression_factor=field_compression,
+        )
+        rows.append((row, key))
+    seconds = taking_turns(timers, N_REPEATS) if rows else {}
+    for row, timed in rows:
+        reduced = float(seconds[timed].min())
+        row = replace(row, reduced_seconds=reduced)
+        if row.full_step is not None:
+            full = float(seconds[FULL].min())
+            gains = seconds[FULL] / seconds[timed]
+            row = replace(
+                row,
+                full_seconds=full,
+                speed_up=full / reduced,
+                least_speed_up=float(gains.min()),
+                greatest_speed_up=float(gains.max()),
+            )
+        yield row
 
 
 def _number(run: Artifact, name: str) -> float | None:
@@ -185,17 +177,20 @@ def known_seconds(run: Artifact) -> float | None:
 
 def stage_timings(workspace: Workspace) -> Iterator[StageTiming]:
     """Yield the wall-clock times of all existing artifacts that the comparison depends on."""
-    targets: dict[Path, Target] = {}
+    made: dict[Path, Target] = {}
     left = [workspace.comparison()]
     while left:
-        parents = {each.path: each for each in left.pop().parents.values() if each.path.exists()}
-        left += [each for path, each in parents.items() if path not in targets]
-        targets |= parents
-    for target in targets.values():
+        for parent in left.pop().existing_parents.values():
+            if made.setdefault(parent.path, parent) is parent:
+                left.append(parent)
+    for target in made.values():
         with open_artifact(target.path, target.schema, made_by=target.made_by) as artifact:
-            seconds = artifact.number("wall_seconds")
-            threads = int(artifact.number("threads"))
-            yield StageTiming(target.path.name, artifact.text("stage"), seconds, threads)
+            yield StageTiming(
+                artifact=target.path.name,
+                stage=artifact.text("stage"),
+                seconds=artifact.number("wall_seconds"),
+                threads=int(artifact.number("threads")),
+            )
 
 
 def offline_seconds(
@@ -215,7 +210,8 @@ def offline_seconds(
     names = {plan.basis_for(model, point): None for point in points}
     trained = {point: None for name in names for point in plan.bases[name]}
     n_steps = plan.steps.n_steps + plan.steps.n_spin_up_steps
-    longer, training = n_steps * largest_step(workspace.case) / plan.recorded_time, 0.0
+    longer = n_steps * largest_step(workspace.case) / plan.recorded_time
+    training = 0.0
     for point in trained:
         with workspace.open(workspace.full_run(point)) as run:
             seconds = (
@@ -228,20 +224,12 @@ def offline_seconds(
         with workspace.open(workspace.packing()) as packing:
             training += _computing_seconds(packing)
     offline = training
-    stages = [*map(workspace.mapped, trained), workspace.basis()]
-    if not workspace.case.scene.has_surface:
-        stages.append(workspace.splines())
-    for stage in stages:
+    own = {memory_timing(name, model.size) for name in names if model.has_memory}
+    closures = {memory_timing(basis, size) for basis, size in plan.memory_models}
+    for stage in (*map(workspace.mapped, trained), *workspace.made_from(model)):
         with workspace.open(stage) as artifact:
             offline += _computing_seconds(artifact)
-    if model.from_operators:
-        own = [(name, model.size) for name in names if model.projection == "apg"]
-        with workspace.open(workspace.operators()) as artifact:
-            offline += _computing_seconds(artifact) - sum(
-                artifact.number(memory_timing(*closure))
-                for closure in plan.memory_models
-                if closure not in own
-            )
+            offline -= sum(_number(artifact, name) or 0.0 for name in closures - own)
     return offline, training
 
 

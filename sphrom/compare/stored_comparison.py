@@ -27,15 +27,16 @@ class ComparisonWriter:
     """Writes the comparisons at one parameter point."""
 
     def __init__(self, artifact: ArtifactWriter, point: ParameterPoint, probes: Probes) -> None:
-        self.point, self.probes = point, probes
+        self.point = point
+        self.probes = probes
         self._artifact = artifact
-        self._place = point.file_label
+        self._label = point.file_label
 
     def full_run(self, samples: Samples) -> None:
         """Write the full run on the line and at the stations, and its ranges."""
         speed, pressure = map(instantaneous_range, (samples.speed, samples.pressure))
         ranges = Ranges(time=samples.time, speed=speed, pressure=pressure)
-        write_record(self._artifact, ranges, f"ranges/{self._place}")
+        write_record(self._artifact, ranges, f"ranges/{self._label}")
         self._samples(FULL, samples)
 
     def run(self, row: ErrorRow, history: History, samples: Samples) -> None:
@@ -48,20 +49,20 @@ class ComparisonWriter:
             time=history.time,
             relative_l2={f"{place}_relative_l2": errors.relative_l2 for place, errors in places},
             eq41={
-                f"{place}_{name}": each
+                f"{place}_{name}": values
                 for place, errors in places
-                for name, each in errors.eq41.items()
+                for name, values in errors.eq41.items()
             },
             status=row.status,
             figures={name: v for name, v in flat(row).items() if isinstance(v, float)},
         )
-        write_record(self._artifact, series, f"series/{group}/{self._place}")
+        write_record(self._artifact, series, f"series/{group}/{self._label}")
         if row.against == FULL:
             self._samples(group, samples)
 
     def profile(self, row: ReferenceRow, profile: ReferenceProfile) -> None:
         """Write the profiles of a reference and of the full run."""
-        write_record(self._artifact, profile, f"reference/{_reference_name(row)}/{self._place}")
+        write_record(self._artifact, profile, f"reference/{_reference_name(row)}/{self._label}")
 
     def _samples(self, name: str, samples: Samples) -> None:
         parts = (("centreline", self.probes.line, self.probes.on_line),
@@ -72,7 +73,7 @@ class ComparisonWriter:
                 stored = StoredSamples(
                     position=position, time=samples.time, velocity=velocity, pressure=pressure
                 )
-                write_record(self._artifact, stored, f"{kind}/{name}/{self._place}")
+                write_record(self._artifact, stored, f"{kind}/{name}/{self._label}")
 
 
 def _reference_name(row: ReferenceRow) -> str:
@@ -89,7 +90,8 @@ def group_of(compared: str, against: str = FULL) -> str:
 class StoredComparison:
     """The stored comparisons of a case; runs are selected by name, and None is the full run."""
 
-    def __init__(self, artifact: Artifact) -> None:
+    def __init__(self, workspace: Workspace, artifact: Artifact) -> None:
+        self.workspace = workspace
         self._artifact = artifact
 
     @classmethod
@@ -97,7 +99,7 @@ class StoredComparison:
     def of(cls, workspace: Workspace) -> Iterator[StoredComparison]:
         """Open the comparison of a case. Raises ArtifactError when it is missing or not valid."""
         with workspace.open(workspace.comparison()) as artifact:
-            yield cls(artifact)
+            yield cls(workspace, artifact)
 
     def samples(
         self, run: str | None, point: ParameterPoint, at: Literal["line", "stations"] = "line"
@@ -106,8 +108,8 @@ class StoredComparison:
 
         The samples of an unstable run end at its last snapshot, and may be empty.
         """
-        place = "centreline" if at == "line" else at
-        group = f"{place}/{FULL if run is None else group_of(run)}/{point.file_label}"
+        kind = "centreline" if at == "line" else at
+        group = f"{kind}/{FULL if run is None else group_of(run)}/{point.file_label}"
         if f"{group}/time" not in self._artifact:
             return np.empty((0, 2)), Samples(np.empty(0), np.empty((0, 0, 2)), np.empty((0, 0)))
         stored = read_record(self._artifact, StoredSamples, group)

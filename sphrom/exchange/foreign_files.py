@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.arrays import Array
+from sphrom.artifacts.contents import Fault, damage, inspect, items, open_file
 from sphrom.artifacts.layout import index_not_finite
-from sphrom.artifacts.reader import Fault, damage, inspect, items, open_file
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange import vtk_process
 from sphrom.machine import available_ram

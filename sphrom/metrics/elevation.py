@@ -11,7 +11,6 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from sphrom.arrays import Array
 from sphrom.errors import SphromError
@@ -46,6 +45,8 @@ class Filling:
         solid: Array | None = None,
         solid_volume: float = 0.0,
     ) -> None:
+        from scipy.spatial import cKDTree  # importing it takes long
+
         self._tree = cKDTree(points)
         self._radius = radius
         self._box = lower, upper, periodic
@@ -59,6 +60,8 @@ class Filling:
         return self._sums(position, volume) / self._left
 
     def _sums(self, position: Array, volume: Array) -> Array:
+        from scipy.spatial import cKDTree
+
         for axis, (lower, upper, periodic) in enumerate(zip(*self._box, strict=True)):
             x = position[:, axis]
             low, high = x < lower + self._radius, x > upper - self._radius

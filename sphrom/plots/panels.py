@@ -15,8 +15,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
-from scipy.spatial import cKDTree
 
 from sphrom.arrays import Array
 from sphrom.metrics.measures import grid_points
@@ -178,6 +176,8 @@ class Frame:
 
         Each pixel has the value of the nearest point, and NaN outside of the fluid.
         """
+        from scipy.spatial import cKDTree  # importing it takes long
+
         left, right, lower, upper = self.extent
         sides = np.array([upper - lower, right - left])
         spacing = float(np.sqrt(np.prod(sides) / len(position)))
@@ -315,7 +315,7 @@ def _draw_pictures(
             if axes is not first:
                 axes.sharex(first)
                 axes.sharey(first)
-            axes.locator_params(axis="x", nbins=min(X_TICKS, int(AN_INCH * width)))
+            axes.locator_params(axis="x", nbins=max(1, min(X_TICKS, int(AN_INCH * width))))
             largest = rcParams["axes.titlesize"]
             axes.set_title(field.title, fontsize=min(largest, largest * width / PICTURE + 1.5))
             axes.set_xlabel("x [m]")
@@ -363,6 +363,8 @@ def _show(axes: Axes, frame: Frame, field: Array, colours: str, scale: Range) ->
 
 def _continued(field: Array) -> Array:
     """Return a field (ny, nx) whose NaN are replaced by the value of the nearest other pixel."""
+    from scipy.ndimage import distance_transform_edt  # importing it takes long
+
     missing = np.isnan(field)
     if missing.all():
         return field

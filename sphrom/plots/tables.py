@@ -16,7 +16,9 @@ from contextlib import contextmanager
 from dataclasses import field, fields, make_dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any
+
+from pydantic import TypeAdapter
 
 from sphrom.errors import ArtifactError
 from sphrom.text import shortened, visible
@@ -53,14 +55,14 @@ def rows_of_columns(
 def _columns(record: type[DataclassInstance]) -> dict[str, dict[str, str | None]]:
     """Return the columns of each field of a record, with their units."""
     return {
-        each.name: each.metadata.get("columns", {each.name: each.metadata.get("unit")})
-        for each in fields(record)
+        column.name: column.metadata.get("columns", {column.name: column.metadata.get("unit")})
+        for column in fields(record)
     }
 
 
 def headings(record: type[DataclassInstance]) -> list[str]:
     """Return the headings of all columns of a record, with their units, if any."""
-    pairs = [pair for each in _columns(record).values() for pair in each.items()]
+    pairs = [pair for parts in _columns(record).values() for pair in parts.items()]
     return [f"{name} [{unit}]" if unit else name for name, unit in pairs]
 
 
@@ -75,23 +77,18 @@ def flat(row: DataclassInstance) -> dict[str, Any]:
 
 
 def _rows_of(record: type[DataclassInstance], rows: Any) -> list[Any]:
-    """Return rows as instances of their record. Raises ValueError for one of another type."""
-    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
-        raise ValueError("a table has no rows")
-    types = get_type_hints(record)
-    instances = []
-    for row in rows:
-        values: dict[str, Any] = {}
-        for name, parts in _columns(record).items():
-            several = get_origin(types[name]) in (dict, Mapping)
-            kind = get_args(types[name])[1] if several else types[name]
-            allowed = kind | int if float in (kind, *get_args(kind)) else kind
-            for part in parts:
-                if part not in row or not isinstance(row[part], allowed):
-                    raise ValueError(f"{part} of a row is {row.get(part, 'missing')!r}")
-            values[name] = {part: row[part] for part in parts} if several else row[name]
-        instances.append(record(**values))
-    return instances
+    """Return rows as instances of their record.
+
+    Raises KeyError, TypeError or ValueError for rows of another record.
+    """
+    nested = [
+        {
+            name: row[name] if name in parts else {part: row[part] for part in parts}
+            for name, parts in _columns(record).items()
+        }
+        for row in rows
+    ]
+    return TypeAdapter(list[record]).validate_python(nested)  # type: ignore[valid-type]
 
 
 def write_csv(path: Path, rows: Sequence[DataclassInstance]) -> None:
@@ -133,8 +130,8 @@ def write_json(
     """
     document: dict[str, Any] = {name: [flat(row) for row in rows] for name, rows in tables.items()}
     date = datetime.now(UTC).isoformat(timespec="seconds")
-    about = {"case": case, "software": f"sphrom {__version__}", "date": date, "threads": threads}
-    text = json.dumps({"about": about | more, **document}, indent=2, allow_nan=False)
+    metadata = {"case": case, "software": f"sphrom {__version__}", "date": date, "threads": threads}
+    text = json.dumps({"about": metadata | more, **document}, indent=2, allow_nan=False)
     write_whole(path, (text + "\n").encode())
 
 
@@ -186,8 +183,8 @@ def _explained(path: Path, made_by: str) -> Iterator[None]:
         raise ArtifactError(f"{path} is missing, or not a file: {remedy}")
     try:
         yield
-    except (OSError, ValueError, csv.Error, RecursionError) as error:
-        reason = shortened((str(error) or type(error).__name__).splitlines()[0])
+    except (OSError, KeyError, TypeError, ValueError, csv.Error, RecursionError) as error:
+        reason = shortened(" ".join(str(error).split()) or type(error).__name__)
         raise ArtifactError(f"{path} is damaged ({reason}): {remedy}") from error
 
 

@@ -71,6 +71,12 @@ def weighted_rows(basis: TrialBasis, fields: ModeFields, rows: Rows) -> Array:
     return np.concatenate((density[:, None], velocity.transpose(0, 2, 1)), axis=1)
 
 
+def summed_gradients(points: FixedPoints, scaled_density: Array, velocity: Array) -> Gradients:
+    """Return the gradients of fields at all points by renormalised sums (Eq. 2.11)."""
+    parts = (scaled_density, *velocity)
+    return lambda rows: np.stack([points.gradients(part, rows) for part in parts])
+
+
 def mode_gradients(
     points: FixedPoints, fields: ModeFields, splines: ModeSplines | None
 ) -> Gradients:
@@ -78,10 +84,8 @@ def mode_gradients(
 
     Splines have the first field and the velocity of each mode; the constant part needs none.
     """
-
     if splines is None:
-        parts = (fields.scaled_density, *fields.velocity)
-        return lambda rows: np.stack([points.gradients(part, rows) for part in parts])
+        return summed_gradients(points, fields.scaled_density, fields.velocity)
 
     def by_splines(rows: Rows) -> Array:
         gradients = splines.values_and_gradients(points.position[rows])[1]

@@ -13,7 +13,6 @@ from functools import cached_property
 import numpy as np
 
 from sphrom.arrays import Array, Indices
-from sphrom.kernels import polynomial as kernels
 from sphrom.reduction.reduced_operators import Polynomial, stability_limits
 
 Amplitude = Callable[[Array], Array]
@@ -134,6 +133,8 @@ class PolynomialModel:
         self, n_steps: int, output_times: OutputTimes, driven: Driven, out: Array
     ) -> int:
         """Fill the snapshots after the first; return the number of steps before a divergence."""
+        from sphrom.kernels import polynomial as kernels  # only runs need compiled code
+
         return kernels.integrate(
             *driven, self.time_step(n_steps, output_times), n_steps, self._degree,
             output_times.largest_square, np.empty(driven[0].shape[2]),

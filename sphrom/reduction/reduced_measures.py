@@ -25,24 +25,19 @@ Rows are the components of the force, then the torque.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.arrays import Array, Indices
-from sphrom.declaration import Record, dataset, part
+from sphrom.declaration import Record, Tensors, dataset, part
 from sphrom.metrics.measures import Quantities
+from sphrom.metrics.quantities import FROM_FIELDS, stored
+from sphrom.reduction.affine import AMPLITUDE, VISCOSITY, Affine, Factor, factor_of
 from sphrom.reduction.mode_splines import ModeSplines
-from sphrom.reduction.reduced_operators import (
-    FORCE,
-    VALUE,
-    VISCOSITY,
-    WALLS,
-    Polynomial,
-    with_drives,
-)
+from sphrom.reduction.reduced_operators import FORCE, VALUE, VISCOUS, WALLS, Polynomial
 from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.sph.fluid import NONE, Factors
 
@@ -58,7 +53,7 @@ class MomentumBalance(Record):
     follows: Indices = dataset("load", "1", "1 where there is such a Stokes flow, else 0")
     momentum: Array = dataset("load mode", f"{_BALANCED}, s", "momentum of the fluid", "q")
     advection: Array = dataset("load mode mode", _BALANCED, "advection of momentum", "A")
-    strain: Array = dataset("load mode", _BALANCED + VISCOSITY, "viscous stress in the fluid", "s")
+    strain: Array = dataset("load mode", _BALANCED + VISCOUS, "viscous stress in the fluid", "s")
     push: Array | None = dataset("load", f"N/m, N{FORCE}", "body force", "p", default=None)
     slowing: Array | None = dataset(
         "load mode", _BALANCED, "damping of the fluid at a prescribed rate", "r", default=None
@@ -87,7 +82,7 @@ class ReducedForce(Record):
     """
 
     pressure: Array = dataset("load term", _LOADS, "by the pressure", "P")
-    viscous: Array = dataset("load term", _LOADS + VISCOSITY, "by the viscosity", "V")
+    viscous: Array = dataset("load term", _LOADS + VISCOUS, "by the viscosity", "V")
     walls: Array = dataset("load", _LOADS + WALLS, "by walls that move", "w")
     body_force: Array | None = dataset(
         "load term", _LOADS + FORCE, "by the heads of the body force at walls", "B", default=None
@@ -121,34 +116,56 @@ class ReducedForce(Record):
         factors : the values of the driving parameters.
         correction : loads added by the training runs.
         """
-        viscous, n = kinematic_viscosity * self.viscous, N_OTHER_TERMS
-        direct = np.concatenate((self.pressure, viscous))
-        heads = np.zeros_like(direct)
-        momentum = np.zeros_like(direct[:, n:])
-        body_force = with_drives(self.body_force, self.drives, "force", factors)
-        if body_force is not None:
-            heads[:3] = body_force
-        moved = kinematic_viscosity * with_drives(self.walls, self.drives, "walls", factors)
-        (heads if walls_driven else direct)[3:, 0] += moved
-        quadratic = np.zeros((6, *2 * momentum.shape[1:]))
+        values = {VISCOSITY: kinematic_viscosity, **factors}
+        steady, driven = Affine(list(self._parts(walls_driven))).at(values)
+        momentum = np.zeros((6, self.n_modes))
         if self.balance is not None:
-            balance = self.balance
-            follows = self.balance.follows[:, None].astype(float)
-            # The pressure force is the whole force less the viscous one.
-            for terms in (direct, heads):
-                terms[:3] -= follows * (terms[:3] + terms[3:])
-            direct[:3, n:] -= follows * kinematic_viscosity * balance.strain
-            if balance.slowing is not None:
-                direct[:3, n:] -= follows * balance.slowing
-            push = with_drives(balance.push, self.drives, "push", factors)
-            if push is not None:
-                heads[:3, 0] += follows[:, 0] * push
-            quadratic[:3] = follows[..., None] * balance.advection
-            momentum[:3] = -follows * balance.momentum
-        steady = direct[:, 0], direct[:, n:], quadratic
-        polynomial = Polynomial((steady, (heads[:, 0], heads[:, n:])))
-        uniform = np.stack((direct[:, 1], heads[:, 1]))
-        return PointForce(polynomial, momentum, uniform, correction)
+            momentum[:3] = -self.balance.follows[:, None] * self.balance.momentum
+        powers = tuple(
+            (terms[:, 0], terms[:, N_OTHER_TERMS:], *quadratic)
+            for terms, *quadratic in (steady, driven)
+        )
+        uniform = np.stack((steady[0][:, 1], driven[0][:, 1]))
+        return PointForce(Polynomial(powers), momentum, uniform, correction)
+
+    @property
+    def n_modes(self) -> int:
+        """Number of generalized coordinates."""
+        return self.pressure.shape[1] - N_OTHER_TERMS
+
+    def _parts(self, walls_driven: bool) -> Iterator[tuple[Factor, Tensors]]:
+        """Yield the six loads by part: factors of the terms, and of products of coordinates."""
+        balance = self.balance
+        balancing = np.diag(np.zeros(3) if balance is None else balance.follows.astype(float))
+        none = np.zeros((3, 3))
+        # A pressure force by the balance of momentum is the whole force less the viscous one.
+        pressure = np.vstack((np.eye(3) - balancing, none))
+        viscous = np.vstack((-balancing, np.eye(3)))
+        balanced = np.vstack((balancing, none))
+        onto = {
+            "pressure": pressure, "body_force": pressure, "force": pressure,
+            "viscous": viscous, "walls": viscous,
+            "push": balanced, "strain": -balanced, "slowing": -balanced,
+        }  # fmt: skip
+        nothing = np.zeros((6, self.pressure.shape[1]))
+        products = np.zeros((3, *(self.n_modes,) * 2)) if balance is None else balance.advection
+        yield (), (nothing, np.tensordot(balanced, products, 1))
+        yield (AMPLITUDE,), (nothing,)
+        drives = ((drive, (parameter,)) for parameter, drive in self.drives.items())
+        for record, parameters in ((self, ()), (balance, ()), *drives):
+            for name, matrix in onto.items():
+                if (loads := getattr(record, name, None)) is not None:
+                    factor = factor_of("/".join((name, *parameters)), walls_driven)
+                    yield factor, (matrix @ self._terms(loads),)
+
+    def _terms(self, loads: Array) -> Array:
+        """Return loads (3, n_terms) of the constant part alone, of the modes, or of all terms."""
+        terms = np.zeros_like(self.pressure)
+        if loads.ndim == 1:
+            terms[:, 0] = loads
+        else:
+            terms[:, -loads.shape[1] :] = loads
+        return terms
 
 
 @dataclass(frozen=True)
@@ -166,13 +183,14 @@ class TimedLoads:
 
         After the last time it is constant: the mean of the later half.
         """
-        whole, after = loads[:, :6] + loads[:, 6:], 2.0 * time[-1] - time[-2]
-        mean = whole[len(whole) // 2 :].mean(axis=0)
-        return cls(np.append(time, after), np.vstack((whole, mean)))
+        total = loads[:, :6] + loads[:, 6:]
+        after = 2.0 * time[-1] - time[-2]
+        mean = total[len(total) // 2 :].mean(axis=0)
+        return cls(np.append(time, after), np.vstack((total, mean)))
 
     def at(self, time: Array) -> Array:
         """Return the loads (n_times, 6) at times [s]."""
-        return np.stack([np.interp(time, self.time, each) for each in self.loads.T], axis=1)
+        return np.stack([np.interp(time, self.time, load) for load in self.loads.T], axis=1)
 
 
 @dataclass(frozen=True)
@@ -222,20 +240,8 @@ Measuring = Callable[[Array, Array], Mapping[str, Quantities]]
 class ReducedMeasure(Record):
     """A measurement in the fluid, linear in the same terms as forces."""
 
-    flow_rate: Array | None = dataset(
-        "term", "m2/s, of the terms", "flow through a section", default=None
-    )
-    velocity: Array | None = dataset(
-        "place component term", "m/s, of the terms", "velocity at places", default=None
-    )
-    pressure: Array | None = dataset(
-        "place term", "Pa, of the terms", "pressure at places", default=None
-    )
-
-    @property
-    def quantities(self) -> Quantities:
-        """The factors of the terms (..., n_terms), by quantity."""
-        return {name: terms for name, terms in vars(self).items() if terms is not None}
+    quantities: Mapping[str, Array] = stored(FROM_FIELDS, after="term", units="{}, of the terms")
+    """The factors of the terms (..., n_terms), by quantity."""
 
     def of_modes(self, modes: NDArray[np.int64]) -> ReducedMeasure:
         """Return the measurement for coordinates of some modes, with the others zero."""
@@ -269,15 +275,15 @@ def project_measures(
     density, velocity = fields[..., 0] / product.density_scale, fields[..., 1:]
     density[0] = product.density_fluctuation(density[0])
     density[1] = 1.0
-    columns = [measured(*each) for each in zip(density, velocity, strict=True)]
+    columns = list(map(measured, density, velocity))
     offset = measured(0.0 * density[0], velocity[0])
     linear = np.arange(len(columns)) > 0
 
     def terms(name: str, quantity: str) -> Array:
-        values = np.stack([each[name][quantity] for each in columns], -1)
+        values = np.stack([column[name][quantity] for column in columns], -1)
         return np.asarray(values - np.multiply.outer(offset[name][quantity], linear))
 
     return {
-        name: ReducedMeasure(**{quantity: terms(name, quantity) for quantity in first})
+        name: ReducedMeasure(quantities={quantity: terms(name, quantity) for quantity in first})
         for name, first in offset.items()
     }

@@ -4,11 +4,12 @@ Galerkin projection (Eq. 3.21) at fixed points gives rates that are quadratic in
 
     da/dt = sum_k theta_k (c_k + A_k a + H_k(a, a)),
 
-with factors theta_k of the parameters: 1 for the inertia (pressure, diffusion, advection), the
-kinematic viscosity nu, nu again for moving walls, and the amplitude beta(t) of the body force. For
-driven walls the factor is nu beta(t). A parameter that drives the flow by walls or force has parts
-of its own; its value multiplies their factors. One set of operators serves all parameters.
-`sphrom.reduction.operator_projection` makes them; reduced runs need only these records.
+with factors theta_k of the parameters (`sphrom.reduction.affine`): 1 for the inertia (pressure,
+diffusion, advection), the kinematic viscosity nu, nu again for moving walls, and the amplitude
+beta(t) of the body force. For driven walls the factor is nu beta(t). A parameter that drives the
+flow by walls or force has parts of its own; its value multiplies their factors. One set of
+operators serves all parameters. `sphrom.reduction.operator_projection` makes them; reduced runs
+need only these records.
 
 The norm of a model's residual costs no more than the model. A state with coordinates a has the
 rates R(a) at fixed points, and the residual R(a) - Phi da/dt. Both are polynomials of a, so that
@@ -35,17 +36,18 @@ Tensors of degree d are (n_modes, ...) with d trailing axes of n_modes, in which
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from itertools import combinations_with_replacement, pairwise, zip_longest
-from typing import Any
+from itertools import combinations_with_replacement, pairwise, permutations, zip_longest
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.arrays import Array, Indices
-from sphrom.declaration import Record, Tensors, dataset, part, tensors
+from sphrom.declaration import Record, Tensors, dataset, fields_of_record, part, tensors
+from sphrom.reduction.affine import AMPLITUDE, FACTORS, VISCOSITY, Affine, factor_of
 from sphrom.sph.fluid import NONE, Factors
 
 STABLE_RADIUS = 4.0
@@ -57,8 +59,8 @@ MEMORY_RATIO = 0.2
 """Automatic memory length times the reduced Jacobian's spectral radius."""
 ACOUSTIC_RATIO = 0.5
 """Largest automatic memory length over the time in which sound crosses h."""
-VISCOSITY = " per m2/s of viscosity"
-WALLS = f"{VISCOSITY}, at the walls' speed"
+VISCOUS = " per m2/s of viscosity"
+WALLS = f"{VISCOUS}, at the walls' speed"
 FORCE = " per amplitude of the body force"
 VALUE = ", per unit of the parameter"
 _RATES = "of the modes, /s"
@@ -93,13 +95,7 @@ class Polynomial:
 
     def __call__(self, coordinates: Array, amplitude: float = 0.0) -> Array:
         """Return the rates (n_modes,) [1/s]."""
-        rates = np.zeros(self.n_modes)
-        for power, terms in enumerate(self.powers):
-            for degree, tensor in enumerate(terms):
-                for _ in range(degree):
-                    tensor = tensor @ coordinates
-                rates += amplitude**power * tensor
-        return rates
+        return self.along(coordinates[None], np.array([amplitude]))[0]
 
     def along(self, states: Array, amplitudes: Array) -> Array:
         """Return the rates (n_states, n_modes) [1/s] at states with an amplitude each."""
@@ -193,6 +189,20 @@ def pack(tensors: Tensors) -> Array:
     return np.concatenate(parts, axis=1)
 
 
+def unpack(coefficients: Array, n_modes: int) -> Tensors:
+    """Return the tensors (n, ...) by degree that `pack` makes coefficients (n, n_monomials) of."""
+    tensors = list[Array]()
+    rest = coefficients
+    while rest.shape[1]:
+        index, times = _exponents(n_modes, len(tensors))
+        columns, rest = np.split(rest, [times.size], axis=1)
+        tensor = np.zeros((len(columns), *(n_modes,) * len(index)))
+        for axes in permutations(index):
+            tensor[:, *axes] = columns.reshape(tensor[:, *axes].shape) / times
+        tensors.append(tensor)
+    return tuple(tensors)
+
+
 def largest_growth(jacobian: Array) -> float:
     """Return the largest real part [1/s] of a Jacobian's eigenvalues: if positive, states grow."""
     return float(np.linalg.eigvals(jacobian).real.max())
@@ -235,6 +245,42 @@ def memory_length(jacobian: Array, smoothing_length: float, sound_speed: float) 
     return min(MEMORY_RATIO / radius, longest) if radius > 0.0 else longest
 
 
+class _Parts(Record):
+    """Tensors, or an array, by part of the rates; None if a scene lacks the part."""
+
+    drives: Mapping[str, Any] = part(default_factory=dict)
+    """Records of `walls` and `force` by driving parameter."""
+    walls_driven: bool = False
+    """Whether walls move with the amplitude."""
+
+    @classmethod
+    def of_parts(cls, by_part: Mapping[str, Any], parameters: Iterable[str], **others: Any) -> Self:
+        """Return the record of parts named as in `by_part`, and of driving parameters."""
+        drive = fields_of_record(cls)["drives"].record
+        assert drive is not None
+        drives = {
+            name: drive(**{part: by_part.get(f"{part}/{name}") for part in fields_of_record(drive)})
+            for name in parameters
+        }
+        alone = {name: x for name, x in by_part.items() if name in FACTORS}
+        return cls(**alone, drives=drives, **others)
+
+    @property
+    def by_part(self) -> dict[str, Any]:
+        """The parts that there are; `walls/lid` is that of walls per unit of a parameter `lid`."""
+        parts = {name: getattr(self, name, None) for name in FACTORS}
+        for parameter, drive in self.drives.items():
+            parts |= {f"{name}/{parameter}": x for name, x in vars(drive).items()}
+        return {name: x for name, x in parts.items() if x is not None}
+
+    def _summed(
+        self, by_part: Mapping[str, Tensors], viscosity: float, factors: Factors
+    ) -> tuple[Tensors, ...]:
+        """Return the sum of parts at a viscosity [m2/s], by power of the amplitude."""
+        parts = [(factor_of(name, self.walls_driven), x) for name, x in by_part.items()]
+        return Affine(parts).at({VISCOSITY: viscosity, **factors})
+
+
 class DriveRates(Record):
     """The reduced rates caused by one parameter, through walls and the body force."""
 
@@ -246,12 +292,12 @@ class DriveRates(Record):
     )
 
 
-class ReducedOperators(Record):
+class ReducedOperators(_Parts):
     """Tensors (c, A, H) of degree 0, 1 and 2 by part; None if a scene lacks the part."""
 
     inertia: Tensors = tensors(2, _RATES, f"{_PART} inertia", "Eq. 3.21", symbols="cAH")
     viscosity: Tensors = tensors(
-        2, _RATES + VISCOSITY, f"{_PART} viscosity", "Eq. 3.21", symbols="cAH"
+        2, _RATES + VISCOUS, f"{_PART} viscosity", "Eq. 3.21", symbols="cAH"
     )
     walls: Tensors | None = tensors(
         1, _RATES + WALLS, f"{_PART} walls", "Eq. 3.21", symbols="cA", default=None
@@ -264,8 +310,6 @@ class ReducedOperators(Record):
         equation="Eq. 3.21",
     )  # fmt: skip
     drives: Mapping[str, DriveRates] = part(default_factory=dict)
-    walls_driven: bool = False
-    """Whether walls move with the amplitude."""
 
     @property
     def n_modes(self) -> int:
@@ -291,16 +335,7 @@ class ReducedOperators(Record):
 
         The amplitude of the polynomial is that of the body force or of driven walls.
         """
-        viscosity = Polynomial((self.viscosity,))
-        rates = Polynomial((self.inertia,)).plus(viscosity, kinematic_viscosity)
-        force = with_drives(self.force, self.drives, "force", factors)
-        if force is not None:
-            rates = rates.plus(Polynomial(((), force)))
-        moved = with_drives(self.walls, self.drives, "walls", factors)
-        if moved is not None:
-            walls = ((), moved) if self.walls_driven else (moved,)
-            rates = rates.plus(Polynomial(walls), kinematic_viscosity)
-        return rates
+        return Polynomial(self._summed(self.by_part, kinematic_viscosity, factors))
 
 
 class DriveResidual(Record):
@@ -314,21 +349,17 @@ class DriveResidual(Record):
     )
 
 
-class ResidualFactor(Record):
+class ResidualFactor(_Parts):
     """F by part: coefficients (n_directions, n_monomials) of the monomials of a basis's modes.
 
     Those of walls and force are of degree one at most; None if a scene lacks the part.
     """
 
     inertia: Array = dataset("direction monomial", _NORM, _LEFT_OUT.format("inertia"))
-    viscosity: Array = dataset(
-        "direction monomial", _NORM + VISCOSITY, _LEFT_OUT.format("viscosity")
-    )
+    viscosity: Array = dataset("direction monomial", _NORM + VISCOUS, _LEFT_OUT.format("viscosity"))
     walls: Array | None = dataset(_LINEAR, _NORM + WALLS, _LEFT_OUT.format("walls"), default=None)
     force: Array | None = dataset(_LINEAR, _NORM + FORCE, _LEFT_OUT.format("force"), default=None)
     drives: Mapping[str, DriveResidual] = part(default_factory=dict)
-    walls_driven: bool = False
-    """Whether walls move with the amplitude."""
 
     def of_model(self, operators: ReducedOperators, modes: Indices) -> ResidualFactor:
         """Return the factor of a model with some modes, in rising order, from the operators of all.
@@ -336,51 +367,24 @@ class ResidualFactor(Record):
         Its rows include the rates of the other modes; there are no more rows than columns.
         """
         n_modes = operators.n_modes
-        parts = list[Array]()
         first, second = np.triu_indices(n_modes)
         products = np.flatnonzero(np.isin(first, modes) & np.isin(second, modes))
         kept = np.concatenate(([0], 1 + modes, 1 + n_modes + products))
         left_out = np.setdiff1d(np.arange(n_modes), modes)
-        drives = [(drive, operators.drives[name]) for name, drive in self.drives.items()]
-        for own, rates in ((self, operators), *drives):
-            for name in ("inertia", "viscosity", "walls", "force"):
-                if (columns := getattr(own, name, None)) is not None:
-                    used = kept[: np.searchsorted(kept, columns.shape[1])]
-                    others = pack(tuple(tensor[left_out] for tensor in getattr(rates, name)))
-                    parts.append(np.concatenate((columns[:, used], others[:, used])))
+        parts = list[Array]()
+        for name, columns in self.by_part.items():
+            used = kept[: np.searchsorted(kept, columns.shape[1])]
+            others = pack(tuple(tensor[left_out] for tensor in operators.by_part[name]))
+            parts.append(np.concatenate((columns[:, used], others[:, used])))
         triangle = np.linalg.qr(np.hstack(parts), mode="r")
         ends = np.cumsum([part.shape[1] for part in parts])
-        folded = iter(np.split(triangle, ends[:-1], axis=1))
-        return self.mapped(lambda _: next(folded))
+        folded = dict(zip(self.by_part, np.split(triangle, ends[:-1], axis=1), strict=True))
+        return self.of_parts(folded, self.drives, walls_driven=self.walls_driven)
 
     def at(self, kinematic_viscosity: float, factors: Factors = NONE) -> tuple[Array, ...]:
         """Return F (n_directions, n_monomials) by power of the amplitude."""
-        steady = self.inertia + kinematic_viscosity * self.viscosity
-        moved = with_drives(self.walls, self.drives, "walls", factors)
-        driven = with_drives(self.force, self.drives, "force", factors)
-        if moved is not None:
-            moved = kinematic_viscosity * moved
-            if self.walls_driven:
-                driven = moved if driven is None else driven + moved
-            else:
-                steady[:, : moved.shape[1]] += moved
-        return (steady,) if driven is None else (steady, driven)
-
-
-def with_drives(own: Any, drives: Mapping[str, Any], part: str, factors: Factors) -> Any:
-    """Return tensors (or an array) of walls or force, plus those of all driving parameters.
-
-    `own` may be None, and so may the result.
-    """
-    for name, drive in drives.items():
-        more = getattr(drive, part)
-        factor = factors[name]
-        if isinstance(more, tuple):
-            scaled = tuple(factor * tensor for tensor in more)
-            own = scaled if own is None else tuple(map(np.add, own, scaled))
-        elif more is not None:
-            own = factor * more if own is None else own + factor * more
-    return own
+        by_degree = {name: (columns,) for name, columns in self.by_part.items()}
+        return tuple(f for (f,) in self._summed(by_degree, kinematic_viscosity, factors))
 
 
 class MemoryOperators(Record):
@@ -399,15 +403,13 @@ class MemoryOperators(Record):
 
     def at(self, kinematic_viscosity: float) -> Polynomial:
         """Return the polynomial at a viscosity [m2/s]."""
-        nu = kinematic_viscosity
-        powers = (self.steady, self.force, self.force_squared)
-        return Polynomial(
-            tuple(
-                tuple(t[0] + nu * t[1] + nu**2 * t[2] for t in tensors)
-                for tensors in powers
-                if tensors is not None
-            )
-        )
+        parts = [
+            ((AMPLITUDE,) * power + (VISCOSITY,) * degree, tuple(t[degree] for t in tensors))
+            for power, tensors in enumerate((self.steady, self.force, self.force_squared))
+            if tensors is not None
+            for degree in range(len(tensors[0]))
+        ]
+        return Polynomial(Affine(parts).at({VISCOSITY: kinematic_viscosity}))
 
 
 def monomials(states: Array) -> Array:

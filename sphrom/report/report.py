@@ -2,24 +2,16 @@
 
 The page begins with the main result, followed by predicted and by trained points. It contains the
 tables and figures listed in `contents.yaml`, which `compare` and other commands write, and an
-animation of a reduced run beside the full run. It makes no network requests, and its policy forbids
-them; `page.html` has the frame, style and scripts. All text is escaped, and control characters,
-which could reverse the direction of the text around them, are shown.
+animation of a reduced run beside the full run.
 """
 
 from __future__ import annotations
 
-import base64
 import io
-import json
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from html import escape as html_escape
 from importlib.resources import files
 from pathlib import Path
-from string import Template
-from typing import Any
 
 import numpy as np
 import yaml
@@ -30,159 +22,31 @@ from sphrom.artifacts import open_artifact
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.answer import DIGITS, Answer, find_answer, percent
-from sphrom.compare.comparison_figures import QUANTITIES, frame_of, side_by_side
+from sphrom.compare.basis_figures import frame_of
+from sphrom.compare.comparison_figures import QUANTITIES, side_by_side
 from sphrom.compare.comparison_tables import RECORDS, Tables
+from sphrom.models.stored_run import StoredRun
 from sphrom.plots.panels import SHOWN, SOLID_COLOUR, colour_scale
 from sphrom.plots.tables import format_figure, read_csv
+from sphrom.report.page import (
+    Html,
+    animation,
+    element,
+    headline,
+    legend,
+    listing,
+    picture,
+    render,
+    table,
+)
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import described_run
-from sphrom.store.stored_run import StoredRun, probes_of
+from sphrom.store.stored_run import probes_of
 from sphrom.store.workspace import Workspace
 from sphrom.sweep.batches import COMPLETE
 from sphrom.sweep.statistics import FIGURES, beside
-from sphrom.text import counted, duration, visible
+from sphrom.text import counted, duration
 from sphrom.whole_files import write_whole
-
-
-class Html(str):
-    """A part of a page that is already markup; other texts are escaped."""
-
-
-def element(tag: str, *content: str, **attributes: str) -> Html:
-    """Return an element; content and the values of attributes are escaped unless they are Html.
-
-    A final underscore, for names that are Python keywords, is removed; others become dashes.
-    """
-    named = "".join(
-        f' {name.rstrip("_").replace("_", "-")}="{escape(value)}"'
-        for name, value in attributes.items()
-    )
-    end = "" if tag in ("img", "input") else f"</{tag}>"
-    return Html(f"<{tag}{named}>{''.join(map(escape, content))}{end}")
-
-
-def escape(text: str, keep: str = "") -> Html:
-    """Return HTML that shows a text unchanged."""
-    return text if isinstance(text, Html) else Html(html_escape(visible(text, keep)))
-
-
-def listing(title: str, text: str) -> Html:
-    """Return a text that unfolds on a click, such as a case file."""
-    return element("details", element("summary", title), element("pre", escape(text, keep="\n")))
-
-
-def picture(png: bytes, caption: str, described: str = "") -> Html:
-    """Return a PNG image with its caption and a description; a click enlarges it."""
-    button = {"type": "button", "class_": "zoom", "title": "show large"}
-    image = element("button", _image(png, described or caption), **button)
-    return element("figure", image, element("figcaption", caption))
-
-
-def headline(figures: Sequence[tuple[str, str]], sentences: Sequence[str]) -> Html:
-    """Return highlighted figures, each with its name, and sentences about them."""
-    boxes = [element("div", element("dt", name), element("dd", value)) for name, value in figures]
-    text = (element("p", sentence) for sentence in sentences)
-    return Html(element("dl", *boxes, class_="headline") + "".join(text))
-
-
-def table(caption: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> Html:
-    """Return a table; columns of text are aligned left."""
-    columns = list(zip(*rows, strict=True)) or [()] * len(headings)
-    first = (next((cell for cell in column if cell.strip("– ")), "") for column in columns)
-    kinds = [{} if re.match(r"-?\d", cell) else {"class_": "text"} for cell in first]
-
-    def line(tag: str, cells: Sequence[str]) -> Html:
-        each = zip(cells, kinds, strict=True)
-        return element("tr", *(element(tag, cell, **kind) for cell, kind in each))
-
-    head = element("thead", line("th", headings))
-    whole = element("table", head, element("tbody", *(line("td", row) for row in rows)))
-    return element("figure", element("figcaption", caption), element("div", whole, class_="wide"))
-
-
-def legend(label: str, low: str, high: str, colours: Sequence[str]) -> Html:
-    """Return the legend of a colour scale of an animation."""
-    bar = element("i", style=f"background: linear-gradient(to right, {', '.join(colours)})")
-    return element("span", f"{label}: {low}", bar, high, class_="scale")
-
-
-def animation(
-    frames: Sequence[bytes],
-    times: Sequence[str],
-    heads: Sequence[str],
-    legends: Sequence[Html],
-    caption: str,
-    extent: Sequence[str] = ("", "", "", ""),
-) -> Html:
-    """Return an animation of PNG images, with a head above each column of panels.
-
-    A slider and a button control it; without scripts, the middle frame is shown. `extent` has the
-    ends of the axes of each panel: left, right, lower, upper [m].
-    """
-    middle, (left, right, lower, upper) = len(frames) // 2, extent
-    encoded = [base64.b64encode(frame).decode("ascii") for frame in frames]
-    data = json.dumps({"frames": encoded, "times": list(times)}).replace("<", "\\u003c")
-    slider = {"type": "range", "aria_label": "time", "min": "0", "max": f"{len(frames) - 1}"}
-    return element(
-        "figure",
-        element(
-            "div",
-            element("div", *(element("span", head) for head in heads), class_="heads"),
-            _axis("y", upper, lower, 2),
-            _image(frames[middle], caption),
-            _axis("x", left, right, len(heads)),
-            class_="panels",
-        ),
-        element(
-            "div",
-            element("button", "Play", type="button"),
-            element("input", **slider, value=f"{middle}"),
-            element("output"),
-            class_="controls",
-        ),
-        element("div", *legends),
-        element("figcaption", caption),
-        element("script", Html(data), type="application/json"),
-        class_="animation",
-    )
-
-
-def render(
-    title: str,
-    lead: str,
-    sections: Sequence[tuple[str, Sequence[Html]]],
-    footer: str,
-    first: Sequence[Html] = (),
-) -> str:
-    """Return a page of sections, each a title with parts; sections without parts are left out.
-
-    The parts `first` are above the links to the sections.
-    """
-    shown = [(f"s{k}", *section) for k, section in enumerate(s for s in sections if s[1])]
-    template = Template((files("sphrom.report") / "page.html").read_text(encoding="utf-8"))
-    return template.substitute(
-        title=escape(title),
-        lead=escape(lead),
-        first="".join(first),
-        links="".join(element("a", name, href=f"#{place}") for place, name, _ in shown),
-        body="\n".join(
-            element("section", element("h2", name), *parts, id=place)
-            for place, name, parts in shown
-        ),
-        footer=escape(footer),
-    )
-
-
-def _axis(name: str, first: str, last: str, number: int) -> Html:
-    """Return the ends of an axis, with its name between them, for a number of panels."""
-    ends = element("span", *(element("i", text) for text in (first, f"{name} [m]", last)))
-    return element("div", *[ends] * number, class_=f"axis {name}", aria_hidden="true")
-
-
-def _image(png: bytes, caption: str) -> Html:
-    data = base64.b64encode(png).decode("ascii")
-    return element("img", alt=caption, src=f"data:image/png;base64,{data}")
-
 
 Pixels = NDArray[np.uint8]
 
@@ -205,52 +69,43 @@ def run(context: StageContext) -> None:
     """
     workspace = Workspace(context)
     workspace.require(workspace.comparison())
-    tables, about = Tables.read(workspace)
+    tables, metadata = Tables.read(workspace)
     case = context.case
-    answer = find_answer(workspace, tables)
-    out = workspace.out
-    made_by = f"sphrom compare {context.words}"
+    plan = case.plan
     contents = yaml.safe_load((files("sphrom.report") / "contents.yaml").read_text("utf-8"))
     captions = contents["points"] | _measure_captions(case)
-    points = {"Predicted": case.plan.test_points, "Trained": case.plan.train_points}
-    shown: dict[str, list[Html]] = {title: [] for title in points}
-    for title, point in ((title, point) for title, some in points.items() for point in some):
-        named = _named(captions, point.file_label)
-        words = _errors_of(case, tables, point)
-        if pictures := list(_pictures(out / "plots", named, words=words)):
-            shown[title] += element("h3", point.label), *pictures
-    first = next((title for title, some in points.items() if some), "")
-    shown[first] = [*animations(workspace), *shown[first]]
+    parts: dict[str, list[Html]] = {title: [] for title in contents["sections"]}
+    points = {"Predicted": plan.test_points, "Trained": plan.train_points}
+    first = next((title for title, some in points.items() if some), "Predicted")
+    parts[first] += animations(workspace)
+    for title, some in points.items():
+        for point in some:
+            parts[title] += _figures_at(workspace, tables, point, captions)
     if not case.compare.plots:
-        shown[first].append(element("p", "No figures were drawn: compare.plots is off."))
-    modes = [
-        part
-        for name in case.plan.bases
-        for part in _pictures(out / "plots", _named(contents["bases"], name), f"Basis {name}. ")
-    ]
-    runs = (element("p", described_run(case, point)) for point in case.plan.points)
-    sections = [
-        *shown.items(),
-        ("Errors", list(_tables(out / "tables", contents["tables"], made_by))),
-        ("Modes", [*modes, *_tables(out / "tables", contents["modes"], made_by)]),
-        *((study["title"], _study(context, study)) for study in contents["studies"]),
-        ("Sweeps", list(_sweeps(workspace))),
-        ("Costs", list(_tables(out / "tables", contents["costs"], made_by))),
-        ("The case", [*runs, listing("The whole case file", case.text)]),
-    ]
+        parts[first].append(element("p", "No figures were drawn: compare.plots is off."))
+    for basis in plan.bases:
+        named = _named(contents["bases"], basis)
+        parts["Modes"] += _pictures(workspace.out / "plots", named, f"Basis {basis}. ")
+    parts["Sweeps"] += _sweeps(workspace)
+    parts["The case"] += (element("p", described_run(case, point)) for point in plan.points)
+    parts["The case"].append(listing("The whole case file", case.text))
+    for title, listed in contents["sections"].items():
+        parts[title] += _listed(context, **(listed or {}))
     footer = (
-        f"{about.get('software', 'sphrom')}, compared {about.get('date', '')} on "
-        f"{about.get('threads', 1)} threads. All digits are in the tables beside this page."
+        f"{metadata.get('software', 'sphrom')}, compared {metadata.get('date', '')} on "
+        f"{metadata.get('threads', 1)} threads. All digits are in the tables beside this page."
     )
-    reduced = sum(len(case.plan.rom_points(model)) for model in case.rom)
+    reduced = sum(len(plan.rom_points(model)) for model in case.rom)
     lead = (
-        f"{case.scene.title}: full runs at {len(case.plan.points)} parameter values, "
+        f"{case.scene.title}: full runs at {len(plan.points)} parameter values, "
         f"{reduced} reduced runs, and their differences."
     )
-    first_parts = [] if answer is None else [_headline(answer)]
-    page = render(case.name, lead, sections, footer, first_parts).encode()
-    write_whole(out / PAGE, page)
-    context.report.info(f"wrote {out / PAGE} ({len(page) / 1e6:.1f} MB)")
+    answer = find_answer(workspace, tables)
+    head = [] if answer is None else [_headline(answer)]
+    page = render(case.name, lead, list(parts.items()), footer, head).encode()
+    path = workspace.out / PAGE
+    write_whole(path, page)
+    context.report.info(f"wrote {path} ({len(page) / 1e6:.1f} MB)")
 
 
 def _headline(answer: Answer) -> Html:
@@ -273,16 +128,17 @@ def _measure_captions(case: Case) -> dict[str, str]:
     """Return the captions of the figures of measurements, by the prefix of their file names."""
     captions = {}
     for name, measured in case.scene.recorded.items():
-        kind = "force" if measured.force_on is not None else "measure"
-        axis = "along the line at the end" if measured.line is not None else "over time"
-        captions[f"{kind}-{name}"] = f"{name}, {axis}: full and reduced runs."
+        axis = "over time" if measured.quantities else "along the line at the end"
+        captions[f"{measured.folder}-{name}"] = f"{name}, {axis}: full and reduced runs."
     return captions
 
 
-def _errors_of(case: Case, tables: Tables, point: ParameterPoint) -> str:
-    """Describe the errors of each model at a point, for readers who can't see figures."""
-    names = {model.name for model in case.rom}
-    parts = [
+def _figures_at(
+    workspace: Workspace, tables: Tables, point: ParameterPoint, captions: Mapping[str, str]
+) -> list[Html]:
+    """Return the figures at a point, with the errors of models for readers who can't see them."""
+    names = {model.name for model in workspace.case.rom}
+    errors = [
         f"{row.compared} is off by {percent(error[0])} in velocity and {percent(error[1])} in "
         "pressure"
         for row in tables.errors
@@ -290,7 +146,10 @@ def _errors_of(case: Case, tables: Tables, point: ParameterPoint) -> str:
         and row.compared in names
         and (error := row.in_field) is not None
     ]
-    return f" At {point.label} {'; '.join(parts)}."
+    words = f" At {point.label} {'; '.join(errors)}."
+    named = _named(captions, point.file_label)
+    pictures = list(_pictures(workspace.out / "plots", named, words=words))
+    return [element("h3", point.label), *pictures] if pictures else []
 
 
 def _named(captions: Mapping[str, str], place: str) -> dict[str, str]:
@@ -307,10 +166,16 @@ def _pictures(
             yield picture(content, before + caption, before + caption + words)
 
 
-def _study(context: StageContext, study: Mapping[str, Any]) -> list[Html]:
-    folder, made_by = context.out / study["folder"], f"{study['made_by']} {context.words}"
-    tables = _tables(folder, study["tables"], made_by)
-    return [*_pictures(folder, study["figures"]), *tables]
+def _listed(
+    context: StageContext,
+    folder: str = "tables",
+    made_by: str = "sphrom compare",
+    figures: Mapping[str, str] = {},
+    tables: Mapping[str, str] = {},
+) -> Iterator[Html]:
+    """Yield the figures and tables that the contents list for a section."""
+    yield from _pictures(context.out / folder, figures)
+    yield from _tables(context.out / folder, tables, f"{made_by} {context.words}")
 
 
 def _sweeps(workspace: Workspace) -> Iterator[Html]:
@@ -413,10 +278,13 @@ def _animation(workspace: Workspace, name: str, point: ParameterPoint, reduced: 
     with StoredRun.opened(workspace, point) as full:
         times = full.time
         chosen = np.unique(np.linspace(0, len(times) - 1, N_FRAMES).round().astype(int))
-        both = [run.sampled(probes.grid, chosen.tolist()) for run in (full, reduced)]
+        full_samples = full.sampled(probes.grid, chosen.tolist())
+    samples = reduced.sampled(probes.grid, chosen.tolist())
     rows, legends = [], []
     for quantity in QUANTITIES:
-        fields = side_by_side(name, quantity, *(getattr(samples, quantity) for samples in both))
+        fields = side_by_side(
+            name, quantity, getattr(full_samples, quantity), getattr(samples, quantity)
+        )
         scale = colour_scale(fields[:2])
         of_difference = colour_scale(fields[2:])
         rows.append([*zip(fields, (scale, scale, of_difference), strict=True)])
@@ -425,7 +293,15 @@ def _animation(workspace: Workspace, name: str, point: ParameterPoint, reduced: 
             legends.append(legend(field.label, low, high, gradient(colours)))
     return animation(
         frames=[
-            as_png([[paint(probes.picture(f.values[i]), *s) for f, s in row] for row in rows])
+            as_png(
+                [
+                    [
+                        paint(probes.picture(f.values[i]), colours, ends)
+                        for f, (colours, ends) in row
+                    ]
+                    for row in rows
+                ]
+            )
             for i in range(len(chosen))
         ],
         times=[f"{times[snapshot]:.4g}" for snapshot in chosen],

@@ -85,11 +85,14 @@ class Checkpoints:
         Raises ArtifactError if there is a checkpoint but neither `resume` nor `force` is set, or if
         it cannot be continued.
         """
-        self._workspace, self._target, self._artifact = workspace, target, artifact
+        self._workspace = workspace
+        self._target = target
+        self._artifact = artifact
         self._context = workspace.context
         self._name = target.path.name
         self._state = self._aside("checkpoint", "sphrom/checkpoint")
-        self._shorter, self._continued = shorter, None
+        self._shorter = shorter
+        self._continued: str | None = None
         if shorter is not None:
             with workspace.open_intermediate(shorter) as run:
                 self._continued = run.content_sha256
@@ -145,8 +148,8 @@ class Checkpoints:
         self._reached = (run_state, steps, len(self._book.pending))
         waited = time.monotonic() - self._since
         every = self._context.checkpoint_every
-        apart = max(every, self._cost / LARGEST_SHARE) if every > 0.0 else 0.0
-        if self._working and (waited >= apart or self._pending_bytes >= MOST_PENDING):
+        interval = max(every, self._cost / LARGEST_SHARE) if every > 0.0 else 0.0
+        if self._working and (waited >= interval or self._pending_bytes >= MOST_PENDING):
             if self._artifact.removed:
                 raise ArtifactError(f"{self._name} was removed while it was being written")
             self._write_or_warn()
@@ -272,8 +275,7 @@ class Checkpoints:
         if n_pending:
             items = book.pending[:n_pending]
             target = self._part(n_parts)
-            about = {"number": n_parts}
-            with self._workspace.create_intermediate(target, about) as artifact:
+            with self._workspace.create_intermediate(target, {"number": n_parts}) as artifact:
                 for name in items[0]:
                     artifact.write(name, np.array([item[name] for item in items]))
         kept = Checkpoint(

@@ -11,7 +11,8 @@ from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, ArtifactWriter
 from sphrom.case.models import Case
 from sphrom.errors import ArtifactError, UnstableError
-from sphrom.metrics.measures import TORQUE, UNITS, FieldMeasure, Quantities, with_coefficients
+from sphrom.metrics.measures import TORQUE, FieldMeasure, Quantities, with_coefficients
+from sphrom.metrics.quantities import MEASURABLE
 from sphrom.sph.fluid import pressure_of
 
 if TYPE_CHECKING:  # it imports kernels, which take long and which reduced runs do not need
@@ -52,7 +53,7 @@ def field_datasets(measured: Mapping[str, Quantities]) -> dict[str, Array]:
 def write_positions(artifact: ArtifactWriter, measures: Mapping[str, FieldMeasure]) -> None:
     """Write the places of measured fields [m]."""
     for name, measure in measures.items():
-        if measure.normal is None:
+        if not measure.is_integral:
             artifact.write(f"measure/{name}/position", measure.position)
 
 
@@ -65,7 +66,7 @@ def read_quantities(artifact: Artifact, name: str) -> Quantities:
 
 def read_by_quantity(artifact: Artifact, begin: str) -> Quantities:
     """Return the quantities of the existing datasets whose names begin with `begin`."""
-    return {q: artifact.read(begin + q) for q in UNITS if begin + q in artifact}
+    return {q: artifact.read(begin + q) for q in MEASURABLE if begin + q in artifact}
 
 
 def totals(loads: Array) -> Quantities:
@@ -148,9 +149,12 @@ class TrajectoryWriter:
             for name, loads in self._forces(state, time).items():
                 values |= force_datasets(name, loads)
         if self._fields is not None:
-            fields = snapshot.position.T, snapshot.density_fluctuation, snapshot.velocity.T
             try:
-                values |= field_datasets(self._fields(*fields))
+                values |= field_datasets(
+                    self._fields(
+                        snapshot.position.T, snapshot.density_fluctuation, snapshot.velocity.T
+                    )
+                )
             except UnstableError as error:
                 raise UnstableError(f"{error}, at t = {time:.6g} s") from error
         item = {name: values[name] for name in self._streams}
@@ -167,8 +171,9 @@ class TrajectoryWriter:
         for name, stream in self._streams.items():
             stream.append(item[name])
         if self._watch is not None:
-            fields = (item[name] for name in ("position", "velocity", "density_fluctuation"))
-            self._watch.see(float(item["time"]), *fields)
+            self._watch.see(
+                float(item["time"]), item["position"], item["velocity"], item["density_fluctuation"]
+            )
 
     def finish(
         self, failure: UnstableError | None, seconds: float | None, checkpoint_seconds: float = 0.0

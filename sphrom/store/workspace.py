@@ -1,26 +1,12 @@
-"""The artifacts of one case: their files, their dependencies, and whether they are valid.
-
-An artifact depends on some sections of the case, which are compared by a digest, and on other
-artifacts, which are compared by their content. `sphrom.artifacts` reads and writes single files.
-"""
+"""The artifacts of one case: their files, and what each depends on."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, suppress
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from pathlib import Path
 
-from sphrom.artifacts import (
-    Artifact,
-    ArtifactWriter,
-    Identity,
-    Origin,
-    create_artifact,
-    open_artifact,
-    probe,
-)
-from sphrom.artifacts.reader import Fault, inspect, open_file
+from sphrom.artifacts import open_artifact
 from sphrom.case.fields import Section
 from sphrom.case.loader import case_of_text
 from sphrom.case.models import VERSIONS, inputs_digest, section_inputs, stated
@@ -28,8 +14,8 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import fast_section, sweep_model, sweep_name
 from sphrom.errors import ArtifactError, CaseError
-from sphrom.kernels import ask_for_threads
 from sphrom.setup.context import KnownArtifacts, StageContext
+from sphrom.store.artifact_folder import ArtifactFolder, Target
 from sphrom.version import __version__
 
 FULL_RUN = ("scene", "fluid", "discretization", "time", "snapshots")
@@ -75,96 +61,45 @@ KINDS: Mapping[str, Kind] = {
 
 
 @dataclass(frozen=True)
-class Target:
-    """One artifact of a case: its file, and the case and inputs that it must be made with."""
+class ModelFiles:
+    """The artifacts of one family of reduced models."""
 
-    path: Path
-    schema: str
-    stage: str
-    made_by: str
-    inputs_digest: str
-    parents: Mapping[str, Target]
-    sections: frozenset[str]
-    """The sections of the case that it or a parent depends on, wholly or in part."""
-    at_least: Mapping[str, int]
-    """Minimum lengths of its datasets; longer ones are valid too."""
+    suffix: str
+    """Of the names of its kinds."""
+    modes: str
+    """The dataset of a basis with a row for each mode."""
+    bases: tuple[str, ...]
+    """The artifacts of the modes."""
+    parents: tuple[str, ...]
+    """The artifacts from which its models are built."""
 
 
-class Workspace:
-    """The folder of a case's artifacts: names, validity, reading and writing."""
+MODEL_FILES: Mapping[str, ModelFiles] = {
+    "points": ModelFiles("", "modes/density", ("basis", "splines"), ("basis", "operators")),
+    "particles": ModelFiles(
+        " on particles", "modes/density", ("basis", "splines"), ("basis", "splines")
+    ),
+    "surface": ModelFiles(" of a surface", "stream_modes", ("basis",), ("basis", "operators")),
+}
+"""The artifacts of reduced models by the family that a plan names."""
+
+
+class Workspace(ArtifactFolder):
+    """The folder of a case's artifacts, with their names and dependencies."""
 
     def __init__(self, context: StageContext) -> None:
-        self.context = context
-        self.case = context.case
-        self.out = context.out
-        ask_for_threads(context.threads)
+        super().__init__(context)
         # Requested figures change no artifact, and figures of measurements change no run.
-        bare = {"from_time": None, "coefficient": None}
-        recorded = self.case.scene.recorded.items()
-        measure = {name: each.model_copy(update=bare) for name, each in recorded}
+        measure = {name: one.of_runs for name, one in self.case.scene.recorded.items()}
         scene = self.case.scene.model_copy(update={"measure": measure})
         compare = self.case.compare.model_copy(update={"figures": ()})
         self._without_figures = self.case.model_copy(update={"compare": compare, "scene": scene})
         self._inputs: dict[str, dict[str, object]] = {}
-        self._own_kind = " of a surface" if self.case.scene.has_surface else ""
-        self._reasons = context.known.reasons
-        self._identities = context.known.identities
+        self._files = MODEL_FILES[self.case.plan.family()]
 
-    @property
-    def threads(self) -> int:
-        """Number of threads of the kernels; imports them."""
-        from sphrom.kernels.jit import threads_for
-
-        return threads_for(self.context.threads)
-
-    def reason_to_make(self, target: Target) -> str | None:
-        """Return why an artifact has to be made, or None if it exists and is valid."""
-        if target.path not in self._reasons:
-            self._reasons[target.path] = self._reason_to_make(target)
-        return self._reasons[target.path]
-
-    def _reason_to_make(self, target: Target) -> str | None:
-        if not target.path.exists():
-            return "is missing"
-        for parent in target.parents.values():
-            if parent.path.exists() and (reason := self.reason_to_make(parent)) is not None:
-                return f"was made from {parent.path.name}, which {reason}"
-        return probe(target.path, target.schema, self._origin(target), target.at_least)
-
-    def must_make(self, target: Target) -> bool:
-        """Return whether a stage has to make an artifact, and report if it does not.
-
-        Raises ArtifactError if the artifact exists, is not valid, and must not be overwritten.
-        Imported artifacts are never overwritten.
-        """
-        if target.path.is_dir():
-            raise ArtifactError(f"{target.path} is a folder where a file has to be: remove it")
-        command = self._import_command(target)
-        if self.context.force and not self.context.keep_valid and command is None:
-            return True
-        reason = self.reason_to_make(target)
-        if reason is None:
-            self.context.report.info(f"{target.path.name}: up to date, kept")
-            return False
-        if command is not None:
-            self.require(target)
-        if target.path.exists() and not self.context.force:
-            self._require_parents(target)
-            raise ArtifactError(f"{target.path} {reason}; `--force` makes it anew")
-        if target.path.exists():
-            self.context.report.note(f"{target.path.name}: made again, because it {reason}")
-        return True
-
-    def require(self, target: Target) -> None:
-        """Raise ArtifactError that names the first cause, unless an artifact is valid."""
-        if (reason := self.reason_to_make(target)) is not None:
-            self._require_parents(target)
-            lacks, again = ("out of date", " --force") if target.path.exists() else ("missing", "")
-            own, whole = f"{target.made_by}{again}", f"sphrom run {self.context.words}{again}"
-            remedy = f"make it with `{own}`, or all that is {lacks} with `{whole}`"
-            if command := self._import_command(target):
-                remedy = f"no simulation replaces what was imported: import again with `{command}`"
-            raise ArtifactError(f"{target.path} {reason}; {remedy}")
+    def unphysical(self, point: ParameterPoint) -> list[str]:
+        """Return the unphysical effects in the full run at a point."""
+        return str(self.attributes(self.full_run(point)).get("unphysical", "")).splitlines()
 
     def shorter_run(self, point: ParameterPoint) -> Target | None:
         """Return the finished run that a full run continues beyond its final time, or None.
@@ -173,142 +108,47 @@ class Workspace:
         case has other steps or another speed of sound.
         """
         target = self.full_run(point)
-        case = self.case
         context = self.context
-        before = None
         if not target.path.exists() or self.imported(target) or not self.reason_to_make(target):
             return None
-        with (
-            suppress(ArtifactError, CaseError),
-            open_artifact(target.path, target.schema, made_by=target.made_by) as run,
-        ):
-            version = run.text("softwareVersion")
-            if run.text("status") == "complete":
-                before = case.model_copy(update={"time": case_of_text(run.case_text).time})
-        if before is None or before.time.spin_up != case.time.spin_up:
+        finished = self._finished(target)
+        if finished is None or finished.case.time.spin_up != self.case.time.spin_up:
             return None
-        shorter = Workspace(replace(context, case=before, known=KnownArtifacts()))
-        found = shorter.full_run(point)
-        old = before.plan
-        new = case.plan
-        if shorter.reason_to_make(found) or old.steps.end_time >= new.steps.end_time:
+        found = finished.full_run(point)
+        old = finished.case.plan
+        new = self.case.plan
+        if finished.reason_to_make(found) or old.steps.end_time >= new.steps.end_time:
             return None
-        step = old.steps.time_step
         ends = f"{target.path} ends at {old.steps.end_time:g} s"
-        changes = {
-            "speed of sound": (old.sound_speed, new.sound_speed, ""),
-            "step": (step, new.steps.time_step, f"`--set time.step={step!r}` keeps it, "),
-            "version of sphrom": (version, __version__, ""),
-        }
-        different = (name for name, (there, here, _) in changes.items() if there != here)
-        if (name := next(different, None)) is not None:
-            there, here, remedy = changes[name]
-            if context.resume and not context.force:
-                change = (
-                    f"the {name} is {there} there, {here} here; {remedy}`--force` makes it anew"
+        step = old.steps.time_step
+        version = str(self.attributes(target)["softwareVersion"])
+        for name, there, here, remedy in (
+            ("speed of sound", old.sound_speed, new.sound_speed, ""),
+            ("step", step, new.steps.time_step, f"`--set time.step={step!r}` keeps it, "),
+            ("version of sphrom", version, __version__, ""),
+        ):
+            if there != here and context.resume and not context.force:
+                raise ArtifactError(
+                    f"{ends}, and can't be continued: the {name} is {there} there, {here} here; "
+                    f"{remedy}`--force` makes it anew"
                 )
-                raise ArtifactError(f"{ends}, and can't be continued: {change}")
-            return None
+            if there != here:
+                return None
         if not context.resume and not context.force:
             raise ArtifactError(f"{ends}: `--resume` continues it, `--force` makes it anew")
         return found if context.resume else None
 
-    def imported(self, target: Target) -> dict[str, str]:
-        """Return the import attributes of an artifact; empty if it was made here or is damaged."""
-        attributes = self._attributes(target).items()
-        return {name: str(value) for name, value in attributes if name.startswith("imported/")}
-
-    def _attributes(self, target: Target) -> Mapping[str, object]:
-        with suppress(Fault), open_file(target.path) as file:
-            return inspect(file).attributes
-        return {}
-
-    def unphysical(self, point: ParameterPoint) -> list[str]:
-        """Return the unphysical effects in the full run at a point."""
-        return str(self._attributes(self.full_run(point)).get("unphysical", "")).splitlines()
-
-    def _import_command(self, target: Target) -> str | None:
-        """Return the command that imports a full run again; None if a stage makes the artifact."""
-        attributes = self.imported(target) if target.stage == "fom" else {}
-        files = attributes.get("imported/files")
-        return files and f"sphrom import {self.context.words} {files} --force"
-
-    def _require_parents(self, target: Target) -> None:
-        """Raise ArtifactError if an existing input is not valid."""
-        for parent in target.parents.values():
-            if parent.path.exists():
-                self.require(parent)
-
-    def open(self, target: Target) -> AbstractContextManager[Artifact]:
-        """Open an artifact for reading, after checking it against the case and its inputs.
-
-        Raises ArtifactError if it is missing, damaged, or no longer valid.
-        """
-        self.require(target)
-        return self.open_intermediate(target)
-
-    def open_intermediate(self, target: Target) -> AbstractContextManager[Artifact]:
-        """Open an intermediate file, such as a checkpoint, after checking that file only."""
-        return open_artifact(
-            target.path, target.schema, made_by=target.made_by, origin=self._origin(target)
-        )
-
-    @contextmanager
-    def create(
-        self, target: Target, attributes: Mapping[str, object] | None = None, *, over: bool = False
-    ) -> Iterator[ArtifactWriter]:
-        """Write an artifact made from its parents' state; with `over` or `force`, over another."""
-        for parent in target.parents.values():
-            self.require(parent)
-        make_folder(target.path.parent)
-        force = self.context.force or over
-        with self.create_intermediate(target, attributes, force=force) as artifact:
-            yield artifact
-        self.context.known.forget(target.path)
-        self.context.report.info(f"wrote {target.path}")
-
-    def create_intermediate(
-        self, target: Target, attributes: Mapping[str, object] | None = None, *, force: bool = True
-    ) -> AbstractContextManager[ArtifactWriter]:
-        """Write an intermediate file, such as a checkpoint, without a message."""
-        return create_artifact(
-            target.path,
-            target.schema,
-            stage=target.stage,
-            origin=self._origin(target),
-            threads=self.threads,
-            force=force,
-            attributes=attributes,
-        )
-
-    def folder(self, name: str = "") -> Path:
-        """Return the folder of artifacts, or one in it, made if necessary."""
-        return make_folder(self.out / name)
-
-    def _origin(self, target: Target) -> Origin:
-        """Return the case and the existing parents of an artifact."""
-        there = [item for item in target.parents.items() if item[1].path.exists()]
-        lineage = {role: self._identity(parent) for role, parent in there}
-        made_with = target.inputs_digest, self.case.text, target.sections
-        return Origin(*made_with, lambda text: self._consequences(target, text), lineage)
-
-    def _consequences(self, target: Target, text: str) -> str:
-        """Return, in words, the derived values that differ for another case, given as YAML."""
-        with suppress(CaseError):
-            plans = case_of_text(text).plan, self.case.plan
-            name, (there, here) = "step", [f"{plan.steps.time_step:.6g} s" for plan in plans]
-            if there == here:
-                name, (there, here) = "speed of sound", [f"{p.sound_speed:.6g} m/s" for p in plans]
-            if "time" in target.sections and there != here:
-                reason = "it follows the lowest Reynolds number of all points, and their speeds"
-                return f"the {name} is {there} there, {here} here: {reason}"
-        return ""
-
-    def _identity(self, target: Target) -> Identity:
-        if target.path not in self._identities:
-            with open_artifact(target.path, target.schema, made_by=target.made_by) as artifact:
-                self._identities[target.path] = artifact.identity
-        return self._identities[target.path]
+    def _finished(self, target: Target) -> Workspace | None:
+        """Return the workspace of this case with the times of a complete run; None without one."""
+        with (
+            suppress(ArtifactError, CaseError),
+            open_artifact(target.path, target.schema, made_by=target.made_by) as run,
+        ):
+            if run.text("status") == "complete":
+                time = case_of_text(run.case_text).time
+                case = self.case.model_copy(update={"time": time})
+                return Workspace(replace(self.context, case=case, known=KnownArtifacts()))
+        return None
 
     def packing(self) -> Target:
         """Packed starting positions."""
@@ -332,12 +172,10 @@ class Workspace:
     def mapped(self, point: ParameterPoint) -> Target:
         """The reference snapshots at a parameter point."""
         parents = {"trajectory": self.full_run(point)}
-        about: dict[str, object] = {"point": point.as_dict()}
-        if self.case.scene.has_surface:
-            about["space"] = vars(self.case.plan.stream_space)
-        elif self.case.reference.points == "relaxed":
+        about: dict[str, object] = {"point": point.as_dict(), **self.case.plan.map_settings}
+        if self.case.plan.relaxed_points:
             parents["points"] = self.full_run(self.case.plan.train_points[0])
-        return self._target(f"map{self._own_kind}", point.file_label, about, parents)
+        return self._target(f"map{self._files.suffix}", point.file_label, about, parents)
 
     def basis(self) -> Target:
         """The trial bases."""
@@ -345,9 +183,8 @@ class Workspace:
         parents = self._mapped(plan.train_points)
         if self.case.basis.lagrangian:
             parents |= self._full_runs(plan.train_points)
-        kept = "stream_modes" if self._own_kind else "modes/density"
-        modes = {f"bases/{n}/{kept}": plan.basis_size(n) for n in plan.bases}
-        return self._target(f"pod{self._own_kind}", "", {}, parents, modes)
+        modes = {f"bases/{n}/{self._files.modes}": plan.basis_size(n) for n in plan.bases}
+        return self._target(f"pod{self._files.suffix}", "", {}, parents, modes)
 
     def splines(self) -> Target:
         """The splines of the modes."""
@@ -358,11 +195,10 @@ class Workspace:
     def operators(self) -> Target:
         """The projected operators on the reference points, or trained models with a surface."""
         plan = self.case.plan
-        if self._own_kind:
+        kind = f"operators{self._files.suffix}"
+        if "splines" not in self._files.bases:
             parents = {"basis": self.basis(), **self._mapped(plan.train_points)}
-            return self._target(
-                "operators of a surface", "", {"sizes": plan.surface_sizes}, parents
-            )
+            return self._target(kind, "", {"sizes": plan.surface_sizes}, parents)
         trained = dict.fromkeys(p for name in plan.reference_bases for p in plan.bases[name])
         parents = {"basis": self.basis(), **self._mapped(trained)}
         if self.case.scene.measure:
@@ -375,17 +211,17 @@ class Workspace:
             "sized": plan.sized_bases,
             "varied": plan.parameter_names[1:],
         }
-        return self._target("operators", "", about, parents)
+        return self._target(kind, "", about, parents)
 
     def model(self, model: ReducedModelSection) -> Target:
         """A trained model from operators, which runs without them."""
         about = _about(model, "parameters")
         made_from = self._trained(model)
-        return self._target(f"model{self._own_kind}", model.name, about, made_from)
+        return self._target(f"model{self._files.suffix}", model.name, about, made_from)
 
     def reduced_run(self, model: ReducedModelSection, point: ParameterPoint) -> Target:
         """The run of a reduced model at a parameter point."""
-        kind = f"rom{self._own_kind}" if model.from_operators else "rom on particles"
+        kind = f"rom{MODEL_FILES[self.case.plan.family(model)].suffix}"
         parents = self._trained(model) | self._start(self.case.plan.start_point(point))
         about = {"point": point.as_dict(), **_about(model, "parameters")}
         return self._target(kind, f"{model.name}-{point.file_label}", about, parents)
@@ -395,9 +231,7 @@ class Workspace:
         plan = self.case.plan
         parents = self._full_runs(plan.points)
         if self.case.rom:
-            parents |= {**self._mapped(plan.points), "basis": self.basis()}
-            if not self._own_kind:
-                parents["splines"] = self.splines()
+            parents |= self._mapped(plan.points) | self._named(self._files.bases)
         for model in filter(plan.ends_with_case, self.case.rom):
             for point in filter(plan.points.__contains__, plan.rom_points(model)):
                 parents[f"rom-{model.name}-{point.file_label}"] = self.reduced_run(model, point)
@@ -431,9 +265,19 @@ class Workspace:
 
     def _trained(self, model: ReducedModelSection) -> dict[str, Target]:
         """Return the artifacts from which a reduced model is built."""
-        if model.from_operators:
-            return {"basis": self.basis(), "operators": self.operators()}
-        return {"basis": self.basis(), "splines": self.splines()}
+        return self._named(MODEL_FILES[self.case.plan.family(model)].parents)
+
+    def bases(self) -> list[Target]:
+        """The trial bases, and the splines of their modes if there are any."""
+        return list(self._named(self._files.bases).values())
+
+    def made_from(self, model: ReducedModelSection) -> list[Target]:
+        """The artifacts of all training runs from which a model is made, each once."""
+        files = MODEL_FILES[self.case.plan.family(model)]
+        return list(self._named((*files.bases, *files.parents)).values())
+
+    def _named(self, names: Iterable[str]) -> dict[str, Target]:
+        return {name: getattr(self, name)() for name in names}
 
     def _full_runs(self, points: Iterable[ParameterPoint]) -> dict[str, Target]:
         return {f"fom-{point.file_label}": self.full_run(point) for point in points}
@@ -462,24 +306,26 @@ class Workspace:
         parents: Mapping[str, Target],
         at_least: Mapping[str, int] | None = None,
     ) -> Target:
-        """Return a target; `about` contains the dependencies beyond the whole sections."""
+        """Return a target; `about` are the dependencies beyond the whole sections."""
         kind = KINDS[name]
+        plan = self.case.plan
+        about = dict(about)
         if name in ("compare", "sweep", "fit", "rom"):
-            plan = self.case.plan
-            figures: dict[str, Mapping[str, object]] = {}
-            figures["means from"] = {n: t for n, t in plan.means_from.items() if t > 0.0}
+            figures: dict[str, Mapping[str, object]] = {
+                "means from": {n: t for n, t in plan.means_from.items() if t > 0.0}
+            }
             if name != "rom":
                 figures["oscillations"] = {n: vars(each) for n, each in plan.oscillations.items()}
                 figures["coefficients"] = plan.coefficients
-            about = {**about, **{key: each for key, each in figures.items() if each}}
+            about |= {key: each for key, each in figures.items() if each}
+        if "fluid" in kind.sections:
+            about["largest speed"] = plan.max_speed
+            if plan.sound_speed > plan.max_speed / self.case.fluid.mach_number:
+                about["sound speed"] = plan.sound_speed
+            if (strip := plan.strip) is not None and strip != self.case.scene.strip:
+                about["strip speed"] = strip.speed
         if name not in self._inputs:
             self._inputs[name] = section_inputs(self._without_figures, kind.sections)
-        if "fluid" in kind.sections:
-            about = {**about, "largest speed": self.case.plan.max_speed}
-            if self.case.plan.sound_speed > self.case.plan.max_speed / self.case.fluid.mach_number:
-                about["sound speed"] = self.case.plan.sound_speed
-            if (strip := self.case.plan.strip) is not None and strip != self.case.scene.strip:
-                about["strip speed"] = strip.speed
         inputs = {
             "sections": self._inputs[name],
             "about": stated(about),
@@ -510,14 +356,3 @@ def _without(section: Section, *names: str) -> dict[str, object]:
     values = stated(section)
     assert isinstance(values, dict)
     return {name: value for name, value in values.items() if name not in names}
-
-
-def make_folder(path: Path, option: str = "--out") -> Path:
-    """Return a folder, made if necessary. Raises ArtifactError that names the option."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ArtifactError(
-            f"{path} can't be made: {error.strerror}; choose another folder with `{option}`"
-        ) from error
-    return path

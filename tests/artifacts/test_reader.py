@@ -141,7 +141,7 @@ def test_a_file_is_looked_through_and_verified_once(write_large, monkeypatch) ->
 
 def test_data_larger_than_the_memory_are_refused(write_trajectory, monkeypatch) -> None:
     """Parts of them are read all the same."""
-    monkeypatch.setattr(reader, "ALWAYS_FITS", 0)
+    monkeypatch.setattr(reader, "SMALL_BYTES", 0)
     with open_artifact(write_trajectory(), SCHEMA, made_by=MADE_BY) as artifact:
         monkeypatch.setattr(reader, "available_ram", lambda: 8 * 3 * 5 * 2)
         assert artifact.read("velocity").shape == (3, 5, 2)

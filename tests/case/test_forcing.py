@@ -11,7 +11,7 @@ import pytest
 from sphrom.case.hints import case_warnings
 from sphrom.case.loader import load_case
 from sphrom.case.models import Case
-from sphrom.case.plan import STEPS_PER_PERIOD
+from sphrom.case.plan_times import STEPS_PER_PERIOD
 from sphrom.errors import CaseError
 
 STEP = {"step": {"rectangle": {"lower": [-2, 0], "upper": [0, 1]}}}

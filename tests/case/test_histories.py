@@ -120,7 +120,10 @@ def test_files_without_a_history(refusal, content, words: str) -> None:
         ({"histories": {"sway": {"file": "sway.csv", "time": 1}}}, "sway.time: must be text"),
         ({"walls": {"top": {"velocity": ["sway(t) + 1", 0]}, "x": {}}}, "give velocity"),
         ({"walls": {"top": {"velocity": ["sway(t)", "t"]}}}, "top.velocity: both components"),
-        ({"walls": {"top": {"velocity": ["1/t", 0]}}}, r"walls\.top: is not finite at t = 0 s"),
+        (
+            {"walls": {"top": {"velocity": ["1/t", 0]}}},
+            r"walls\.top\.velocity: is not finite at t = 0 s",
+        ),
     ],
 )
 def test_wrong_keys(load, given: dict[str, Any], words: str) -> None:

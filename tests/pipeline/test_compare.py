@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sphrom.errors import UnstableError
-from sphrom.online import particle_runs
+from sphrom.models.particles import runs as particle_runs
 
 
 def test_probes_that_all_see_the_same_are_refused(place, refused):

@@ -13,11 +13,12 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
 from sphrom.metrics.series import kinetic_energy
-from sphrom.online.basis_model import quantities_of
-from sphrom.online.fast_model import FastModel
-from sphrom.online.sensitivities import tangents
+from sphrom.models.points.basis_model import quantities_of
+from sphrom.models.points.fast_model import FastModel
+from sphrom.models.points.sensitivities import tangents
 from sphrom.reduction import reference_model
-from sphrom.reduction.operator_projection import project_forces, project_operators, residual_factor
+from sphrom.reduction.force_projection import project_forces
+from sphrom.reduction.operator_projection import project_operators, residual_factor
 from sphrom.reduction.reduced_operators import Polynomial, residual_norm
 from sphrom.reduction.stokes_fields import StokesFields
 from sphrom.reduction.trial_basis import TrialBasis, reconstruct

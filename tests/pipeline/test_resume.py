@@ -17,7 +17,7 @@ import pytest
 from sphrom.case.loader import load_case
 from sphrom.console import Reporter
 from sphrom.errors import ArtifactError
-from sphrom.offline import fom
+from sphrom.models import fom
 from sphrom.setup.context import StageContext
 from sphrom.sph import time_loop
 from sphrom.store import checkpoints

@@ -9,7 +9,7 @@ import yaml
 
 from sphrom.case.points import REYNOLDS
 from sphrom.errors import UnstableError
-from sphrom.online.stable_ranges import MEMORY, STEP, TIME
+from sphrom.models.stable_ranges import MEMORY, STEP, TIME
 from sphrom.trade import extremes
 
 FEW = ("trade.repeats=1", "trade.n_modes=[2,3]", "trade.resolutions=[12,16]", "compare.plots=false")
@@ -186,7 +186,7 @@ def test_an_unstable_full_run_is_a_state(weigh, place, few, monkeypatch):
         raise UnstableError("reynolds=100: it burst")
 
     few(mach_number=(0.2,))
-    monkeypatch.setattr("sphrom.offline.fom.run", explode)
+    monkeypatch.setattr("sphrom.models.fom.run", explode)
     weigh((), "--extremes")
     rows = rows_of(place, "extremes")
     (lost,) = of(rows, varied="Mach number")

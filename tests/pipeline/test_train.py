@@ -15,7 +15,7 @@ import pytest
 import yaml
 
 from sphrom.errors import UnstableError
-from sphrom.offline import fom
+from sphrom.models import fom
 
 FAST = {"name": "fast", "evaluation": "operators", "n_modes": 8}
 REGION = {"reynolds": [50, 400]}

@@ -16,8 +16,8 @@ from sphrom.artifacts.records.sweep import Statistics
 from sphrom.case.loader import load_case
 from sphrom.errors import UnstableError
 from sphrom.metrics.draws import spread
-from sphrom.online.error_estimates import measured_errors
-from sphrom.online.fast_model import FastModel
+from sphrom.models.points.error_estimates import measured_errors
+from sphrom.models.points.fast_model import FastModel
 from sphrom.plots.panels import save
 from sphrom.store.trajectory import measured_of
 from sphrom.store.workspace import Workspace

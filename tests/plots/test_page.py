@@ -7,18 +7,8 @@ from html.parser import HTMLParser
 
 import numpy as np
 
-from sphrom.report.report import (
-    animation,
-    as_png,
-    element,
-    headline,
-    legend,
-    listing,
-    paint,
-    picture,
-    render,
-    table,
-)
+from sphrom.report.page import animation, element, headline, legend, listing, picture, render, table
+from sphrom.report.report import as_png, paint
 
 HOSTILE = '<script>alert("1")</script> & "quoted"'
 PNG = as_png([[np.zeros((2, 2, 3), dtype=np.uint8)]])

@@ -19,7 +19,7 @@ TRUE = Polynomial(((np.array([0.5, 0.0, 1.0]), LINEAR, QUADRATIC),))
 AT_MEAN = CorrectedRates(
     constant=np.array([0.02, -0.03, 0.01]), linear=0.01 * np.arange(9.0).reshape(3, 3) - 0.04
 )
-OFF = AT_MEAN.polynomial(None)
+OFF = Polynomial((AT_MEAN.tensors(None),))
 
 
 def correction(runs: list[TrainingRun], *settings: float, **more: float) -> Polynomial:

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from sphrom.reduction import operator_projection
-from sphrom.reduction.operator_projection import project_memory, project_operators, residual_factor
+from sphrom.reduction.memory_projection import project_memory
+from sphrom.reduction.operator_projection import project_operators, residual_factor
 from sphrom.reduction.reduced_operators import residual_norm
 
 NU = 0.01
@@ -57,7 +58,7 @@ def test_a_closure_leaves_the_projected_rates(settings, unprojected) -> None:
     setting = settings["forced"]
     operators = project_operators(setting.points, setting.basis)
     factor = residual_factor(setting.points, setting.basis, operators)
-    memory = project_memory(setting.points, setting.basis, kinematic_viscosity=NU)
+    memory = project_memory(setting.points, setting.basis).at(NU)
     length, state, around = 1e-2, setting.coordinates, AROUND[0]
     closed = operators.at(NU).plus(memory, length)
     closure = memory.scaled(length)

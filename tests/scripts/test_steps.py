@@ -8,7 +8,7 @@ import pytest
 
 from sphrom.case.loader import load_case
 from sphrom.console import Reporter
-from sphrom.offline import fom
+from sphrom.models import fom
 from sphrom.setup.context import StageContext
 
 pytestmark = pytest.mark.slow

@@ -17,7 +17,8 @@ import pytest
 from numpy.typing import NDArray
 
 from sphrom.reduction.decomposition import decompose
-from sphrom.reduction.operator_projection import project_memory, project_operators, residual_factor
+from sphrom.reduction.memory_projection import project_memory
+from sphrom.reduction.operator_projection import project_operators, residual_factor
 from sphrom.reduction.polynomial_model import (
     OutputTimes,
     PolynomialModel,
@@ -327,9 +328,7 @@ def test_nothing_online_is_as_large_as_the_points_are_many() -> None:
         here = train(Flow("vortex", resolution, 0.3, (100.0,)))
         model, n_points = here.reduced(here.basis(4)), len(here.position)
         rates, viscosity = model.rates(100.0), here.flow.viscosity(100.0)
-        memory = project_memory(
-            model.points, model.basis, model.splines, kinematic_viscosity=viscosity
-        )
+        memory = project_memory(model.points, model.basis, model.splines).at(viscosity)
         factor = residual_factor(model.points, model.basis, model.operators, model.splines)
         residual = factor.of_model(model.operators, np.arange(4))
         closed = rates.plus(memory, 1e-4)

@@ -1,0 +1,112 @@
+"""The plan of a case, first part: the parameter points of its full and reduced runs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sphrom.arrays import Array
+from sphrom.case.points import REYNOLDS, ParameterPoint, Values, nearest_point
+from sphrom.case.sections import ReducedModelSection
+from sphrom.errors import CaseError
+
+if TYPE_CHECKING:
+    from sphrom.case.models import Case
+
+
+class PointsPlan:
+    """The parameter points of one case."""
+
+    def __init__(self, case: Case) -> None:
+        self._case = case
+        self._scene = case.scene
+        self._fluid = case.fluid
+        self._time = case.time
+
+    @cached_property
+    def parameter_names(self) -> tuple[str, ...]:
+        """The names of the parameters of all points, the Reynolds number first."""
+        section = self._case.parameters
+        return tuple(dict.fromkeys((REYNOLDS, *section.train.names, *section.test.names)))
+
+    @cached_property
+    def driving(self) -> tuple[str, ...]:
+        """The parameters that move walls or scale the body force; operators have a part of each."""
+        return self._scene.driving(self.parameter_names[1:])
+
+    @cached_property
+    def own_values(self) -> dict[str, float]:
+        """The scene's own values of parameters, with the Reynolds number if training has one."""
+        reynolds = self._case.parameters.train.own_reynolds
+        own = {} if reynolds is None else {REYNOLDS: reynolds}
+        return own | self._scene.parameters(self._fluid.reference_speed)
+
+    @cached_property
+    def usual_values(self) -> dict[str, float]:
+        """The values that all training runs have in common; of other parameters, the scene's own.
+
+        Points have these values of all parameters that they do not name.
+        """
+        rows = [point.as_dict() for point in self.train_points]
+        common = {n: v for n, v in rows[0].items() if all(row[n] == v for row in rows)}
+        return self.own_values | common
+
+    def point(self, values: Values, usual: Mapping[str, float] | None = None) -> ParameterPoint:
+        """Return the point with values by name; missing ones are the `usual_values`.
+
+        Raises CaseError when the Reynolds number is missing, and training runs have several.
+        """
+        named = values if isinstance(values, dict) else {REYNOLDS: values}
+        known = {**(self.usual_values if usual is None else usual), **named}
+        if REYNOLDS not in known:
+            missing = f"{REYNOLDS}: is missing, and training runs have several"
+            raise CaseError(f"{missing}; give its value, such as {REYNOLDS}=100")
+        reynolds, *others = [float(known.get(name, 0.0)) for name in self.parameter_names]
+        names = self.parameter_names[1:]
+        return ParameterPoint(reynolds, tuple(zip(names, others, strict=True)))
+
+    @cached_property
+    def train_points(self) -> tuple[ParameterPoint, ...]:
+        """The points of training runs; they have the scene's own values of unnamed parameters."""
+        rows = self._case.parameters.train.values
+        return tuple(self.point(row, self.own_values) for row in rows)
+
+    @cached_property
+    def test_points(self) -> tuple[ParameterPoint, ...]:
+        """The points of test runs, which only check predictions."""
+        return tuple(map(self.point, self._case.parameters.test.values))
+
+    @cached_property
+    def points(self) -> tuple[ParameterPoint, ...]:
+        """All points of full runs."""
+        return self.train_points + self.test_points
+
+    @cached_property
+    def _settings(self) -> list[dict[str, float]]:
+        """The values of all parameters except the Reynolds number, each combination once."""
+        return [dict(others) for others in dict.fromkeys(point.others for point in self.points)]
+
+    @cached_property
+    def largest_values(self) -> Array:
+        """The largest absolute trained value of each parameter (n_parameters,)."""
+        return np.abs([[*p.as_dict().values()] for p in self.train_points]).max(axis=0)
+
+    def start_point(self, point: ParameterPoint) -> ParameterPoint:
+        """Return the point whose initial state a run has.
+
+        Points of full runs have a spin-up of their own; others use that of the nearest training
+        run. Without a spin-up, each point starts from the initial conditions of the scene.
+        """
+        if self._time.spin_up == 0.0 or point in self.points:
+            return point
+        return nearest_point(point, self.train_points)
+
+    def rom_points(self, model: ReducedModelSection) -> tuple[ParameterPoint, ...]:
+        """Return the points at which a reduced model is run."""
+        if not isinstance(model.parameters, str):
+            return tuple(map(self.point, model.parameters))
+        named = {"all": self.points, "train": self.train_points, "test": self.test_points}
+        return named[model.parameters]

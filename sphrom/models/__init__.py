@@ -1,0 +1,1 @@
+"""Reduced models: the stages that make them, and their runs, by family."""

@@ -1,0 +1,1 @@
+"""Reduced models on moving particles."""

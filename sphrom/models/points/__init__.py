@@ -1,0 +1,1 @@
+"""Reduced models from projected operators, on the points of the reference space."""

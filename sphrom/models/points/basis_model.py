@@ -1,0 +1,378 @@
+"""A model from operators with one basis: its equations and starts at any parameter point.
+
+All that training runs determine is in its record (`sphrom.reduction.trained_basis`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sphrom.arrays import Array
+from sphrom.case.models import Case
+from sphrom.case.plan_times import MAX_STEPS
+from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
+from sphrom.errors import CaseError
+from sphrom.metrics.measures import Quantities, Samples, with_coefficients
+from sphrom.models.points.stored import Fields, snapshot_times
+from sphrom.models.reference.stored import expand
+from sphrom.reduction import reference_model
+from sphrom.reduction.error_calibration import (
+    LocalErrorCalibration,
+    OutputErrors,
+    output_errors,
+)
+from sphrom.reduction.limit_cycles import CycleClosure
+from sphrom.reduction.reduced_measures import PointForce, TimedLoads
+from sphrom.reduction.reduced_operators import residual_norm
+from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
+from sphrom.reduction.trained_basis import ALL_MODES, LEADING, TrainedBasis, TrainedErrors
+from sphrom.reduction.trial_basis import (
+    TrialBasis,
+    mean_density_fluctuation,
+    project,
+    truncate,
+)
+from sphrom.setup.assembly import (
+    amplitude_of,
+    memory_length_of,
+    output_times_of,
+    scaled_parameters,
+    sound_averages,
+)
+from sphrom.store.trajectory import totals
+from sphrom.store.workspace import Workspace
+
+if TYPE_CHECKING:
+    from sphrom.reduction.mode_splines import ModeSplines
+
+Start = Callable[[ParameterPoint], Fields]
+"""The fields on the reference points at the start of a run at a parameter point."""
+
+
+class BasisModel:
+    """A model with one basis, at any parameter point.
+
+    Attributes
+    ----------
+    section : the model in the case, with its number of modes.
+    trained : all that training runs determine.
+    basis : the model's modes.
+    n_integrated : number of modes that are integrated within the trained time.
+    problem : why the necessary corrections are impossible; None if there is no problem.
+    """
+
+    def __init__(
+        self,
+        workspace: Workspace,
+        section: ReducedModelSection,
+        name: str,
+        trained: TrainedBasis,
+        basis: TrialBasis,
+        start: Start,
+        splines: Callable[[], ModeSplines],
+    ) -> None:
+        self.workspace = workspace
+        self.section = section
+        self.name = name
+        self.trained = trained
+        self.basis = basis
+        self.points = workspace.case.plan.bases[name]
+        self.n_integrated = trained.rates.get(LEADING, trained.rates[ALL_MODES]).operators.n_modes
+        self._start = start
+        self._read_splines = splines
+        self.problem: CaseError | None = None
+        self._last: Fields | None = None
+        self._placed: tuple[ParameterPoint, Array] | None = None
+        self._starts: dict[int, tuple[Array, float]] = {}
+        self._leading_basis = truncate(basis, self.n_integrated)
+
+    @property
+    def places(self) -> Array:
+        """(n_points, n_parameters) of the training points, as `scaled_parameters` gives them."""
+        return self.trained.places
+
+    @property
+    def states(self) -> Array:
+        """(n_states, n_modes) training states, around which steps must be stable."""
+        return self.trained.rates[ALL_MODES].states
+
+    @property
+    def errors(self) -> TrainedErrors | None:
+        """The data of error estimates; None if the case has no estimates."""
+        return self.trained.errors
+
+    @property
+    def leaves_cycles(self) -> bool:
+        """Whether states leave the trained limit cycles, on which the model should settle."""
+        closure = self.trained.rates[ALL_MODES].closure
+        return isinstance(closure, CycleClosure) and closure.slowest() >= 1.0
+
+    @cached_property
+    def splines(self) -> ModeSplines:
+        """The splines of the model's modes."""
+        return self._read_splines()
+
+    def sampled(self, points: Array, time: Array, coordinates: Array, mean: float) -> Samples:
+        """Return velocity and pressure at points (n_points, 2) for coordinates (n_times, n_modes).
+
+        `mean` is the separate density fluctuation [kg/m3].
+        """
+        means = np.full(len(time), mean)
+        return expand(
+            self.workspace.case, self.basis, self.splines, points, time, coordinates, means
+        )
+
+    def integrator(self, reduced: ReferenceModel) -> Integrator:
+        """Return the time steps of the model as the case sets them; exponential ones by default.
+
+        Raises CaseError if there are too many for any run to finish.
+        """
+        every = self.workspace.case.snapshots.every
+        return reference_model.choose(reduced, lambda part: steps_of(self.section, part, every))
+
+    def place(self, point: ParameterPoint) -> Array:
+        """Return the scaled parameters (n_parameters,) of a point."""
+        if self._placed is None or self._placed[0] is not point:
+            self._placed = point, scaled_parameters(self.workspace.case, [point])[0]
+        return self._placed[1]
+
+    def at(self, point: ParameterPoint) -> ReferenceModel:
+        """Return the model at a point, with its corrections by training runs.
+
+        Raises CaseError if corrections are impossible.
+        """
+        if self.problem is not None:
+            raise self.problem
+        model = self.projected(point)
+        step = self._first_step(point)
+        leading = model.leading and replace(model.leading, first_step=step)
+        return self.corrected(replace(model, first_step=step, leading=leading), point)
+
+    def projected(self, point: ParameterPoint, *, in_training: bool = False) -> ReferenceModel:
+        """Return the projected and calibrated model at a point, without correction and forces.
+
+        Exponential steps use the linear part of the model at the nearest training point. With
+        `in_training`, the model runs over the times of the training runs.
+        """
+        model = self._equations(ALL_MODES, point, in_training)
+        if LEADING not in self.trained.rates:
+            return model
+        # Its steps are as accurate as the basis of all modes requires.
+        leading = replace(self._equations(LEADING, point, in_training), basis=self.basis)
+        return replace(model, leading=leading)
+
+    def _equations(self, modes: str, point: ParameterPoint, in_training: bool) -> ReferenceModel:
+        """Return the equations and the start of the rates of some modes."""
+        rates = self.trained.rates[modes]
+        nearest = self.trained.nearest(self.place(point))
+        model = self.equations(modes, point, in_training)
+        return replace(model, states=rates.states, linear=rates.linear_parts[nearest])
+
+    def equations(self, modes: str, point: ParameterPoint, in_training: bool) -> ReferenceModel:
+        """Return the same without states and linear parts, which only steps need."""
+        case = self.workspace.case
+        rates = self.trained.rates[modes]
+        viscosity = case.plan.kinematic_viscosity(point)
+        basis = self.basis if modes == ALL_MODES else self._leading_basis
+        start, mean = self._start_at(point, basis)
+        steps = case.plan.steps if in_training else case.plan.model_steps(self.section)
+        model = ReferenceModel(
+            polynomial=rates.operators.at(viscosity, point.factors),
+            basis=basis,
+            start=start,
+            output_times=output_times_of(case, steps, rates.states, point),
+            mean_density_fluctuation=mean,
+            amplitude=amplitude_of(case, point),
+            longest_step=case.plan.longest_step(point),
+            measures=self.trained.measures if modes == ALL_MODES else {},
+        )
+        length = None
+        if rates.memory is not None:
+            length = memory_length_of(
+                case,
+                self.section,
+                lambda: model.polynomial.jacobian(model.start, model.strongest),
+            )
+        polynomial, closure = rates.at(viscosity, point.factors, length)
+        return replace(model, polynomial=polynomial, closure=closure, memory_length=length)
+
+    def _start_at(self, point: ParameterPoint, basis: TrialBasis) -> tuple[Array, float]:
+        """Return the coordinates and the separate mean density fluctuation at the start."""
+        density, velocity = fields = self._start(point)
+        # Points with the same start share its projections.
+        if self._last is not fields:
+            self._last, self._starts = fields, {}
+        if basis.n_modes not in self._starts:
+            left_out = float(mean_density_fluctuation(basis, density))
+            self._starts[basis.n_modes] = project(basis, density, velocity), left_out
+        return self._starts[basis.n_modes]
+
+    def corrected(
+        self, model: ReferenceModel, point: ParameterPoint, *, held_out: bool = False
+    ) -> ReferenceModel:
+        """Return a model with the corrections of its coordinates and forces by training runs.
+
+        A training run that is `held_out` is corrected by the others only.
+        """
+        place = self.place(point)
+        times = snapshot_times(self.workspace.case)
+        added = {
+            name: TimedLoads.of(times, each.held_out(place) if held_out else each.at(place))
+            for name, force in self.trained.forces.items()
+            if (each := force.correction) is not None
+        }
+        forces = {name: self.force_at(name, point, added.get(name)) for name in self.trained.forces}
+        return replace(model, correction=self.added(point, held_out), forces=forces)
+
+    def force_at(
+        self, name: str, point: ParameterPoint, correction: TimedLoads | None = None
+    ) -> PointForce:
+        """Return a measured force at a point, with loads that training runs add."""
+        viscosity = self.workspace.case.plan.kinematic_viscosity(point)
+        force = self.trained.forces[name]
+        closure = self.trained.rates[ALL_MODES].closure
+        projected = self._projected_force(name, point, correction)
+        if not isinstance(closure, CycleClosure) or force.on_cycles is None:
+            return projected
+        trained = [self._projected_force(name, each) for each in self.points]
+        loads = force.on_cycles.harmonics
+        return closure.force_at(projected, trained, loads, viscosity, point.factors)
+
+    def _projected_force(
+        self, name: str, point: ParameterPoint, correction: TimedLoads | None = None
+    ) -> PointForce:
+        viscosity = self.workspace.case.plan.kinematic_viscosity(point)
+        driven = self.trained.rates[ALL_MODES].operators.walls_driven
+        return self.trained.forces[name].projected.at(viscosity, driven, point.factors, correction)
+
+    def added(self, point: ParameterPoint, held_out: bool = False) -> Array | None:
+        """Return the correction (n_trained_snapshots, n_modes) of coordinates, if there is one."""
+        if (correction := self.trained.correction) is not None:
+            place = self.place(point)
+            return correction.held_out(place) if held_out else correction.at(place)
+        if LEADING not in self.trained.rates:
+            return None
+        return np.zeros((self.workspace.case.plan.steps.n_snapshots, self.basis.n_modes))
+
+    def _first_step(self, point: ParameterPoint) -> float | None:
+        """Return the automatic step [s] of the nearest training run, if that run is stable.
+
+        At a training point it is exactly the step for which the correction was fitted.
+        """
+        return float(self.trained.first_step[self.trained.nearest(self.place(point))]) or None
+
+    def held_out(self) -> list[tuple[int, ReferenceModel, Array]]:
+        """Return complete training runs, corrected by the other runs only.
+
+        Each is the number of the training run, the model, and its coordinates.
+        """
+        if self.errors is None or (known := self.errors.held_out) is None:
+            return []
+        found = []
+        for k, run in zip(known.run.tolist(), known.coordinates, strict=True):
+            model = self.projected(self.points[k], in_training=True)
+            found.append((k, self.corrected(model, self.points[k], held_out=True), run))
+        return found
+
+    @cached_property
+    def differences(self) -> dict[str, Quantities]:
+        """The errors of measurements in held-out training runs (n_held_out, n_snapshots, ...)."""
+        if self.errors is None:
+            return {}
+        stored = {name: each.quantities for name, each in self.errors.differences.items()}
+        return with_coefficients(stored, self.workspace.case.plan.coefficients)
+
+    @cached_property
+    def output_errors(self) -> dict[str, dict[str, OutputErrors]]:
+        """The errors of any run by measurement and quantity, from held-out training runs."""
+        if self.errors is None or (known := self.errors.held_out) is None:
+            return {}
+        averages = sound_averages(self.workspace.case)
+        places = self.places[known.run]
+        return {
+            name: {q: output_errors(e, places, averages) for q, e in each.items()}
+            for name, each in self.differences.items()
+        }
+
+    def fitted_errors(self, point: ParameterPoint) -> LocalErrorCalibration | None:
+        """Return the fit of error estimates at a point; None if there is none."""
+        if self.errors is None or self.errors.fitted is None:
+            return None
+        return self.errors.fitted.at(self.place(point))
+
+    def residual(
+        self,
+        errors: TrainedErrors,
+        point: ParameterPoint,
+        reduced: ReferenceModel,
+        times: Array,
+        coordinates: Array,
+    ) -> Array:
+        """Return the norm (n_states,) [/s] of a model's residual at coordinates."""
+        viscosity = self.workspace.case.plan.kinematic_viscosity(point)
+        amplitude = None if reduced.amplitude is None else reduced.amplitude(times)
+        around = amplitude, point.factors, reduced.closure
+        return residual_norm(errors.factor, viscosity, coordinates, *around)
+
+
+def steps_of(section: ReducedModelSection, reduced: ReferenceModel, full_steps: int) -> Steps:
+    """Return the time steps of all modes of a model, as its section sets them.
+
+    `full_steps` is the number of the full model's steps between snapshots. Raises CaseError if
+    there are too many steps for any run to finish.
+    """
+    output_times = reduced.output_times
+    n_intervals = reduced.output_times.n_snapshots - 1
+    if section.time_step == "fom":
+        return reference_model.runge_kutta(reduced, full_steps * n_intervals)
+    if section.time_step != "auto":
+        n_steps = round(output_times.interval / section.time_step) * n_intervals
+        return reference_model.runge_kutta(reduced, n_steps)
+    if reduced.first_step is None and output_times.duration > MAX_STEPS * reduced.step_limit:
+        raise CaseError(
+            f"rom: {section.name} is stable with steps of {reduced.step_limit:.3g} s only, more "
+            f"than {MAX_STEPS:g} in a run; choose fewer modes, a memory_length or a time_step"
+        )
+    return reference_model.automatic_whole(reduced)
+
+
+def forces_of(
+    reduced: ReferenceModel, time: Array, coordinates: Array, mean: Array | float | None = None
+) -> dict[str, Array]:
+    """Return the forces and torques (n_states, 2, 3) of states [N/m, N], by measurement.
+
+    Parameters
+    ----------
+    time : (n_states,) [s].
+    coordinates : (n_states, n_modes).
+    mean : separate density fluctuation [kg/m3], (n_states,) or one; by default the model's own.
+    """
+    mean = reduced.mean_density_fluctuation if mean is None else mean
+    amplitude = np.zeros(len(time)) if reduced.amplitude is None else reduced.amplitude(time)
+    if not reduced.forces:
+        return {}
+    rates = reduced.polynomial.along(coordinates, amplitude)
+    states = time, coordinates, rates, amplitude, mean
+    return {name: force.at(*states) for name, force in reduced.forces.items()}
+
+
+def quantities_of(
+    case: Case,
+    reduced: ReferenceModel,
+    time: Array,
+    coordinates: Array,
+    mean: Array | float | None = None,
+) -> dict[str, Quantities]:
+    """Return all measurements (n_states, ...) of a case or model, for states as in `forces_of`."""
+    mean = reduced.mean_density_fluctuation if mean is None else mean
+    forces = forces_of(reduced, time, coordinates, mean)
+    measured = {name: totals(loads) for name, loads in forces.items()}
+    measured |= reduced.measured(coordinates, mean)
+    ordered = {name: measured[name] for name in (*case.scene.recorded, *measured)}
+    return with_coefficients(ordered, case.plan.coefficients)

@@ -1,0 +1,222 @@
+"""Estimates of the errors of runs on the reference points, without full runs for comparison.
+
+The model's training runs are repeated, the estimate is fitted to their errors (see
+`sphrom.reduction.error_calibration`) and then applied to any run. This takes about as long as the
+runs, independently of the number of points, and the fit is the same for all parameters.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sphrom.arrays import Array
+from sphrom.artifacts import ArtifactWriter, write_record
+from sphrom.artifacts.records.runs import ErrorEstimate as StoredEstimate
+from sphrom.artifacts.records.runs import MeasuredOnce
+from sphrom.metrics.histories import QUANTITIES
+from sphrom.metrics.measures import ONLY_NOISE, Quantities, mean_squares, variations
+from sphrom.metrics.quantities import COEFFICIENT
+from sphrom.plots.tables import format_figure
+from sphrom.reduction.correction import interpolation_variance
+
+if TYPE_CHECKING:
+    from sphrom.models.points.fast_model import FastRun
+
+
+Pair = tuple[float, float]
+"""Mean squares of an error and of the quantity's change."""
+
+
+@dataclass(frozen=True)
+class ErrorEstimate:
+    """Estimated errors of a run."""
+
+    velocity: Array = field(repr=False)
+    """(n_snapshots,) root mean square error of the velocity over the fluid [m/s]."""
+    pressure: Array = field(repr=False)
+    """(n_snapshots,) root mean square error of the pressure less its mean [Pa]."""
+    velocity_percent: float
+    """Over the whole run, relative to the root mean square of its velocity [%]."""
+    pressure_percent: float
+    """Over the whole run, relative to the root mean square of its pressure less its mean [%]."""
+    extrapolated: bool
+    """Whether the run is outside the trained parameters or times."""
+    residual: Array = field(repr=False)
+    """(n_snapshots,) norm of the residual of the rates [/s]."""
+    errors: Array = field(repr=False)
+    """(n_snapshots, 2) root mean square errors of velocity and c0 rho'/rho0 [m/s]."""
+    sizes: Array = field(repr=False)
+    """(n_snapshots, 2) root mean squares of the fields themselves [m/s]."""
+
+
+@dataclass(frozen=True)
+class SteadyErrors:
+    """The estimated errors of a steady state."""
+
+    residual: float
+    """Norm of the residual of the rates [/s]."""
+    errors: Array
+    """(2,) root mean square errors of the velocity [m/s] and the pressure [Pa]."""
+    relative: Array
+    """(2,) the same, over the root mean squares of the fields."""
+    distance: float
+    """Distance from the nearest state between training runs, as `distance_from` measures it."""
+
+
+def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
+    """Estimate the errors of a run, write and report them, if the case has estimates."""
+    report = run.model.workspace.context.report
+    started = time.perf_counter()
+    model = run.model.at_point(run.point)
+    trained = model.errors
+    fitted = model.fitted_errors(run.point)
+    if trained is None:
+        return
+    estimated = run.estimate
+    if fitted is None or estimated is None:
+        artifact.write("residual", residual_of(run, run.time, run.coordinates))
+        return
+    artifact.write("residual", estimated.residual)
+    factors = [None, None]
+    if fitted.factors is not None and not estimated.extrapolated:
+        factors = fitted.factors.tolist()
+    errors = run.measured_errors
+    constants = (fitted.constants * trained.units).tolist()
+    stored = StoredEstimate(
+        velocity=estimated.velocity,
+        pressure=estimated.pressure,
+        change=fitted.changes(run.coordinates),
+        decay_rate=fitted.decay_rate,
+        training="outside" if estimated.extrapolated else "inside",
+        velocity_constant=constants[0],
+        pressure_constant=constants[1],
+        velocity_factor=factors[0],
+        pressure_factor=factors[1],
+        measure={
+            name: measured_once(
+                {q: np.sqrt(np.mean(e[counted] ** 2, axis=0))[None] for q, e in each.items()}
+            )
+            for name, each in errors.items()
+            if (counted := run.model.workspace.case.plan.counted(name, run.time)).any()
+        },
+    )
+    write_record(artifact, stored, "error_estimate")
+    artifact.annotate("timing/error_estimate", time.perf_counter() - started)
+    report.info(_described(run, estimated, factors))
+    if known := run.measured_shares:
+        words = {n: ONLY_NOISE if v is None else f"{format_figure(v)} %" for n, v in known.items()}
+        listed = ", ".join(f"{name} {share}" for name, share in words.items())
+        report.info(f"{run.name}: estimated errors of measurements, over their changes: {listed}")
+
+
+def estimate(run: FastRun) -> ErrorEstimate | None:
+    """Estimate the errors of a run; None if the case has no estimates or none can be fitted.
+
+    Runs of one model share the fits to its training runs.
+    """
+    model = run.model.at_point(run.point)
+    trained = model.errors
+    fitted = model.fitted_errors(run.point)
+    if trained is None or fitted is None:
+        return None
+    residual = residual_of(run, run.time, run.coordinates)
+    errors = fitted.errors(run.time, residual, run.coordinates)
+    sizes = trained.products.sizes(run.coordinates)
+    squares = np.mean(errors**2, axis=0) / np.mean(sizes**2, axis=0)
+    of_velocity, of_pressure = (100.0 * np.sqrt(squares)).tolist()
+    velocity, pressure = (errors * trained.units).T
+    beyond = fitted.extrapolates(len(run.time))
+    percent = of_velocity, of_pressure
+    return ErrorEstimate(velocity, pressure, *percent, beyond, residual, errors, sizes)
+
+
+def measured_sizes(run: FastRun) -> dict[str, Pair]:
+    """Return mean squares of estimated errors and of the change in the run, by column.
+
+    Columns are such as `drag_force_x`, and for vectors `drag_force`. Only the times that count
+    enter. The second is zero for components with only noise.
+    """
+    found = dict[str, Pair]()
+    plan = run.model.workspace.case.plan
+    for name, each in run.measured_errors.items():
+        counted = plan.counted(name, run.time)
+        for quantity, error in each.items() if counted.any() else ():
+            sizes = variations(quantity, run.measured[name][quantity][counted])
+            squares = mean_squares(quantity, error[counted])
+            found |= {f"{name}_{part}": (square, sizes[part]) for part, square in squares.items()}
+    return found
+
+
+def measured_once(quantities: Quantities) -> MeasuredOnce:
+    """Return measurements at one instant (1, ...) in the form of artifacts."""
+    recorded = {q: v for q, v in quantities.items() if q != COEFFICIENT}
+    return MeasuredOnce(
+        arrays={q: values[0] for q, values in recorded.items() if values.ndim > 1},
+        numbers={q: float(values[0]) for q, values in recorded.items() if values.ndim == 1},
+    )
+
+
+def measured_errors(run: FastRun) -> dict[str, Quantities]:
+    """Estimate the errors of all measurements of a run (n_snapshots, ...).
+
+    Empty if the run has no estimates.
+    """
+    model = run.model.at_point(run.point)
+    estimated = run.estimate
+    if estimated is None:
+        return {}
+    variance = np.array(interpolation_variance(model.places, model.place(run.point)))
+    return {
+        name: {q: each.at(variance, estimated.errors) for q, each in quantities.items()}
+        for name, quantities in model.output_errors.items()
+    }
+
+
+def residual_of(run: FastRun, times: Array, coordinates: Array) -> Array:
+    """Return the norm (n_states,) [/s] of the residual of a run's model at coordinates."""
+    model = run.model.at_point(run.point)
+    assert model.errors is not None
+    return model.residual(model.errors, run.point, run.reduced, times, coordinates)
+
+
+def steady_errors(run: FastRun, state: Array) -> SteadyErrors | None:
+    """Estimate the errors of a steady state (n_modes,) that was found from the end of a run.
+
+    None if the run has no estimates.
+    """
+    model = run.model.at_point(run.point)
+    trained = model.errors
+    fitted = model.fitted_errors(run.point)
+    if trained is None or fitted is None:
+        return None
+    residual = float(residual_of(run, run.time[-1:], state[None])[0])
+    change = fitted.changes(run.coordinates)[-1]
+    later = float(np.linalg.norm(state - run.coordinates[-1]))
+    errors = fitted.steady_errors(residual, change, later)
+    relative = errors / trained.products.sizes(state[None])[0]
+    distance = distance_from(fitted.expected, state)
+    return SteadyErrors(residual, errors * trained.units, relative, distance)
+
+
+def distance_from(states: Array, state: Array) -> float:
+    """Return the distance of a state (n_modes,) from the nearest of `states`, over its norm."""
+    nearest = float(np.linalg.norm(states - state, axis=1).min())
+    size = float(np.linalg.norm(state))
+    return nearest / size if size > 0.0 else float(nearest > 0.0)
+
+
+def _described(run: FastRun, estimated: ErrorEstimate, factors: Sequence[float | None]) -> str:
+    """Return an estimate in words, in % of the fields' root mean squares over the run."""
+    at_end = 100.0 * estimated.errors[-1] / estimated.sizes[-1]
+    parts = []
+    means = estimated.velocity_percent, estimated.pressure_percent
+    for name, mean, end, factor in zip(QUANTITIES, means, at_end, factors, strict=True):
+        trust = "" if factor is None else f", within a factor of {factor:.2g} in training"
+        parts.append(f"{name} {format_figure(mean)} % ({format_figure(end)} % at the end{trust})")
+    outside = ("extrapolated", *run.outside) if estimated.extrapolated else ()
+    return "; ".join((f"{run.name}: estimated errors: {', '.join(parts)}", *outside))

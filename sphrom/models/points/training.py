@@ -1,0 +1,357 @@
+"""The training of a model from operators with one basis: records in, a record out.
+
+The model is calibrated with its training runs, repeats them, and learns from its errors there:
+the corrections of coordinates and forces, and the fit of error estimates.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from sphrom.arrays import Array, Indices
+from sphrom.artifacts.records.reduced_models import TrainedModel
+from sphrom.case.sections import AUTO, ReducedModelSection
+from sphrom.errors import CaseError
+from sphrom.metrics.measures import Quantities
+from sphrom.metrics.quantities import COEFFICIENT
+from sphrom.metrics.series import smoothed
+from sphrom.models.points.basis_model import BasisModel, Start, forces_of, quantities_of
+from sphrom.models.points.stored import (
+    calibrated,
+    cycle_closure,
+    mapped_starts,
+    read_operators,
+    recorded_of,
+    sized,
+    snapshot_times,
+    stored_starts,
+)
+from sphrom.models.reference.stored import read_basis, read_modes
+from sphrom.reduction.calibration import Calibration
+from sphrom.reduction.correction import UNLIMITED, Correction, learn_correction
+from sphrom.reduction.error_calibration import calibrate_errors, compared_snapshots
+from sphrom.reduction.held_out import FieldProducts
+from sphrom.reduction.limit_cycles import CycleClosure, harmonics_of
+from sphrom.reduction.mode_splines import ModeSplines
+from sphrom.reduction.polynomial_model import Run
+from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure
+from sphrom.reduction.reference_model import ReferenceModel
+from sphrom.reduction.trained_basis import (
+    ALL_MODES,
+    LEADING,
+    CycleLoads,
+    Differences,
+    HeldOutRuns,
+    TrainedBasis,
+    TrainedErrors,
+    TrainedForce,
+    TrainedRates,
+)
+from sphrom.reduction.trial_basis import truncate
+from sphrom.setup.assembly import scaled_parameters, sound_averages
+from sphrom.store.workspace import Workspace
+
+
+def trained_model(
+    workspace: Workspace, section: ReducedModelSection, common: Mapping[str, Any]
+) -> TrainedModel | None:
+    """Return a model trained with all its bases; None if it lacks necessary corrections."""
+    starts = stored_starts(workspace)
+    start = mapped_starts(workspace, stored=starts).at
+    names = workspace.case.plan.bases_for(section)
+    models = {name: train(workspace, section, name, start) for name in names}
+    if any(model.problem is not None for model in models.values()):
+        return None
+    with workspace.open(workspace.basis()) as artifact:
+        return TrainedModel(
+            bases={name: model.trained for name, model in models.items()},
+            modes={name: model.basis for name, model in models.items()},
+            volume=artifact.read("volume"),
+            reference_position=artifact.read("reference_position"),
+            starts=starts,
+            **common,
+        )
+
+
+def train(
+    workspace: Workspace, section: ReducedModelSection, name: str, start: Start
+) -> BasisModel:
+    """Return a model trained with one basis.
+
+    Raises CaseError if the case requires a calibration that is impossible.
+    """
+    section = sized(workspace, section, name)
+    model = _Training(workspace, section, name, start).model()
+    # Sums over arrays in this order have the bits of a model that is read from its artifact.
+    model.trained = model.trained.mapped(np.ascontiguousarray)
+    return model
+
+
+class _Training:
+    """The training of one model."""
+
+    def __init__(
+        self,
+        workspace: Workspace,
+        section: ReducedModelSection,
+        name: str,
+        start: Start,
+    ) -> None:
+        self.workspace = workspace
+        self.section = section
+        self.name = name
+        self.start = start
+        self.case = workspace.case
+        self.points = self.case.plan.bases[name]
+        self.stored = read_operators(workspace, name)
+        self.modes = np.arange(section.size)
+        self.times = snapshot_times(self.case)
+        whole = read_basis(workspace, name)
+        self.n_all_modes = whole.n_modes
+        self.basis = truncate(whole, section.size)
+        self.is_corrected = self.case.plan.is_corrected(section, name)
+        self.projected: Array | None = None
+        if section.is_calibrated or self.is_corrected:
+            assert self.stored.training_runs is not None
+            self.projected = self.stored.training_runs[..., self.modes]
+
+    def model(self) -> BasisModel:
+        """Return the trained model."""
+        rates = {ALL_MODES: self._rates(self.section, self.modes)}
+        n_integrated = self._n_integrated()
+        if n_integrated < self.section.size:
+            change = {"n_modes": n_integrated, "corrected": False}
+            section = self.section.model_copy(update=change)
+            rates[LEADING] = self._rates(section, self.modes[:n_integrated])
+        trained = TrainedBasis(
+            places=scaled_parameters(self.case, self.points),
+            rates=rates,
+            first_step=np.zeros(len(self.points)),
+            forces=self._forces(rates[ALL_MODES].closure),
+            measures=self._measures(),
+        )
+        trained = replace(trained, rates=self._with_linear_parts(trained))
+        model = self._with(trained)
+        models = [model.projected(point, in_training=True) for point in self.points]
+        try:
+            runs = [model.integrator(each.leading or each).run() for each in models]
+        except CaseError as error:
+            # Models without corrections may be stable at other parameters.
+            model.problem = error if self.is_corrected else None
+            return model
+        return self._learnt(trained, models, runs)
+
+    def _with(self, trained: TrainedBasis) -> BasisModel:
+        def splines() -> ModeSplines:
+            return read_modes(self.workspace, self.name, self.section.size)[1]
+
+        return BasisModel(
+            self.workspace, self.section, self.name, trained, self.basis, self.start, splines
+        )
+
+    def _learnt(
+        self, trained: TrainedBasis, models: Sequence[ReferenceModel], runs: Sequence[Run]
+    ) -> BasisModel:
+        """Return the model with the corrections and steps that its own training runs teach."""
+        if self.section.time_step == AUTO:
+            steps = [0.0 if math.isfinite(run.diverged_at) else run.time_step for run in runs]
+            trained = replace(trained, first_step=np.array(steps))
+        # Coordinates that are not integrated are zero.
+        coordinates = np.stack(
+            [
+                run.coordinates if each.leading is None else each.spread(run.coordinates)
+                for each, run in zip(models, runs, strict=True)
+            ]
+        )
+        if self.is_corrected:
+            assert self.projected is not None
+            groups = np.split(self.modes, [self._n_integrated()])
+            learnt = learn_correction(trained.places, self.projected - coordinates, tuple(groups))
+            trained = replace(trained, correction=learnt)
+        if not self.section.settles_on_cycles:
+            trained = replace(trained, forces=self._corrected_forces(trained, models, coordinates))
+        if self.case.plan.has_error_estimate(self.name):
+            trained = replace(trained, errors=self._errors(trained, models, coordinates))
+        return self._with(trained)
+
+    def _n_integrated(self) -> int:
+        """Return the number of modes that are integrated, given or chosen."""
+        if not self.is_corrected:
+            return self.section.size
+        if self.section.integrated_modes != AUTO:
+            return self.section.integrated_modes
+        chosen = self.stored.held_out
+        if not self.section.is_calibrated or chosen is None:
+            return self.section.size
+        return int(chosen.integrated[self.section.size - 1])
+
+    def _rates(self, section: ReducedModelSection, modes: Indices) -> TrainedRates:
+        """Return the calibrated rates of some modes; their linear parts are made later."""
+        operators = self.stored.rates.of_modes(modes)
+        memory, calibration, cycles = None, None, None
+        if section.projection == "apg":
+            memory = self.stored.memory[str(section.size)]
+        if section.is_calibrated:
+            assert self.projected is not None
+            fit: Callable[..., Calibration | CycleClosure] = calibrated
+            if section.settles_on_cycles:
+                fit = cycle_closure
+            try:
+                closure = fit(self.case, self.points, operators, self.projected[..., modes])
+            except ValueError as error:
+                # Training runs have too few snapshots.
+                if section.calibrated != AUTO:
+                    raise CaseError(f"rom.calibrated: {error}") from error
+            else:
+                if isinstance(closure, CycleClosure):
+                    cycles = closure.trained
+                else:
+                    calibration = closure
+        return TrainedRates(
+            projected=operators,
+            walls_driven=int(operators.walls_driven),
+            memory=memory,
+            calibration=calibration,
+            cycles=cycles,
+            linear=np.zeros((0, len(modes), len(modes))),
+            states=self.stored.states[:, modes],
+        )
+
+    def _with_linear_parts(self, trained: TrainedBasis) -> dict[str, TrainedRates]:
+        """Return the rates with the linear part of each training run, a Jacobian there."""
+        bare = self._with(trained)
+        found = {}
+        for name, rates in trained.rates.items():
+            models = [bare.equations(name, point, in_training=True) for point in self.points]
+            parts = [each.around(rates.states).linear for each in models]
+            found[name] = replace(rates, linear=np.stack([p.matrix for p in parts if p]))
+        return found
+
+    def _forces(self, closure: Calibration | CycleClosure | None) -> dict[str, TrainedForce]:
+        """Return the measured forces without correction, and their harmonics on limit cycles."""
+        forces = {}
+        for measured in self.case.scene.measured_walls:
+            force = self.stored.wall_force[measured]
+            on_cycles = None
+            if isinstance(closure, CycleClosure):
+                harmonics = np.stack(
+                    [
+                        harmonics_of(self.times, e.reshape(len(self.times), -1), cycle.frequency)
+                        for e, cycle in zip(
+                            force.training_loads, closure.trained.cycles, strict=True
+                        )
+                    ]
+                )
+                on_cycles = CycleLoads(real=harmonics.real, imaginary=harmonics.imag)
+            forces[measured] = TrainedForce(
+                projected=ReducedForce.of(force).of_modes(self.modes), on_cycles=on_cycles
+            )
+        return forces
+
+    def _measures(self) -> dict[str, ReducedMeasure]:
+        """Return the measured fields."""
+        return {
+            name: ReducedMeasure.of(measure).of_modes(self.modes)
+            for name, measure in self.stored.measure.items()
+        }
+
+    def _corrected_forces(
+        self, trained: TrainedBasis, models: Sequence[ReferenceModel], coordinates: Array
+    ) -> dict[str, TrainedForce]:
+        """Return the forces with the corrections by their errors in training runs."""
+        model = self._with(trained)
+        own = []
+        for point, reduced, run in zip(self.points, models, coordinates, strict=True):
+            added = model.added(point)
+            forces = {name: model.force_at(name, point) for name in trained.forces}
+            states = run if added is None else run + added
+            own.append(forces_of(replace(reduced, forces=forces), self.times, states))
+        places = trained.places
+        weights = sound_averages(self.case)
+        found = {}
+        for name, force in trained.forces.items():
+            recorded = self.stored.wall_force[name].training_loads
+            defects = recorded - np.stack([each[name] for each in own])
+            defects = defects.reshape(*defects.shape[:2], -1)
+            slow = np.stack([smoothed(each, weights) for each in defects])
+            # Sound and particle noise may differ from run to run.
+            parts = np.concatenate((slow, defects - slow), axis=2)
+            each_load = list(np.arange(parts.shape[2])[:, None])
+            correction = learn_correction(places, parts, each_load, worthwhile=math.inf)
+            if len(places) == 1 and np.isfinite(defects).all():
+                # A single run does not determine the correlation length.
+                lengths = np.full(parts.shape[2], UNLIMITED)
+                correction = Correction(places=places, defects=parts, lengths=lengths)
+            found[name] = replace(force, correction=correction)
+        return found
+
+    def _errors(
+        self, trained: TrainedBasis, models: Sequence[ReferenceModel], coordinates: Array
+    ) -> TrainedErrors:
+        """Return the data of error estimates, fitted to the errors of training runs."""
+        model = self._with(trained)
+        whole = self.stored.rates
+        factor = self.stored.residual
+        estimate = self.stored.estimate
+        assert factor is not None
+        assert estimate is not None
+        products = FieldProducts.of(estimate).only(self.modes, self.n_all_modes)
+        scale = self.case.fluid.reference_density * self.case.plan.sound_speed
+        compared = compared_snapshots(self.case.plan.steps.n_snapshots)
+        errors = TrainedErrors(
+            factor=factor.of_model(whole, self.modes),
+            products=products,
+            units=np.array([1.0, scale]),
+        )
+        held_out, own, residuals, known = [], [], [], []
+        for k, (point, reduced) in enumerate(zip(self.points, models, strict=True)):
+            corrected = model.corrected(reduced, point, held_out=True)
+            run = coordinates[k]
+            predicted = run if corrected.correction is None else run + corrected.correction
+            held_out.append((corrected, predicted))
+            learnt = trained.correction
+            own.append(run if learnt is None else run + learnt.at(trained.places[k]))
+            residuals.append(model.residual(errors, point, reduced, self.times, predicted))
+            known.append(products.errors(k, predicted[compared]))
+        fitted = calibrate_errors(
+            self.times,
+            np.stack(own),
+            np.stack(residuals),
+            np.stack(known),
+            compared,
+            trained.places,
+            estimate.unheld.mapped(lambda shares: shares[..., self.section.size - 1, :]),
+        )
+        complete = [k for k, (_, run) in enumerate(held_out) if np.isfinite(run).all()]
+        if not complete:
+            return replace(errors, fitted=fitted)
+        runs = HeldOutRuns(
+            run=np.array(complete, dtype=np.int64),
+            coordinates=np.stack([held_out[k][1] for k in complete]),
+            errors=np.stack([known[k] for k in complete]),
+        )
+        differences = self._differences([held_out[k] for k in complete], complete)
+        return replace(errors, fitted=fitted, held_out=runs, differences=differences)
+
+    def _differences(
+        self, held_out: Sequence[tuple[ReferenceModel, Array]], complete: Sequence[int]
+    ) -> dict[str, Differences]:
+        """Return measurements of full training runs less those of complete held-out ones.
+
+        They include sound and particle noise, which the model lacks.
+        """
+        own = [quantities_of(self.case, reduced, self.times, run) for reduced, run in held_out]
+        found = {}
+        for name, full in recorded_of(self.case, self.stored).items():
+            quantities: Quantities = {
+                q: each[complete] - np.stack([one[name][q] for one in own])
+                for q, each in full.items()
+                if q != COEFFICIENT
+            }
+            found[name] = Differences(quantities=quantities)
+        return found

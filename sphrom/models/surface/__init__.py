@@ -1,0 +1,1 @@
+"""Reduced models of flows with a free surface."""
