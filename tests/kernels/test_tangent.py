@@ -1,11 +1,13 @@
-"""Tangents of exponential steps: the exact derivatives of the steps themselves."""
+"""Polynomial systems against direct sums; tangents are the exact derivatives of the steps."""
 
 from __future__ import annotations
+
+from itertools import combinations_with_replacement
 
 import numpy as np
 import pytest
 
-from sphrom.kernels.polynomial import fill_monomials
+from sphrom.kernels.polynomial import evaluate, fill_monomials
 from sphrom.kernels.tangent import fill_tangents
 from sphrom.reduction.exponential_steps import Change, ExponentialModel, LinearPart
 from sphrom.reduction.polynomial_model import OutputTimes
@@ -13,6 +15,36 @@ from sphrom.reduction.reduced_operators import Polynomial
 
 N = 4
 RANDOM = np.random.default_rng(3)
+
+
+def monomials(coordinates: np.ndarray, degree: int) -> np.ndarray:
+    """All monomials up to a degree, by their indices."""
+    found = [
+        np.prod(coordinates[list(index)])
+        for d in range(degree + 1)
+        for index in combinations_with_replacement(range(coordinates.size), d)
+    ]
+    return np.array(found)
+
+
+@pytest.mark.parametrize("n_modes", [1, 2, 5])
+@pytest.mark.parametrize("degree", [1, 2, 3])
+def test_monomials_are_in_order(n_modes: int, degree: int) -> None:
+    coordinates = RANDOM.normal(size=n_modes)
+    expected = monomials(coordinates, degree)
+    out = np.full(expected.size, np.nan)
+    fill_monomials(coordinates, degree, out)
+    assert np.allclose(out, expected, rtol=1e-14)
+
+
+def test_rates_use_leading_columns_and_powers_of_the_amplitude() -> None:
+    values = monomials(RANDOM.normal(size=3), 2)
+    coefficients = RANDOM.normal(size=(3, 3, values.size))
+    used = np.array([values.size, 4, 1])
+    out = np.empty(3)
+    evaluate(coefficients, used, -1.5, values, out)
+    rows = [c[:, :n] @ values[:n] for c, n in zip(coefficients, used, strict=True)]
+    assert np.allclose(out, rows[0] - 1.5 * rows[1] + 2.25 * rows[2], rtol=1e-13)
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3])

@@ -1,15 +1,21 @@
-"""The kernel: its norm, its support, its gradient."""
+"""The kernel: its norm, its support, its gradient; and the terms of pairs that contain it."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 import pytest
 from scipy.integrate import fixed_quad, quad
 from scipy.special import j0
 
+from sphrom.kernels import pairs
+from sphrom.kernels.fields import FluidConstants, RegularityConstants
 from sphrom.kernels.wendland import gradient_factor, kernel, laplacian_weight, weigh
 
 LENGTHS = [0.04, 1.0, 13.0]
+FLUID = FluidConstants(800.0, 7.0, 0.3, 0.013, 0.4, 1.0)
+REGULARITY = RegularityConstants(1.3, 0.6, 0.05, 0.0, 0.5, 0.2, 1.0)
 
 
 @pytest.mark.parametrize("length", LENGTHS)
@@ -63,3 +69,27 @@ def test_weights_are_the_kernel_and_its_factor() -> None:
     assert np.allclose(values, [kernel(r, 2.5) for r in distance], rtol=1e-13)
     assert np.allclose(factors, [gradient_factor(r, 2.5) for r in distance], rtol=1e-13)
     assert values[-1] == factors[-1] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("n_dim", "norm", "shape"), [(2, 1.75 / math.pi, 55 / 84), (3, 1.3125 / math.pi, 33 / 56)]
+)
+def test_terms_are_those_of_the_equations(n_dim: int, norm: float, shape: float) -> None:
+    for vectors in np.random.default_rng(n_dim).uniform(-0.6, 0.6, (20, 2, n_dim)):
+        offset, jump = map(tuple, vectors.tolist())
+        q = math.hypot(*offset) / 0.7
+        value = norm / 0.7**n_dim * (1.0 - 0.5 * q) ** 4 * (2.0 * q + 1.0)
+        slope = -5.0 * norm / 0.7 ** (n_dim + 2) * (1.0 - 0.5 * q) ** 3
+        along = np.dot(offset, jump)
+        found_and_expected = [
+            (pairs.kernel_of(offset, 1 / 0.7), value),
+            (pairs.slope_weight(offset, 1.2, 1 / 0.7), 1.2 * slope),
+            (pairs.shifting_push(offset, REGULARITY, 1 / 0.7), 1 + 0.6 * (0.05 * value) ** 4),
+            (pairs.density_exchange(0.3, 0.2, 0.5, FLUID), 0.3 * 0.2 - 0.4 * (0.3 + 0.25)),
+            (pairs.push(1.1, FLUID), 49.0 * 1.1),
+            (pairs.friction(offset, 0.9, FLUID, 1 / 0.7), 9.36 * (1.0 - shape * q * q)),
+            (pairs.pair_friction(offset, jump, FLUID, 1 / 0.7), 240 * along / (q * 0.7) ** 2),
+        ]
+        for found, expected in found_and_expected:
+            assert found == pytest.approx(expected, rel=2e-14)
+        assert pairs.extrapolated(jump, 0.3, 0.6) == pytest.approx([1.5 * j for j in jump])
