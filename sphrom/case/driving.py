@@ -69,7 +69,7 @@ class Driving:
         """Return the expression of a key. Raises ValueError, with the key."""
         text = value if isinstance(value, str) else repr(value)
         scene = self.scene
-        constants = {name: self.values.get(name, own) for name, own in scene.constants.items()}
+        constants = {name: self.values.get(name, usual) for name, usual in scene.constants.items()}
         try:
             expression = Expression(text, variables, constants, scene.histories)
             # Except a force beside a surface, expressions in t are split into factors.

@@ -2,8 +2,8 @@
 
 Each part depends only on those before it: the parameter points (`plan_points`), the particles and
 flows (`plan_flows`), the time steps (`plan_times`), and here the bases and reduced models. A
-quantity is computed at its first use, so checks of a case can use those that do not depend on a
-wrong key.
+quantity is computed at its first use, so checks of a case can use quantities that do not depend on
+a wrong key.
 """
 
 from __future__ import annotations
@@ -91,6 +91,12 @@ class Plan(TimesPlan):
     def n_basis_snapshots(self, name: str) -> int:
         """Return the number of training snapshots of a basis."""
         return len(self.bases[name]) * self.steps.n_snapshots
+
+    def family(self, model: ReducedModelSection | None = None) -> str:
+        """Return the name of a reduced model's family; without one, that of the case's stages."""
+        if self._scene.has_surface:
+            return "surface"
+        return "points" if model is None else model.family
 
     def has_error_estimate(self, name: str) -> bool:
         """Return whether the errors of a basis's models on the reference points are estimated."""
@@ -201,6 +207,16 @@ class Plan(TimesPlan):
             n_columns=min(MOST_COLUMNS, n_columns),
             n_rows=n_rows,
         )
+
+    @property
+    def map_settings(self) -> dict[str, object]:
+        """The settings of maps of full runs that are not keys of the case."""
+        return {"space": vars(self.stream_space)} if self._scene.has_surface else {}
+
+    @property
+    def relaxed_points(self) -> bool:
+        """Whether the points of the reference space are the last particles of a full run."""
+        return self._case.reference.points == "relaxed" and not self._scene.has_surface
 
     @cached_property
     def surface_columns(self) -> Array:

@@ -72,8 +72,9 @@ class FlowsPlan(PointsPlan):
     def reference_smoothing_length(self) -> float:
         """h of the map onto the reference space [m]."""
         section = self._case.reference
-        own = self._case.discretization.smoothing_length_ratio
-        usual = MLS_SMOOTHING_LENGTH_RATIO if section.method == "mls" else own
+        usual = MLS_SMOOTHING_LENGTH_RATIO
+        if section.method != "mls":
+            usual = self._case.discretization.smoothing_length_ratio
         return (section.smoothing_length_ratio or usual) * self.particle_spacing
 
     @cached_property
@@ -162,6 +163,11 @@ class FlowsPlan(PointsPlan):
             return level - scene.domain.lower[1]
         area = len(scene.fill(self.particle_spacing, values)) * self.particle_spacing**2
         return area / scene.domain.lengths[0]
+
+    @property
+    def with_weight(self) -> bool:
+        """Whether pressures have a hydrostatic part, which is no flow, and places may fall dry."""
+        return self._scene.has_surface
 
     def weight_at(self, point: ParameterPoint, position: Array) -> Array | None:
         """Return the pressure at rest (n_positions,) [Pa] below a level; None without a surface."""

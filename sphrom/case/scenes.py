@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from sphrom.arrays import Array
 from sphrom.case.custom_scene import CustomScene
 from sphrom.case.fields import Duration, Number, Positive, Section, key
-from sphrom.case.scene_section import MEASURE, OF_WALLS, Defaults, Measures, SceneSection
+from sphrom.case.measure_sections import MEASURE, Measures
+from sphrom.case.scene_section import OF_WALLS, Defaults, SceneSection
 from sphrom.scenes import flows
 from sphrom.scenes.reference_profiles import OPEN_CAVITY_SPEED, ReferenceProfile, profiles_for
 from sphrom.sph.fluid import NONE, Fluid

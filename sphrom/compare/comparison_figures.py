@@ -21,14 +21,17 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import Row, place_of
 from sphrom.case.study_sections import FULL
 from sphrom.compare.basis_figures import draw_modes, draw_spectrum, frame_of, model_sizes
-from sphrom.compare.comparison_tables import BEST, Tables
+from sphrom.compare.comparison_tables import Tables
 from sphrom.compare.stored_comparison import StoredComparison
 from sphrom.metrics.histories import without_mean
-from sphrom.metrics.measures import UNITS, Samples, components
+from sphrom.metrics.measures import Samples
+from sphrom.metrics.quantities import MEASURABLE, components
+from sphrom.models.contract import BEST, Ability, family_of
+from sphrom.models.stored_run import StoredRun
 from sphrom.plots.panels import Curve, Field, Frame, Panel, Role, draw_grid, save
 from sphrom.scenes.flows import TaylorGreen
 from sphrom.setup.assembly import field_measures
-from sphrom.store.stored_run import StoredRun, probes_of
+from sphrom.store.stored_run import probes_of
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:
@@ -85,7 +88,7 @@ def _figures(stored: StoredComparison, tables: Tables) -> Iterator[tuple[str, Dr
     for basis in case.plan.bases if case.rom else ():
         sizes = model_sizes(workspace, basis)
         yield f"singular-values-{basis}", partial(draw_spectrum, workspace, basis, sizes)
-        if not case.scene.has_surface:
+        if family_of(case).can(Ability.MODE_FIELDS):
             yield f"modes-{basis}", partial(draw_modes, workspace, basis)
 
 
@@ -173,8 +176,7 @@ class _PointFigures(RunFigures):
         if self.references:
             yield "profiles", self._profiles
         for name, measured in self.case.scene.recorded.items():
-            kind = "measure" if measured.force_on is None else "force"
-            yield f"{kind}-{name}", partial(self._measured, name)
+            yield f"{measured.folder}-{name}", partial(self._measured, name)
         if len(self.probes.stations):
             yield "history", self._history
 
@@ -294,7 +296,7 @@ class _PointFigures(RunFigures):
         x_label = "time [s]"
         x = self.time
         measure = field_measures(self.case).get(name)
-        is_line = measure is not None and measure.normal is None and len(measure.position) > 1
+        is_line = measure is not None and not measure.is_integral and len(measure.position) > 1
         if measure is not None and is_line:
             title = f"{title}, t = {x[-1]:.4g} s"
             x_label = "along the line [m]"
@@ -303,7 +305,7 @@ class _PointFigures(RunFigures):
         for run in self._runs():
             for quantity, values in run.measured(name).items():
                 for component, one in components(quantity, values).items():
-                    label = f"{component.replace('_', ' ')} [{UNITS[quantity]}]"
+                    label = f"{component.replace('_', ' ')} [{MEASURABLE[quantity].unit}]"
                     # Flow rates and probes have a single place.
                     shown = one[-1] if is_line else one.reshape(len(x))
                     panels.setdefault(label, []).append(self.curve(run.name, x, shown))

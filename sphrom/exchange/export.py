@@ -27,11 +27,12 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange.import_options import place
+from sphrom.models.stored_run import StoredRun
 from sphrom.plots.tables import rows_of_columns, write_csv
 from sphrom.setup.context import StageContext
 from sphrom.sph.fluid import pressure_of
 from sphrom.store.artifact_folder import Target, make_folder
-from sphrom.store.stored_run import StoredRun, probes_of
+from sphrom.store.stored_run import probes_of
 from sphrom.store.workspace import Workspace
 from sphrom.whole_files import replacement
 
@@ -143,11 +144,11 @@ def _opened(workspace: Workspace, item: Item) -> Iterator[Source]:
     with workspace.open(item.target) as artifact:
         shapes = {name: artifact.dataset(name).shape for name in artifact.datasets}
         computed: dict[str, Callable[[Any], Array]] = {}
-        if model and point and model.from_operators and POINTS not in artifact:
-            run = StoredRun(workspace, artifact, point, model)
+        run = StoredRun.of(workspace, artifact, point, model) if model and point else None
+        if run is not None and run.is_computed and POINTS not in artifact:
             sound_speed = workspace.case.plan.sound_speed
             points = run.position(0)
-            state = lru_cache(maxsize=1)(run.rebuilt)
+            state = lru_cache(maxsize=1)(run.state)
             computed = {
                 POINTS: points.__getitem__,
                 "density_fluctuation": lambda index: state(index)[0],
@@ -236,9 +237,11 @@ def _tag(name: str, body: str, **attributes: object) -> str:
 
 def _write_xml(path: Path, kind: str, body: str, force: bool) -> None:
     order = "LittleEndian" if sys.byteorder == "little" else "BigEndian"
-    about = {"type": kind, "version": "1.0", "byte_order": order, "header_type": "UInt64"}
+    attributes = {"type": kind, "version": "1.0", "byte_order": order, "header_type": "UInt64"}
     with replacement(path, force=force) as file:
-        file.write(f'<?xml version="1.0"?>\n{_tag("VTKFile", _tag(kind, body), **about)}'.encode())
+        file.write(
+            f'<?xml version="1.0"?>\n{_tag("VTKFile", _tag(kind, body), **attributes)}'.encode()
+        )
 
 
 def _write_tables(workspace: Workspace, folder: Path, at: Sequence[str]) -> int:

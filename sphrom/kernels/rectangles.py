@@ -7,8 +7,8 @@ import math
 from numba import prange
 
 from sphrom.arrays import Array, Indices
+from sphrom.kernels.fields import U, V, X, Y
 from sphrom.kernels.jit import parallel, term
-from sphrom.kernels.sweeps import U, V, X, Y
 
 
 @term

@@ -15,9 +15,9 @@ from numba import prange
 
 from sphrom.arrays import Array, Indices
 from sphrom.kernels.cells import Grid
+from sphrom.kernels.fields import U, V, X, Y
 from sphrom.kernels.jit import parallel, term
 from sphrom.kernels.rectangles import shifting_change
-from sphrom.kernels.sweeps import U, V, X, Y
 
 # Columns of a segment: its two ends, and the start of the segment before [m].
 X0, Y0, X1, Y1, X_BEFORE, Y_BEFORE = range(6)

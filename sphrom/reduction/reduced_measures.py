@@ -35,6 +35,7 @@ from numpy.typing import NDArray
 from sphrom.arrays import Array, Indices
 from sphrom.declaration import Record, Tensors, dataset, part
 from sphrom.metrics.measures import Quantities
+from sphrom.metrics.quantities import FROM_FIELDS, stored
 from sphrom.reduction.affine import VISCOSITY, Affine, factor_of
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.reduced_operators import FORCE, VALUE, VISCOUS, WALLS, Polynomial
@@ -244,20 +245,8 @@ Measuring = Callable[[Array, Array], Mapping[str, Quantities]]
 class ReducedMeasure(Record):
     """A measurement in the fluid, linear in the same terms as forces."""
 
-    flow_rate: Array | None = dataset(
-        "term", "m2/s, of the terms", "flow through a section", default=None
-    )
-    velocity: Array | None = dataset(
-        "place component term", "m/s, of the terms", "velocity at places", default=None
-    )
-    pressure: Array | None = dataset(
-        "place term", "Pa, of the terms", "pressure at places", default=None
-    )
-
-    @property
-    def quantities(self) -> Quantities:
-        """The factors of the terms (..., n_terms), by quantity."""
-        return {name: terms for name, terms in vars(self).items() if terms is not None}
+    quantities: Mapping[str, Array] = stored(FROM_FIELDS, after="term", units="{}, of the terms")
+    """The factors of the terms (..., n_terms), by quantity."""
 
     def of_modes(self, modes: NDArray[np.int64]) -> ReducedMeasure:
         """Return the measurement for coordinates of some modes, with the others zero."""
@@ -300,6 +289,6 @@ def project_measures(
         return np.asarray(values - np.multiply.outer(offset[name][quantity], linear))
 
     return {
-        name: ReducedMeasure(**{quantity: terms(name, quantity) for quantity in first})
+        name: ReducedMeasure(quantities={quantity: terms(name, quantity) for quantity in first})
         for name, first in offset.items()
     }

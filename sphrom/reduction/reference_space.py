@@ -83,12 +83,11 @@ class ReferenceMap:
         source[2] = density_fluctuation[sources.particle]
         source[3:] = velocity.T[:, sources.particle]
         out = np.empty((3, self._points.shape[1]))
-        inverse_length = 1.0 / self.smoothing_length
-        search = (self._points, source, sources.grid, sources.cell_start, reach, inverse_length)
+        search = sources.search(reach, self.smoothing_length)
         if self.method == "mls":
-            interpolation.moving_least_squares(*search, self._scratch, out)
+            interpolation.moving_least_squares(self._points, source, search, self._scratch, out)
         else:
-            interpolation.shepard(*search, out)
+            interpolation.shepard(self._points, source, search, out)
         if self._filled is not None:
             share = self._filled(position, density_fluctuation)
             edge = np.flatnonzero((share >= HALF) & (share < FULL))

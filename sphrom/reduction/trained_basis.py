@@ -20,7 +20,7 @@ import numpy as np
 
 from sphrom.arrays import Array, Indices
 from sphrom.declaration import Record, attribute, dataset, part
-from sphrom.metrics.measures import Quantities
+from sphrom.metrics.quantities import FROM_FIELDS, OF_WALLS, stored
 from sphrom.reduction.calibration import Calibration
 from sphrom.reduction.correction import PLACES, Correction
 from sphrom.reduction.error_calibration import ErrorCalibration
@@ -136,26 +136,9 @@ class HeldOutRuns(Record):
 class Differences(Record):
     """The errors of a measurement in held-out training runs."""
 
-    flow_rate: Array | None = dataset(
-        "held_out_run snapshot", "m2/s", f"flow rate {_DIFFERENCE}", default=None
+    quantities: Mapping[str, Array] = stored(
+        (*FROM_FIELDS, *OF_WALLS), "held_out_run snapshot", meaning=f"{_DIFFERENCE}: {{}}"
     )
-    velocity: Array | None = dataset(
-        "held_out_run snapshot place component", "m/s", f"velocity {_DIFFERENCE}", default=None
-    )
-    pressure: Array | None = dataset(
-        "held_out_run snapshot place", "Pa", f"pressure {_DIFFERENCE}", default=None
-    )
-    force: Array | None = dataset(
-        "held_out_run snapshot component", "N/m", f"force {_DIFFERENCE}", default=None
-    )
-    torque: Array | None = dataset(
-        "held_out_run snapshot", "N", f"torque {_DIFFERENCE}", default=None
-    )
-
-    @property
-    def quantities(self) -> Quantities:
-        """The stored errors (n_runs, n_snapshots, ...) by quantity."""
-        return {name: values for name, values in vars(self).items() if values is not None}
 
 
 class TrainedErrors(Record):

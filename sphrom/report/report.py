@@ -25,6 +25,7 @@ from sphrom.compare.answer import DIGITS, Answer, find_answer, percent
 from sphrom.compare.basis_figures import frame_of
 from sphrom.compare.comparison_figures import QUANTITIES, side_by_side
 from sphrom.compare.comparison_tables import RECORDS, Tables
+from sphrom.models.stored_run import StoredRun
 from sphrom.plots.panels import SHOWN, SOLID_COLOUR, colour_scale
 from sphrom.plots.tables import format_figure, read_csv
 from sphrom.report.page import (
@@ -40,7 +41,7 @@ from sphrom.report.page import (
 )
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import described_run
-from sphrom.store.stored_run import StoredRun, probes_of
+from sphrom.store.stored_run import probes_of
 from sphrom.store.workspace import Workspace
 from sphrom.sweep.batches import COMPLETE
 from sphrom.sweep.statistics import FIGURES, beside
@@ -127,9 +128,8 @@ def _measure_captions(case: Case) -> dict[str, str]:
     """Return the captions of the figures of measurements, by the prefix of their file names."""
     captions = {}
     for name, measured in case.scene.recorded.items():
-        kind = "force" if measured.force_on is not None else "measure"
-        axis = "along the line at the end" if measured.line is not None else "over time"
-        captions[f"{kind}-{name}"] = f"{name}, {axis}: full and reduced runs."
+        axis = "over time" if measured.quantities else "along the line at the end"
+        captions[f"{measured.folder}-{name}"] = f"{name}, {axis}: full and reduced runs."
     return captions
 
 

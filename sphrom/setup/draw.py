@@ -14,7 +14,7 @@ from sphrom.errors import CaseError
 from sphrom.plots import panels
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
-from sphrom.sph.domain import SIDES, Domain, Walls
+from sphrom.sph.domain import SIDES, Domain, Walls, lattice_points
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -107,8 +107,7 @@ def solids_within(domain: Domain, frame: panels.Extent) -> panels.Solids:
     nx, ny = (max(2, round(length / width)) for length in (right - left, upper - lower))
     x = np.linspace(left, right, nx)
     y = np.linspace(lower, upper, ny)
-    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    return x, y, domain.distance_and_normal(points)[0].reshape(ny, nx)
+    return x, y, domain.distance_and_normal(lattice_points(x, y))[0].reshape(ny, nx)
 
 
 def _draw_points(axes: Axes, position: Array, size: float, colour: str, label: str) -> None:
@@ -137,15 +136,15 @@ def _draw_walls(axes: Axes, case: Case, walls: Walls, solids: panels.Solids, arr
         middle = ghosts.mean(axis=0)
         if domain.contains(middle[None])[0] or domain.nearest_wall(middle[None])[0] != index:
             middle = ghosts[np.argmin(np.sum((ghosts - middle) ** 2, axis=1))]
-        first = mine[surface[mine]]
-        own = float(speed[first].max(initial=0.0))
-        text, colour = (f"{name}, {own:.3g} m/s", MOVING) if own else (name, panels.INK)
+        beside_fluid = mine[surface[mine]]
+        largest = float(speed[beside_fluid].max(initial=0.0))
+        text, colour = (f"{name}, {largest:.3g} m/s", MOVING) if largest else (name, panels.INK)
         turned = 90.0 if name in SIDES[0] else 0.0
         axes.text(middle[0], middle[1], text, color=colour, rotation=turned, **CENTRED)
-        if own:
-            some = first[:: -(-len(first) // MOST_ARROWS)]
-            place = domain.on_wall(walls.position[some])
-            arrows = arrow / fastest * walls.velocity[some]
+        if largest:
+            shown = beside_fluid[:: -(-len(beside_fluid) // MOST_ARROWS)]
+            place = domain.on_wall(walls.position[shown])
+            arrows = arrow / fastest * walls.velocity[shown]
             label = f"velocity of walls, at most {fastest:.3g} m/s"
             _draw_arrows(axes, place, arrows, MOVING, label)
 
@@ -182,8 +181,8 @@ def _draw_in_fluid(axes: Axes, case: Case, arrow: float) -> None:
         middle = shapely.get_coordinates(centre)[0]
         along = np.where(np.arange(2) == strip.axis, np.copysign(arrow, strip.speed), 0.0)
         _draw_arrows(axes, (middle - 0.5 * along)[None], along[None], panels.COLOURS[2])
-        beside: Any = {"xytext": (0.0, 12.0), "textcoords": "offset points", **CENTRED}
-        axes.annotate(f"inflow, at most {abs(strip.speed):.3g} m/s", middle, **beside)
+        offset: Any = {"xytext": (0.0, 12.0), "textcoords": "offset points", **CENTRED}
+        axes.annotate(f"inflow, at most {abs(strip.speed):.3g} m/s", middle, **offset)
     if np.isfinite(level):
         ends, label = (domain.lower[0], domain.upper[0]), f"level, y = {level:.4g} m"
         axes.plot(ends, (level, level), color=panels.INK, ls="--", lw=1.2, label=label)
@@ -210,17 +209,15 @@ def _draw_compared(axes: Axes, case: Case) -> None:
 def _draw_measured(axes: Axes, case: Case, arrow: float) -> None:
     """Draw probes, lines and sections; an arrow [m] shows the positive direction of flow."""
     for name, measure in case.scene.measured_fields.items():
-        ends = np.array(measure.segment or (measure.probe,) * 2)
+        ends = np.array(measure.ends)
         middle = ends.mean(axis=0)
         dx, dy = ends[1] - ends[0]
-        if measure.segment is None:
-            look: dict[str, Any] = {"marker": "o", "ls": "none", "ms": 6.0, "label": "probes"}
-        elif measure.flow_rate is None:
-            look = {"ls": "-.", "lw": 1.8, "label": "lines"}
-        else:
-            look = {"ls": "-", "lw": 1.8, "label": "sections"}
-            way = arrow * np.array([[dy, -dx]]) / np.hypot(dx, dy)
-            _draw_arrows(axes, middle[None], way, MEASURED)
-        axes.plot(*ends.T, **look, color=MEASURED, zorder=5)
-        beside: Any = {"xytext": (5.0, 5.0), "textcoords": "offset points", **NAME}
-        axes.annotate(name, 0.75 * ends[0] + 0.25 * ends[1], color=MEASURED, **beside)
+        look: dict[str, Any] = {"ls": "-" if measure.is_flow else "-.", "lw": 1.8}
+        if not np.hypot(dx, dy):
+            look = {"marker": "o", "ls": "none", "ms": 6.0}
+        if measure.is_flow:
+            flow = arrow * np.array([[dy, -dx]]) / np.hypot(dx, dy)
+            _draw_arrows(axes, middle[None], flow, MEASURED)
+        axes.plot(*ends.T, **look, label=measure.title, color=MEASURED, zorder=5)
+        offset: Any = {"xytext": (5.0, 5.0), "textcoords": "offset points", **NAME}
+        axes.annotate(name, 0.75 * ends[0] + 0.25 * ends[1], color=MEASURED, **offset)

@@ -29,7 +29,7 @@ from shapely.geometry.base import BaseGeometry
 from sphrom.arrays import Array, Indices, Mask
 from sphrom.kernels import segments as segment_sweeps
 from sphrom.kernels.cells import Grid
-from sphrom.sph.domain import ROUNDING, SIDES, Domain, Walls, WallSearch
+from sphrom.sph.domain import ROUNDING, SIDES, Domain, Walls, WallSearch, lattice_points
 from sphrom.sph.packing import NEAREST, off_walls
 from sphrom.sph.polygons import (
     CORNER,
@@ -89,8 +89,8 @@ class PolygonDomain(Domain):
         box = shapely.box(*self.lower, *self.upper)
         shifts = periodic_shifts(self.lengths, self.periodic)
         require_few_crossings(translate(s, *shift) for _, s in self.solids for shift in shifts)
-        for name, whole in self.solids:
-            shape = shapely.intersection(self._with_images(whole), box)
+        for name, solid in self.solids:
+            shape = shapely.intersection(self._with_images(solid), box)
             if name in sides or name in seen:
                 raise ValueError(f"solid {name}: the name is taken")
             if shape.is_empty:
@@ -140,21 +140,21 @@ class PolygonDomain(Domain):
     def fluid_with_images(self) -> BaseGeometry:
         """The fluid in the box and, along periodic axes, in its images on either side."""
         reach = np.where(self.periodic, self.lengths, 0.0)
-        around = shapely.box(*np.subtract(self.lower, reach), *np.add(self.upper, reach))
+        frame = shapely.box(*np.subtract(self.lower, reach), *np.add(self.upper, reach))
         # Where images overlap or solids touch, rounding would leave slivers and tiny edges with
         # arbitrary directions.
         step = 10.0 ** math.floor(math.log10(PRECISION * max(self.lengths)))
         parts = shapely.get_parts(self._images)
-        apart = parts[:0]
+        alone = parts[:0]
         if len(parts) > MOST_JOINED:
             # Joining many takes long, so solids that touch no other are not joined.
-            parts = parts[shapely.intersects(shapely.box(*shapely.bounds(parts).T), around)]
+            parts = parts[shapely.intersects(shapely.box(*shapely.bounds(parts).T), frame)]
             one, other = shapely.STRtree(parts).query(parts, "dwithin", distance=4.0 * step)
             touches = np.isin(np.arange(len(parts)), one[one != other])
-            apart, parts = parts[~touches], parts[touches]
+            alone, parts = parts[~touches], parts[touches]
         joined = shapely.get_parts(shapely.union_all(parts, grid_size=step))
-        solid = shapely.multipolygons(np.concatenate((apart, joined)))
-        return shapely.simplify(shapely.difference(around, solid, grid_size=step), 4.0 * step)
+        solid = shapely.multipolygons(np.concatenate((alone, joined)))
+        return shapely.simplify(shapely.difference(frame, solid, grid_size=step), 4.0 * step)
 
     @cached_property
     def _images(self) -> list[BaseGeometry]:
@@ -189,10 +189,10 @@ class PolygonDomain(Domain):
         owner = np.repeat(np.arange(len(edges)), [len(ends) for ends in edges])
         tree = shapely.STRtree(shapely.linestrings(np.concatenate(edges)))
         (which, nearest), distance = tree.query_nearest(shapely.points(place), return_distance=True)
-        near = distance <= math.sqrt(ROUNDING) * max(self.lengths)
+        on_wall = distance <= math.sqrt(ROUNDING) * max(self.lengths)
         # Of equally near walls, sides come first, then solids in their order.
         wall = np.full(len(place), len(edges))
-        np.minimum.at(wall, which[near], owner[nearest[near]])
+        np.minimum.at(wall, which[on_wall], owner[nearest[on_wall]])
         wall[wall == len(edges)] = -1
         return wall
 
@@ -232,8 +232,8 @@ class PolygonDomain(Domain):
             return super().arms(name, place)
         images = place + np.array(periodic_shifts(self.lengths, self.periodic))[:, None]
         nearest = np.argmin(shapely.distance(shape, shapely.points(images)), axis=0)
-        own = images[nearest, np.arange(len(place))]
-        return own - shapely.get_coordinates(shapely.centroid(shape))[0]
+        image = images[nearest, np.arange(len(place))]
+        return image - shapely.get_coordinates(shapely.centroid(shape))[0]
 
     def circulation(self, name: str, velocity: Callable[[Array], Array]) -> float:
         """Return the integral of a solid's velocity along its edge, anticlockwise [m2/s]."""
@@ -242,10 +242,10 @@ class PolygonDomain(Domain):
         segments, wall = self._segments
         middle = 0.5 * (segments[:, :2] + segments[:, 2:4])
         inside = np.all((middle >= self.lower) & (middle < self.upper), axis=1)
-        own = inside & (wall == self.wall_names.index(name))
+        of_solid = inside & (wall == self.wall_names.index(name))
         # Segments have the fluid on their left, and the enclosed solid on their right.
-        steps = segments[own, 2:4] - segments[own, :2]
-        return -float(np.sum(velocity(middle[own]) * steps))
+        steps = segments[of_solid, 2:4] - segments[of_solid, :2]
+        return -float(np.sum(velocity(middle[of_solid]) * steps))
 
     def _nearest(self, position: Array) -> tuple[Array, Array, Indices]:
         n_points = len(position)
@@ -439,5 +439,5 @@ def _shifted(domain: Domain, particle_spacing: float, shift: Array) -> Array:
         number = domain.lengths[axis] / pitch
         last = round(number) if domain.periodic[axis] else math.ceil(number - shift[axis])
         axes.append(domain.lower[axis] + (np.arange(last) + shift[axis]) * pitch)
-    x, y = np.meshgrid(*axes)
-    return np.stack((x.ravel(), y.ravel()), axis=1)
+    x, y = axes
+    return lattice_points(x, y)

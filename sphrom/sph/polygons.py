@@ -58,8 +58,8 @@ def disc(centre: tuple[float, float], radius: float) -> BaseGeometry:
     turns = np.linspace(0.0, 2.0 * math.pi, N_CORNERS, endpoint=False)
     step = 2.0 * math.pi / N_CORNERS
     corner = radius * math.sqrt(step / math.sin(step))
-    around = np.stack((np.cos(turns), np.sin(turns)), axis=1)
-    return shapely.Polygon(np.array(centre) + corner * around)
+    directions = np.stack((np.cos(turns), np.sin(turns)), axis=1)
+    return shapely.Polygon(np.array(centre) + corner * directions)
 
 
 def digest(shape: BaseGeometry) -> str:
@@ -86,14 +86,14 @@ def jutting_corners(shape: BaseGeometry, reach: float) -> tuple[Array, Array]:
     for ring in shapely.get_rings(shapely.orient_polygons(shapely.get_parts(shape))):
         line = np.tile(shapely.get_coordinates(ring)[:-1], (3, 1))
         along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))))
-        own = slice(len(line) // 3, 2 * len(line) // 3)
+        once = slice(len(line) // 3, 2 * len(line) // 3)
         before, after = (
-            np.stack([np.interp(along[own] + way, along, axis) for axis in line.T], axis=1)
-            for way in (-reach, reach)
+            np.stack([np.interp(along[once] + step, along, axis) for axis in line.T], axis=1)
+            for step in (-reach, reach)
         )
-        a, b = (line[own] - before).T
-        c, d = (after - line[own]).T
-        places.append(line[own])
+        a, b = (line[once] - before).T
+        c, d = (after - line[once]).T
+        places.append(line[once])
         # The shape is on the left; the outline of a jutting corner turns right.
         turns.append(np.arctan2(b * c - a * d, a * c + b * d))
     place = np.concatenate(places)
@@ -150,7 +150,7 @@ def connects_images(fluid: BaseGeometry, lengths: Lengths, axis: int) -> bool:
     """
     shift = [length if i == axis else 0.0 for i, length in enumerate(lengths)]
     shared = (part.intersection(translate(part, *shift)) for part in shapely.get_parts(fluid))
-    return any(both.area > ROUNDING * lengths[0] * lengths[1] for both in shared)
+    return any(overlap.area > ROUNDING * lengths[0] * lengths[1] for overlap in shared)
 
 
 def _joined_across(axis: int, parts: NDArray[np.object_], lengths: Lengths) -> Indices:
@@ -181,11 +181,11 @@ def least_widths(
 
     edges = outline_of(fluid)
     wall = is_wall(0.5 * (edges[1] + edges[2])) & within(0.5 * (edges[1] + edges[2]))
-    ends = _ends(edges, wall, 1), _ends(edges, wall, -1)
+    widths = _ends(edges, wall, 1), _ends(edges, wall, -1)
     holes = [hole for part in shapely.get_parts(fluid) for hole in part.interiors]
     radii = shapely.maximum_inscribed_circle(shapely.polygons(np.array(holes, object)), 1e-3 * size)
-    least_gap = float(ends[0].min(initial=math.inf))
-    least_solid = float(np.min((*ends[1], *(2.0 * shapely.length(radii))), initial=math.inf))
+    least_gap = float(widths[0].min(initial=math.inf))
+    least_solid = float(np.min((*widths[1], *(2.0 * shapely.length(radii))), initial=math.inf))
     cut = outline_of(shapely.segmentize(fluid, size / N_PLACES))
     cut_wall = is_wall(0.5 * (cut[1] + cut[2]))
     # Small widths are searched first, because of thousands of edges few are near each other.
@@ -226,17 +226,17 @@ def _circles(
     middles, widths = [np.empty((0, 2))], [np.empty(0)]
     share = min(1.0, SHARE_NEAR * reach / float(np.max(np.ptp(end, axis=0))))
     n_pairs = len(corners) * len(start) * share
-    for few in np.array_split(corners, 1 + int(n_pairs) // N_PAIRS):
-        near = tree.query(shapely.points(end[few]), predicate="dwithin", distance=reach)
-        one, other = few[near[0]], near[1]
+    for batch in np.array_split(corners, 1 + int(n_pairs) // N_PAIRS):
+        found = tree.query(shapely.points(end[batch]), predicate="dwithin", distance=reach)
+        one, other = batch[found[0]], found[1]
         place = np.clip(_dot(end[one] - start[other], along[other]) / length[other] ** 2, 0.0, 1.0)
-        way = start[other] + place[:, None] * along[other] - end[one]
-        width = np.hypot(*way.T)
+        across = start[other] + place[:, None] * along[other] - end[one]
+        width = np.hypot(*across.T)
         # Neither of the corner's own sides leads into the circle.
         free = wall[other] & (width > slack)
-        free &= _dot(way, along[one]) >= -SLACK * width * length[one]
-        free &= _dot(way, after[one]) <= SLACK * width * np.hypot(*after[one].T)
-        middle, diameter = end[one][free] + 0.5 * way[free], width[free]
+        free &= _dot(across, along[one]) >= -SLACK * width * length[one]
+        free &= _dot(across, after[one]) <= SLACK * width * np.hypot(*after[one].T)
+        middle, diameter = end[one][free] + 0.5 * across[free], width[free]
         _, nearest = tree.query_nearest(
             shapely.points(middle), all_matches=False, return_distance=True
         )

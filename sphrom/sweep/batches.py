@@ -19,17 +19,16 @@ import numpy as np
 from sphrom.arrays import Array
 from sphrom.artifacts import SCHEMAS, Artifact, ArtifactWriter, write_record
 from sphrom.artifacts.records.sweep import Statistics
+from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import sweep_model, sweep_name
 from sphrom.case.study_sections import FULL
 from sphrom.errors import ArtifactError, SphromError, UnstableError
-from sphrom.metrics.measures import PLACED, Quantities, components, of_a_run
-from sphrom.metrics.series import kinetic_energy
-from sphrom.models import fom, rom
-from sphrom.models.points.error_estimates import measured_errors, measured_sizes
-from sphrom.models.points.fast_model import FastRun, fast_model
-from sphrom.models.points.sensitivities import tangents
-from sphrom.models.surface.model import SurfaceRun
+from sphrom.metrics.measures import Quantities, of_a_run
+from sphrom.metrics.quantities import PLACED, components
+from sphrom.models import fom, stages
+from sphrom.models.contract import Ability, ModelRun, family_of, model_of
+from sphrom.models.stored_run import StoredRun
 from sphrom.store.checkpoints import remove_checkpoints
 from sphrom.store.trajectory import field_datasets, measured_of
 from sphrom.store.workspace import Target, Workspace
@@ -42,6 +41,8 @@ PLACE = "place"
 """Key of a run's scaled parameters."""
 ERROR = "error_estimate/"
 """Prefix of the datasets of error estimates, which some runs lack."""
+INDICES = {"complete_run": "complete", "estimated_run": f"{ERROR}run"}
+"""The datasets with the indices of those runs that others have, by their first axis."""
 MEASURED_ERRORS = f"{ERROR}measured", f"{ERROR}change"
 
 
@@ -86,6 +87,12 @@ def _swept(task: Task) -> SweptModel:
     return SweptModel(Workspace(task.context(resume=not task.force)))
 
 
+def runs_alone(case: Case) -> bool:
+    """Return whether the runs of a case's sweep take no particles, and little time."""
+    model = sweep_model(case)
+    return model is not None and family_of(case, model).can(Ability.RUNS_ALONE)
+
+
 class SweptModel:
     """The model of a sweep, at any parameter point."""
 
@@ -93,8 +100,9 @@ class SweptModel:
         self.workspace = workspace
         self._model = sweep_model(workspace.case)
         self._fast = None
-        if self._model is not None and self._model.from_operators:
-            self._fast = fast_model(workspace, self._model)
+        if runs_alone(workspace.case):
+            assert self._model is not None
+            self._fast = model_of(workspace, self._model)
 
     def run(self, point: ParameterPoint) -> RunRecord:
         """Run the model at a parameter point.
@@ -106,13 +114,13 @@ class SweptModel:
         case = self.workspace.case
         model = self._model
         # Valid runs of the case itself are kept, even with --force.
-        own = point in (case.plan.points if model is None else case.plan.rom_points(model))
-        workspace = Workspace(replace(self.workspace.context, keep_valid=own))
+        of_case = case.plan.points if model is None else case.plan.rom_points(model)
+        workspace = Workspace(replace(self.workspace.context, keep_valid=point in of_case))
         try:
             if model is None:
                 target = fom.ensure_run(workspace, point)
             else:
-                target = rom.ensure_run(workspace, model, point)
+                target = stages.ensure_run(workspace, model, point)
         except UnstableError as error:
             return RunRecord(point, UNSTABLE, str(error))
         return self._of_trajectory(point, target)
@@ -133,19 +141,16 @@ class SweptModel:
         with self.workspace.open(target) as trajectory:
             if trajectory.text("status") != "complete":
                 return RunRecord(point, UNSTABLE, trajectory.text("status_detail"))
-            velocities = trajectory.dataset("velocity")
-            mass = trajectory.number("mass")
-            speed = max(float(np.hypot(*velocity.T).max()) for velocity in velocities)
-            energies = np.array([kinetic_energy(velocity, mass) for velocity in velocities])
+            run = StoredRun.of(self.workspace, trajectory, point, self._model)
             step = trajectory.number("time_step")
-            values = _values(trajectory.read("time"), step, energies, speed)
+            values = _values(run.time, step, run.kinetic_energy, run.largest_speed)
             if self._model is not None:
                 values["generalized_coordinates"] = trajectory.read("generalized_coordinates")
             values |= _kept(measured_of(self.workspace.case, trajectory))
         remove_checkpoints(target)
         return RunRecord(point, COMPLETE, values=values)
 
-    def _of_fast(self, run: FastRun | SurfaceRun) -> RunRecord:
+    def _of_fast(self, run: ModelRun) -> RunRecord:
         """Return the record of a run of a model from operators."""
         if run.failure is not None:
             return RunRecord(run.point, UNSTABLE, str(run.failure))
@@ -159,14 +164,14 @@ class SweptModel:
                 f"{ERROR}velocity_over_time": estimate.velocity,
                 f"{ERROR}pressure_over_time": estimate.pressure,
             }
-            columns = self.workspace.case.scene.columns
-            if columns and isinstance(run, FastRun):
-                found = measured_sizes(run, measured_errors(run))
+            if columns := self.workspace.case.scene.columns:
+                found = run.measured_sizes
                 pairs = [found.get(column, (0.0, 0.0)) for column in columns]
                 values |= zip(MEASURED_ERRORS, np.sqrt(pairs).T, strict=True)
         values |= _kept(run.measured)
         derivatives: dict[str, float] = {}
-        if isinstance(run, FastRun) and self.workspace.case.sweep.sensitivities:
+        has_slopes = run.model.family.can(Ability.SENSITIVITIES)
+        if has_slopes and self.workspace.case.sweep.sensitivities:
             derivatives = _derivatives(run)
             values["derivatives"] = np.array([*derivatives.values()])
         return RunRecord(run.point, COMPLETE, "", values, tuple(derivatives))
@@ -186,10 +191,10 @@ def _kept(measured: dict[str, Quantities]) -> dict[str, Array]:
     return field_datasets({name: of_a_run(quantities) for name, quantities in measured.items()})
 
 
-def _derivatives(run: FastRun) -> dict[str, float]:
+def _derivatives(run: ModelRun) -> dict[str, float]:
     """Return the derivatives of the figures at the end of a run, by column."""
     case = run.model.workspace.case
-    slopes = tangents(run.model, run.point, case.plan.parameter_names, run.reduced)
+    slopes = run.model.tangents(run.point, case.plan.parameter_names, run.reduced)
     columns = {"kinetic_energy": slopes.kinetic_energy[:, -1]}
     for name, section in case.scene.measure.items():
         for quantity in section.quantities:  # empty for lines
@@ -249,25 +254,23 @@ def read_points(
 
 def read_records(artifact: Artifact) -> list[RunRecord]:
     """Read all runs of an artifact."""
-    numbers = {"complete_run": artifact.read("complete").tolist()}
-    if f"{ERROR}run" in artifact:
-        numbers["estimated_run"] = artifact.read(f"{ERROR}run").tolist()
-    time = artifact.read("time") if numbers["complete_run"] else None
-    values: dict[int, dict[str, Any]] = {k: {"time": time} for k in numbers["complete_run"]}
+    points = read_points(artifact, range(len(STATES)))
+    values: list[dict[str, Any]] = [{} for _ in points]
+    indices = {axis: path for axis, path in INDICES.items() if path in artifact}
+    rows = {axis: artifact.read(path).tolist() for axis, path in indices.items()}
+    time = artifact.read("time") if rows["complete_run"] else None
+    for k in rows["complete_run"]:
+        values[k]["time"] = time
     for name in artifact.datasets:
         described = SCHEMAS["sphrom/sweep"].dataset(name)
         axis = "" if described is None else described.axes[0]
-        if axis in numbers and name not in ("complete", f"{ERROR}run"):
-            for k, value in zip(numbers[axis], artifact.read(name), strict=True):
+        if axis in rows and name != indices[axis]:
+            for k, value in zip(rows[axis], artifact.read(name), strict=True):
                 values[k][name] = value
     names = tuple(filter(None, str(artifact.attributes.get("derivative_names", "")).split(",")))
-    points = read_points(artifact, range(len(STATES)))
-    records = list[RunRecord]()
-    for k, status in enumerate(artifact.read("status").tolist()):
-        reason = str(artifact.attributes.get(f"failures/{k}", ""))
-        derived = names if k in values else ()
-        records.append(RunRecord(points[k], status, reason, values.get(k, {}), derived))
-    return records
+    reasons = [str(artifact.attributes.get(f"failures/{k}", "")) for k in range(len(points))]
+    runs = zip(points, artifact.read("status").tolist(), reasons, values, strict=True)
+    return [RunRecord(at, status, reason, v, names if v else ()) for at, status, reason, v in runs]
 
 
 def require_folder(workspace: Workspace) -> None:
@@ -289,7 +292,6 @@ def write_sweep(
 ) -> None:
     """Write the records of a sweep, replacing an earlier file."""
     model = sweep_model(workspace.case)
-    over = Workspace(replace(workspace.context, force=True))
-    with over.create(target) as artifact:
+    with workspace.create(target, over=True) as artifact:
         name = FULL if model is None else model.name
         write_records(artifact, name, records, statistics)

@@ -11,7 +11,7 @@ import shapely
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from sphrom.kernels.sweeps import SHIFT_V, U, V, X, Y
+from sphrom.kernels.fields import SHIFT_V, U, V, X, Y
 from sphrom.sph.box_domain import BoxDomain, Rectangle
 from sphrom.sph.domain import Domain, WallSearch
 from sphrom.sph.polygon_domain import PolygonDomain, list_by_cell, nearest_segments
