@@ -176,8 +176,7 @@ import sys, sphrom
 heavy = "numba", "scipy", "matplotlib", "xarray", "rich"
 model = sphrom.load(sys.argv[1]).at(reynolds=120, lid=0.8)
 print(*[name for name in heavy if name in sys.modules])
-run = model.run()
-run.error_estimate, run._measured()
+model.run()._measured()
 print(*[name for name in ("scipy.sparse", *heavy) if name in sys.modules])
 """
 
