@@ -64,8 +64,10 @@ class Affine:
             powers += [[] for _ in range(len(powers), power + 1)]
             total = powers[power]
             for degree, tensor in enumerate(tensors):
-                if degree < len(total):
-                    total[degree][..., : tensor.shape[-1]] += value * tensor
-                else:
+                if degree == len(total):
                     total.append(value * tensor)
+                elif tensor.shape == total[degree].shape:
+                    total[degree] += value * tensor
+                else:
+                    total[degree][..., : tensor.shape[-1]] += value * tensor
         return tuple(map(tuple, powers))

@@ -25,8 +25,9 @@ Rows are the components of the force, then the torque.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +36,7 @@ from sphrom.arrays import Array, Indices
 from sphrom.declaration import Record, Tensors, dataset, part
 from sphrom.metrics.measures import Quantities
 from sphrom.metrics.quantities import FROM_FIELDS, stored
-from sphrom.reduction.affine import AMPLITUDE, VISCOSITY, Affine, Factor, factor_of
+from sphrom.reduction.affine import VISCOSITY, Affine, factor_of
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.reduced_operators import FORCE, VALUE, VISCOUS, WALLS, Polynomial
 from sphrom.reduction.trial_basis import TrialBasis
@@ -117,7 +118,8 @@ class ReducedForce(Record):
         correction : loads added by the training runs.
         """
         values = {VISCOSITY: kinematic_viscosity, **factors}
-        steady, driven = Affine(list(self._parts(walls_driven))).at(values)
+        parts = [(factor_of(name, walls_driven), loads) for name, loads in self._parts]
+        steady, driven = Affine(parts).at(values)
         momentum = np.zeros((6, self.n_modes))
         if self.balance is not None:
             momentum[:3] = -self.balance.follows[:, None] * self.balance.momentum
@@ -133,8 +135,9 @@ class ReducedForce(Record):
         """Number of generalized coordinates."""
         return self.pressure.shape[1] - N_OTHER_TERMS
 
-    def _parts(self, walls_driven: bool) -> Iterator[tuple[Factor, Tensors]]:
-        """Yield the six loads by part: factors of the terms, and of products of coordinates."""
+    @cached_property
+    def _parts(self) -> list[tuple[str, Tensors]]:
+        """The six loads by part: factors of the terms, and of products of coordinates."""
         balance = self.balance
         balancing = np.diag(np.zeros(3) if balance is None else balance.follows.astype(float))
         none = np.zeros((3, 3))
@@ -149,14 +152,16 @@ class ReducedForce(Record):
         }  # fmt: skip
         nothing = np.zeros((6, self.pressure.shape[1]))
         products = np.zeros((3, *(self.n_modes,) * 2)) if balance is None else balance.advection
-        yield (), (nothing, np.tensordot(balanced, products, 1))
-        yield (AMPLITUDE,), (nothing,)
-        drives = ((drive, (parameter,)) for parameter, drive in self.drives.items())
-        for record, parameters in ((self, ()), (balance, ()), *drives):
+        parts: list[tuple[str, Tensors]] = [
+            ("pressure", (nothing, np.tensordot(balanced, products, 1))),
+            ("body_force", (nothing,)),
+        ]
+        drives = ((f"/{parameter}", drive) for parameter, drive in self.drives.items())
+        for parameter, record in (("", self), ("", balance), *drives):
             for name, matrix in onto.items():
                 if (loads := getattr(record, name, None)) is not None:
-                    factor = factor_of("/".join((name, *parameters)), walls_driven)
-                    yield factor, (matrix @ self._terms(loads),)
+                    parts.append((name + parameter, (matrix @ self._terms(loads),)))
+        return parts
 
     def _terms(self, loads: Array) -> Array:
         """Return loads (3, n_terms) of the constant part alone, of the modes, or of all terms."""

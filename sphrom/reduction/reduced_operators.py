@@ -38,7 +38,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from itertools import combinations_with_replacement, pairwise, permutations, zip_longest
 from typing import Any, Self
 
@@ -273,12 +273,12 @@ class _Parts(Record):
             parts |= {f"{name}/{parameter}": x for name, x in vars(drive).items()}
         return {name: x for name, x in parts.items() if x is not None}
 
-    def _summed(
-        self, by_part: Mapping[str, Tensors], viscosity: float, factors: Factors
-    ) -> tuple[Tensors, ...]:
-        """Return the sum of parts at a viscosity [m2/s], by power of the amplitude."""
-        parts = [(factor_of(name, self.walls_driven), x) for name, x in by_part.items()]
-        return Affine(parts).at({VISCOSITY: viscosity, **factors})
+    @cached_property
+    def _affine(self) -> Affine:
+        """The parts with their factors."""
+        parts = self.by_part.items()
+        tensors = {name: x if isinstance(x, tuple) else (x,) for name, x in parts}
+        return Affine([(factor_of(name, self.walls_driven), x) for name, x in tensors.items()])
 
 
 class DriveRates(Record):
@@ -335,7 +335,7 @@ class ReducedOperators(_Parts):
 
         The amplitude of the polynomial is that of the body force or of driven walls.
         """
-        return Polynomial(self._summed(self.by_part, kinematic_viscosity, factors))
+        return Polynomial(self._affine.at({VISCOSITY: kinematic_viscosity, **factors}))
 
 
 class DriveResidual(Record):
@@ -383,8 +383,8 @@ class ResidualFactor(_Parts):
 
     def at(self, kinematic_viscosity: float, factors: Factors = NONE) -> tuple[Array, ...]:
         """Return F (n_directions, n_monomials) by power of the amplitude."""
-        by_degree = {name: (columns,) for name, columns in self.by_part.items()}
-        return tuple(f for (f,) in self._summed(by_degree, kinematic_viscosity, factors))
+        powers = self._affine.at({VISCOSITY: kinematic_viscosity, **factors})
+        return tuple(factor for (factor,) in powers)
 
 
 class MemoryOperators(Record):
