@@ -11,9 +11,8 @@ from numba import prange
 
 from sphrom.arrays import Array
 from sphrom.kernels.cells import Search, range_in_row, rows_within
-from sphrom.kernels.fields import DENSITY, VOLUME, U, V, X, Y
+from sphrom.kernels.fields import DENSITY, VOLUME, BesideWalls, U, V, X, Y
 from sphrom.kernels.jit import parallel, term
-from sphrom.kernels.wall_sweeps import BesideWalls
 from sphrom.kernels.wendland import gradient_factor
 
 

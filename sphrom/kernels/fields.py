@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from sphrom.arrays import Array
+from sphrom.arrays import Array, Indices
 from sphrom.kernels.jit import inlined
 from sphrom.kernels.vectors import Vector
 
@@ -54,6 +54,19 @@ class Derived(NamedTuple):
     """c of the Laplacian."""
     gradient: Vector
     """Of the density [kg/m4]."""
+
+
+class BesideWalls(NamedTuple):
+    """The particles near walls."""
+
+    particle: Indices
+    """(n_sources,) the particle of each source of the fluid."""
+    targets: Indices
+    """(n_targets,) the sources that are particles near walls."""
+    source: Array
+    """The sources of the fluid."""
+    distance: Array
+    """(n_targets,) from the wall [m], not zero."""
 
 
 class RegularityConstants(NamedTuple):

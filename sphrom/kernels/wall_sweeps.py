@@ -19,11 +19,9 @@ distance from the wall and U_g the wall's velocity. Shear along a flat wall is t
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 from numba import prange
 
-from sphrom.arrays import Array, Indices
+from sphrom.arrays import Array
 from sphrom.kernels.cells import Search
 from sphrom.kernels.fields import (
     DENSITY,
@@ -31,25 +29,13 @@ from sphrom.kernels.fields import (
     OWN_PRESSURE,
     OWN_VISCOUS,
     PRESSURE,
+    BesideWalls,
     FluidConstants,
     RegularityConstants,
     flow_at,
 )
 from sphrom.kernels.jit import parallel
 from sphrom.kernels.sums import ghost_force_row, over_rows, wall_rate_row, wall_regularity_row
-
-
-class BesideWalls(NamedTuple):
-    """The particles near walls."""
-
-    particle: Indices
-    """(n_sources,) the particle of each source of the fluid."""
-    targets: Indices
-    """(n_targets,) the sources that are particles near walls."""
-    source: Array
-    """The sources of the fluid."""
-    distance: Array
-    """(n_targets,) from the wall [m], not zero."""
 
 
 @parallel

@@ -20,7 +20,6 @@ import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.kernels import advection, fields, sweeps
-from sphrom.kernels.wall_sweeps import BesideWalls
 from sphrom.kernels.wendland import kernel
 from sphrom.metrics.measures import TORQUE
 from sphrom.sph.domain import Domain, Walls
@@ -250,7 +249,7 @@ class Functional:
         near = self.neighbourhood.sources
         out = np.empty((3, density_fluctuation.size))
         nowhere = np.full(near.targets.size, np.inf)
-        particles = BesideWalls(near.particle, near.targets, source, distance=nowhere)
+        particles = fields.BesideWalls(near.particle, near.targets, source, distance=nowhere)
         depth = np.zeros(source.shape[1])
         search = self.neighbourhood.search
         advection.transport(particles, source, search, depth, self.fluid.reference_density, out)
@@ -334,11 +333,11 @@ def measured_wall(
     ----------
     wall_velocity : returns the walls' velocity (n_points, 2) [m/s] at places (n_points, 2) [m].
     """
-    own = np.flatnonzero(walls.wall == domain.wall_names.index(name))
-    x, y = domain.arms(name, domain.on_wall(domain.wrap(walls.position[own]))).T
+    ghosts = np.flatnonzero(walls.wall == domain.wall_names.index(name))
+    x, y = domain.arms(name, domain.on_wall(domain.wrap(walls.position[ghosts]))).T
     weights = np.zeros((3, 2, len(walls.wall)))
-    weights[0, 0, own] = weights[1, 1, own] = 1.0
-    weights[TORQUE][:, own] = -y, x
+    weights[0, 0, ghosts] = weights[1, 1, ghosts] = 1.0
+    weights[TORQUE][:, ghosts] = -y, x
     return MeasuredWall(weights, domain.circulation(name, wall_velocity))
 
 

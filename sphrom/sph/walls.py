@@ -18,6 +18,7 @@ from sphrom.kernels import advection, fields, ghost_fields, wall_sweeps
 from sphrom.kernels.cells import Search
 from sphrom.kernels.fields import FluidConstants, RegularityConstants
 from sphrom.kernels.pairs import TINY
+from sphrom.kernels.rectangles import Limits
 from sphrom.kernels.sweeps import gather
 from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fluid import Discretization, Fluid, fluctuation_of, volume_of
@@ -117,8 +118,8 @@ class GhostParticles:
         share = np.zeros_like(weights)
         np.divide(weights, self._full_weights, out=share, where=self._full_weights > 0.0)
         rows = self.discretization.smoothing_length / self.discretization.particle_spacing
-        beside = np.clip(0.5 + (share - 0.5) * rows / SHARE_SLOPE, 0.0, 1.0)
-        return np.maximum(beside, np.clip(np.minimum(depth, share / THIN_SHARE), 0.0, 1.0))
+        by_weight = np.clip(0.5 + (share - 0.5) * rows / SHARE_SLOPE, 0.0, 1.0)
+        return np.maximum(by_weight, np.clip(np.minimum(depth, share / THIN_SHARE), 0.0, 1.0))
 
     @property
     def search(self) -> Search:
@@ -153,13 +154,13 @@ class GhostParticles:
             force = density * body_force[:, sources.particle]
             head = np.empty_like(fluctuation)
             ghost_fields.ghost_heads(self._position, source, force, weights, search, head)
-            beside = fluctuation
-            fluctuation = beside + fluctuation_of(head, self.fluid.sound_speed)
+            without_head = fluctuation
+            fluctuation = without_head + fluctuation_of(head, self.fluid.sound_speed)
             if self._full_weights is not None:
                 row = self.discretization.particle_spacing * np.hypot(*force).max(initial=0.0)
                 share = self._below_surface(weights, head / max(row, TINY))
                 # What falls has no such head, which would pull it to the wall.
-                fluctuation = np.maximum(fluctuation, np.minimum(beside, 0.0))
+                fluctuation = np.maximum(fluctuation, np.minimum(without_head, 0.0))
         volume = share * volume_of(fluctuation, self.fluid.reference_density, self._mass)
         ghost = np.zeros((fields.N_GHOST_ROWS, fluctuation.size))
         ghost[:2] = self._position
@@ -234,7 +235,7 @@ class WallTerms:
         distance = ghosts.search_walls.distances(sources.targets, source)
         near = distance < discretization.support_radius
         self._distance = np.maximum(distance, NEAREST * discretization.particle_spacing)
-        self._beside = wall_sweeps.BesideWalls(
+        self._beside = fields.BesideWalls(
             sources.particle, sources.targets[near], source, self._distance[near]
         )
 
@@ -266,11 +267,10 @@ class WallTerms:
         """
         search = self._ghosts.search_walls
         spacing = self._ghosts.discretization.particle_spacing
-        limits = CLOSEST * spacing, TOUCHING * spacing, FELT * spacing
+        limits = Limits(CLOSEST * spacing, TOUCHING * spacing, FELT * spacing, against)
         if not self._ghosts.discretization.shifting:
-            limits = 0.5 * CLOSEST * spacing, CLOSEST * spacing, FELT * spacing
-        fluid = self._beside[:3]
-        search.kernels.hold_back(*fluid, *search.lists, *limits, against, shifting_velocity)
+            limits = limits._replace(closest=0.5 * CLOSEST * spacing, touching=CLOSEST * spacing)
+        search.kernels.hold_back(self._beside, *search.lists, limits, shifting_velocity)
 
     def add_rates(self, fluid: FluidConstants, regular: Array, out: Array) -> None:
         """Add the ghosts' contribution to the acceleration (2, n_particles)."""

@@ -20,11 +20,11 @@ from sphrom.case.studies import at_resolution, changed, values_at
 from sphrom.case.study_sections import FitSection, SweepSection, TradeSection, TrainingSection
 from sphrom.errors import CaseError, UnstableError
 from sphrom.metrics.measures import Probes, Samples
-from sphrom.models import fom
-from sphrom.models.points import operators
+from sphrom.models import fom, stages
+from sphrom.models.contract import Ability, family_of
+from sphrom.models.stored_run import StoredRun
 from sphrom.setup.context import StageContext
 from sphrom.sph.time_loop import TimeSteps
-from sphrom.store.stored_run import StoredRun
 from sphrom.store.variants import Variant
 from sphrom.store.workspace import Workspace
 from sphrom.text import exact
@@ -85,7 +85,7 @@ def candidates(
         raise CaseError(f"trade.n_modes: the basis {basis} has {available} modes; got {largest}")
     ends = {"galerkin": available}
     # The closure has operators for the viscosity only.
-    if not (case.plan.driving or case.scene.has_surface):
+    if family_of(case).can(Ability.MEMORY) and not case.plan.driving:
         wanted = also if first.projection == "apg" else ()
         ends["apg"] = min(available, max((MOST_CLOSED_MODES, *wanted)))
     sections = []
@@ -112,13 +112,12 @@ def prepared(context: StageContext, models: Sequence[ReducedModelSection]) -> Wo
     """
     case = context.case
     workspace = Workspace(context)
-    workspace.require(workspace.basis())
-    if not case.scene.has_surface:
-        workspace.require(workspace.splines())
+    for target in workspace.bases():
+        workspace.require(target)
     wider = changed(case, rom=(*case.rom, *models))
     parts = ("reference_bases", "memory_models", "corrected_bases", "surface_sizes")
     if any(getattr(wider.plan, part) != getattr(case.plan, part) for part in parts):
-        return Variant(context, wider, FOLDER, only=OPERATORS).made([operators.run])
+        return Variant(context, wider, FOLDER, only=OPERATORS).made([stages.project])
     workspace = Variant(context, wider).workspace
     workspace.require(workspace.operators())
     return workspace

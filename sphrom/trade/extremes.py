@@ -25,15 +25,13 @@ from sphrom.case.sections import PointModelSection
 from sphrom.case.studies import changed
 from sphrom.errors import CaseError, ResourceError, UnstableError
 from sphrom.metrics.measures import Samples
-from sphrom.models import fom
+from sphrom.models import fom, stages
+from sphrom.models.contract import Ability, family_of
 from sphrom.models.particles.runs import build_model, close, doubts_of_step
-from sphrom.models.points import basis as pod
-from sphrom.models.points import map as map_stage
-from sphrom.models.points import operators
-from sphrom.models.points import splines as fit_psi
 from sphrom.models.points.basis_model import BasisModel
 from sphrom.models.points.fast_model import FastModel, FastRun
 from sphrom.models.stable_ranges import MEMORY, STEP, TIME
+from sphrom.models.starts import start
 from sphrom.reduction.particle_model import reduced_jacobian
 from sphrom.reduction.polynomial_model import EXPONENTIAL, RUNGE_KUTTA, steps_within
 from sphrom.reduction.reduced_operators import stability_limits
@@ -43,7 +41,6 @@ from sphrom.setup.context import StageContext
 from sphrom.sph.fluid import pressure_of
 from sphrom.sph.time_loop import Clock, Model, TimeSteps, march
 from sphrom.store.stored_run import probes_of
-from sphrom.store.trained_models import sized_in, start
 from sphrom.store.workspace import Workspace
 from sphrom.trade.candidates import (
     FULL_MODEL,
@@ -128,10 +125,10 @@ class Maps:
 
     def __init__(self, context: StageContext, quick: bool) -> None:
         case = context.case
-        if case.scene.has_surface:
-            raise CaseError("--extremes: maps no models of a free surface")
+        family_of(case).require(Ability.EXTREMES, "--extremes")
         basis = global_basis(case)
-        first = sized_in(Workspace(context), first_model(case), basis)
+        first = first_model(case)
+        first = family_of(case, first).part("sized")(Workspace(context), first, basis)
         self.context = context
         self.case = case
         self.quick = quick
@@ -288,8 +285,8 @@ class Maps:
         """Make the full runs and the reduced models of a variant; return their workspace."""
         for problem in case_problems(variant):
             raise CaseError(str(problem))
-        stages = (fom.run, map_stage.run, pod.run, fit_psi.run, operators.run)
-        return variant_of(self.context, variant, shared).made(stages)
+        made_by = (fom.run, stages.map_runs, *stages.OPERATORS)
+        return variant_of(self.context, variant, shared).made(made_by)
 
     # Runs
 

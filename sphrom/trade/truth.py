@@ -16,9 +16,9 @@ from sphrom.errors import CaseError, ResourceError
 from sphrom.metrics.histories import relative_l2, without_mean
 from sphrom.metrics.measures import Samples
 from sphrom.models.points.basis_model import BasisModel
+from sphrom.models.stored_run import StoredRun
 from sphrom.setup.context import StageContext
 from sphrom.sph.fluid import fluctuation_of, pressure_of
-from sphrom.store.stored_run import StoredRun
 from sphrom.store.workspace import Workspace
 from sphrom.text import exact
 from sphrom.trade.candidates import extreme, make_runs, of_full_model, variant_of

@@ -21,11 +21,8 @@ from sphrom.case.studies import trained_at
 from sphrom.errors import CaseError, UnstableError
 from sphrom.metrics.measures import since
 from sphrom.models import fom
-from sphrom.models.points import basis as pod
-from sphrom.models.points import map as map_stage
-from sphrom.models.points import operators
-from sphrom.models.points import splines as fit_psi
 from sphrom.models.points.fast_model import FastModel, FastRun
+from sphrom.models.stages import OPERATORS, map_runs
 from sphrom.reduction.trial_basis import (
     TrialBasis,
     mean_density_fluctuation,
@@ -39,8 +36,6 @@ from sphrom.store.variants import Variant
 from sphrom.sweep.workers import Failure, Task, start_workers
 from sphrom.train.outcome import FOLDER, HeldOut
 
-STAGES = (pod.run, fit_psi.run, operators.run)
-"""The stages after the maps, which are repeated for other training points."""
 MADE_HERE = ("basis", "spline", "b-spline", "operators")
 """Kinds of artifacts that these stages make."""
 N_BLOCK_SNAPSHOTS = 16
@@ -129,7 +124,7 @@ class Surrogate:
         existing = (t for t in (here.basis(), here.splines(), here.operators()) if t.path.exists())
         kept = [target.path.name for target in existing if here.reason_to_make(target) is not None]
         if not kept:
-            variant.made(STAGES)
+            variant.made(OPERATORS)
         return kept
 
 
@@ -168,7 +163,7 @@ def make_full_runs(
                 if run.text("status") != "complete":
                     problems[point] = run.text("status_detail")
     stable = tuple(point for point in points if point not in problems)
-    map_stage.run(replace(variant.context, only=stable))
+    map_runs(replace(variant.context, only=stable))
     return problems
 
 
@@ -187,7 +182,7 @@ class StageModel:
         """Make the bases, splines and operators for the points, unless they are up to date."""
         case = trained_at(context.case, points)
         variant = Variant(replace(context, force=False), case, FOLDER, only=MADE_HERE)
-        self.workspace = variant.made(STAGES)
+        self.workspace = variant.made(OPERATORS)
         self._points = points
         self._fast = FastModel(self.workspace, model)
 

@@ -19,6 +19,7 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import Region, changed, fast_section, percent, trained_at
 from sphrom.case.study_sections import TrainingSection, percentage
 from sphrom.errors import CaseError, UnstableError
+from sphrom.models.contract import Ability, family_of
 from sphrom.reduction.greedy import Ending, choose, ending
 from sphrom.setup.context import StageContext
 from sphrom.store.variants import Variant
@@ -123,11 +124,7 @@ def greedy(
 def _model(case: Case) -> ReducedModelSection:
     """Return the model to train. Raises CaseError if there is none, or no region."""
     model = fast_section(case, case.training.model)
-    if case.scene.has_surface:
-        raise CaseError(
-            "training: needs estimates of errors, which models of a free surface don't have; "
-            "list the runs to train on in parameters.train"
-        )
+    family_of(case).require(Ability.TRAINING, "training")
     if not case.training.ranges or model is None:
         raise CaseError(
             "training: the case has no region of parameters; give ranges, such as --set "

@@ -9,7 +9,8 @@ import pytest
 
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.measured import flow_row
-from sphrom.store.stored_run import StoredRun, probes_of, sample_run
+from sphrom.models.stored_run import StoredRun
+from sphrom.store.stored_run import probes_of, sample_run
 
 
 def _row(case, trajectory):

@@ -7,21 +7,27 @@ trained for some numbers of modes (`sphrom.reduction.graph_model`).
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sphrom.artifacts import write_record
-from sphrom.artifacts.records.runs import StoredSurfaceBasis, SurfaceModels
+from sphrom.artifacts.records.runs import (
+    StoredSurfaceBasis,
+    SurfaceModels,
+    SurfaceStarts,
+    TrainedSurfaceModel,
+)
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ALL, AUTO
+from sphrom.case.sections import ALL, AUTO, ReducedModelSection
 from sphrom.errors import CaseError, SphromError, UnstableError
 from sphrom.metrics.histories import energy
+from sphrom.models.surface.stored import elevation_of, read_surface_basis
 from sphrom.plots.tables import format_figure
-from sphrom.reduction.surface_basis import TrainedGraph, chosen_size, make_basis
+from sphrom.reduction import surface_basis
+from sphrom.reduction.surface_basis import TrainedGraph, chosen_size
 from sphrom.setup.assembly import medium, uniform_force
-from sphrom.store.surfaces import elevation_of, read_surface_basis
 from sphrom.store.trajectory import require_complete, snapshot_fields
 from sphrom.store.workspace import Workspace
 
@@ -82,7 +88,7 @@ def map_point(workspace: Workspace, point: ParameterPoint) -> None:
     workspace.context.report.info(text)
 
 
-def decompose(workspace: Workspace) -> None:
+def make_basis(workspace: Workspace) -> None:
     """Write the basis of the training runs."""
     case = workspace.case
     target = workspace.basis()
@@ -102,7 +108,9 @@ def decompose(workspace: Workspace) -> None:
         runs = np.stack(coefficients)
         noise = np.linalg.norm(lost) / np.linalg.norm(speeds)
         most = min(MOST_KEPT, runs.shape[2], runs.shape[0] * runs.shape[1])
-        whole = make_basis(case.plan.stream_space, runs, np.stack(elevations), float(noise), most)
+        whole = surface_basis.make_basis(
+            case.plan.stream_space, runs, np.stack(elevations), float(noise), most
+        )
         artifact.annotate("timing/decomposition", time.perf_counter() - started)
         if not whole.modes_above_noise:
             raise CaseError(
@@ -126,7 +134,7 @@ def decompose(workspace: Workspace) -> None:
     )
 
 
-def train_models(workspace: Workspace) -> None:
+def project(workspace: Workspace) -> None:
     """Train models of all numbers of modes that the case's models have, and write them."""
     from sphrom.reduction.graph_training import train  # it loads kernels
 
@@ -143,6 +151,26 @@ def train_models(workspace: Workspace) -> None:
     if any(model.n_modes == AUTO for model in case.rom):
         size = chosen_size(trained)
         workspace.context.report.info(f"n_modes: auto takes {size} modes, of {sizes[-1]} at most")
+
+
+def fit_splines(workspace: Workspace) -> None:
+    """Say that there is nothing to do: stream functions are splines."""
+    workspace.context.report.info("models of a free surface need no splines of modes")
+
+
+def trained_model(
+    workspace: Workspace, section: ReducedModelSection, common: Mapping[str, Any]
+) -> TrainedSurfaceModel:
+    """Return a trained model as its file has it, with the starts of the training runs."""
+    from sphrom.models.surface.model import SurfaceModel  # it loads kernels
+
+    model = SurfaceModel(workspace, section)
+    points = workspace.case.plan.train_points
+    starts = SurfaceStarts(
+        parameters=np.array([list(point.as_dict().values()) for point in points]),
+        coordinates=np.stack([model.start_from(point) for point in points]),
+    )
+    return TrainedSurfaceModel(basis=model.basis, graph=model.trained, starts=starts, **common)
 
 
 def _training_runs(workspace: Workspace) -> Iterator[TrainingRun]:

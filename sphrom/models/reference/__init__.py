@@ -1,0 +1,1 @@
+"""The map, bases and splines of modes, for models on particles and from operators."""
