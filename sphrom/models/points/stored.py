@@ -23,7 +23,6 @@ from sphrom.models.starts import RunStarts, start
 from sphrom.reduction.calibration import Calibration, TrainingRun, calibrate
 from sphrom.reduction.held_out import best_size
 from sphrom.reduction.limit_cycles import CycleClosure, TrainedCycles, fitted_cycle
-from sphrom.reduction.reduced_measures import ReducedMeasure
 from sphrom.reduction.reduced_operators import ReducedOperators
 from sphrom.reduction.trial_basis import TrialBasis, project
 from sphrom.setup import assembly
@@ -123,7 +122,7 @@ def read_operators(workspace: Workspace, name: str) -> BasisOperators:
 def recorded_of(case: Case, stored: BasisOperators) -> dict[str, Quantities]:
     """Return the measurements (n_runs, n_snapshots, ...) of a basis's full training runs."""
     recorded: dict[str, Quantities] = {
-        name: {q: vars(measure)[f"training_{q}"] for q in ReducedMeasure.of(measure).quantities}
+        name: {q: measure.training[f"training_{q}"] for q in measure.quantities}
         for name, measure in stored.measure.items()
     }
     recorded |= {name: totals(force.training_loads) for name, force in stored.wall_force.items()}
