@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 
@@ -163,6 +163,14 @@ class Change:
     """Of the amplitude; None if it does not depend on the parameter."""
 
 
+@cache
+def _compiled() -> Callable[..., int]:
+    """Return the compiled steps, which only runs need."""
+    from sphrom.kernels.exponential import integrate
+
+    return integrate
+
+
 class ExponentialModel(PolynomialModel):
     """A polynomial system whose steps integrate a linear part exactly.
 
@@ -189,10 +197,8 @@ class ExponentialModel(PolynomialModel):
     def _integrate(
         self, n_steps: int, output_times: OutputTimes, driven: Driven, out: Array
     ) -> int:
-        from sphrom.kernels import exponential as kernels  # only runs need compiled code
-
         matrices, ratio = self._method(n_steps, output_times)
-        return kernels.integrate(
+        return _compiled()(
             *driven, *matrices, ratio.n_steps(len(out) - 1),
             ratio.steps_per_snapshot, self._degree, output_times.largest_square,
             np.empty(driven[0].shape[2]), np.empty(8 * out.shape[1] + matrices[2].shape[2]), out,

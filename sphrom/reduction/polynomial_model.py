@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -87,6 +87,14 @@ class Run:
     """(n_snapshots, n_modes), the part of the coordinates that the correction adds."""
 
 
+@cache
+def _compiled() -> Callable[..., int]:
+    """Return the compiled steps, which only runs need."""
+    from sphrom.kernels.polynomial import integrate
+
+    return integrate
+
+
 class PolynomialModel:
     """A polynomial system integrated by Runge-Kutta steps (Eq. 2.18).
 
@@ -133,9 +141,7 @@ class PolynomialModel:
         self, n_steps: int, output_times: OutputTimes, driven: Driven, out: Array
     ) -> int:
         """Fill the snapshots after the first; return the number of steps before a divergence."""
-        from sphrom.kernels import polynomial as kernels  # only runs need compiled code
-
-        return kernels.integrate(
+        return _compiled()(
             *driven, self.time_step(n_steps, output_times), n_steps, self._degree,
             output_times.largest_square, np.empty(driven[0].shape[2]),
             np.empty((5, out.shape[1])), out,
